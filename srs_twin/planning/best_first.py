@@ -9,15 +9,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import count
-from typing import NamedTuple
+
+import numpy as np
 
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.collision import Checker, ObstacleGrid
+from srs_twin.planning.collision import Checker
 from srs_twin.planning.dubins import ArcSequence
-from srs_twin.planning.guidance import NO_HEURISTIC, NO_PASSAGES, find_passages, grid_heuristic
+from srs_twin.planning.guidance import (
+    NO_HEURISTIC,
+    NO_PASSAGES,
+    GridHeuristic,
+    find_passages,
+    grid_heuristic,
+)
 from srs_twin.planning.infeasibility import COARSE, FINE, Resolution, is_disconnected, prove_unreachable
 from srs_twin.planning.moves import MoveSet, make_move_set, shorten_path
 from srs_twin.planning.path import Segment, path_from_arcs
@@ -25,14 +32,6 @@ from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
 from srs_twin.planning.search_kernels import SearchSpec
 from srs_twin.planning.search_tree import SearchTree, goal_poses, make_target, turned_around
 from srs_twin.robot.world import Goal
-
-
-class Cells(NamedTuple):
-    """Size of the cells of poses: side, m, and heading width, rad."""
-
-    side: float
-    sector: float
-
 
 _CURVATURES = 5
 """Curvatures at the coarsest level."""
@@ -52,20 +51,6 @@ _MAX_TURN_NODES = 16_000
 """Largest number of nodes in a turn, so that time limits are checked often enough."""
 
 
-@dataclass
-class _Budget:
-    """Remaining nodes and time limit of a search."""
-
-    nodes: int
-    seconds: float | None
-    begun: float = field(default_factory=time.perf_counter)
-
-    @property
-    def spent(self) -> bool:
-        expired = self.seconds is not None and time.perf_counter() - self.begun > self.seconds
-        return expired or self.nodes <= 0
-
-
 @dataclass(frozen=True)
 class _LevelResult:
     """Result of the search at one resolution.
@@ -83,147 +68,169 @@ class _LevelResult:
 
 def best_first(problem: Problem, settings: Settings) -> Plan:
     """Plan by best-first search; see `planner.plan`."""
-    checker, budget = Checker(problem.world, problem.footprint), _Budget(settings.nodes, settings.seconds)
+    search = _Search(problem, settings)
     best: tuple[Segment, ...] | None = None
-    for level, (arcs, cells) in enumerate(_resolutions(problem, settings.levels)):
-        trees = _start_trees(arcs, cells, problem, settings, checker.grid)
-        result = _search_level(trees, problem, budget, _path_length(best), level == 0)
+    for level in range(settings.levels):
+        trees = search.start_trees(level)
+        result = search.search_level(trees, _path_length(best), prove=level == 0)
         if result.path is not None:
-            best = _finish(result.path, trees[0].spec.moves, problem, settings, checker)
-        if result.final or budget.spent or (best is not None and not settings.improve):
+            best = search.finish(result.path, trees[0].spec.moves)
+        if result.final or search.is_spent or (best is not None and not settings.improve):
             break
-    expanded, kept_trees = settings.nodes - budget.nodes, tuple(trees) if settings.keep else ()
-    resolution = f"at cells of {1000 * cells.side:.3g} mm and {math.degrees(cells.sector):.3g} degrees"
-    outcome, cell = Outcome.UNREACHABLE, (cells.side, cells.sector)
+    spec, expanded = trees[0].spec, settings.nodes - search.nodes
+    outcome, reason, cell = Outcome.UNREACHABLE, result.reason, (spec.cell, spec.sector)
+    resolution = f"at cells of {1000 * spec.cell:.3g} mm and {math.degrees(spec.sector):.3g} degrees"
     if best is not None:
-        return Plan(Outcome.FOUND, "a free path", best, expanded, cell, trees=kept_trees)
-    if result.final:
-        # The result has no cell, because the proof does not depend on the resolution.
-        return Plan(outcome, result.reason, expanded=expanded, trees=kept_trees)
-    if result.reason:
+        outcome, reason = Outcome.FOUND, "a free path"
+    elif result.reason and not result.final:
         reason = f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
-    else:
+    elif not result.final:
         outcome = Outcome.BUDGET_SPENT
         reason = (
             f"neither a path nor a proof after {expanded} nodes, {resolution}; give more nodes or seconds"
         )
-    return Plan(outcome, reason, expanded=expanded, cell=cell, trees=kept_trees)
+    # A proof does not depend on the resolution.
+    tested = None if best is None and result.final else cell
+    kept = tuple(trees) if settings.keep else ()
+    return Plan(outcome, reason, best or (), expanded, tested, trees=kept)
 
 
-def _resolutions(problem: Problem, levels: int) -> Iterator[tuple[Primitives, Cells]]:
-    """Yield primitives and cells of each level, halved each time; later levels have more curvatures.
+@dataclass
+class _Search:
+    """Search for a path at increasing resolution.
 
-    The primitives of the problem, if given, are those of the first level.
+    Attributes:
+        problem: the problem.
+        settings: budget and options.
+        nodes: remaining nodes.
+        begun: begin of the search on the clock, s.
     """
-    both = min(problem.footprint.tightest)
-    first = problem.primitives or Primitives(_CURVATURES, _COARSEST_TURN, _COARSEST_TURN / both)
-    for level in range(levels):
-        factor = 2**level
+
+    problem: Problem
+    settings: Settings
+    nodes: int = field(init=False)
+    begun: float = field(default_factory=time.perf_counter)
+
+    def __post_init__(self) -> None:
+        self.nodes = self.settings.nodes
+        self.checker = Checker(self.problem.world, self.problem.footprint)
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether the nodes or the time are used up."""
+        seconds = self.settings.seconds
+        return self.nodes <= 0 or (seconds is not None and time.perf_counter() - self.begun > seconds)
+
+    def start_trees(self, level: int) -> list[SearchTree]:
+        """Return the tree from the start and, for a footprint without transients, the tree from the goal.
+
+        The primitives of the problem, if given, are those of the first level. Each level halves arcs and
+        cells; the third and later ones have more curvatures.
+        """
+        problem, body, factor = self.problem, self.problem.footprint, 2**level
+        first = problem.primitives or Primitives(
+            _CURVATURES, _COARSEST_TURN, _COARSEST_TURN / min(body.tightest)
+        )
         number = first.count if level < 2 else 2 * first.count - 1
         arcs = Primitives(number, first.turn / factor, first.length / factor)
-        yield arcs, Cells(_CELL_SHARE * arcs.length, 2 * math.pi / (_SECTORS * factor))
+        cell, sector = _CELL_SHARE * arcs.length, 2 * math.pi / (_SECTORS * factor)
+        target, weight = make_target(problem.goal, body), self.settings.weight
+        spec = SearchSpec(
+            make_move_set(arcs, body), target, self.checker.grid, cell, sector, weight,
+            NO_HEURISTIC, NO_PASSAGES,
+        )  # fmt: skip
+        trees = [SearchTree([problem.start], spec)]
+        # Transients depend on the direction of a path.
+        if not body.transients:
+            end = turned_around(problem.start)
+            home = make_target(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
+            roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
+            # Both trees share the obstacles; only the target and the direction differ.
+            backward = spec._replace(moves=make_move_set(arcs, body.backward), target=home)
+            trees.append(SearchTree(roots, backward, backward=True))
+        return trees
 
+    def guided_tree(self, spec: SearchSpec) -> SearchTree:
+        """Return a tree from the start that uses grid distances and narrow passages."""
+        heuristic, passages = self.guidance
+        weight = max(spec.weight, _GUIDED_WEIGHT)
+        spec = spec._replace(heuristic=heuristic, weight=weight, passages=passages)
+        return SearchTree([self.problem.start], spec)
 
-def _search_level(
-    trees: list[SearchTree], problem: Problem, budget: _Budget, best: float, prove: bool
-) -> _LevelResult:
-    """Search at one resolution.
+    @cached_property
+    def guidance(self) -> tuple[GridHeuristic, np.ndarray]:
+        """Grid distances and narrow passages, which are the same at all levels."""
+        problem, body = self.problem, self.problem.footprint
+        margin = 4 / min(body.tightest)
+        heuristic = grid_heuristic(problem.goal, problem.start, problem.world, body.narrowest, margin)
+        return heuristic, find_passages(problem.world, body)
 
-    The trees take turns with growing numbers of nodes. The tree from the goal rarely finds a path first. But
-    if no arc leads to the goal, it is exhausted at once, while the other tree must first fill all its cells.
-    After the first turn, a guided tree joins; its path may be longer than necessary.
+    def search_level(self, trees: list[SearchTree], best: float, *, prove: bool) -> _LevelResult:
+        """Search at one resolution.
 
-    Args:
-        trees: trees of the level; the guided tree is appended.
-        problem: the problem.
-        budget: remaining budget, reduced by the expanded nodes.
-        best: length of the best path so far, m.
-        prove: whether to try proofs of infeasibility.
-    """
-    proofs = (COARSE, FINE) if prove else ()
-    for turn in count():
-        if budget.spent:
-            break
-        # Proofs take longer than an easy search, so they are tried only after the first and the second turn.
-        nodes = min(_FIRST_TURN_NODES * 2 ** max(turn - 1, 0), _MAX_TURN_NODES)
-        for tree in trees:
-            before = tree.expanded
-            arcs = tree.grow(max(1, min(nodes, budget.nodes)), best)
-            budget.nodes -= tree.expanded - before
-            if arcs is not None:
-                # A backward path is reversed; its left turns become right turns.
-                return _LevelResult([(-c, length) for c, length in reversed(arcs)] if tree.backward else arcs)
-            if tree.exhausted and turn >= len(proofs):
-                end = "back from the goal" if tree.backward else "on from the start"
-                return _LevelResult(reason=f"no free arc leads {end} to an untested pose")
-            if tree.exhausted or budget.spent:
+        The trees take turns with growing numbers of nodes. The tree from the goal rarely finds a path first.
+        But if no arc leads to the goal, it is exhausted at once, while the other tree must first fill all its
+        cells. After the first turn, a guided tree joins; its path may be longer than necessary.
+
+        Args:
+            trees: trees of the level; the guided tree is appended.
+            best: length of the best path so far, m.
+            prove: whether to try proofs of infeasibility.
+        """
+        proofs = (COARSE, FINE) if prove else ()
+        for turn in count():
+            if self.is_spent:
                 break
-        if turn < len(proofs) and (reason := _infeasible(problem, trees[0].spec.grid, proofs[turn])):
-            return _LevelResult(reason=reason, final=True)
-        if turn == 0:
-            trees.append(_guided_tree(trees[0].spec, problem))
-    return _LevelResult()
+            # Proofs take longer than an easy search, so they are tried only after the first and second turn.
+            nodes = min(_FIRST_TURN_NODES * 2 ** max(turn - 1, 0), _MAX_TURN_NODES)
+            for tree in trees:
+                before = tree.expanded
+                arcs = tree.grow(max(1, min(nodes, self.nodes)), best)
+                self.nodes -= tree.expanded - before
+                if arcs is not None:
+                    # A backward path is reversed; its left turns become right turns.
+                    return _LevelResult(
+                        [(-c, length) for c, length in reversed(arcs)] if tree.backward else arcs
+                    )
+                if tree.exhausted and turn >= len(proofs):
+                    end = "back from the goal" if tree.backward else "on from the start"
+                    return _LevelResult(reason=f"no free arc leads {end} to an untested pose")
+                if tree.exhausted or self.is_spent:
+                    break
+            if turn < len(proofs) and (reason := self.infeasible(proofs[turn])):
+                return _LevelResult(reason=reason, final=True)
+            if turn == 0:
+                trees.append(self.guided_tree(trees[0].spec))
+        return _LevelResult()
 
-
-def _infeasible(problem: Problem, grid: ObstacleGrid, resolution: Resolution) -> str:
-    """Return the reason why no path exists; empty without a proof at this resolution."""
-    start, goal, body = problem.start, problem.goal, problem.footprint
-    if resolution is COARSE and is_disconnected(start, goal, problem.world, body.narrowest):
+    def infeasible(self, resolution: Resolution) -> str:
+        """Return the reason why no path exists; empty without a proof at this resolution."""
+        start, goal, body = self.problem.start, self.problem.goal, self.problem.footprint
+        if resolution is COARSE and is_disconnected(start, goal, self.problem.world, body.narrowest):
+            return (
+                "no path of any shape: all passages between start and goal are narrower than "
+                f"{2 * body.narrowest:g} m, the smallest width of the footprint; move obstacles, or plan "
+                "with a narrower footprint"
+            )
+        end = prove_unreachable(start, goal, body, self.checker.grid, resolution)
+        if not end:
+            return ""
         return (
-            "no path of any shape: all passages between start and goal are narrower than "
-            f"{2 * body.narrowest:g} m, the smallest width of the footprint; move obstacles, or plan with a "
-            "narrower footprint"
+            f"no path with turns of radius {1 / max(body.tightest):.3g} m or more: the {end} has too little "
+            f"room to turn; reverse the heading of the {end}, or plan with tighter turns"
         )
-    end = prove_unreachable(start, goal, body, grid, resolution)
-    if not end:
-        return ""
-    return (
-        f"no path with turns of radius {1 / max(body.tightest):.3g} m or more: the {end} has too little room "
-        f"to turn; reverse the heading of the {end}, or plan with tighter turns"
-    )
 
-
-def _start_trees(
-    arcs: Primitives, cells: Cells, problem: Problem, settings: Settings, grid: ObstacleGrid
-) -> list[SearchTree]:
-    """Return the tree from the start and, for a footprint without transients, the tree from the goal."""
-    body, start = problem.footprint, problem.start
-    moves = make_move_set(arcs, body)
-    # Both trees share moves and obstacles; only the target and the direction differ.
-    target = make_target(problem.goal, body)
-    spec = SearchSpec(moves, target, grid, *cells, settings.weight, NO_HEURISTIC, NO_PASSAGES)
-    trees = [SearchTree([start], spec)]
-    # Transients depend on the direction of a path.
-    if not body.transients:
-        end = turned_around(start)
-        home = make_target(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
-        roots = [turned_around(pose) for pose in goal_poses(problem.goal, cells.sector)]
-        backward = spec._replace(moves=make_move_set(arcs, body.backward), target=home)
-        trees.append(SearchTree(roots, backward, backward=True))
-    return trees
-
-
-def _guided_tree(spec: SearchSpec, problem: Problem) -> SearchTree:
-    """Return a tree from the start that uses grid distances and narrow passages."""
-    body, start = problem.footprint, problem.start
-    heuristic = grid_heuristic(problem.goal, start, problem.world, body.narrowest, 4 / min(body.tightest))
-    weight, passages = max(spec.weight, _GUIDED_WEIGHT), find_passages(problem.world, body)
-    return SearchTree([start], spec._replace(heuristic=heuristic, weight=weight, passages=passages))
-
-
-def _finish(
-    arcs: ArcSequence, moves: MoveSet, problem: Problem, settings: Settings, checker: Checker
-) -> tuple[Segment, ...]:
-    """Return the path as segments, shortened if the settings ask for it."""
-    start, body = problem.start, problem.footprint
-    path = path_from_arcs(start, arcs, body)
-    if settings.smooth:
+    def finish(self, arcs: ArcSequence, moves: MoveSet) -> tuple[Segment, ...]:
+        """Return the path as segments, shortened if the settings ask for it."""
+        start, body = self.problem.start, self.problem.footprint
+        path = path_from_arcs(start, arcs, body)
+        if not self.settings.smooth:
+            return path
         radius = 1 / min(body.tightest)
-        shorter = path_from_arcs(start, shorten_path(start, arcs, moves, checker.grid, radius), body)
+        shorter = path_from_arcs(start, shorten_path(start, arcs, moves, self.checker.grid, radius), body)
         # Merged segments change the transients, so the shortened path is checked again.
-        if _path_length(shorter) < _path_length(path) and checker.is_path_free(shorter):
-            path = shorter
-    return path
+        is_better = _path_length(shorter) < _path_length(path) and self.checker.is_path_free(shorter)
+        return shorter if is_better else path
 
 
 def _path_length(path: tuple[Segment, ...] | None) -> float:
