@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.comparison.centre_line import body_overlap
 from srs_twin.comparison.compare import Comparison, MeasuredDifference
 from srs_twin.comparison.compare import compare as difference
 from srs_twin.comparison.metrics import headline, plant_metrics
@@ -196,6 +197,10 @@ class PreparedRun:
             "events": {k: _notable(t) for k, t in trajectories.items()},
             "changes": list(scenario.changes),
         }
+        geometries = {kind: plant.spec.geometry for kind, (plant, _) in self.pairs.items()}
+        overlaps = {k: body_overlap(t, geometries[k]) for k, t in trajectories.items()}
+        if any(overlaps.values()):
+            metrics["body_overlap_m"] = {k: overlap for k, overlap in overlaps.items() if overlap}
         drawn, differences = dict(trajectories), {}
         if measured is not None:
             drawn[MEASURED] = measured

@@ -15,6 +15,12 @@ from srs_twin.robot.geometry import chord
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
+_MIN_OVERLAP = 0.25
+"""Smallest overlap that is reported, in body widths, 1: the hulls of the twin are chords, up to 3 mm inside the
+arcs, and contacts are not perfectly rigid."""
+_MAX_SAMPLES = 200
+"""Largest number of samples in which overlaps are searched."""
+
 
 def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> np.ndarray:
     """Return the centre line of every segment, front first.
@@ -113,6 +119,29 @@ def hull_lines(trajectory: Trajectory) -> np.ndarray:
     weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
     line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
+
+
+def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
+    """Return the largest overlap of two parts of a planar body, m; 0 below a quarter of its width.
+
+    Only the twin in a world with objects has contacts of the body with itself. Parts count that are at least
+    twice the width apart along the body. Up to 200 samples are searched, those in which the headings of the
+    body span more than π; other bodies cannot touch themselves.
+    """
+    curled = np.flatnonzero(np.ptp(trajectory.stack("theta"), axis=1) > np.pi)
+    if trajectory.has("z") or not len(curled):
+        return 0.0
+    rows = curled[:: -(-len(curled) // _MAX_SAMPLES)]
+    samples = Trajectory({name: column[rows] for name, column in trajectory.columns.items()})
+    lines = centre_lines(samples, geometry).reshape(len(rows), -1, 2)
+    steps = np.hypot(*np.moveaxis(np.diff(lines, axis=1), -1, 0))
+    along = np.concatenate([np.zeros((len(rows), 1)), np.cumsum(steps, axis=1)], axis=1)
+    largest = 0.0
+    for line, s in zip(lines, along, strict=True):
+        distance = np.hypot(*(line[:, None] - line).transpose(2, 0, 1))
+        apart = np.abs(s[:, None] - s) > 2 * geometry.width
+        largest = max(largest, geometry.width - float(distance[apart].min(initial=np.inf)))
+    return largest if largest >= _MIN_OVERLAP * geometry.width else 0.0
 
 
 def _unit(angle: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Contacts of a run with obstacles, from the recorded forces."""
+"""Contacts of a run with obstacles, from the recorded forces, and motion of objects."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from srs_twin.comparison.sampling import units_of
 from srs_twin.trajectory import Trajectory
+
+OBJECT_UNITS = units_of("object_moved_m")
 
 TOUCH_N = 1e-3
 """Smallest force of a contact, N; smaller ones are numerical."""
@@ -53,3 +56,11 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
+
+
+def object_metrics(trajectory: Trajectory) -> dict[str, float]:
+    """Return ``object_moved_m``, the largest displacement of an object; empty without objects."""
+    if not trajectory.has("object_x"):
+        return {}
+    place = np.stack([trajectory.stack("object_x"), trajectory.stack("object_y")])
+    return {"object_moved_m": float(np.hypot(*(place[:, -1] - place[:, 0])).max())}

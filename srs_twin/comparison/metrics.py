@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from srs_twin.comparison.contacts import OBJECT_UNITS, object_metrics
 from srs_twin.comparison.gait import (
     ENERGY_METRICS,
     SPATIAL_DIFFERENCES,
@@ -89,6 +90,7 @@ METRIC_UNITS = {
     **LEARNING_UNITS,
     **READING_UNITS,
     **SPATIAL_UNITS,
+    **OBJECT_UNITS,
     **{name: unit for group in metric_groups() for name, unit in group.units.items()},
     **MEASURED_UNITS,
     **units_of("wall_s realtime_factor"),
@@ -173,6 +175,7 @@ travel_direction_rad: direction of travel relative to the mean heading; positive
 body_height_m: largest height of a connector of a spatial snake
 contact_share: mean share of connectors that press on the floor
 supports: mean number of separate parts of the body that press on the floor
+object_moved_m: distance of an object at the end from its place at the start, the largest of all objects
 roll_turns: turns of the body about its axis over the whole run, mean over the connectors
 measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
 measured_yaw_rate_abs: magnitude of the difference of the yaw rates
@@ -216,6 +219,10 @@ _STRAIGHT_RAD_S = 0.05
 _ZERO_RATE = 5e-5
 """Rate that is shown as 0, m/s or rad/s."""
 _PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/agreement.md#presets)."
+_OVERLAP = (
+    "Parts of the body overlap by up to {:.0f} mm ({}): contacts of the body with itself are not simulated "
+    "(docs/objects.md#limits)."
+)
 _COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
 """Explanation of the cause that headlines name most often."""
 _MIN_CAUSE_RATIO = 0.25
@@ -223,13 +230,15 @@ _MIN_CAUSE_RATIO = 0.25
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a one-sentence summary, and sentences on its terms and on a preset other than the default.
+    """Return a one-sentence summary, and sentences on its terms and on what limits the result.
 
     Args:
         metrics: contents of metrics.json.
     """
     text, preset = _summary(metrics), metrics.get("preset")
     sentences = [text, *[_COMPLIANCE] * ("compliance" in text), *[_PRESET.format(preset)] * bool(preset)]
+    if overlaps := metrics.get("body_overlap_m"):
+        sentences.append(_OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps)))
     return " ".join(sentences)
 
 
@@ -245,7 +254,9 @@ def _summary(metrics: Mapping[str, Any]) -> str:
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
         how = "straight on" if abs(turn) < _STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
-        return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}."
+        moved = one.get("object_moved_m")
+        objects = "" if moved is None else f"; it moves an object by {moved:.2g} m"
+        return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}{objects}."
     if one.get("goal_reached") is not None:
         return f"The {name} {_arrives(one)}."
     if one.get("error_rms_rad") is not None:
@@ -332,7 +343,7 @@ def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
 _MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
 _GAIT = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
-    travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns
+    travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns object_moved_m
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
@@ -480,6 +491,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **(learning_metrics(trajectory) if is_learning(trajectory) else _NOT_LEARNING),
         **reading_metrics(trajectory),
         **spatial_metrics(trajectory),
+        **object_metrics(trajectory),
         **{name: value for group in metric_groups() for name, value in group.measure(trajectory).items()},
         **dict.fromkeys(MEASURED_UNITS),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,

@@ -20,13 +20,6 @@ _ARC_POINTS = 101
 """Number of points of an arc."""
 
 
-def object_moved(run: Trajectory) -> float | None:
-    """Return the distance of the first object from its start at the end, m (Section 6.2)."""
-    if "object_x_1" not in run.columns:
-        return None
-    return float(np.hypot(*(run[name][-1] - run[name][0] for name in ("object_x_1", "object_y_1"))))
-
-
 def tail_drift(run: Trajectory) -> float | None:
     """Return the drift of the tail's heading, rad/s: slope of its mean over gait periods (Fig. 30)."""
     window = GaitWindow.from_trajectory(run)

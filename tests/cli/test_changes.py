@@ -254,6 +254,14 @@ def test_percentages_of_the_headline_add_up(averaged, twin, effect):
         assert ("alone would" in said) != averaged
 
 
+def test_headline_tells_of_objects_and_of_a_body_that_passes_through_itself():
+    speed = {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.0}
+    said = headline({"plants": {"twin": speed | {"object_moved_m": 0.42}}})
+    assert said == "The twin crawls at 0.1 m/s, straight on; it moves an object by 0.42 m."
+    said = headline({"plants": {"twin": speed}, "body_overlap_m": {"twin": 0.0384}})
+    assert "overlap by up to 38 mm (twin)" in said
+
+
 def test_headline_of_every_run_names_its_plants():
     assert headline({"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.3}}}) == (
         "The twin crawls at 0.1 m/s, turning by 0.3 rad/s."

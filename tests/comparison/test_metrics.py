@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
 from srs_twin.comparison import metrics
+from srs_twin.comparison.contacts import OBJECT_UNITS
 from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
@@ -235,7 +236,8 @@ def test_wall_time_and_valve_openings_are_passed_through():
 @pytest.mark.parametrize("periodic", [True, False])
 def test_every_metric_is_json_and_has_a_unit(periodic):
     found = plant_metrics(Snake(yaw_rate=0.3, periodic=periodic).trajectory(), wall_s=1.0)
-    assert found.keys() == (METRIC_UNITS.keys() | LIST_METRIC_UNITS.keys()) - SPATIAL_UNITS.keys()
+    others = SPATIAL_UNITS.keys() | OBJECT_UNITS.keys()
+    assert found.keys() == (METRIC_UNITS.keys() | LIST_METRIC_UNITS.keys()) - others
     assert json.loads(json.dumps(found, allow_nan=False)) == found
     assert all(value is None or type(value) is float for value in map(found.get, METRIC_UNITS))
     assert all(value is None or type(value) is list for value in map(found.get, LIST_METRIC_UNITS))

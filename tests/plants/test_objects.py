@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from srs_twin import load_robot
+from srs_twin.comparison.centre_line import body_overlap
 from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
@@ -16,6 +17,7 @@ from srs_twin.robot.spec import GRAVITY, Friction, RobotSpec
 from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION
 from srs_twin.robot.world import Circle, MovableObject, Polygon, World
 from srs_twin.rollout import rollout
+from srs_twin.trajectory import Trajectory
 
 GEN2 = load_robot("gen2")
 SLIPPERY = replace(GEN2, friction=Friction(0.0, 0.0))
@@ -155,6 +157,33 @@ def test_contacts_with_an_immovable_object_are_those_with_an_obstacle():
     ]
     assert np.hypot(runs[1].stack("obstacle_force_x"), runs[1].stack("obstacle_force_y")).max() > 0.1
     np.testing.assert_allclose(runs[0].com, runs[1].com, atol=1e-4)
+
+
+def test_curled_body_touches_itself():
+    """Without floor friction the contacts are internal forces: shorter steps move the body less."""
+    chain = replace(
+        SLIPPERY,
+        geometry=replace(GEN2.geometry, connectors=9),
+        mass=replace(GEN2.mass, connectors=GEN2.mass.connectors[:1] * 9),
+    )
+    world, width = World(objects=(replace(CYLINDER, x=2.0),)), chain.geometry.width
+    coarse, overlap = curled(TwinSnake(chain, world=world))
+    fine, _ = curled(TwinSnake(chain, world=world, timestep=0.00025))
+    assert fine < 0.5 * coarse
+    assert overlap == 0.0, "less than a quarter of the width"
+    assert curled(TwinSnake(chain))[1] > 0.9 * width, "a world without objects has no such contacts"
+
+
+def curled(twin: TwinSnake) -> tuple[float, float]:
+    """Fill all left chambers for 0.8 s; return the displacement of the centre of mass and the overlap, m."""
+    spec, curl = twin.spec, np.tile(np.array([1, -1], dtype=np.int8), (twin.spec.segments, 1))
+    start = twin.reset().com
+    states = [twin.step(curl) for _ in range(40)]
+    signals = {"x": [s.position[:, 0] for s in states], "y": [s.position[:, 1] for s in states]}
+    signals["theta"] = [s.theta for s in states]
+    columns = {f"{k}_{i + 1}": row for k, v in signals.items() for i, row in enumerate(np.transpose(v))}
+    run = Trajectory({"time": np.arange(40.0)} | columns)
+    return float(np.abs(states[-1].com - start).max()), body_overlap(run, spec.geometry)
 
 
 @pytest.mark.slow

@@ -3,19 +3,21 @@
 Obstacles consist of capsules. A circle is an upright capsule of its radius. A polygon has a capsule of 1 mm
 radius along each side, so that it is 1 mm larger all round. The hulls of the body are copies of the capsules
 of its skin at the height of the centres of mass, with the width of the robot. Between two capsules MuJoCo
-computes the contact in closed form, in the plane. Hulls touch obstacles only, and exist only in worlds with
-obstacles, so that other worlds have no additional cost.
+computes the contact in closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so
+that other worlds have no additional cost.
 
 An object is a cylinder or a box that slides and turns on the floor: a body with two slide joints and a hinge
 about z, so that its position in `qpos` is x, y and heading in the world. It does not tip. Its weight and its
 friction on the floor are those of four points (`MovableObject.supports`). `friction_solve` computes the
 friction of these points, and that between object and body. MuJoCo computes the normal forces, and the
-friction of an object on obstacles and on other objects.
+friction of an object on obstacles and on other objects. In a world with objects the body can also touch
+itself: a tail that holds an object and the wave in front of it would otherwise pass through each other.
 """
 
 from __future__ import annotations
 
 import math
+from itertools import combinations
 
 import mujoco
 import numpy as np
@@ -186,6 +188,22 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, wor
             sensor = object_force_sensor(name, part)
             add_force_sensor(mj, sensor, mjtObj.mjOBJ_BODY, name, on=part, position=True)
     mj.keys[0].qpos = [*mj.keys[0].qpos, *poses]
+    _add_self_contacts(mj, spec)
+
+
+def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Let hulls touch each other, without friction, if more than a body width is between their segments."""
+    hull = mj.find_default("hull").geom
+    default = mj.add_default("self_contact", mj.default)
+    default.pair.condim, default.pair.solref, default.pair.solimp = 1, hull.solref, hull.solimp
+    for first, second in combinations(hulls(mj), 2):
+        between = abs(_segment(first) - _segment(second)) - 1
+        if between * spec.geometry.pitch > spec.geometry.width:
+            mj.add_pair(default, name=f"{first}_{second}", geomname1=first, geomname2=second)
+
+
+def _segment(hull: str) -> int:
+    return int(hull.split("_")[1])
 
 
 def _add_object(
