@@ -5,6 +5,7 @@ all worlds.
 """
 
 # No `from __future__ import annotations`: Warp needs the types themselves.
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -158,7 +159,14 @@ def warp_functions() -> dict[str, Any]:
     return as_warp_functions([getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions)
 
 
-def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> SimpleNamespace:
+_OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
+"""Options of the kernels. Each has a module of its own, as its constants depend on the batch."""
+
+Kernels = dict[str, Any]
+"""Kernels by name."""
+
+
+def build_kernels(structs: Mapping[str, WarpStruct], settings: StepSettings) -> SimpleNamespace:
     """Return the kernels for structs of given shapes.
 
     Args:
@@ -166,18 +174,24 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
             under loaded contact `engine`, `contacts`, `sparsity`, `contact_state` and `work`.
         settings: constants that are the same for all worlds.
     """
-    functions = warp_functions()
-    bend_law = functions["apply_bend_law"]
-    segment, filling = functions["advance_segment"], functions["filling_content"]
-    names = "relaxation", "chambers", "wave"
-    Relaxations, ChamberStates, GaitWaves = (structs[name].batched for name in names)
-    relaxation_of, chambers_of, wave_of = (structs[name].select for name in names)
-    # Warp takes these as compile-time constants.
-    H, SLOT, SLOTS, TICK = settings.h, settings.slot, settings.slots, settings.tick
-    END_WEIGHT = 0.5 if settings.mean_pressure else 0.0
-    options = {"enable_backward": False, "module": "unique"}
+    functions, loaded = warp_functions(), "work" in structs
+    kernels = _valve_kernels(structs["wave"], settings)
+    kernels |= _chamber_kernel(structs["relaxation"], structs["chambers"], settings, functions)
+    kernels |= _accumulation_kernel(structs["accumulators"], structs["addresses"].single, settings.h, loaded)
+    kernels |= _observation_kernel(structs)
+    if loaded:
+        kernels |= _middle_kernels(structs, settings.h, functions["set_mid_velocity"])
+        kernels |= _friction_kernels(structs, settings.h, functions)
+    return SimpleNamespace(**kernels)
 
-    @wp.kernel(**options)
+
+def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
+    """Return the kernels that set the valve states of a step's slots."""
+    GaitWaves, wave_of = wave.batched, wave.select
+    # Warp takes these as compile-time constants.
+    SLOT, SLOTS, TICK = settings.slot, settings.slots, settings.tick
+
+    @wp.kernel(**_OPTIONS)
     def set_commands(count: wp.array(dtype=int), commands: wp.array4d(dtype=int), out: wp.array4d(dtype=int)):
         """Set the valve states of a step's slots from the commands of its tick."""
         i, j = wp.tid()
@@ -187,7 +201,7 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
             out[i, s, j, 0] = commands[i, row, j, 0]
             out[i, s, j, 1] = commands[i, row, j, 1]
 
-    @wp.kernel(**options)
+    @wp.kernel(**_OPTIONS)
     def set_gait(count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)):
         """Set the valve states of a step's slots from a gait, evaluated in the middle of each slot."""
         i, j = wp.tid()
@@ -201,7 +215,20 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
 
-    @wp.kernel(**options)
+    return {"set_commands": set_commands, "set_gait": set_gait}
+
+
+def _chamber_kernel(
+    relaxation: WarpStruct, chambers: WarpStruct, settings: StepSettings, functions: Mapping[str, Any]
+) -> Kernels:
+    """Return the kernel that advances the chambers over a step."""
+    bend_law = functions["apply_bend_law"]
+    segment, filling = functions["advance_segment"], functions["filling_content"]
+    Relaxations, relaxation_of = relaxation.batched, relaxation.select
+    ChamberStates, chambers_of = chambers.batched, chambers.select
+    SLOTS, END_WEIGHT = settings.slots, 0.5 if settings.mean_pressure else 0.0
+
+    @wp.kernel(**_OPTIONS)
     def advance_chambers(
         relaxations: Relaxations,
         all_chambers: ChamberStates,
@@ -247,12 +274,22 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
         ctrl[i, 2 * j] = mean_plus * ratio
         ctrl[i, 2 * j + 1] = mean_minus * ratio
 
-    AllAccumulators, accumulators_of = structs["accumulators"].batched, structs["accumulators"].select
-    LOADED = "work" in structs
-    Addresses = structs["addresses"].single
-    AllBodies, bodies_of = structs["bodies"].batched, structs["bodies"].select
+    return {"advance_chambers": advance_chambers}
 
-    @wp.kernel(**options)
+
+def _accumulation_kernel(accumulators: WarpStruct, addresses: Any, h: float, loaded: bool) -> Kernels:
+    """Return the kernel that adds up what samples are means or integrals of.
+
+    Args:
+        accumulators: struct of the sums.
+        addresses: struct of the addresses of one world.
+        h: time step, s.
+        loaded: whether the contacts are loaded.
+    """
+    AllAccumulators, accumulators_of = accumulators.batched, accumulators.select
+    Addresses, H, LOADED = addresses, h, loaded
+
+    @wp.kernel(**_OPTIONS)
     def accumulate(
         count: wp.array(dtype=int), sensors: wp.array2d(dtype=float), at: Addresses,
         all_accumulators: AllAccumulators, qvel: wp.array2d(dtype=float), damping: wp.array2d(dtype=float),
@@ -292,7 +329,17 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
         if i == 0:
             count[0] = count[0] + 1
 
-    @wp.kernel(**options)
+    return {"accumulate": accumulate}
+
+
+def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
+    """Return the kernel that writes an observation."""
+    AllBodies, bodies_of = structs["bodies"].batched, structs["bodies"].select
+    ChamberStates, chambers_of = structs["chambers"].batched, structs["chambers"].select
+    AllAccumulators, accumulators_of = structs["accumulators"].batched, structs["accumulators"].select
+    Addresses = structs["addresses"].single
+
+    @wp.kernel(**_OPTIONS)
     def observe(
         bodies: AllBodies, at: Addresses, all_chambers: ChamberStates, all_accumulators: AllAccumulators,
         energy_loss: wp.array(dtype=wp.float64), internal_loss: wp.array(dtype=wp.float64),
@@ -337,14 +384,7 @@ def build_kernels(structs: dict[str, WarpStruct], settings: StepSettings) -> Sim
         out[i, k + 1] = body.sensordata[at.kinetic_energy]
         out[i, k + 2] = float(internal_loss[i])
 
-    kernels = SimpleNamespace(
-        set_commands=set_commands,
-        set_gait=set_gait,
-        advance_chambers=advance_chambers,
-        accumulate=accumulate,
-        observe=observe,
-    )
-    return _add_friction_kernels(kernels, structs, functions, H, options) if "work" in structs else kernels
+    return {"observe": observe}
 
 
 @wp.func
@@ -369,23 +409,13 @@ def integrate_position(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float),
         qpos[i + 1] = qpos[i + 1] + h * qvel[i]
 
 
-def _add_friction_kernels(
-    kernels: SimpleNamespace, structs: dict[str, WarpStruct], functions: Any, H: float, options: Any
-) -> Any:
-    """Add the kernels of loaded contact, which run between the two halves of MuJoCo's step."""
-    apply_stored_friction = functions["apply_stored_friction"]
-    set_mid_velocity = functions["set_mid_velocity"]
-    solve_friction = functions["solve_friction"]
-    store_friction = functions["store_friction"]
-    names = "engine", "contacts", "sparsity", "contact_state", "work", "accumulators"
-    Engines, AllContacts, Sparsities, ContactStates, Workspaces, AllAccumulators = (
-        structs[name].batched for name in names
-    )
-    engine_of, contacts_of, sparsity_of, state_of, work_of, accumulators_of = (
-        structs[name].select for name in names
-    )
+def _middle_kernels(structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any) -> Kernels:
+    """Return the kernels of loaded contact that move to mid-step, before and after the engine's step."""
+    Engines, engine_of = structs["engine"].batched, structs["engine"].select
+    Workspaces, work_of = structs["work"].batched, structs["work"].select
+    AllAccumulators, H = structs["accumulators"].batched, h
 
-    @wp.kernel(**options)
+    @wp.kernel(**_OPTIONS)
     def begin_step(engines: Engines, works: Workspaces, all_accumulators: AllAccumulators):
         """Store v₋ and move to mid-step."""
         i = wp.tid()
@@ -396,19 +426,7 @@ def _add_friction_kernels(
         for k in range(engine.qpos.shape[0]):
             all_accumulators.mid_qpos[i, k] = engine.qpos[k]
 
-    @wp.kernel(**options)
-    def apply_friction(
-        engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
-        works: Workspaces,
-    ):  # fmt: skip
-        """Apply the friction of the previous step."""
-        i = wp.tid()
-        apply_stored_friction(
-            engine_of(engines, i), contacts_of(contacts, i), sparsity_of(sparsities, i), state_of(states, i),
-            work_of(works, i), H,
-        )  # fmt: skip
-
-    @wp.kernel(**options)
+    @wp.kernel(**_OPTIONS)
     def return_to_middle(
         engines: Engines, works: Workspaces, all_accumulators: AllAccumulators, bias: wp.array2d(dtype=float)
     ):
@@ -422,7 +440,36 @@ def _add_friction_kernels(
             engine.qpos[k] = all_accumulators.mid_qpos[i, k]
         set_mid_velocity(engine, work)
 
-    @wp.kernel(**options)
+    return {"begin_step": begin_step, "return_to_middle": return_to_middle}
+
+
+def _friction_kernels(structs: Mapping[str, WarpStruct], h: float, functions: Mapping[str, Any]) -> Kernels:
+    """Return the kernels of loaded contact that apply and solve for friction."""
+    apply_stored_friction = functions["apply_stored_friction"]
+    solve_friction = functions["solve_friction"]
+    store_friction = functions["store_friction"]
+    names = "engine", "contacts", "sparsity", "contact_state", "work", "accumulators"
+    Engines, AllContacts, Sparsities, ContactStates, Workspaces, AllAccumulators = (
+        structs[name].batched for name in names
+    )
+    engine_of, contacts_of, sparsity_of, state_of, work_of, accumulators_of = (
+        structs[name].select for name in names
+    )
+    H = h
+
+    @wp.kernel(**_OPTIONS)
+    def apply_friction(
+        engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
+        works: Workspaces,
+    ):  # fmt: skip
+        """Apply the friction of the previous step."""
+        i = wp.tid()
+        apply_stored_friction(
+            engine_of(engines, i), contacts_of(contacts, i), sparsity_of(sparsities, i), state_of(states, i),
+            work_of(works, i), H,
+        )  # fmt: skip
+
+    @wp.kernel(**_OPTIONS)
     def finish_step(
         engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
         works: Workspaces, all_accumulators: AllAccumulators, energy_loss: wp.array(dtype=wp.float64),
@@ -436,6 +483,4 @@ def _add_friction_kernels(
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)
         integrate_position(engine.qpos, engine.qvel, 0.5 * H)
 
-    kernels.begin_step, kernels.apply_friction = begin_step, apply_friction
-    kernels.return_to_middle, kernels.finish_step = return_to_middle, finish_step
-    return kernels
+    return {"apply_friction": apply_friction, "finish_step": finish_step}
