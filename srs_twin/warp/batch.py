@@ -6,45 +6,23 @@ is built on the CPU and copied to the device, so that no formula of the model is
 
 from __future__ import annotations
 
-import copy
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import Any, NoReturn, SupportsIndex
 
-import mujoco
-import mujoco_warp as mjw
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
 
 from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
-from srs_twin.plants.twin.friction_solve import ContactState
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.lag import LagPneumatics
-from srs_twin.pneumatics.valves import valve_slot
-from srs_twin.warp.kernels import (
-    Accumulators,
-    BodyViews,
-    ChamberState,
-    GaitWave,
-    StepSettings,
-    build_kernels,
-)
-from srs_twin.warp.translation import WarpStruct, stack_records, warp_struct
-
-_CAPACITY_FACTOR = 4
-"""Capacity for contacts and constraint rows, as a multiple of those of a snake at rest."""
-
-_UNUSED_FIELDS = ("dof_length",)
-"""Model fields that may differ between runs: they matter for sleeping bodies only, and no body sleeps."""
-
-_MAX_ITERATIONS = 50
-"""Iterations of the engine's solver."""
+from srs_twin.warp.engine import DeviceEngine
+from srs_twin.warp.kernels import GaitWave
 
 _INITIAL_LIFT = 1e-8
 """Lift of the snakes at the start, m: at rest they just touch the floor, so rounding would decide on
@@ -56,8 +34,6 @@ _MAX_START_DISTANCE = 16.0
 Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 2⁻²⁰ m or 1 µm at 16 m. A snake with 0.1 m/s
 travels 0.1 mm per step of 1 ms, so that the error is 1 % of a step at 16 m, and a whole step at 2 km.
 """
-
-_AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 class WarpBatch:
@@ -103,9 +79,8 @@ class WarpBatch:
         for twin in distinct:
             _check_supported(twin, distinct[0])
         self.tick, self._h = distinct[0].tick, distinct[0].timestep
-        self._loaded = isinstance(distinct[0].contact, LoadedContact)
         self.origins = np.zeros((len(self), 2))
-        self._copy_to_device(deterministic)
+        self._engine = DeviceEngine(self._robots, self._robot_of_run, self.device, deterministic)
         self.reset()
 
     @staticmethod
@@ -137,143 +112,6 @@ class WarpBatch:
         """Return the number of runs."""
         return len(self.twins)
 
-    def _copy_to_device(self, deterministic: bool) -> None:
-        """Copy models, states and records to the device, and compile the kernels."""
-        models = [twin.physics.model.ptr for twin in self._robots]
-        raw = copy.copy(models[0])
-        raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
-        raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _MAX_ITERATIONS
-        data = mujoco.MjData(raw)
-        mujoco.mj_resetDataKeyframe(raw, data, 0)
-        mujoco.mj_forward(raw, data)
-        capacity = {
-            "nconmax": _CAPACITY_FACTOR * max(data.ncon, 8),
-            # A contact that just touches has no row yet.
-            "njmax": _CAPACITY_FACTOR * max(data.nefc, data.ncon, 8),
-        }
-        slot = self._slot = min(valve_slot(self.tick, self.twins[0].spec.scale), self._h)
-        self._slots, self._steps = round(self._h / slot), round(self.tick / self._h)
-        segments = self.twins[0].spec.segments
-        with wp.ScopedDevice(self.device):
-            self._model = mjw.put_model(raw)
-            self._model.opt.deterministic = deterministic
-            self._data = mjw.put_data(raw, data, nworld=len(self), **capacity)
-            _set_individual_parameters(self._model, [models[k] for k in self._robot_of_run])
-            structs = self._copy_records(data.qpos, segments)
-            self._count = wp.zeros(1, dtype=int)
-            self._valves = wp.zeros((len(self), self._slots, segments, 2), dtype=int)
-            self._commands = wp.zeros((len(self), 1, segments, 2), dtype=int)
-            self._energy_loss = wp.zeros(len(self), dtype=wp.float64)
-            self._internal_loss = wp.zeros(len(self), dtype=wp.float64)
-            damping = [twin.physics.internal_joints.damping for twin in self._robots]
-            self._damping = wp.array(np.stack([damping[k] for k in self._robot_of_run]), dtype=float)
-        settings = StepSettings(self._h, slot, self._slots, self._steps, mean_pressure=self._loaded)
-        self._kernels = build_kernels(structs, settings)
-        self._graphs: dict[bool, Any] = {}
-
-    def _copy_records(self, qpos: np.ndarray, segments: int) -> dict[str, WarpStruct]:
-        """Copy the records of all worlds to the device; return their structs by name."""
-        addresses = self._robots[0].physics.sensor_addresses
-        hulls = len(addresses.obstacle_force)
-        contacts = len(addresses.floor_force) + (hulls if self._loaded else 0)
-        self._chambers = [
-            twin.pneumatics for twin in self._robots if isinstance(twin.pneumatics, LagPneumatics)
-        ]
-        empty = np.zeros((segments, 2))
-        forces = np.zeros((contacts, 3))
-        records: dict[str, Sequence[Any]] = {
-            "relaxation": [chambers.relaxation(self._slot) for chambers in self._chambers],
-            "chambers": [
-                ChamberState(empty, empty[:, 0], empty.astype(int) - 1, empty.astype(int), empty[:, 0])
-            ],
-            "accumulators": [Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))],
-            "wave": [GaitWave(1.0, 0.0, 0.0, empty[:, 0])],
-        }
-        solves = [twin.physics.stepper.records for twin in self._robots if twin.physics.stepper is not None]
-        if self._loaded:
-            names = "contacts", "sparsity", "contact_state", "work"
-            records |= {name: [solve[name] for solve in solves] for name in names}
-        structs = {name: warp_struct(values[0]) for name, values in records.items()}
-        # There is one record for all robots, or one per robot.
-        self._structs = {
-            name: stack_records(
-                structs[name], [v[k] if len(v) > 1 else v[0] for k in self._robot_of_run], self.device
-            )
-            for name, v in records.items()
-        }
-        bodies = BodyViews(*(np.zeros(self._view(name).shape[1:]) for name in BodyViews._fields))
-        structs |= {"addresses": warp_struct(addresses), "bodies": warp_struct(bodies)}
-        self._structs["bodies"] = self._views(structs["bodies"], BodyViews._fields)
-        self._structs["addresses"] = structs["addresses"].single()
-        for name, value in addresses._asdict().items():
-            on_device = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
-            setattr(self._structs["addresses"], name, on_device)
-        if self._loaded:
-            engine = solves[0]["engine"]
-            structs["engine"] = warp_struct(engine, without=("model", "data", "objects"))
-            self._structs["engine"] = self._views(structs["engine"], engine._fields[3:])
-            # The solve needs c(v₋) and c(v̄), so copy the first: the engine overwrites its array with the
-            # second.
-            self._structs["engine"].qfrc_bias = wp.zeros_like(self._data.qfrc_bias)
-            self._structs["work"].residual = self._data.qfrc_bias
-        # Columns of an observation (kernel `observe`).
-        self._widths = {
-            "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(addresses.connectors),
-            "chambers": 5 * segments, "force": 3 * contacts, "obstacles": 3 * hulls, "energy": 3,
-        }  # fmt: skip
-        return structs
-
-    def _view(self, name: str) -> wp.array:
-        """Return an array of vectors or matrices of the engine's data as an array of numbers."""
-        array = getattr(self._data, name)
-        size = wp.types.type_size(array.dtype)
-        if size == 1:
-            return array
-        return wp.array(ptr=array.ptr, shape=(*array.shape, size), dtype=float, device=self.device)
-
-    def _views(self, struct: WarpStruct, names: Sequence[str]) -> Any:
-        views = struct.batched()
-        for name in names:
-            setattr(views, name, self._view(name))
-        return views
-
-    def _launch(self, gait: bool) -> None:
-        """Launch the kernels of one time step."""
-        k, structs, data, model = self._kernels, self._structs, self._data, self._model
-        segments = len(self), self.twins[0].spec.segments
-        accumulators = structs["accumulators"]
-        if gait:
-            wp.launch(k.set_gait, dim=segments, inputs=[self._count, structs["wave"], self._valves])
-        else:
-            wp.launch(k.set_commands, dim=segments, inputs=[self._count, self._commands, self._valves])
-        wp.launch(
-            k.advance_chambers,
-            dim=segments,
-            inputs=[structs["relaxation"], structs["chambers"], self._valves, data.ctrl],
-        )
-        if not self._loaded:
-            mjw.step(model, data)
-        else:
-            names = "engine", "contacts", "sparsity", "contact_state", "work"
-            friction = [structs[name] for name in names]
-            engine, work = structs["engine"], structs["work"]
-            wp.launch(k.begin_step, dim=len(self), inputs=[engine, work, accumulators])
-            mjw.step1(model, data)
-            wp.launch(k.apply_friction, dim=len(self), inputs=friction)
-            mjw.step2(model, data)
-            wp.launch(k.return_to_middle, dim=len(self), inputs=[engine, work, accumulators, data.qfrc_bias])
-            mjw.com_vel(model, data)
-            mjw.rne(model, data)
-            wp.launch(k.finish_step, dim=len(self), inputs=[*friction, accumulators, self._energy_loss])
-        wp.launch(
-            k.accumulate,
-            dim=len(self),
-            inputs=[
-                self._count, data.sensordata, structs["addresses"], accumulators, data.qvel, self._damping,
-                self._energy_loss, self._internal_loss,
-            ],
-        )  # fmt: skip
-
     def run(self, steps: int, *, gait: bool = False) -> None:
         """Make time steps without observation; on a GPU each step is one CUDA graph.
 
@@ -283,19 +121,7 @@ class WarpBatch:
         """
         self._time += steps * self._h
         self._unobserved_steps += steps
-        with wp.ScopedDevice(self.device):
-            if not self.device.is_cuda:
-                for _ in range(steps):
-                    self._launch(gait)
-                return
-            if steps and gait not in self._graphs:
-                self._launch(gait)  # the first step compiles the kernels
-                steps -= 1
-                with wp.ScopedCapture() as capture:
-                    self._launch(gait)
-                self._graphs[gait] = capture.graph
-            for _ in range(steps):
-                wp.capture_launch(self._graphs[gait])
+        self._engine.run(steps, gait=gait)
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
         """Set the `control.gait.Gait` of each run, which the device follows in `run` and `follow`.
@@ -308,9 +134,7 @@ class WarpBatch:
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
         waves = [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits]
-        stacked = stack_records(warp_struct(waves[0]), waves, self.device)
-        for name in GaitWave._fields:
-            wp.copy(getattr(self._structs["wave"], name), getattr(stacked, name))
+        self._engine.set_waves(waves)
 
     def reset(
         self, *, poses: Sequence[Pose] | None = None, seed: int = 0, worlds: Sequence[int] | None = None
@@ -337,7 +161,7 @@ class WarpBatch:
         if worlds is None:
             self.errors = [None] * len(self)
             self._time, self._begun, self._unobserved_steps = 0.0, np.zeros(len(self)), 0
-            self._count.zero_()
+            self._engine.count.zero_()
         self._begun[chosen] = self._time
         for k in chosen:
             self.errors[k] = None
@@ -353,20 +177,8 @@ class WarpBatch:
         w, i, j, k = qpos[:, 3:7].T
         a, b = np.cos(yaw / 2), np.sin(yaw / 2)
         qpos[:, 3:7] = np.stack([a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1)
-        self._set(self._data.qpos, chosen, qpos)
-        for array in (self._data.qvel, self._data.qacc_warmstart, self._energy_loss, self._internal_loss):
-            self._set(array, chosen, 0.0)
-        chambers, accumulators = self._structs["chambers"], self._structs["accumulators"]
-        for name in ("pressure", "linear", "openings", "drawn"):
-            self._set(getattr(chambers, name), chosen, 0)
-        self._set(chambers.valves, chosen, -1)
-        for name in ("step_force", "force_sum", "obstacle_sum"):
-            self._set(getattr(accumulators, name), chosen, 0.0)
-        if self._loaded:
-            states = [physics.stepper.contact_state for physics in rest if physics.stepper is not None]
-            for name in ContactState._fields:
-                value = np.array([getattr(state, name) for state in states])
-                self._set(getattr(self._structs["contact_state"], name), chosen, value)
+        states = [physics.stepper.contact_state for physics in rest if physics.stepper is not None]
+        self._engine.rest(chosen, qpos, states)
         theta = (
             np.zeros((len(self), self.twins[0].spec.geometry.connectors)) if worlds is None else self._theta
         )
@@ -391,23 +203,9 @@ class WarpBatch:
                 )
         return np.where(far[:, None], places[:, :2], 0.0)
 
-    def _set(self, array: wp.array, chosen: np.ndarray, value: ArrayLike) -> None:
-        """Set the rows of the given worlds in an array on the device."""
-        if len(chosen) == len(self):
-            full = np.broadcast_to(np.asarray(value), (len(self), *array.shape[1:]))
-            array.assign(np.ascontiguousarray(full))
-            return
-        whole = array.numpy()
-        whole[chosen] = value
-        array.assign(whole)
-
     def update_supply_pressure(self) -> None:
         """Copy the supply pressures of the twins' chambers to the device after they have changed."""
-        struct = self._structs["relaxation"]
-        relaxations = [chambers.relaxation(self._slot) for chambers in self._chambers]
-        for name in ("asymptotes", "worth"):
-            rows = np.array([getattr(relaxations[k], name) for k in self._robot_of_run], dtype=np.float32)
-            getattr(struct, name).assign(rows)
+        self._engine.update_supply_pressure()
 
     def step(self, valves: Any) -> SnakeState:
         """Advance all runs by one tick and return `state`; see `TwinBatch.step`."""
@@ -422,7 +220,7 @@ class WarpBatch:
             samples: number of equally spaced samples.
         """
         self.command(valves)
-        return self._run_observed(self._steps, samples, gait=False)
+        return self._run_observed(self._engine.steps, samples, gait=False)
 
     def command(self, valves: Any) -> None:
         """Set the valve states of each tick from now on.
@@ -448,13 +246,10 @@ class WarpBatch:
             if commands.dtype is not wp.int32:
                 raise InputError(f"valves on a device must be int32, not {commands.dtype.__name__}")
         commands = commands if commands.ndim == 4 else commands.reshape((len(self), 1, segments, 2))
-        if commands.shape[1] > self._slots * self._steps:
-            raise InputError(
-                f"{commands.shape[1]} slots per tick are not allowed; at most {self._slots * self._steps}"
-            )
-        if commands.shape != self._commands.shape:
-            self._commands, self._graphs = wp.empty_like(commands), {}
-        wp.copy(self._commands, commands)
+        most = self._engine.slots * self._engine.steps
+        if commands.shape[1] > most:
+            raise InputError(f"{commands.shape[1]} slots per tick are not allowed; at most {most}")
+        self._engine.command(commands)
 
     def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
         """Follow schedules without feedback; see `TwinBatch.play`."""
@@ -463,7 +258,7 @@ class WarpBatch:
         if not any(schedules):
             return [None] * len(self)
         span = max(schedule.span for schedule in schedules if schedule is not None)
-        ticks, slots = count_steps("span", span, "tick", self.tick), self._steps * self._slots
+        ticks, slots = count_steps("span", span, "tick", self.tick), self._engine.slots * self._engine.steps
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(
                 f"{samples} samples in {ticks} ticks are not possible with engine 'warp'; one number must "
@@ -481,9 +276,9 @@ class WarpBatch:
         for tick in range(ticks):
             self.command(valves[:, tick * slots : (tick + 1) * slots])
             if samples < ticks and (tick + 1) % (ticks // samples):
-                self.run(self._steps)
+                self.run(self._engine.steps)
                 continue
-            ticked = self._run_observed(self._steps, max(samples // ticks, 1), gait=False)
+            ticked = self._run_observed(self._engine.steps, max(samples // ticks, 1), gait=False)
             for pieces, piece in zip(histories, ticked, strict=True):
                 if piece is not None:
                     pieces.append(piece)
@@ -498,17 +293,17 @@ class WarpBatch:
 
         They have the DLPack interface. Positions in `qpos` are relative to `origins`.
         """
-        chambers = self._structs["chambers"]
+        chambers, data = self._engine.structs["chambers"], self._engine.data
         return {
-            "qpos": self._data.qpos,
-            "qvel": self._data.qvel,
+            "qpos": data.qpos,
+            "qvel": data.qvel,
             "pressure": chambers.pressure,
             "valves": chambers.valves,
         }
 
     def openings(self) -> np.ndarray:
         """Return the number of openings of each inlet, shape (runs, segments, 2)."""
-        return np.asarray(self._structs["chambers"].openings.numpy())
+        return np.asarray(self._engine.structs["chambers"].openings.numpy())
 
     def describe(self) -> dict[str, object]:
         """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
@@ -552,23 +347,8 @@ class WarpBatch:
         return history.at(slice(0, last)) if last else None
 
     def _observe(self) -> Any:
-        """Return an observation of all runs on the device, one row per run; reset the accumulators."""
         self._unobserved_steps = 0
-        structs, data, model = self._structs, self._data, self._model
-        out = wp.zeros((len(self), sum(self._widths.values())), dtype=float, device=self.device)
-        with wp.ScopedDevice(self.device):
-            mjw.kinematics(model, data)
-            mjw.com_pos(model, data)
-            mjw.com_vel(model, data)
-            mjw.subtree_vel(model, data)
-            wp.launch(
-                self._kernels.observe, dim=len(self),
-                inputs=[
-                    structs["bodies"], structs["addresses"], structs["chambers"], structs["accumulators"],
-                    self._energy_loss, self._internal_loss, out,
-                ],
-            )  # fmt: skip
-        return out
+        return self._engine.observe()
 
     def _history(self, rows: list[Any], times: np.ndarray, steps: np.ndarray) -> SnakeState:
         """Return the history of all runs, with axes of samples and runs.
@@ -579,8 +359,9 @@ class WarpBatch:
             steps: time steps before each sample, over which forces are averaged, shape (samples,).
         """
         table = np.stack([row.numpy() for row in rows]).astype(float)
-        ends = np.cumsum([0, *self._widths.values()])
-        cut = {name: table[..., a:b] for name, a, b in zip(self._widths, ends[:-1], ends[1:], strict=True)}
+        widths = self._engine.widths
+        ends = np.cumsum([0, *widths.values()])
+        cut = {name: table[..., a:b] for name, a, b in zip(widths, ends[:-1], ends[1:], strict=True)}
         shape = table.shape[:2]
         physics, spec = self._robots[0].physics, self._robots[0].spec
         connectors = cut["connectors"].reshape(*shape, -1, 4)
@@ -592,7 +373,7 @@ class WarpBatch:
         wheels = len(physics.sensor_addresses.floor_force)
         floor = force[..., :wheels, :2].reshape(*shape, -1, 2, 2).sum(axis=-2)
         obstacles = cut["obstacles"].reshape(*shape, -1, 3) / steps[:, None, None, None]
-        if self._loaded:
+        if self._engine.loaded:
             obstacles = obstacles + force[..., wheels:, :]
         torque, sensed, stored = np.empty_like(bend), bend.copy(), np.empty(shape)
         for number, twin in enumerate(self._robots):
@@ -656,34 +437,3 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
     for name, present in unsupported.items():
         if present:
             raise InputError(f"engine 'warp' does not support {name}; use engine 'cpu'")
-
-
-def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
-    """Give each world its own values of the model fields in which worlds differ.
-
-    Args:
-        model: the model of MuJoCo Warp, made from the first of `models`.
-        models: the model of each world.
-
-    Raises:
-        InputError: the models differ in a field that the engine shares between worlds.
-    """
-    distinct = {id(world_model): world_model for world_model in models}
-    if len(distinct) == 1:
-        return
-    for name, array in vars(model).items():
-        if not isinstance(array, wp.array) or not hasattr(models[0], name) or name in _UNUSED_FIELDS:
-            continue
-        values = {key: np.asarray(getattr(world_model, name)) for key, world_model in distinct.items()}
-        first = next(iter(values.values()))
-        if all(np.array_equal(first, value) for value in values.values()):
-            continue
-        if array.shape[0] != 1:
-            raise InputError(
-                f"robots that differ in {name} cannot run together on engine 'warp'; use engine 'cpu'"
-            )
-        rows = np.stack([values[id(world_model)] for world_model in models])
-        inner = array.shape[1:]
-        size = wp.types.type_size(array.dtype)
-        rows = rows.reshape(len(models), *inner, *((size,) if size > 1 else ()))
-        setattr(model, name, wp.array(rows, dtype=array.dtype, device=array.device))

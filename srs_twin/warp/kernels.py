@@ -12,35 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-from srs_twin.plants.twin import friction_solve, stick_slip
-from srs_twin.pneumatics import chambers, lag
 from srs_twin.pneumatics.chambers import AMBIENT_PA
-from srs_twin.warp.translation import WarpStruct, as_warp_functions
-
-_FRICTION_SOLVE = (
-    "_clear",
-    "_add_product",
-    "dot",
-    "point_jacobian",
-    "_locate_wheels",
-    "_read_normal_forces",
-    "_spatial_velocities",
-    "_project",
-    "_generalised_forces",
-    "_contact_velocity",
-    "_friction_load",
-    "_evaluation_fraction",
-    "_friction_law",
-    "_evaluate_residual",
-    "_assemble",
-    "_line_search",
-    "_newton",
-    "apply_stored_friction",
-    "set_mid_velocity",
-    "solve_friction",
-    "store_friction",
-)
-"""Functions of `friction_solve`, ordered so that callees come before their callers."""
+from srs_twin.warp.translation import WarpStruct, warp_functions
 
 _MIN_LINEAR_RAD = 1e-5
 """Linear bend below which φ(x)/x is replaced by its limit, rad; single precision."""
@@ -124,39 +97,6 @@ class Accumulators(NamedTuple):
     step_force: np.ndarray
     force_sum: np.ndarray
     obstacle_sum: np.ndarray
-
-
-_OBJECT_FUNCTIONS = (
-    "apply_object_friction",
-    "locate_objects",
-    "add_object_impulses",
-    "add_object_slopes",
-    "couple_objects",
-)
-"""Functions of the friction solve that do nothing without movable objects."""
-
-
-def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
-    """Do nothing."""
-    return
-
-
-def warp_functions() -> dict[str, Any]:
-    """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
-    friction_laws = [stick_slip.stick_slip_friction, stick_slip.skin_friction, stick_slip.rolling_friction]
-    functions = as_warp_functions([*friction_laws, chambers.volume, chambers._log_cosh])
-    chamber_laws = [chambers.apply_bend_law, lag.advance_segment, lag.filling_content]
-    functions = as_warp_functions(chamber_laws, **functions)
-    linear_algebra = [
-        friction_solve._factor,
-        friction_solve._substitute,
-        friction_solve.solve_direction_portably,
-    ]
-    functions = as_warp_functions(linear_algebra, **functions)
-    functions |= dict.fromkeys(_OBJECT_FUNCTIONS, as_warp_functions([_no_objects])["_no_objects"])
-    # The CPU version calls the engine's C functions.
-    functions["_solve_direction"] = functions["solve_direction_portably"]
-    return as_warp_functions([getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions)
 
 
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
