@@ -31,7 +31,7 @@ from live_runs import NAMES, POSES, alarms, conditioned, isolated, recorded, unc
 
 from srs_twin import load_robot
 from srs_twin.live import emulator, fault_detector, fault_hypotheses
-from srs_twin.live.fault_detector import DetectorSettings, FaultDetector
+from srs_twin.live.fault_detector import FaultDetector
 from srs_twin.live.fault_hypotheses import HYPOTHESES
 from srs_twin.live.shadow import Shadow
 
@@ -39,7 +39,6 @@ SETTLED_S, BLIND_S, END_S = 5.0, 20.0, 30.0
 CONDITIONS = {"n": "nominal", "w": "wander", "p": "no pressures", "s": "poor sensors"}
 ALARMS_S = 60.0
 POOR_CAMERAS_M = 0.002
-NO_SENSOR_ERRORS = DetectorSettings(offset=1e-4, scale=1e-4, drift=(1e-5, 0.03))
 Part = Callable[[Shadow], None]
 
 
@@ -72,9 +71,10 @@ def _no_modules(shadow: Shadow) -> None:
 
 
 def _no_sensor_errors(shadow: Shadow) -> None:
-    shadow.faults = FaultDetector(
-        shadow.spec, supply_pa=shadow.faults.supply.nominal, settings=NO_SENSOR_ERRORS
-    )
+    with ExitStack() as changed:
+        for name in ("_OFFSET_SD_RAD", "_SCALE_SD"):
+            changed.enter_context(patch.object(fault_detector, name, 1e-4))
+        shadow.faults = FaultDetector(shadow.spec, supply_pa=shadow.faults.supply.nominal)
 
 
 def _no_levels(shadow: Shadow) -> None:
@@ -107,11 +107,12 @@ ESTIMATE_PARTS: dict[str, tuple[str, Part]] = {
     "noise of frames, poor cameras": ("poor", _no_noise_estimate),
 }
 """Refinement that is switched off: cameras, and the function that switches it off."""
+_OFFSET_WALK = (fault_detector, "_OFFSET_WALK", 1e-5)
 _PATIENCE = (fault_hypotheses, "_PATIENCE_FACTOR", 1.0)
 _WEAK = (fault_detector, "_SINGLE_WEAK_FACTOR", 1.0)
 DETECTOR_PARTS: dict[str, tuple[Part, Sequence[tuple[Any, str, Any]], str]] = {
     "nothing": (unchanged, (), "nwps"),
-    "states for sensor errors": (_no_sensor_errors, (), "nws"),
+    "states for sensor errors": (_no_sensor_errors, [_OFFSET_WALK], "nws"),
     "learnt levels of the pressures": (_no_levels, (), "nw"),
     "balances of air": (_no_balances, (), "nw"),
     "supply pressure from the strokes": (_no_supply, (), "nw"),

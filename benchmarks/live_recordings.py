@@ -17,7 +17,8 @@ import numpy as np
 from grid import table
 
 from srs_twin import RobotSpec, load_robot
-from srs_twin.live.fault_detector import DetectorSettings, FaultDetector
+from srs_twin.live.fault_detector import FaultDetector
+from srs_twin.live.fault_hypotheses import START_S
 from srs_twin.recordings.recording import Recording, read_motion
 from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
@@ -44,7 +45,7 @@ def named(
     time = way.time
     bends = np.stack([way[f"bend_{j}"] for j in range(1, spec.segments + 1)], axis=1)
     bends = bends + NOISE_RAD * np.random.default_rng(seed).normal(size=bends.shape)
-    begun = (time[-1] + time[0] + DetectorSettings().naming.start_s) / 2
+    begun = (time[-1] + time[0] + START_S) / 2
     if fault:
         broken = time >= begun
         bends[broken, segment] = BREAKS[fault](bends[broken, segment], time[broken] - begun)

@@ -103,9 +103,8 @@ class EnsembleFilter:
     placed: bool
 
     def __init__(
-        self, spec: RobotSpec, *, members: int = 32, seed: int = 0, error: ModelError = ModelError(),
-        noise: MeasurementNoise = MeasurementNoise(),
-    ) -> None:  # fmt: skip
+        self, spec: RobotSpec, *, members: int = 32, seed: int = 0, error: ModelError = ModelError()
+    ) -> None:
         """Create members at rest, with empty chambers, at an unknown position.
 
         Args:
@@ -113,9 +112,8 @@ class EnsembleFilter:
             members: ensemble size.
             seed: random seed.
             error: standard deviations of the model's errors.
-            noise: standard deviations of measurements.
         """
-        self.spec, self.error, self.noise = spec, error, noise
+        self.spec, self.error, self.noise = spec, error, MeasurementNoise()
         self._rng = np.random.default_rng((seed, 0xE5))
         n = self._segments = spec.segments
         sizes = {
@@ -132,7 +130,7 @@ class EnsembleFilter:
         self._modules = np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3))
         self._masks = self._localisation()
         self.rates = PressureRates(n, spec.supply.nominal, error.pressure)
-        self._frame_noise = {name: getattr(noise, name) for name in _LEAST_NOISE}
+        self._frame_noise = {name: getattr(self.noise, name) for name in _LEAST_NOISE}
         connection = LocalConnection(spec, self._dynamics.mass)
         self.odometry = Odometry(connection, self._of("bend"), self._rng)
         self._restart()

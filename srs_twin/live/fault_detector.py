@@ -22,7 +22,6 @@ fault. A sudden loss makes all segments weak, or seem to leak, at once; the esti
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -42,11 +41,11 @@ from srs_twin.live.fault_hypotheses import (
     HYPOTHESES,
     LEAK_RATES,
     SENSORS,
+    START_S,
     SUPPLY_SHARES,
     WEAK,
     Chamber,
     FaultNaming,
-    NamingSettings,
     Sensor,
     valve_duty,
 )
@@ -55,6 +54,40 @@ from srs_twin.pneumatics.chambers import chamber_gains, free_bends, largest_bend
 from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
+_FAULT_RATE = 1e-3
+"""Rate at which faults occur, 1/s."""
+_NOISE_RAD = 0.02
+"""Standard deviation of bend readings, rad."""
+_MARKER_NOISE_RAD = 0.025
+"""Standard deviation of bends from markers, rad."""
+_LOSS = 0.05
+"""Fraction of lost readings."""
+_GAIN_SD = 0.15
+"""Standard deviation of the modules' gains."""
+_BIAS_SD_RAD = 0.05
+"""Standard deviation of the modules' rest bends, rad."""
+_OFFSET_SD_RAD = 0.06
+"""Standard deviation of the sensors' offsets, rad."""
+_SCALE_SD = 0.05
+"""Standard deviation of the sensors' scale errors."""
+_PRESSURE_SD = 0.12
+"""Initial standard deviation of pressures, share of the supply pressure."""
+_LEAST_PRESSURE_SD = 0.02
+"""Part of it that is not learnt, share of the supply pressure."""
+_LOAD_SD = 0.11
+"""Standard deviation of d, share of the largest bend."""
+_LOAD_TIME_S = 0.15
+"""Time constant of d, s."""
+_PRESSURE_TIME_S = 0.08
+"""Correlation time of pressure residuals, s."""
+_BIAS_WALK = 0.0014
+"""Random walk of the rest bends, rad per square root of a second."""
+_GAIN_WALK = 0.0035
+"""Random walk of the gains, per square root of a second."""
+_OFFSET_WALK = 0.002
+"""Random walk of the offset of a sound sensor, rad per square root of a second."""
+_DRIFT_WALK = 0.03
+"""Random walk of the offset of a drifting sensor, rad per square root of a second."""
 _FAILED_BELOW = 0.85
 """Ratio of measured to expected pressures below which several suspected leaks are one failure of the
 supply."""
@@ -90,50 +123,10 @@ class _State(IntEnum):
 _MODULE = [_State.PLUS, _State.MINUS, _State.BIAS]
 
 
-@dataclass(frozen=True)
-class DetectorSettings:
-    """Assumptions of the filters.
-
-    Attributes:
-        fault_rate: rate at which faults occur, 1/s.
-        naming: thresholds of detection.
-        noise: standard deviation of bend readings, rad.
-        marker_noise: standard deviation of bends from markers, rad.
-        loss: fraction of lost readings.
-        gain: standard deviation of the modules' gains.
-        bias: standard deviation of the modules' rest bends, rad.
-        offset: standard deviation of the sensors' offsets, rad.
-        scale: standard deviation of the sensors' scale errors.
-        pressure: initial standard deviation of pressures, and its minimum, share of the supply pressure.
-        load: standard deviation of d, share of the largest bend.
-        load_time: time constant of d, s.
-        pressure_time: correlation time of pressure residuals, s.
-        wander: random walks of the bias (rad) and the gains, per square root of a second.
-        drift: random walks of the offsets of sound and drifting sensors, rad per square root of a second.
-    """
-
-    fault_rate: float = 1e-3
-    naming: NamingSettings = NamingSettings()
-    noise: float = 0.02
-    marker_noise: float = 0.025
-    loss: float = 0.05
-    gain: float = 0.15
-    bias: float = 0.05
-    offset: float = 0.06
-    scale: float = 0.05
-    pressure: tuple[float, float] = (0.12, 0.02)
-    load: float = 0.11
-    load_time: float = 0.15
-    pressure_time: float = 0.08
-    wander: tuple[float, float] = (0.0014, 0.0035)
-    drift: tuple[float, float] = (0.002, 0.03)
-
-
 class FaultDetector(Stateful):
     """Interacting multiple model filters of all segments.
 
     Attributes:
-        settings: assumptions.
         probability: of the hypotheses, shape (segments, hypotheses).
         mean: of b, g⁺, g⁻, d, s and e, shape (segments, hypotheses, 6).
         supply: filter for the supply pressure.
@@ -156,17 +149,14 @@ class FaultDetector(Stateful):
         "time",
     )
 
-    def __init__(
-        self, spec: RobotSpec, *, supply_pa: float, settings: DetectorSettings = DetectorSettings()
-    ) -> None:
+    def __init__(self, spec: RobotSpec, *, supply_pa: float) -> None:
         """Begin with a robot at rest and empty chambers.
 
         Args:
             spec: the robot.
             supply_pa: nominal supply pressure, gauge, Pa.
-            settings: assumptions.
         """
-        self.settings, self._spec, actuator = settings, spec, spec.actuator
+        self._spec, actuator = spec, spec.actuator
         self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
         count, kinds = spec.segments, len(HYPOTHESES)
         self.supply, self._gain = SupplyFilter(supply_pa), chamber_gains(spec)
@@ -174,18 +164,17 @@ class FaultDetector(Stateful):
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
-        self._levels = PressureLevels(count, settings.pressure[0])
-        s = settings
+        self._levels = PressureLevels(count, _PRESSURE_SD)
         self.mean = np.zeros((count, kinds, 6))
         self.mean[..., _State.PLUS] = self.mean[..., _State.MINUS] = 1.0
         self._largest = largest_bend(spec, supply_pa)
-        self._load = s.load * self._largest
+        self._load = _LOAD_SD * self._largest
         self._obeys = np.isin(CHAMBERS, (Chamber.OBEYS, Chamber.LEAKS))
         inflows = [(h.inflow(h.plus), h.inflow(h.minus)) for h in HYPOTHESES]
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
         self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
-        sd = np.array([s.bias, s.gain, s.gain, self._load, s.offset, s.scale])
+        sd = np.array([_BIAS_SD_RAD, _GAIN_SD, _GAIN_SD, self._load, _OFFSET_SD_RAD, _SCALE_SD])
         self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
@@ -193,7 +182,7 @@ class FaultDetector(Stateful):
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
-        self.naming = FaultNaming(count, s.naming)
+        self.naming = FaultNaming(count)
 
     @property
     def named(self) -> dict[int, str]:
@@ -288,10 +277,10 @@ class FaultDetector(Stateful):
             bends = np.einsum("smk,smk->sm", rows, self.mean)
             sensed = rows.copy()
             sensed[..., _State.OFFSET], sensed[..., _State.SCALE] = 1.0, bends
-            log_likelihood += self._correct(sensed, readings, self.settings.noise, reads)
+            log_likelihood += self._correct(sensed, readings, _NOISE_RAD, reads)
             self._last = np.where(np.isnan(readings), self._last, readings)
         if markers is not None:
-            noise = heading_noise_scale * self.settings.marker_noise
+            noise = heading_noise_scale * _MARKER_NOISE_RAD
             every = np.ones(len(HYPOTHESES), dtype=bool)
             log_likelihood += self._correct(rows, np.asarray(markers), noise, every)
         if pressures is not None:
@@ -332,15 +321,15 @@ class FaultDetector(Stateful):
 
     def _mix(self, dt: float) -> None:
         """Mix the hypotheses by their transition probabilities, then predict their states."""
-        s = self.settings
         # Faults do not heal. Transitions between faults remain possible, because a fault may first look like
         # another one.
-        transition = np.full((len(HYPOTHESES),) * 2, s.fault_rate * dt)
+        transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
         np.fill_diagonal(transition, 1 - transition.sum(axis=1))
-        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / s.load_time), 1.0, 1.0])
-        bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in (*s.wander, *s.drift))
+        decay = np.array([1.0, 1.0, 1.0, math.exp(-dt / _LOAD_TIME_S), 1.0, 1.0])
+        walks = _BIAS_WALK, _GAIN_WALK, _OFFSET_WALK, _DRIFT_WALK
+        bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in walks)
         load = self._load * math.sqrt(1 - decay[_State.LOAD] ** 2)
         noise = np.tile(np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1))
         noise[SENSORS == Sensor.DRIFTS, _State.OFFSET, _State.OFFSET] = drift**2
@@ -385,11 +374,10 @@ class FaultDetector(Stateful):
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
         """Return log-likelihoods of missing readings (silent sensor) and equal ones (frozen sensor)."""
         log_likelihood, lost = np.zeros(self.probability.shape), np.isnan(readings)[:, None]
-        loss = self.settings.loss
         silent, frozen = SENSORS == Sensor.SILENT, SENSORS == Sensor.FROZEN
-        log_likelihood[:, ~silent] = np.where(lost, math.log(loss), math.log(1 - loss))
+        log_likelihood[:, ~silent] = np.where(lost, math.log(_LOSS), math.log(1 - _LOSS))
         log_likelihood[:, silent] = np.where(lost, math.log(0.999), math.log(1e-3 / (2 * math.pi)))
-        narrow = self.settings.noise * _FROZEN_NOISE
+        narrow = _NOISE_RAD * _FROZEN_NOISE
         change = np.nan_to_num(readings - self._last, nan=10.0)[:, None]
         density = -0.5 * (change / narrow) ** 2 - math.log(narrow * math.sqrt(2 * math.pi))
         log_likelihood[:, frozen] += np.where(lost, 0.0, np.maximum(density, -50.0))
@@ -397,19 +385,18 @@ class FaultDetector(Stateful):
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
         """Return log-likelihoods of pressures, reduced for the correlation of successive residuals."""
-        first, least = self.settings.pressure
         usual, sd = self._levels.read()  # mean and standard deviation of the pressure residuals
-        self._update_supply(pressures, usual, sd + least)
+        self._update_supply(pressures, usual, sd + _LEAST_PRESSURE_SD)
         residual = np.nan_to_num((pressures[:, None] - self._pressure) / self.supply.pressure)
         # Residuals are learnt only from valves that obey commands.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
-        spread = np.where(self._obeys, sd[:, None] + least, first)
+        spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == Chamber.LEAKS)
         log = np.where(balanced, log.max(axis=1, keepdims=True), log)
         self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
-        return np.asarray(log.sum(axis=-1) * min(dt / self.settings.pressure_time, 1.0))
+        return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
     def _update_supply(self, pressures: np.ndarray, usual: np.ndarray, sd: np.ndarray) -> None:
         """Correct the supply pressure by chambers that fill as commanded."""
@@ -463,7 +450,7 @@ class FaultDetector(Stateful):
             self._rescale(before)
             self._attribute_to_supply(common, np.full(len(self.probability), kind))
             self.leaks.drop(np.ones((len(self.probability), 2), dtype=bool))
-        if self.time < self.settings.naming.start_s:
+        if self.time < START_S:
             return
         if self.naming.starved:
             # A segment with a low supply seems to leak; without this correction the fault would remain after

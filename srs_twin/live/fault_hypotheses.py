@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -90,45 +89,34 @@ def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
     return np.where(chambers == Chamber.FILLS, 1.0, np.where(chambers == Chamber.VENTS, 0.0, duty))
 
 
+_THRESHOLD = 0.97
+"""Probability above which a fault is detected."""
+_PATIENCE_S = 0.16
+"""Time for which the probability must stay above the threshold, s."""
+_LEAK_THRESHOLD = 0.99
+"""Threshold for leaks."""
+_LEAK_PATIENCE_S = 0.08
+"""Required time for leaks, s; it may be short, because one message can decide."""
+START_S = 2.0
+"""Time after the start in which no fault is detected, s."""
 _DOUBT = 0.5
 """Probability of no fault below which a segment is suspect."""
 _PATIENCE_FACTOR = 3.0
 """Factor on the required time while another segment is suspect."""
 
 
-@dataclass(frozen=True)
-class NamingSettings:
-    """Thresholds of detection.
-
-    Attributes:
-        threshold: probability above which a fault is detected.
-        patience_s: time for which the probability must stay above the threshold, s.
-        leak_threshold: threshold for leaks.
-        leak_patience_s: required time for leaks, s; it may be short, because one message can decide.
-        start_s: time after the start in which no fault is detected, s.
-    """
-
-    threshold: float = 0.97
-    patience_s: float = 0.16
-    leak_threshold: float = 0.99
-    leak_patience_s: float = 0.08
-    start_s: float = 2.0
-
-
 class FaultNaming(Stateful):
     """Detected faults of the segments and the supply.
 
     Attributes:
-        settings: thresholds.
         pairs: indices into `NAMES` of one or two faults, −1 for none, shape (segments + 1, 2); row 0 is the
             supply.
     """
 
     state_attributes = ("pairs", "_since", "_either_since")
 
-    def __init__(self, segments: int, settings: NamingSettings) -> None:
+    def __init__(self, segments: int) -> None:
         """Begin without a fault."""
-        self.settings = settings
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
         # Times since which each fault, and each indistinguishable pair of faults, has been above its
         # threshold.
@@ -170,15 +158,15 @@ class FaultNaming(Stateful):
             time: s.
             probability: probabilities of the hypotheses, shape (segments, hypotheses).
         """
-        s, pairs = self.settings, self.pairs
-        if time < s.start_s:
+        pairs = self.pairs
+        if time < START_S:
             return
         likely = probability @ HAS_NAME
         # Segments seldom fail together: if several are suspect, they may have a common cause.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
-        threshold = np.where(LEAK, s.leak_threshold, s.threshold)
-        patience = factor * np.where(LEAK, s.leak_patience_s, s.patience_s) - 1e-9
+        threshold = np.where(LEAK, _LEAK_THRESHOLD, _THRESHOLD)
+        patience = factor * np.where(LEAK, _LEAK_PATIENCE_S, _PATIENCE_S) - 1e-9
         weak, count = likely[:, WEAK], len(likely)
         if count > 1:
             other_weak = (weak.sum() - weak) / (count - 1)
@@ -191,10 +179,10 @@ class FaultNaming(Stateful):
             if m and (pairs[j + 1, 0] < 0 or m in pairs[j + 1]) and not (m == WEAK or starved):
                 pairs[j + 1] = m, -1
         for k, pair in enumerate(INDISTINGUISHABLE):
-            above = likely[:, pair].sum(axis=1) > s.threshold
+            above = likely[:, pair].sum(axis=1) > _THRESHOLD
             self._either_since[:, k] = np.where(above, np.minimum(self._either_since[:, k], time), np.inf)
             for j in np.flatnonzero(time - self._either_since[:, k] >= patience[:, 0]) + 1:
                 if pairs[j, 0] < 0 and not starved:
                     pairs[j] = pair
-        sound = np.append(False, likely[:, 0] > s.threshold)
+        sound = np.append(False, likely[:, 0] > _THRESHOLD)
         pairs[sound & (pairs[:, 0] >= 0)] = -1

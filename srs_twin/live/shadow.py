@@ -85,7 +85,7 @@ class Shadow:
 
     def __init__(
         self, spec: RobotSpec, *, supply_pa: float | None = None, members: int = 32, seed: int = 0,
-        hold_s: float = 0.03, frames: Mapping[str, int] | None = None,
+        frames: Mapping[str, int] | None = None,
     ) -> None:  # fmt: skip
         """Begin with the values of the robot file.
 
@@ -94,7 +94,6 @@ class Shadow:
             supply_pa: nominal supply pressure, gauge, Pa; default that of the robot.
             members: ensemble size.
             seed: random seed.
-            hold_s: time for which a message waits for earlier ones, s.
             frames: connector (from 1) of each body of the motion capture; default "connector_1" and so on.
         """
         spec.require_planar("the live twin")
@@ -103,7 +102,7 @@ class Shadow:
         self.ensemble = EnsembleFilter(spec, members=members, seed=seed)
         self.faults = FaultDetector(spec, supply_pa=self._supply)
         self.ensemble.set_modules(*self.faults.modules())
-        self.buffer, self.time = ReorderBuffer(hold_s), math.nan
+        self.buffer, self.time = ReorderBuffer(), math.nan
         self._frames = frames or {f"connector_{i}": i for i in range(1, n + 2)}
         self._commands = CommandHistory(n)
         self._heard = dict.fromkeys(_KINDS, -math.inf)
