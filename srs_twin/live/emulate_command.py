@@ -6,9 +6,8 @@ import math
 import os
 import signal
 import threading
-from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from srs_twin.cli.console import say
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotArgument, option, print_json
@@ -25,26 +24,31 @@ _LONGEST_NAME = 200
 
 
 def broker_link(
-    robot: str, segments: int, address: str, user: str | None, ca: Path | None, *, speaks: str | None = None,
-    kinds: Iterable[str] | None = None, chambers: int = 0,
-) -> MqttLink:  # fmt: skip
+    robot: str, segments: int, address: str, user: str | None, ca: Path | None, **settings: Any
+) -> MqttLink:
     """Return the connection to a robot's topics at the broker that the options select.
+
+    Args:
+        robot: name of the robot.
+        segments: number of segments of the robot.
+        address: HOST or HOST:PORT of the broker.
+        user: user name; None: without.
+        ca: CA certificate of the broker.
+        **settings: further settings of `MqttLink`.
 
     Raises:
         InputError: the name cannot be part of a topic, or the broker does not answer.
     """
-    from srs_twin.live import links as broker
-    from srs_twin.live.links import address as parsed
-    from srs_twin.live.messages import KINDS
+    from srs_twin.live import links
 
     if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
         raise InputError(
             f"--name {robot[:80]!r} cannot be part of a topic: it has /, + or #, or more than "
             f"{_LONGEST_NAME} characters"
         )
-    host, port = parsed(address, broker.PORT)
-    who = {"user": user, "password": os.environ.get(PASSWORD), "ca": ca, "speaks": speaks}
-    return broker.MqttLink(robot, segments, host, port, kinds=kinds or KINDS, chambers=chambers, **who)  # type: ignore[arg-type]
+    host, port = links.address(address, links.PORT)
+    settings |= {"user": user, "password": os.environ.get(PASSWORD), "ca": ca}
+    return links.MqttLink(robot, segments, host, port, **settings)
 
 
 def interruption() -> threading.Event:
@@ -108,8 +112,8 @@ def emulate(
         supply_kpa=pressure, start=_pose(start),
     )  # fmt: skip
     known, over = name or Path(robot).stem, interruption()
-    link_options = {"speaks": known, "kinds": (COMMAND,), "chambers": emulated.spatial_chambers}
-    with broker_link(known, emulated.segments, mqtt, user, ca, **link_options) as link:  # type: ignore[arg-type]
+    settings = {"speaks": known, "kinds": (COMMAND,), "chambers": emulated.spatial_chambers}
+    with broker_link(known, emulated.segments, mqtt, user, ca, **settings) as link:
         capture = None if natnet is None else _motion_capture(natnet, emulated.segments + 1)
         if not quiet:
             seen = f", seen at {natnet}" if natnet else ""

@@ -123,7 +123,7 @@ class EmulatedRobot:
 
     def __init__(
         self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
-        noise_rad: float = 0.02, tick: float = 0.02, tau_spread: float = 0.0, pneumatics: str | None = None,
+        noise_rad: float = 0.02, tick: float = 0.02, pneumatics: str | None = None,
         supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         changes: Mapping[str, Any] | None = None,
     ) -> None:  # fmt: skip
@@ -136,7 +136,6 @@ class EmulatedRobot:
             gain_spread: standard deviation of the modules' gains.
             noise_rad: standard deviation of bend readings, rad.
             tick: s.
-            tau_spread: standard deviation of the time constants.
             pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or "lag" for a spatial
                 robot, which has no other.
             supply_kpa: supply pressure, gauge; None: the nominal one.
@@ -148,9 +147,8 @@ class EmulatedRobot:
         """
         if pneumatics is None:
             pneumatics = "lag" if load_robot_file(robot).is_spatial else "orifice"
-        modules = {"gain_spread": gain_spread, "tau_spread": tau_spread}
         changes = dict(changes or {})
-        modules |= changes.pop("modules", {})
+        modules = {"gain_spread": gain_spread} | changes.pop("modules", {})
         asked = parse_scenario(
             {
                 "robot": {"base": robot, "modules": modules, **changes},

@@ -152,6 +152,8 @@ def resolved(host: str) -> str:
 
 
 PORT = 1883
+_ANSWER_S = 5.0
+"""Longest wait for the first answer of the broker, s."""
 LOST = "lost"
 """Status that the broker publishes when a connection breaks."""
 
@@ -166,7 +168,7 @@ class MqttLink(Link):
     def __init__(
         self, robot: str, segments: int, host: str = LOOPBACK, port: int = PORT, *,
         kinds: Iterable[str] = KINDS, user: str | None = None, password: str | None = None,
-        ca: Path | None = None, wait_s: float = 5.0, speaks: str | None = None, chambers: int = 0,
+        ca: Path | None = None, speaks: str | None = None, chambers: int = 0,
     ) -> None:  # fmt: skip
         """Connect and subscribe.
 
@@ -179,7 +181,6 @@ class MqttLink(Link):
             user: name at the broker; None: without.
             password: of that user.
             ca: CA certificate of the broker; it enables TLS.
-            wait_s: longest wait for the first answer of the broker, s.
             speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
             chambers: number of chambers per segment of a spatial robot; 0: the robot is planar.
 
@@ -209,7 +210,7 @@ class MqttLink(Link):
         except (OSError, ValueError) as error:  # ValueError: a name that no host can have
             raise InputError(f"no broker answers at {host}:{port}: {error}") from error
         client.loop_start()
-        if not self._answered.wait(wait_s) or not self.connected:
+        if not self._answered.wait(_ANSWER_S) or not self.connected:
             self.close()
             raise InputError(f"the broker at {host}:{port} does not admit us: {self._why or 'no answer'}")
 

@@ -1,6 +1,6 @@
-"""NatNet packets of motion capture, as Motive sends them over UDP: reading, and writing for emulators.
+"""NatNet packets of motion capture, as Motive sends them over UDP: reading, and writing for the emulator.
 
-Versions 2.6 to 4.2 are supported. Rigid bodies are read; other lists are skipped, from
+Versions 2.6 to 4.2 are read, 4.1 is written. Rigid bodies are read; other lists are skipped, from
 version 4.1 on by their stated length. Lengths are in m. The axes are those of Motive; `turned` rotates them
 to z up.
 """
@@ -19,7 +19,7 @@ import numpy as np
 from srs_twin.live.messages import LATEST_S, BadMessageError
 
 COMMAND_PORT = 1510
-DATA_PORT = 1511
+_DATA_PORT = 1511
 VERSIONS = ((2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
 _MOST = 10_000  # of anything in a frame
 _TRACKED = 0x01
@@ -30,6 +30,8 @@ _LENGTH_TOLERANCE = 0.1
 """Largest deviation of a quaternion's length from 1 that rounding and averaging explain."""
 
 Version = tuple[int, int]
+_WRITTEN: Version = (4, 1)
+"""Version of the packets that are written."""
 
 
 class Packet(IntEnum):
@@ -163,13 +165,10 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
     return (major, minor), (".".join(map(str, group)), int(port)) if multicast else None
 
 
-def write_server(version: Version, *, group: str | None = None, port: int = DATA_PORT) -> bytes:
-    """Return a server's answer to `Packet.CONNECT`."""
-    content = b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*version, 0, 0])
-    if version >= (3, 0):
-        octets = map(int, (group or "0.0.0.0").split("."))
-        content += struct.pack("<QH?4B", 10**9, port, group is not None, *octets)
-    return closed(Packet.SERVER_INFO, content)
+def write_server() -> bytes:
+    """Return a server's answer to `Packet.CONNECT`: its name and version, without a multicast group."""
+    content = b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*_WRITTEN, 0, 0])
+    return closed(Packet.SERVER_INFO, content + struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0))
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
@@ -204,15 +203,12 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
     return names
 
 
-def write_models(names: Mapping[int, str], version: Version) -> bytes:
+def write_models(names: Mapping[int, str]) -> bytes:
     """Return the descriptions of rigid bodies without markers."""
     content = struct.pack("<i", len(names))
     for number, name in names.items():
-        turn = struct.pack("<4f", 0, 0, 0, 1) if version >= (4, 2) else b""
-        markers = struct.pack("<i", 0) if version >= (3, 0) else b""
-        body = name.encode() + b"\0" + struct.pack("<ii3f", number, -1, 0, 0, 0) + turn + markers
-        size = struct.pack("<i", len(body)) if version >= (4, 1) else b""
-        content += struct.pack("<i", 1) + size + body
+        body = name.encode() + b"\0" + struct.pack("<ii3fi", number, -1, 0, 0, 0, 0)
+        content += struct.pack("<ii", 1, len(body)) + body
     return closed(Packet.MODELDEF, content)
 
 
@@ -302,30 +298,20 @@ _AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = 
 """Lists that follow the rigid bodies: reader of an entry, and first version with the list."""
 
 
-def write_frame(frame: Frame, version: Version) -> bytes:
+def write_frame(frame: Frame) -> bytes:
     """Return the packet of a frame."""
 
-    def listed(parts: list[bytes]) -> bytes:
-        content = b"".join(parts)
-        size = struct.pack("<i", len(content)) if version >= (4, 1) else b""
-        return struct.pack("<i", len(parts)) + size + content
+    def listed(*entries: bytes) -> bytes:
+        content = b"".join(entries)
+        return struct.pack("<ii", len(entries), len(content)) + content
 
-    none = listed([])
-    bodies = [
-        struct.pack("<i7f", key, *rigid_body.place, *rigid_body.turn)
-        + (struct.pack("<i", 0) if version < (3, 0) else b"")
-        + struct.pack("<fH", rigid_body.error, _TRACKED if rigid_body.tracked else 0)
-        for key, rigid_body in frame.bodies.items()
-    ]
-    content = struct.pack("<i", frame.number) + none + none + listed(bodies) + none
-    # Assets, labelled markers, force plates and devices.
-    content += none * (1 + (version >= (4, 1)) + (version >= (2, 9)) + (version >= (2, 11)))
-    content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", frame.time)
-    if version >= (3, 0):
-        content += struct.pack("<3Q", 0, 0, 0)
-    if version >= (4, 1):
-        content += struct.pack("<II", 0, 0)
-    return closed(Packet.FRAME, content + struct.pack("<Hi", 0, 0))
+    bodies = (
+        struct.pack("<i7ffH", key, *body.place, *body.turn, body.error, _TRACKED if body.tracked else 0)
+        for key, body in frame.bodies.items()
+    )
+    # Marker sets, unlabelled markers, bodies; then skeletons, assets, labelled markers, plates and devices.
+    content = struct.pack("<i", frame.number) + 2 * listed() + listed(*bodies) + 5 * listed()
+    return closed(Packet.FRAME, content + struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0]))
 
 
 def is_place(place: Sequence[float]) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import socket
-import struct
 import threading
 import time
 from abc import abstractmethod
@@ -240,19 +239,13 @@ class NatNetServer(_UdpLink):
         port: its command port.
     """
 
-    def __init__(
-        self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0,
-        version: natnet.Version = (4, 1), group: str | None = None, data_port: int = natnet.DATA_PORT,
-    ) -> None:  # fmt: skip
+    def __init__(self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0) -> None:
         """Start to listen.
 
         Args:
             names: names of the bodies by id.
             host: address of this machine.
             port: command port; 0: any free port.
-            version: NatNet version of the frames.
-            group: multicast group for the frames; None: frames go to each client.
-            data_port: port of the multicast group.
 
         Raises:
             InputError: the address is in use, or does not belong to this machine.
@@ -265,32 +258,24 @@ class NatNetServer(_UdpLink):
             raise InputError(f"{host}:{port} cannot be listened on: {error}") from error
         super().__init__([own])
         self.port: int = own.getsockname()[1]
-        self._names, self._version, self._group = dict(names), version, group
-        self._data_port, self._clients, self._number = data_port, dict[tuple[str, int], float](), 0
-        if group is not None:
-            own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(host))
-            # Emulated frames must not leave this machine.
-            own.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("b", 0))
+        self._names, self._number = dict(names), 0
+        self._clients = dict[tuple[str, int], float]()
         self._start()
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
         """Send a frame (time of our clock, s)."""
-        packet = natnet.write_frame(natnet.Frame(self._number, time, bodies), self._version)
+        packet, now = natnet.write_frame(natnet.Frame(self._number, time, bodies)), clock()
         self._number += 1
-        now = clock()
-        alive = [client for client, heard in list(self._clients.items()) if now - heard < 10 * _ASKS_EVERY_S]
-        to = [(self._group, self._data_port)] if self._group else alive
-        for client in to:
-            with contextlib.suppress(OSError):
-                self._sockets[0].sendto(packet, client)
+        for client, heard in list(self._clients.items()):
+            if now - heard < 10 * _ASKS_EVERY_S:
+                with contextlib.suppress(OSError):
+                    self._sockets[0].sendto(packet, client)
 
     def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
         self._clients[sender] = arrived
         answers: dict[int, bytes] = {
-            natnet.Packet.CONNECT: natnet.write_server(
-                self._version, group=self._group, port=self._data_port
-            ),
-            natnet.Packet.REQUEST_MODELDEF: natnet.write_models(self._names, self._version),
+            natnet.Packet.CONNECT: natnet.write_server(),
+            natnet.Packet.REQUEST_MODELDEF: natnet.write_models(self._names),
             natnet.Packet.REQUEST: natnet.closed(natnet.Packet.UNRECOGNIZED),
         }
         if kind in answers:

@@ -133,10 +133,12 @@ class Run:
     ) -> EmulatedRobot:
         """Return the robot."""
         faults = [self.fault] if fault and self.fault else []
+        changes = dict(ROBOTS[self.variant])
+        changes["modules"] = {"tau_spread": self.tau_spread} | changes.get("modules", {})
         return EmulatedRobot(
-            self.robot, seed=self.seed, faults=faults, noise_rad=noise_rad, tau_spread=self.tau_spread,
+            self.robot, seed=self.seed, faults=faults, noise_rad=noise_rad,
             pneumatics=self.pneumatics, gain_spread=self.gain_spread, supply_kpa=self.supply_kpa, start=start,
-            tick=self.tick, changes=ROBOTS[self.variant],
+            tick=self.tick, changes=changes,
         )  # fmt: skip
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:

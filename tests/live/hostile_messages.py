@@ -8,6 +8,8 @@ import struct
 from random import Random
 from typing import Any
 
+import natnet_packets as packets
+
 from srs_twin.live import natnet
 from srs_twin.live.messages import BENDS, CONTROL, KINDS, STATUS
 
@@ -78,7 +80,7 @@ def message(draw: Random, segments: int) -> tuple[str, bytes, bool]:
 def frame(draw: Random, time: float = 1.0) -> bytes:
     """Return a frame that would be taken."""
     bodies = {k: natnet.RigidBody((draw.random(), draw.random(), draw.random())) for k in range(1, 4)}
-    return natnet.write_frame(natnet.Frame(draw.randrange(1000), time, bodies), VERSION)
+    return packets.write_frame(natnet.Frame(draw.randrange(1000), time, bodies), VERSION)
 
 
 def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int]]:
@@ -97,13 +99,13 @@ def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int
     if how == 4:
         return frame(draw), elsewhere
     if how == 5:
-        other = draw.choice([natnet.write_server((3, 0)), natnet.write_models({1: "a"}, VERSION)])
+        other = draw.choice([packets.write_server((3, 0)), packets.write_models({1: "a"}, VERSION)])
         return other, draw.choice([elsewhere, (server[0], server[1] % 65_535 + 1)])
     if how == 6:
-        return natnet.write_server(draw.choice([(1, 9), (2, 5), (5, 0), (255, 255)])), server
+        return packets.write_server(draw.choice([(1, 9), (2, 5), (5, 0), (255, 255)])), server
     if how == 7:
         group = draw.choice(["10.0.0.1", "0.0.0.0", "255.255.255.255", "192.0.2.7"])
-        return natnet.write_server(VERSION, group=group, port=draw.choice([1511, 1600])), server
+        return packets.write_server(VERSION, group=group, port=draw.choice([1511, 1600])), server
     if how == 8:
         kind = draw.choice([natnet.Packet.FRAME, natnet.Packet.MODELDEF])
         counts = [draw.choice([-1, -(2**31), 2**31 - 1, 20_000])]

@@ -72,7 +72,7 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
     with NatNetServer({}) as server, NatNetLink(port=server.port) as eyes:
         sender = "127.0.0.1", server.port
         eyes._threads.clear()
-        eyes._arrived(hostile.natnet.write_server(hostile.VERSION), sender)
+        eyes._arrived(hostile.natnet.write_server(), sender)
         warm_up(load_robot("gen4"))
         shadow = Shadow(load_robot("gen4"), members=8)
         session = Session(shadow, [wire, link, eyes], steering=Steering(), commands=link)
