@@ -16,8 +16,8 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _MIN_OVERLAP = 0.25
-"""Smallest overlap that is reported, in body widths, 1: the hulls of the twin are chords, up to 3 mm inside the
-arcs, and contacts are not perfectly rigid."""
+"""Smallest overlap that is reported, in body widths, 1: the hulls of the twin are chords, up to 3 mm inside
+the arcs, and contacts are not perfectly rigid."""
 _MAX_SAMPLES = 200
 """Largest number of samples in which overlaps are searched."""
 
