@@ -27,8 +27,8 @@ from grid import table
 from matplotlib.figure import Figure
 
 from srs_twin import AnalyticalSnake, load_robot
-from srs_twin.control.contact_observer import COVERAGE, THRESHOLD, WINDOW_S, ContactObserver
 from srs_twin.control.gait import Gait
+from srs_twin.live.contact_observer import COVERAGE, THRESHOLD, WINDOW_S, ContactObserver
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import hinge_stations
 from srs_twin.plants.twin.snake import TwinSnake

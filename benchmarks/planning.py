@@ -31,14 +31,18 @@ from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Plan, Problem, Settings
-from srs_twin.robot.random_worlds import (
+from srs_twin.robot.world import (
     FIG54_BOUNDS,
     FIG54_GOAL,
     FIG54_SITES,
     FIG54_START,
+    Bounds,
+    Goal,
+    Polygon,
+    Pose,
+    World,
     random_circles,
 )
-from srs_twin.robot.world import Bounds, Goal, Polygon, Pose, World
 from srs_twin.scenario.map_file import read_map
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))

@@ -16,7 +16,7 @@ from srs_twin.control.replay import Replay
 from srs_twin.identification.parameters import with_values
 from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics import Schedule
-from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests/helpers"))

@@ -17,12 +17,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from srs_twin.control.base import Controller
-from srs_twin.control.camera import Camera
 from srs_twin.control.grasp import Grasp, Phase
 from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HOLD, GraspTask, PegsTask
 from srs_twin.envs.crawling import STEP_S, CrawlTask
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.task import Task
+from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan

@@ -14,16 +14,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
-from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.gait import Gait
 from srs_twin.control.grasp import check_hold, hold_with
 from srs_twin.envs.crawling import CAMERA, STEP_S, Arena, CrawlEpisode, CrawlTask
 from srs_twin.envs.task import Episode, RewardTerm, Robot, Signal, Signals, Task, numbered_signals
+from srs_twin.planning.camera import Camera, CameraFrames
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.random_worlds import peg_field
 from srs_twin.robot.spec import GRAVITY
-from srs_twin.robot.world import Bounds, Goal, MovableObject, World
+from srs_twin.robot.world import Bounds, Goal, MovableObject, World, peg_field
 
 _SKIN = {"law": "ellipse", "points_per_segment": 3, "forward": 0.3, "backward": 0.3, "transverse": 0.3}
 ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}

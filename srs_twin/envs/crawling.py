@@ -16,16 +16,15 @@ from typing import Any, ClassVar
 import numpy as np
 
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
-from srs_twin.control.camera import Camera, CameraFrames
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.control.gait import PitchWave
 from srs_twin.envs.task import Episode, RewardTerm, Robot, Signal, Signals, Task, numbered_signals
 from srs_twin.errors import InputError
+from srs_twin.planning.camera import Camera, CameraFrames
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.random_worlds import random_circles
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import Bounds, Goal, World
+from srs_twin.robot.world import Bounds, Goal, World, random_circles
 
 STEP_S = 0.1
 """Duration of a step, s."""

@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from srs_twin.control.camera import Camera
 from srs_twin.control.commands import MAX_OFFSET, GaitCommand, GaitLimits
 from srs_twin.control.gait import PitchWave
 from srs_twin.envs.crawling import CAMERA, Arena, CrawlEpisode, CrawlTask
 from srs_twin.envs.task import Signal, Signals
+from srs_twin.planning.camera import Camera
 from srs_twin.robot.world import Bounds
 
 FLOOR = Arena(

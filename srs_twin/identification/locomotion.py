@@ -27,8 +27,8 @@ from srs_twin.identification.least_squares import LEVEL, Search, SearchOptions, 
 from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
-from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.recordings.body.trajectories import numbered_columns
+from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.takes import NO_MARKERS
 from srs_twin.robot.spec import RobotSpec

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from srs_twin.control.contact_observer import ContactEstimate, ContactObserver
 from srs_twin.live.commands import SLOT_S, CommandPeriod
+from srs_twin.live.contact_observer import ContactEstimate, ContactObserver
 from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec

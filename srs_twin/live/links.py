@@ -27,9 +27,9 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
-from srs_twin.control.contact_observer import ContactEstimate
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, require_file
+from srs_twin.live.contact_observer import ContactEstimate
 from srs_twin.live.messages import (
     CONTACT,
     GO,

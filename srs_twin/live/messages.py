@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.control.contact_observer import ContactEstimate
+from srs_twin.live.contact_observer import ContactEstimate
 
 LARGEST_BYTES = 65_536
 COMMAND = "command"

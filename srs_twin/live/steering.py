@@ -6,13 +6,13 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 
-from srs_twin.control.camera import Camera
 from srs_twin.errors import InputError
 from srs_twin.live.commands import DELAY_S
 from srs_twin.live.estimate import Estimate
 from srs_twin.live.fault_hypotheses import CHAMBERS, Chamber
 from srs_twin.live.messages import GO, PAUSE, VENT
 from srs_twin.live.shadow import Shadow
+from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Follower
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Pose

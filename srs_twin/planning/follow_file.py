@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from srs_twin.control.base import Controller
-from srs_twin.control.camera import Camera
+from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import SPREADS, ConditionsFile

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from srs_twin.control.base import Controller
-from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.errors import InputError
+from srs_twin.planning.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import PathPoint, ReferencePath

@@ -17,8 +17,8 @@ from srs_twin.control.replay import Replay, layouts_for
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics import Pneumatics
-from srs_twin.pneumatics.recorded import RecordedPressures
 from srs_twin.recordings.formats import BAG_SUFFIXES
+from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, ValveLog, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.clock import join

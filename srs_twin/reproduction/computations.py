@@ -180,7 +180,7 @@ def planner_success(planner: str, draws: int) -> Numbers:
     from srs_twin.planning.footprint_file import load_footprint
     from srs_twin.planning.planner import plan
     from srs_twin.planning.problem import Problem
-    from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
+    from srs_twin.robot.world import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
 
     body = load_footprint("gen2_section52")
     arcs = Primitives(21, math.pi / 3, 0.2) if planner == "greedy" else None
@@ -206,8 +206,8 @@ def contact_force(robot: str, frequency_hz: float, force_n: float, connector: fl
     Returns:
         ``score`` of the detection, and ``ratio`` of the estimated to the applied force.
     """
-    from srs_twin.control.contact_observer import ContactObserver
     from srs_twin.control.gait import Gait
+    from srs_twin.live.contact_observer import ContactObserver
     from srs_twin.plants.twin.snake import TwinSnake
 
     twin, gait = TwinSnake(load_robot(robot), sensor="hall"), Gait(frequency_hz)

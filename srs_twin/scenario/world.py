@@ -8,10 +8,10 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from srs_twin.errors import InputError
-from srs_twin.robot.random_worlds import PEG_DISTANCE_M, fig54_world, peg_field, random_circles
 from srs_twin.robot.scale import Scale
 from srs_twin.robot.world import (
     OBSTACLE_FRICTION,
+    PEG_DISTANCE_M,
     Bounds,
     Circle,
     Floor,
@@ -21,6 +21,9 @@ from srs_twin.robot.world import (
     Pose,
     Step,
     World,
+    fig54_world,
+    peg_field,
+    random_circles,
 )
 from srs_twin.scenario.fields import FilePath, Section, constructor_default, quantity
 from srs_twin.scenario.map_file import read_circles, read_map

@@ -13,7 +13,7 @@ from snakes import robot
 from srs_twin import Gait, InputError, TwinSnake
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
 from srs_twin.pneumatics import make_pneumatics
-from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.recordings.recorded_pressures import RecordedPressures
 
 pytestmark = pytest.mark.fast
 

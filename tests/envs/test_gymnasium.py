@@ -18,12 +18,12 @@ from gymnasium.utils.passive_env_checker import check_action_space
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from srs_twin import Gait, InputError, TwinSnake, rollout
-from srs_twin.control.camera import Camera
 from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.crawling import OPEN, Arena, CrawlTask
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
 from srs_twin.envs.policy import load_policy
 from srs_twin.errors import DivergedError
+from srs_twin.planning.camera import Camera
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.world import Bounds
 

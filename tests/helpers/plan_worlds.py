@@ -12,8 +12,18 @@ from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint import Footprint, Transient
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.problem import Problem
-from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world, random_circles
-from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import (
+    FIG54_GOAL,
+    FIG54_START,
+    Bounds,
+    Circle,
+    Goal,
+    Polygon,
+    Pose,
+    World,
+    fig54_world,
+    random_circles,
+)
 
 BODIES = ("gen2_section52", "gen4_table8", "gen4_table9")
 

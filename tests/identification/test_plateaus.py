@@ -29,7 +29,7 @@ from srs_twin.identification.static_tables import (
 )
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.takes import RecordingReader
 from srs_twin.robot.spec import RobotSpec

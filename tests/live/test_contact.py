@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from srs_twin import load_robot
-from srs_twin.control.contact_observer import ContactEstimate
 from srs_twin.live.commands import SLOT_S, CommandPeriod
+from srs_twin.live.contact_observer import ContactEstimate
 from srs_twin.live.estimate import LiveContact
 from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message, encode_contact
 from srs_twin.pneumatics.chambers import air_bend

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from unicycle import Unicycle, Wheel
 
 from srs_twin import InputError
-from srs_twin.control.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.control.reference import Constant
 from srs_twin.control.smc import IterativeSMC
+from srs_twin.planning.camera import Camera, CameraFrames, PeriodMean
 from srs_twin.planning.follower import ENDINGS, Conditions, Follower
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import ReferencePath, path_from_arcs

@@ -16,7 +16,7 @@ from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import Follower
 from srs_twin.planning.metrics import FOLLOWING_UNITS, PLAN_UNITS
 from srs_twin.planning.pictures import following_plot
-from srs_twin.robot.random_worlds import fig54_world
+from srs_twin.robot.world import fig54_world
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.studies.sweep.task import run_point

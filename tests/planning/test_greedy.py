@@ -18,8 +18,7 @@ from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
 from srs_twin.planning.reference_planners import arc_through
-from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world
-from srs_twin.robot.world import Circle, Goal, Pose, World
+from srs_twin.robot.world import FIG54_GOAL, FIG54_START, Circle, Goal, Pose, World, fig54_world
 
 TEXT = load_footprint("gen2_section52")
 ARCS = Primitives(21, math.pi / 3, 0.2)

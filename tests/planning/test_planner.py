@@ -24,8 +24,19 @@ from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem, Settings
 from srs_twin.planning.search_kernels import lower_bound
 from srs_twin.planning.search_tree import make_target
-from srs_twin.robot.random_worlds import FIG54_BOUNDS, FIG54_GOAL, FIG54_START, fig54_world, random_circles
-from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import (
+    FIG54_BOUNDS,
+    FIG54_GOAL,
+    FIG54_START,
+    Bounds,
+    Circle,
+    Goal,
+    Polygon,
+    Pose,
+    World,
+    fig54_world,
+    random_circles,
+)
 
 TEXT = load_footprint("gen2_section52")
 SEEDS = range(60)

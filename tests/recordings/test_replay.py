@@ -18,7 +18,7 @@ from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.parameters import with_values
 from srs_twin.pneumatics import LagPneumatics, Schedule
-from srs_twin.pneumatics.recorded import RecordedPressures
+from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.studies.sweep.task import run_point

@@ -15,7 +15,7 @@ from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
-from srs_twin.robot.random_worlds import FIG54_GOAL, FIG54_START, fig54_world
+from srs_twin.robot.world import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.store import rows_digest

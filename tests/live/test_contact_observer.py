@@ -5,8 +5,8 @@ import pytest
 from helpers.scaled_robots import scaled
 
 from srs_twin import Gait, TwinSnake, load_robot
-from srs_twin.control.contact_observer import LEARNING_S, SETTLING_S, ContactObserver
-from srs_twin.control.pushed_body import PushedBody
+from srs_twin.live.contact_observer import LEARNING_S, SETTLING_S, ContactObserver
+from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 
 GEN2 = load_robot("gen2")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from srs_twin import load_robot
-from srs_twin.control.pushed_body import PushedBody
+from srs_twin.live.pushed_body import PushedBody
 from srs_twin.robot.spec import GRAVITY
 
 GEN2 = load_robot("gen2")

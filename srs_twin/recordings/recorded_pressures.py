@@ -79,7 +79,7 @@ class RecordedPressures(Pneumatics):
 
     def _at(self, time: np.ndarray) -> Trace:
         """Return the state of the chambers at some times, from the start of the run, s."""
-        trace = Trace.empty(len(time), self._drive.shape[1])
+        trace = self._empty_trace(len(time))
         row = np.clip(np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1)
         since = np.maximum(time - self._time[row], 0.0)[:, None]
         drive, slope = self._drive[row], self._slope[row] * (time >= self._time[0])[:, None]

@@ -35,9 +35,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from srs_twin.control.pushed_body import PushedBody
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
+from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
