@@ -16,7 +16,7 @@ from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
 from srs_twin.planning.footprint_file import load_footprint_file
 from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
-from srs_twin.robot.file import load_robot, load_robot_file, robot_sources
+from srs_twin.robot.file import load_robot, load_robot_file
 
 pytestmark = pytest.mark.fast
 
@@ -86,7 +86,7 @@ def test_generation_1_is_that_of_table_2():
     segments = table["connectors"] - 1
     assert robot.mass.total == pytest.approx(segments * table["segment_mass_kg"])
     bend = table["amplitude_rad_per_m"] * robot.geometry.segment_length
-    assert robot_sources("gen1")["actuator.bend_rad"].value == pytest.approx(bend)
+    assert load_robot_file("gen1").records()["actuator.bend_rad"].value == pytest.approx(bend)
     scenario = load_yaml(data_root() / "scenarios/gen1_straight.yaml").data
     frequency = table["angular_frequency_rad_per_s"] / (2 * math.pi)
     assert scenario["controller"]["frequency_hz"] == pytest.approx(frequency, rel=0.02)
@@ -101,7 +101,9 @@ def test_generations_2_and_3_are_those_of_tables_5_and_6(name, table):
     assert list(robot.mass.connectors) == masses
     assert robot.geometry.segment_length == table["segment_length_m"]
     assert (robot.friction.mu_t, robot.friction.mu_n) == (table["mu_t"], table["mu_n"])
-    assert robot_sources(name)["gait.phase_step_rad"].value == pytest.approx(table["phase_step_rad"])
+    assert load_robot_file(name).records()["gait.phase_step_rad"].value == pytest.approx(
+        table["phase_step_rad"]
+    )
 
 
 def test_table_8_is_that_of_the_claims():

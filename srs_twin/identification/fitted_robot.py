@@ -20,7 +20,8 @@ from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
 from srs_twin.identification.parameters import free_parameters, is_parameter, with_values
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.files import write_text
-from srs_twin.robot.file import SPREAD_KEYS, RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.sections import SPREAD_KEYS
 from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 

@@ -162,28 +162,25 @@ class _NumberField(NamedTuple):
 
     low: float
     high: float
-    kind: type
-    shape: Callable[[Any], Any]
-    optional: bool
+    kind: type = float
+    shape: Callable[[Any], Any] = lambda value: value
+    optional: bool = False
+    needed_by: str | None = None
+    only_for: str | None = None
 
 
-def number_field(
-    low: float,
-    high: float,
-    kind: type = float,
-    shape: Callable[[Any], Any] = lambda value: value,
-    optional: bool = False,
-) -> Any:
+def number_field(low: float, high: float, kind: type = float, **options: Any) -> Any:
     """Return the field of a `Record` in a `Records` section.
 
     Args:
         low: lowest allowed number.
         high: highest allowed number.
         kind: type of the number, float or int.
-        shape: function from the type of one number to the type of the record's value (default: one number).
-        optional: whether the key may be missing.
+        **options: `shape`, a function from the type of one number to the type of the record's value (default:
+            one number); `optional`, whether the key may be missing; `needed_by`, the kind of robots that
+            need the key, while others do not have it; `only_for`, the kind of robots that may have it.
     """
-    return _NumberField(low, high, kind, shape, optional)
+    return _NumberField(low, high, kind, **options)
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
@@ -199,22 +196,28 @@ class Records(StrictModel):
 
     Attributes:
         bounds: lowest and highest value of each number.
+        needed_by: kind of robots that need a key, while others do not have it.
+        only_for: kind of robots that may have a key.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
     bounds: ClassVar[dict[str, tuple[float, float]]]
+    needed_by: ClassVar[dict[str, str]]
+    only_for: ClassVar[dict[str, str]] = {}
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, needed_by: str | None = None, **options: Any) -> None:
         super().__init_subclass__(**options)
-        cls.bounds = {}
-        for key, field in list(vars(cls).items()):
-            if isinstance(field, _NumberField):
-                cls.bounds[key] = field.low, field.high
-                unit, value = split_unit(key)[1], Annotated[field.kind, bounded(field.low, field.high)]
-                record: Any = Record[field.shape(value), Literal[unit]]  # type: ignore[misc]
-                cls.__annotations__[key] = record | None if field.optional else record
-                text = f"{'' if unit == '1' else f', {unit}'}, {field.low:.10g} to {field.high:.10g}"
-                setattr(cls, key, Field(None if field.optional else ..., description=text))
+        fields = {key: field for key, field in vars(cls).items() if isinstance(field, _NumberField)}
+        cls.bounds = {key: (field.low, field.high) for key, field in fields.items()}
+        cls.needed_by = {key: kind for key, field in fields.items() if (kind := field.needed_by or needed_by)}
+        cls.only_for = cls.only_for | {key: field.only_for for key, field in fields.items() if field.only_for}
+        for key, field in fields.items():
+            unit, value = split_unit(key)[1], Annotated[field.kind, bounded(field.low, field.high)]
+            record: Any = Record[field.shape(value), Literal[unit]]  # type: ignore[misc]
+            optional = field.optional or field.needed_by or field.only_for
+            cls.__annotations__[key] = record | None if optional else record
+            text = f"{'' if unit == '1' else f', {unit}'}, {field.low:.10g} to {field.high:.10g}"
+            setattr(cls, key, Field(None if optional else ..., description=text))
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle as plain data, because pickle cannot find the parametrised record classes by name."""

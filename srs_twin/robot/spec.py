@@ -240,29 +240,6 @@ class Skin:
         _require(self.points >= 1, "points", self.points, "a segment has 1 or more")
 
 
-class Cells(NamedTuple):
-    """Cells of each segment of a robot with skin: arcs of constant curvature between its contact points.
-
-    Attributes:
-        length: shape (cells,), head first, m.
-        share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid gap.
-    """
-
-    length: np.ndarray
-    share: np.ndarray
-
-    @classmethod
-    def of(cls, geometry: Geometry, points: int) -> Cells:
-        """Return at least `points` cells of about equal length, whose ends include those of the arc."""
-        half_gap, arc = geometry.rigid_gap / 2, geometry.segment_length
-        pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
-        counts = [max(1, round(points * length / geometry.pitch)) for length, _ in pieces if length > 0.0]
-        pieces = [piece for piece in pieces if piece[0] > 0.0]
-        lengths = [length / count for (length, _), count in zip(pieces, counts, strict=True)]
-        shares = [share / count for (_, share), count in zip(pieces, counts, strict=True)]
-        return cls(np.repeat(lengths, counts), np.repeat(shares, counts))
-
-
 @dataclass(frozen=True)
 class Bending:
     """Compliance of one segment, for compliant bends (twin and `compliant` model).
@@ -514,19 +491,6 @@ class RobotSpec:
     def scale(self) -> Scale:
         """Units of the numerical settings."""
         return Scale.of_pitch(self.geometry.pitch)
-
-    @cached_property
-    def cells(self) -> Cells:
-        """Cells of each segment of a robot with skin."""
-        assert self.skin is not None, "wheels have no cells"
-        return Cells.of(self.geometry, self.skin.points)
-
-    @cached_property
-    def point_masses(self) -> np.ndarray:
-        """Masses at the ends of all cells of a robot with skin by the trapezoidal rule, (points,), kg."""
-        cells = np.outer(self.mass.segments or (), self.cells.length / self.geometry.pitch).ravel()
-        masses: np.ndarray = (np.append(0.0, cells) + np.append(cells, 0.0)) / 2
-        return masses
 
     def connector_weights(self, behind_head: np.ndarray) -> np.ndarray:
         """Return the share of each place along the body that counts for each connector, (N, places), 1.

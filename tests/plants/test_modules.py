@@ -30,7 +30,8 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
 from srs_twin.pneumatics.chambers import air_bend, apply_bend_law, equivalent_linear_pressure, largest_bend
 from srs_twin.pneumatics.valves import StuckValve
-from srs_twin.robot.file import ModulesFile, load_robot_file
+from srs_twin.robot.file import load_robot_file
+from srs_twin.robot.sections import ModulesFile
 from srs_twin.robot.spec import Modules
 from srs_twin.sensing import make_sensor
 

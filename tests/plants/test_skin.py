@@ -12,7 +12,7 @@ from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
-from srs_twin.plants.analytical.cells import cells_of_skin
+from srs_twin.plants.analytical.cells import Division, cells_of_skin
 from srs_twin.plants.twin.mjcf.belly import patches, rods
 from srs_twin.plants.twin.mjcf.export import robot_files
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
@@ -51,7 +51,7 @@ def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
     pitch, half = SPEC.geometry.pitch, SPEC.geometry.body_length / 2
     expected = SPEC.mass.total * (2 * half) ** 2 / 12
     for places, masses in (
-        (np.append(0.0, np.cumsum(cells_of_skin(SPEC).length)), SPEC.point_masses),
+        (np.append(0.0, np.cumsum(cells_of_skin(SPEC).length)), cells_of_skin(SPEC).mass),
         (np.array([p.place for p in patches(SPEC, SETTINGS)]), [p.mass for p in patches(SPEC, SETTINGS)]),
     ):
         assert np.sum(masses) == pytest.approx(SPEC.mass.total)
@@ -64,7 +64,7 @@ def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
 
 
 def test_cells_divide_the_arc_and_leave_the_gap_straight():
-    cells = SPEC.cells
+    cells = Division.of(SPEC.geometry, SPEC.skin.points)
     assert cells.length.sum() == pytest.approx(SPEC.geometry.pitch)
     assert cells.share.sum() == pytest.approx(1.0)
     assert cells.length[cells.share > 0].sum() == pytest.approx(SPEC.geometry.segment_length)

@@ -9,7 +9,7 @@ import pytest
 
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import dump_yaml
-from srs_twin.robot.file import load_robot, load_robot_file, robot_sources
+from srs_twin.robot.file import load_robot, load_robot_file
 from srs_twin.robot.spec import Friction, Geometry, RobotSpec
 
 pytestmark = pytest.mark.fast
@@ -103,7 +103,7 @@ def test_phase_steps_differ_by_generation():
 
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_number_has_a_source(name):
-    sources = robot_sources(name)
+    sources = load_robot_file(name).records()
     assert len(sources) == 27 + (name in ("gen1", "gen2"))  # robots with axial drag
     for path, record in sources.items():
         words = record.source.lower()

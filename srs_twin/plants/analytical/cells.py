@@ -15,13 +15,37 @@ unevenly. Its masses and wheels stay at the connectors.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from srs_twin.robot.spec import Cells as Division
-from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.spec import Geometry, RobotSpec
 
 _RIGID_RATIO = 1e6
 """Stiffness of a cell in the rigid gap over that of a segment, 1: its bends are below a microradian."""
+
+
+class Division(NamedTuple):
+    """Cells of each segment: arcs of constant curvature between contact points.
+
+    Attributes:
+        length: shape (cells,), head first, m.
+        share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid gap.
+    """
+
+    length: np.ndarray
+    share: np.ndarray
+
+    @classmethod
+    def of(cls, geometry: Geometry, points: int) -> Division:
+        """Return at least `points` cells of about equal length, whose ends include those of the arc."""
+        half_gap, arc = geometry.rigid_gap / 2, geometry.segment_length
+        pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
+        counts = [max(1, round(points * length / geometry.pitch)) for length, _ in pieces if length > 0.0]
+        pieces = [piece for piece in pieces if piece[0] > 0.0]
+        lengths = [length / count for (length, _), count in zip(pieces, counts, strict=True)]
+        shares = [share / count for (_, share), count in zip(pieces, counts, strict=True)]
+        return cls(np.repeat(lengths, counts), np.repeat(shares, counts))
 
 
 class Undivided:
@@ -151,8 +175,11 @@ _MIDDLE = 1e-6
 
 
 def cells_of_skin(spec: RobotSpec) -> Cells:
-    """Return the division of a robot with skin."""
-    return Cells(spec, spec.cells, spec.point_masses)
+    """Return the division of a robot with skin, with the masses of the trapezoidal rule."""
+    assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
+    division = Division.of(spec.geometry, spec.skin.points)
+    cells = np.outer(spec.mass.segments, division.length / spec.geometry.pitch).ravel()
+    return Cells(spec, division, (np.append(0.0, cells) + np.append(cells, 0.0)) / 2)
 
 
 def cells_of_wheels(spec: RobotSpec, count: int) -> Cells:

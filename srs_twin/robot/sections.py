@@ -1,0 +1,322 @@
+"""Sections of robot files: records of numbers with their bounds.
+
+A file may list individual properties of the modules, and standard deviations for random differences between
+them. Each quantity has its own random stream, so that a new standard deviation does not change the other
+draws. Draws are limited to three standard deviations. They are combined with the listed values: factors are
+multiplied, biases are added.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag
+
+from srs_twin.io.documents import Loc
+from srs_twin.io.validation import StrictModel
+from srs_twin.robot.friction import SkinLaw
+from srs_twin.robot.sourced import Record, Records, bounded, number_field
+from srs_twin.robot.spec import PER_CHAMBER, Modules, Skin
+
+Factor = Annotated[float, bounded(0.1, 10.0)]
+ChamberPair = Annotated[list[Factor], Field(min_length=2, max_length=8)]
+ChamberFactors = Record[Annotated[list[ChamberPair], Field(min_length=1, max_length=63)], Literal["1"]]
+SegmentFactors = Record[Annotated[list[Factor], Field(min_length=1, max_length=63)], Literal["1"]]
+Directions = Record[
+    Annotated[list[Annotated[float, bounded(-360.0, 360.0)]], Field(min_length=3, max_length=8)],
+    Literal["deg"],
+]
+BendList = Record[
+    Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Field(min_length=1, max_length=63)], Literal["rad"]
+]
+RelativeStd = Record[Annotated[float, bounded(0.0, 0.3)], Literal["1"]]
+AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
+
+_MAX_DEVIATIONS = 3.0
+"""Limit of random draws, in standard deviations."""
+
+# Bounds of files. They admit the shipped robots scaled by 1/40 to 100: lengths by s, masses by s³, and
+# stiffness by s⁴.
+LENGTHS_M = (1e-5, 100.0)
+"""Smallest and largest length of a robot, m."""
+MASSES_KG = (1e-10, 1e6)
+"""Smallest and largest mass of a part, kg."""
+STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
+"""Smallest and largest stiffness of a segment, N·m/rad."""
+
+# Quantity → key of its standard deviation. The position is the number of the random stream: append new ones.
+SPREAD_KEYS = {
+    "gain": "gain_spread",
+    "tau_fill": "tau_spread",
+    "tau_vent": "tau_spread",
+    "bias": "bias_spread_rad",
+    "sensor_gain": "sensor_gain_spread",
+    "sensor_bias": "sensor_bias_spread_rad",
+}
+
+
+class ModulesFile(Records):
+    """Individual properties of the modules and their random differences."""
+
+    gain: ChamberFactors | None = None
+    """Gain as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber (or each of
+    chamber.directions_deg) of each segment, head first."""
+    tau_fill: ChamberFactors | None = None
+    """tau_fill as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber of each segment, head
+    first."""
+    tau_vent: ChamberFactors | None = None
+    """tau_vent as a multiple of the nominal one, 0.1 to 10 for the + and the - chamber of each segment, head
+    first."""
+    bias_rad: BendList | None = None
+    """Rest bend, rad, -1 to 1 for each segment, head first."""
+    sensor_gain: SegmentFactors | None = None
+    """Ratio of sensor reading to actual bend, 0.1 to 10 for each segment, head first."""
+    sensor_bias_rad: BendList | None = None
+    """Sensor reading of a straight segment, rad, -1 to 1 for each segment, head first."""
+    gain_spread: RelativeStd | None = None
+    """Standard deviation of the relative gains of the chambers, 0 to 0.3."""
+    tau_spread: RelativeStd | None = None
+    """Standard deviation of the relative tau_fill and tau_vent of the chambers, 0 to 0.3."""
+    bias_spread_rad: AngleStd | None = None
+    """Standard deviation of the rest bends, rad, 0 to 0.5."""
+    sensor_gain_spread: RelativeStd | None = None
+    """Standard deviation of the sensor gains, 0 to 0.3."""
+    sensor_bias_spread_rad: AngleStd | None = None
+    """Standard deviation of the sensor biases, rad, 0 to 0.5."""
+    seed: Annotated[int, bounded(0, 2**32 - 1)] | None = None
+    """Random seed of the differences, 0 to 4294967295 (default: seed of the scenario)."""
+
+    def draw(self, segments: int, seed: int, chambers: int = 2) -> Modules:
+        """Return modules with the listed properties and random differences.
+
+        Args:
+            segments: number of segments.
+            seed: random seed if the file has none.
+            chambers: number of chambers of a segment.
+        """
+        seed = seed if self.seed is None else self.seed
+        arrays = {}
+        for stream, (name, std_name) in enumerate(SPREAD_KEYS.items()):
+            per_chamber, additive = name in PER_CHAMBER, name.endswith("bias")
+            shape = (segments, chambers) if per_chamber else (segments,)
+            listed, std = getattr(self, f"{name}_rad" if additive else name), getattr(self, std_name)
+            base = np.full(shape, 0.0 if additive else 1.0) if listed is None else np.array(listed.value)
+            normal = np.random.default_rng([seed, stream]).standard_normal(shape)
+            drawn = (std.value if std else 0.0) * np.clip(normal, -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
+            arrays[name] = base + drawn if additive else base * (1.0 + drawn)
+        return Modules.from_arrays(**arrays)
+
+    def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of lists whose length is not the number of segments or chambers."""
+        for name, record in self:
+            values = record.value if isinstance(record, Record) else None
+            if name in PER_CHAMBER and isinstance(values, list):
+                for j, row in enumerate(values):
+                    if len(row) != chambers:
+                        text = f"{len(row)} factors for {chambers} chambers; give {chambers}"
+                        yield ("modules", name, "value", j), text
+            if isinstance(values, list) and len(values) != segments:
+                text = f"{len(values)} entries for {segments} segments; give {segments}, head first"
+                yield ("modules", name, "value"), text
+
+
+def _mass_tag(value: object) -> str:
+    return "each" if isinstance(value, list) else "all"
+
+
+def _one_or_each(value: Any) -> Any:
+    """Return the type of one value for all connectors, or of a list with one for each."""
+    many = Annotated[list[value], Field(min_length=2, max_length=64)]
+    return Annotated[Annotated[value, Tag("all")] | Annotated[many, Tag("each")], Discriminator(_mass_tag)]
+
+
+# Record with a float, an integer or a list; `number_field` defines which.
+Number = Record[Any, str]
+
+
+class GeometryFile(Records):
+    """Dimensions of the body."""
+
+    connectors: Number = number_field(2, 64, int)
+    """Number of connectors N ("links" in the dissertation); one more than segments."""
+    segment_length_m: Number = number_field(*LENGTHS_M)
+    """Length of the bending part of a segment."""
+    rigid_gap_m: Number = number_field(0.0, LENGTHS_M[1])
+    """Length of the straight part of a segment, half of it at each end."""
+    half_track_m: Number | None = number_field(*LENGTHS_M, needed_by="wheels")
+    """Distance of a wheel from the centre line; wheels only."""
+    wheel_radius_m: Number | None = number_field(*LENGTHS_M, needed_by="wheels")
+    """Radius of a wheel; wheels only."""
+    com_height_m: Number = number_field(*LENGTHS_M)
+    """Height of the centre of mass above the floor."""
+    width_m: Number = number_field(*LENGTHS_M)
+    """Width of the soft body; only that of a skin has an effect on the motion."""
+
+
+class MassFile(Records):
+    """Masses."""
+
+    connectors_kg: Number | None = number_field(*MASSES_KG, shape=_one_or_each, needed_by="wheels")
+    """Mass of a connector with its wheels and its part of the body; one number for all, or a list, head
+    first. Wheels only."""
+    wheel_kg: Number | None = number_field(*MASSES_KG, needed_by="wheels")
+    """Mass of one wheel, included in that of its connector; wheels only."""
+    connector_gyration_m: Number | None = number_field(*LENGTHS_M, only_for="wheels")
+    """Radius of gyration of a connector without its wheels (default: that of a uniform block with the length
+    of the rigid gap and the width of the track); wheels only."""
+    segments_kg: Number | None = number_field(*MASSES_KG, shape=_one_or_each, needed_by="skin")
+    """Mass of the body from one connector to the next, spread evenly over its length; one number for all, or
+    a list, head first. Skin only."""
+
+
+class FrictionFile(Records):
+    """Friction of the wheels on the floor, and axial drag; a skin has its coefficients in contact."""
+
+    mu_t: Number | None = number_field(0.0, 10.0, needed_by="wheels")
+    """Friction coefficient along the heading (drag of a rolling wheel); wheels only."""
+    mu_n: Number | None = number_field(0.0, 10.0, needed_by="wheels")
+    """Friction coefficient across the heading (a wheel that slides sideways); wheels only."""
+    drag_n: Number | None = number_field(0.0, 1e7, optional=True)
+    """Total axial drag of tubes and belly, independent of the load; equal parts act on the connectors
+    (default: none)."""
+
+
+class ContactFile(Records):
+    """Kind of contact with the floor."""
+
+    only_for = {"law": "skin"}
+
+    kind: Literal["wheels", "skin"]
+    """wheels: two wheels on each connector, described in geometry, mass and friction; skin: a body that
+    slides on its belly along its whole length."""
+    law: SkinLaw | None = None
+    """Friction law of a skin; ellipse: the force with the largest dissipation (default), cosine: each
+    component proportional to the direction cosine of the slip (docs/models.md)."""
+    forward: Number | None = number_field(0.0, 10.0, needed_by="skin")
+    """Friction coefficient along the body for slip towards the head; skin only."""
+    backward: Number | None = number_field(0.0, 10.0, only_for="skin")
+    """Friction coefficient along the body for slip towards the tail (default: forward); skin only."""
+    transverse: Number | None = number_field(0.0, 10.0, needed_by="skin")
+    """Friction coefficient across the body; skin only."""
+    points_per_segment: Number | None = number_field(1, 64, int, only_for="skin")
+    """Contact points along each segment (default: 6); skin only."""
+
+    @property
+    def is_skin(self) -> bool:
+        """Whether the robot slides on its belly."""
+        return self.kind == "skin"
+
+    def friction(self) -> dict[str, float]:
+        """Return the coefficients of a skin as arguments of `Friction`."""
+        names = {"mu_t": self.forward, "mu_back": self.backward, "mu_n": self.transverse}
+        return {name: record.value for name, record in names.items() if record is not None}
+
+    def skin(self) -> Skin:
+        """Return the skin."""
+        given = {"law": self.law, "points": self.points_per_segment and self.points_per_segment.value}
+        values: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        return Skin(**values)
+
+
+class BendingFile(Records):
+    """Compliance of one segment."""
+
+    stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, needed_by="pressure")
+    """Bending stiffness; pressure only."""
+    damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
+    """Damping over stiffness; with the value of tau_mode_s, a free module obeys Eq. 14 exactly. Pressure
+    only."""
+    pitch_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    """Stiffness against bending out of the floor plane; a spatial robot may leave it out (default: that of
+    bending)."""
+    roll_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    """Stiffness against twisting; a spatial robot may leave it out (default: two thirds of the bending
+    stiffness, GJ = 2/3 EI of a solid, incompressible, round section)."""
+    out_of_plane_damping_time_s: Number = number_field(1e-6, 100.0)
+    """Damping over stiffness of pitch and roll."""
+
+
+class ActuatorFile(Records):
+    """Response of one module: pneumatic with the gain bend_rad over at_pressure_kpa, or that of a servo."""
+
+    kind: Literal["pressure", "position"] | None = None
+    """pressure: air in chambers bends the segment against its stiffness (default); position: a servo turns a
+    joint to the commanded angle regardless of the load, bend_rad where a valve would fill the + chamber."""
+    response_time_s: Number | None = number_field(1e-4, 100.0, needed_by="position")
+    """Time constant of the critically damped response of a servo; position only."""
+    tau_fill_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
+    """Fill time constant tau_1; pressure only."""
+    tau_vent_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
+    """Vent time constant tau_1; pressure only."""
+    tau_mode_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
+    """Mode time constant tau_2, with which the free bend follows the pressures; pressure only."""
+    bend_rad: Number = number_field(1e-3, 6.3)
+    """Static bend of a free module under at_pressure_kpa, or the largest angle that a servo is commanded."""
+    at_pressure_kpa: Number | None = number_field(0.1, 2000.0, needed_by="pressure")
+    """Pressure in one chamber that causes bend_rad; pressure only."""
+    bend_limit_rad: Number | None = number_field(0.1, 6.3, only_for="pressure")
+    """Limit of the free bend at high pressure (default: none, the gain is linear)."""
+    onset_share: Number | None = number_field(0.0, 1.0, only_for="pressure")
+    """Missing fraction s of the gain in a dead zone around zero pressure (default: 1 if another
+    onset key is present, otherwise 0)."""
+    onset_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
+    """Bend of the linear law at the end of the dead zone; beyond it s times this bend is missing (default:
+    0.3)."""
+    onset_width_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
+    """Width of the transition at the end of the dead zone, as a bend of the linear law (default: 0.1)."""
+    extension_m_per_kpa: Number | None = number_field(0.0, 0.01, only_for="pressure")
+    """Extension of a segment of a spatial robot over the mean pressure of its chambers (default: 0)."""
+
+
+class ChamberFile(Records, needed_by="pressure"):
+    """Air space of one chamber."""
+
+    dead_volume_ml: Number = number_field(1e-6, 1e8)
+    """Volume of the chamber of a straight segment with its tube."""
+    air_volume_ml: Number = number_field(1e-6, 1e8)
+    """Increase of the volume at a bend of 90 degrees."""
+    directions_deg: Directions | None = None
+    """Directions in which the chambers of a spatial robot bend a segment, -360 to 360, 0 to the left, 90
+    upwards; four make two antagonistic pairs (default: one chamber to the left and one to the right)."""
+
+
+class SupplyFile(Records, needed_by="pressure"):
+    """Gauge pressures of the supply and their limits."""
+
+    nominal_kpa: Number = number_field(0.1, 2000.0)
+    """Supply pressure of scenarios that do not specify one."""
+    continuous_limit_kpa: Number = number_field(0.1, 2000.0)
+    """Highest pressure that a chamber may hold."""
+    pulsed_limit_kpa: Number = number_field(0.1, 2000.0)
+    """Highest supply pressure while chambers alternate (gait, PWM)."""
+
+
+class GaitFile(Records):
+    """Common parameters of all gaits of the robot."""
+
+    phase_step_rad: Number = number_field(-6.3, 6.3)
+    """Phase lag of the gait from one segment to the next (E18)."""
+
+
+class TailFile(Records):
+    """Tail assembly with a second axle behind that of the last connector; not available with preload."""
+
+    axle_m: Number = number_field(*LENGTHS_M)
+    """Distance of the second axle behind the axle of the last connector."""
+    com_m: Number = number_field(0.0, LENGTHS_M[1])
+    """Distance of the centre of mass behind the axle of the last connector; at most axle_m."""
+    com_height_m: Number = number_field(*LENGTHS_M)
+    """Height of the centre of mass of the assembly above the floor."""
+    gyration_m: Number = number_field(*LENGTHS_M)
+    """Radius of gyration of the assembly including its wheels."""
+
+
+class CorrelationFile(StrictModel):
+    """Correlation of two uncertain numbers."""
+
+    of: Annotated[list[str], Field(min_length=2, max_length=2)]
+    """Paths of the two numbers, such as friction.mu_t; no effect if one of them is not uncertain."""
+    r: Annotated[float, bounded(-0.999, 0.999)]
+    """Correlation of the normal variables that the numbers are computed from, -0.999 to 0.999."""
