@@ -39,6 +39,7 @@ class Controller(Stateful, ABC):
     layouts: tuple[str, ...] = tuple(LAYOUTS)
     spatial: bool = False
     finished: bool = False
+    _events: list[Event]  # since the last call of `events`; `reset` creates it in controllers with events
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -96,7 +97,8 @@ class Controller(Stateful, ABC):
 
     def events(self) -> list[Event]:
         """Return the events since the last call."""
-        return []
+        events, self._events = getattr(self, "_events", []), []
+        return events
 
     def describe(self) -> dict[str, object]:
         """Return the settings and results to record, as JSON values."""

@@ -18,8 +18,6 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from srs_twin.plants.base import SnakeState
 
 
@@ -179,8 +177,7 @@ class ScheduledOffset(Controller):
 
     def events(self) -> list[Event]:
         """Return the offset changes and the events of the inner controller since the last call."""
-        events, self._events = self._events + self._inner.events(), []
-        return events
+        return super().events() + self._inner.events()
 
     def describe(self) -> dict[str, object]:
         """See `Controller.describe`."""

@@ -30,7 +30,7 @@ air, or both of its chambers vent.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -78,9 +78,7 @@ class CompliantGait(Gait):
     """
 
     kind = "compliant_gait"
-    state_attributes: ClassVar[tuple[str, ...]] = (
-        *Gait.state_attributes, "rest_level", "amplitude", "lag", "blocked", "_readings", "_events"
-    )  # fmt: skip
+    state_attributes = ("rest_level", "amplitude", "lag", "blocked", "_readings", "_events")
     layouts: tuple[str, ...] = Gait.layouts
     spatial = False
 
@@ -183,8 +181,3 @@ class CompliantGait(Gait):
         """Return offset, amplitude, lag per segment, and number of blocked segments."""
         shape = {"wave_amplitude": self.amplitude, "phase_step": self.lag}
         return super().signals() | shape | {"blocked": float(self.blocked.sum())}
-
-    def events(self) -> list[Event]:
-        """Return the events of lost and recovered readings."""
-        events, self._events = self._events, []
-        return events

@@ -270,15 +270,12 @@ class Gait(Controller):
     def _wave(self, time: np.ndarray) -> np.ndarray:
         """Return S, shape (times, segments), int8."""
         value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.phase_lag) + self._offset
-        # The tolerance makes the sign of an exact zero independent of rounding.
-        low, high = -self.rest_level - 1e-12, self.rest_level - 1e-12
-        return np.where(value >= high, 1, np.where(value >= low, 0, -1) if self.rest_level else -1).astype(
-            np.int8
-        )
+        return _three_levels(value, self.rest_level).astype(np.int8)
 
 
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
     """Return 1, 0 or −1 for values above, within and below the rest level; sign(0) = +1 without rest."""
+    # The tolerance makes the sign of an exact zero independent of rounding.
     low, high = -rest - 1e-12, rest - 1e-12
     if rest >= 1:
         high = rest + 1e-12  # the wave only touches the level

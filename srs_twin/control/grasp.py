@@ -201,8 +201,3 @@ class Grasp(Controller):
     def signals(self) -> dict[str, float]:
         """Return phase and grip."""
         return {"grasp_phase": float(self.phase), "grip": self.grip}
-
-    def events(self) -> list[Event]:
-        """Return the events since the last call."""
-        events, self._events = self._events, []
-        return events

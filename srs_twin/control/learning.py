@@ -134,7 +134,6 @@ class ILC(Controller):
         self._fixed_target, self._k = fixed_target, k
         self._free_periods, self._carrier_hz = free_periods, carrier_hz
         self._on_fault, self._clock, self._steering = on_fault, clock, steering
-        self._events: list[Event] = []
         self._offset = validated_offset(offset)
         self._initialise(0)
 
@@ -196,8 +195,7 @@ class ILC(Controller):
 
     def events(self) -> list[Event]:
         """Return the events since the last call: updates, targets, saturated duties, faults."""
-        events, self._events = self._events + self.faults.events(), []
-        return events
+        return super().events() + self.faults.events()
 
     def describe(self) -> dict[str, object]:
         """Return the settings, the first fill of each chamber, A, and the detected faults."""
@@ -227,7 +225,7 @@ class ILC(Controller):
         self.amplitude = self._fixed_target
         self._amplitudes: np.ndarray = np.full((segments, 2), math.nan)
         self._record = np.full((2, segments, 2), math.nan)
-        self._events.clear()
+        self._events: list[Event] = []
         self._set_commands()
 
     def _set_commands(self) -> None:

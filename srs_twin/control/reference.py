@@ -26,11 +26,6 @@ class Reference(ABC):
     """Bend over time, rad. Times are numbers or arrays, and the results have their shape."""
 
     @property
-    def frequency_hz(self) -> float | None:
-        """Frequency of a periodic reference, Hz, else None."""
-        return None
-
-    @property
     @abstractmethod
     def peak(self) -> float:
         """Largest magnitude of the reference, rad."""
@@ -84,19 +79,19 @@ class Constant(Reference):
     """Constant bend.
 
     Attributes:
-        level: rad.
+        bend: rad.
     """
 
-    level: float
+    bend: float
 
     @property
     def peak(self) -> float:
         """See `Reference.peak`."""
-        return abs(self.level)
+        return abs(self.bend)
 
     def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
-        return np.full_like(np.asarray(time, dtype=float), self.level)[()]
+        return np.full_like(np.asarray(time, dtype=float), self.bend)[()]
 
 
 @dataclass(frozen=True)
@@ -104,30 +99,28 @@ class Staircase(Reference):
     """Sequence of bends of equal duration; the last one continues.
 
     Attributes:
-        levels: rad, one or more.
-        hold: duration of each level, s.
+        bends: rad, one or more.
+        hold: duration of each bend, s.
     """
 
-    levels: tuple[float, ...]
+    bends: tuple[float, ...]
     hold: float
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (len(self.levels) and np.isfinite(self.levels).all()):
-            raise InputError(
-                f"staircase levels {self.levels!r} are not allowed; give one or more, all finite"
-            )
+        if not (len(self.bends) and np.isfinite(self.bends).all()):
+            raise InputError(f"staircase bends {self.bends!r} are not allowed; give one or more, all finite")
         check_positive("staircase hold", self.hold, "s")
 
     @property
     def peak(self) -> float:
         """See `Reference.peak`."""
-        return max(abs(level) for level in self.levels)
+        return max(map(abs, self.bends))
 
     def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
         number = np.floor(np.asarray(time) / self.hold + _ROUNDING).astype(int)
-        return np.asarray(self.levels)[np.clip(number, 0, len(self.levels) - 1)]
+        return np.asarray(self.bends)[np.clip(number, 0, len(self.bends) - 1)]
 
 
 @dataclass(frozen=True)
@@ -135,23 +128,23 @@ class Step(Reference):
     """Step from one bend to another.
 
     Attributes:
-        after: bend from `time` on, rad.
+        bend: bend from `time` on, rad.
         before: bend before `time`, rad.
         time: time of the step, s.
     """
 
-    after: float
+    bend: float
     before: float = 0.0
     time: float = 0.0
 
     @property
     def peak(self) -> float:
         """See `Reference.peak`."""
-        return max(abs(self.before), abs(self.after))
+        return max(abs(self.before), abs(self.bend))
 
     def value(self, time: ArrayLike) -> np.ndarray:
         """See `Reference.value`."""
-        return np.where(np.asarray(time) > self.time - _ROUNDING, self.after, self.before)[()]
+        return np.where(np.asarray(time) > self.time - _ROUNDING, self.bend, self.before)[()]
 
 
 @dataclass(frozen=True)
@@ -165,11 +158,6 @@ class _Periodic(Reference):
         super().__post_init__()
         for name in ("amplitude", "frequency"):
             check_positive(f"reference: {name}", getattr(self, name))
-
-    @property
-    def frequency_hz(self) -> float:
-        """See `Reference.frequency_hz`."""
-        return self.frequency
 
     @property
     def peak(self) -> float:
@@ -228,11 +216,6 @@ class ClippedReference(Reference):
 
     unclipped: Reference
     limit: float
-
-    @property
-    def frequency_hz(self) -> float | None:
-        """See `Reference.frequency_hz`."""
-        return self.unclipped.frequency_hz
 
     @property
     def peak(self) -> float:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,9 +10,6 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
-
-if TYPE_CHECKING:
-    from srs_twin.plants.base import SnakeState
 
 
 class Replay(Controller):

@@ -39,8 +39,7 @@ period, divided by T. A mean over a whole period does not contain the ripple tha
 reading per period would always be taken at the same phase of the ripple, which gives an offset of several
 degrees. A step of the reference contributes to ė.
 
-Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6); both forms are available. The form of Eq. 30 with
-D K instead of D equals that of Eq. 29.
+Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). Here it does; D of the other form is D K.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller, SensorReadings
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.reference import Reference
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError
 from srs_twin.io.saved_state import Stateful
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event
@@ -137,7 +136,6 @@ class SlidingMode(Controller):
     gains: ClassVar[tuple[str, ...]]
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_readings",
-        "_reading",
         "_was_clipped",
         "_next_reference",
         "_error",
@@ -166,7 +164,6 @@ class SlidingMode(Controller):
                 )
         self._tick = tick
         self._readings = SensorReadings(spec.segments)
-        self._reading = self._readings.value
         self._was_clipped = False
         self._next_reference = np.full(spec.segments, float(self.reference.value(0.0)))
         self._error = np.zeros(spec.segments)
@@ -180,18 +177,12 @@ class SlidingMode(Controller):
         """
         return {"reference": self._next_reference, "error": self._error, "sigma": self._sigma}
 
-    def events(self) -> list[Event]:
-        """Return the events since the last call: clipping of the reference, lost and recovered readings."""
-        events, self._events = self._events, []
-        return events
-
     def _read_sensors(self, state: SnakeState) -> float:
         """Update the readings and the reference at the end of the tick; return the start of the tick, s."""
         time = float(state.time)
         self._events += self._readings.update(time, state.sensed)
-        self._reading = self._readings.value
         next_reference = float(self.reference.value(time + self._tick))
-        self._next_reference = np.full(self._reading.shape, next_reference)
+        self._next_reference = np.full(self._readings.value.shape, next_reference)
         clipped = bool(self.reference.is_clipped(time))
         if clipped and not self._was_clipped:
             text = (
@@ -240,7 +231,7 @@ class DirectSMC(SlidingMode):
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick, shape (segments, 2)."""
         time = self._read_sensors(state)
-        self._filter.step(self._reading)
+        self._filter.step(self._readings.value)
         self._rate = self._filter.rate
         self._error = self.reference.value(time) - self._filter.value
         self._sigma = self.reference.rate(time) - self._rate + self.D * self._error
@@ -261,12 +252,6 @@ ITERATIVE_D_PER_S = 16.0
 CARRIER_HZ = 60.0
 """Carrier frequency of the pulse-width modulation, Hz (Section 5.3, not tuned)."""
 
-EQ_29 = "K(de + D e)"
-"""Form of Eq. 29, with D in 1/s."""
-EQ_30 = "K de + D e"
-"""Form of Eq. 30 as printed, with D in 1/rad."""
-FORMS = (EQ_29, EQ_30)
-
 
 @dataclass(eq=False)
 class IterativeSMC(SlidingMode):
@@ -274,12 +259,8 @@ class IterativeSMC(SlidingMode):
 
     Attributes:
         K: gain, s/rad.
-        D: slope of the sliding manifold, 1/s; 1/rad in the form of Eq. 30.
+        D: slope of the sliding manifold, 1/s.
         carrier_hz: carrier frequency of the pulse-width modulation, Hz.
-        form: one of `FORMS`.
-
-    Raises:
-        UnknownNameError: the form is unknown.
     """
 
     kind = "iterative_smc"
@@ -291,13 +272,6 @@ class IterativeSMC(SlidingMode):
     K: Gain = K_S_PER_RAD
     D: Gain = ITERATIVE_D_PER_S
     carrier_hz: float = CARRIER_HZ
-    form: str = EQ_29
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.form not in FORMS:
-            raise UnknownNameError("form of Eq. 30", self.form, FORMS)
-        self._slope = self.D if self.form == EQ_29 else np.asarray(self.D) / self.K
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`.
@@ -314,7 +288,7 @@ class IterativeSMC(SlidingMode):
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick, shape (slots, segments, 2)."""
-        self._error = self.reference.value(self._read_sensors(state)) - self._reading
+        self._error = self.reference.value(self._read_sensors(state)) - self._readings.value
         if self._pulses.due():
             self._update()
         self._error_sum, self._count = self._error_sum + self._error, self._count + 1
@@ -329,6 +303,6 @@ class IterativeSMC(SlidingMode):
         """Update μ from the mean errors since the last update; before the first one the error was 0."""
         elapsed = self._count * self._tick if self._count else self._pulses.period
         mean = self._error_sum / max(self._count, 1)
-        self._sigma = (self._error - self._last_error) / elapsed + self._slope * mean
+        self._sigma = (self._error - self._last_error) / elapsed + self.D * mean
         self._mu = np.clip(self._mu + self.K * self._sigma, -1.0, 1.0)
         self._last_error, self._error_sum, self._count = self._error, np.zeros_like(self._error_sum), 0
