@@ -39,10 +39,10 @@ class Trace(NamedTuple):
     air: np.ndarray
 
     @classmethod
-    def empty(cls, times: int, segments: int) -> Trace:
-        """Return an uninitialised trace."""
-        sides = times, segments, 2
-        q, dq, ddq = (np.empty((times, segments)) for _ in range(3))
+    def empty(cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()) -> Trace:
+        """Return an uninitialised trace, with `axes` after the segments in the shape of the bends."""
+        sides = times, segments, chambers
+        q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
         return cls(np.empty(sides), q, dq, ddq, np.empty(sides, dtype=np.int8), np.empty(times))
 
     def at(self, rows: np.ndarray) -> Trace:
@@ -126,11 +126,15 @@ class Pneumatics(Stateful, ABC):
 
     def rest_trace(self) -> Trace:
         """Return a trace of the current time with the bends at rest."""
-        trace = Trace.empty(1, self._segments)
+        trace = self._empty_trace(1)
         trace.pressure[0], trace.bend[0], trace.valves[0] = self.pressure, self.bend, self.valves
         trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
         trace.air[:] = self.air
         return trace
+
+    def _empty_trace(self, times: int) -> Trace:
+        """Return an uninitialised trace of these chambers."""
+        return Trace.empty(times, *self.pressure.shape, self.bend.shape[1:])
 
     def current_trace(self) -> Trace:
         """Return a trace of the current time, with the rates that follow from the current valve states."""

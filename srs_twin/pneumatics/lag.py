@@ -219,22 +219,16 @@ class LagPneumatics(LagChambers):
             self._energy_per_amount,
         )
 
-    @property
-    def leaks(self) -> bool:
-        """Whether held chambers lose air."""
-        return self._leak > 0
-
     def _simulate(
         self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
     ) -> Trace:
-        trace = Trace.empty(len(times), self._segments)
+        trace = self._empty_trace(len(times))
         pressure, linear = self.pressure.copy(), self._linear.copy()
         free = np.empty(self._segments)
         relaxation = self._kind, self._rate, self._asymptote, self._leak
         bending = self._tau_mode, self._gain, self.rest_bend, self._law
-        drawn = _fill_trace(
-            pressure, linear, free, schedule, times, relaxation, bending, self._volume_law, trace
-        )
+        start = pressure, linear, free
+        drawn = _fill_trace(start, schedule, times, relaxation, bending, self._volume_law, trace)
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
         self._linear = linear
@@ -243,13 +237,12 @@ class LagPneumatics(LagChambers):
 
 
 @allocating
-def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, space, trace):  # type: ignore[no-untyped-def]
+def _fill_trace(start, schedule, times, relaxation, bending, space, trace):  # type: ignore[no-untyped-def]
     """Fill a trace at `times`, advance to the end of a schedule, and return the amount of air drawn (J).
 
     Args:
-        pressure: gauge pressure at the start, in place, shape (segments, 2), Pa.
-        linear: linear bend x at the start, in place, shape (segments,), rad.
-        bend: out, free bend at the end, shape (segments,), rad.
+        start: gauge pressure, shape (segments, 2), Pa, and linear bend x, shape (segments,), rad, at the
+            start, both in place; and, out, free bend at the end, shape (segments,), rad.
         schedule: effective valve states.
         times: ascending, shape (times,), s.
         relaxation: kind of each chamber, shape (segments, 2); rates a (1/s) and asymptotes P (Pa) by kind and
@@ -259,13 +252,13 @@ def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, sp
         space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
         trace: out; its air is the amount drawn since the start, J.
     """
-    span, starts, states = schedule
+    (pressure, linear, bend), (span, starts, states) = start, schedule
     kinds, rates, asymptotes, leak = relaxation
     tau, gain, bias, law = bending
     decay, lag = np.empty_like(rates), np.empty_like(rates)
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
-        state, start = states[run], starts[run]
+        state, begin = states[run], starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
         # Filling chambers draw the increase of their content plus their leak; other chambers draw nothing.
         content_before, leaked, last = 0.0, 0.0, 0.0
@@ -277,18 +270,11 @@ def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, sp
         while True:
             # The rows of the trace within the run, then the end of the run, from which the next one starts.
             requested = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
-            t = (times[row] if requested else stop) - start
+            t = (times[row] if requested else stop) - begin
             if leak > 0.0:
-                # Simpson's rule for λ ∫ p V dt since the previous row.
-                for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
-                    mode = _decay_factors(at, rates, tau, decay, lag)
-                    for j in range(bend.shape[0]):
-                        plus, minus, x = advance_segment(
-                            state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
-                        )
-                        free = bias[j] + apply_bend_law(x, law)[0]
-                        gauge_content = filling_content(state[j], plus, minus, free, space, 0.0)
-                        leaked += leak * (t - last) * weight * gauge_content
+                leaked += _leaked(
+                    last, t, state, (pressure, linear), relaxation, bending, space, (decay, lag)
+                )
                 last = t
             mode = _decay_factors(t, rates, tau, decay, lag)
             content = 0.0
@@ -318,6 +304,28 @@ def _fill_trace(pressure, linear, bend, schedule, times, relaxation, bending, sp
             trace.air[row] = amount
             row += 1
     return drawn
+
+
+@kernel_only
+def _leaked(last, t, state, start, relaxation, bending, space, factors):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return λ ∫ p V dt of the filling chambers from `last` to t (s) by Simpson's rule, J.
+
+    Args:
+        start: pressures and linear bends at the start of the run.
+        factors: work arrays of `_decay_factors`.
+    """
+    (pressure, linear), (kinds, rates, asymptotes, leak), (tau, gain, bias, law) = start, relaxation, bending
+    decay, lag = factors
+    leaked = 0.0
+    for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
+        mode = _decay_factors(at, rates, tau, decay, lag)
+        for j in range(linear.shape[0]):
+            plus, minus, x = advance_segment(
+                state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
+            )
+            free = bias[j] + apply_bend_law(x, law)[0]
+            leaked += leak * (t - last) * weight * filling_content(state[j], plus, minus, free, space, 0.0)
+    return leaked
 
 
 @compiled

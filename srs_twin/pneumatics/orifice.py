@@ -105,31 +105,29 @@ class OrificePneumatics(Pneumatics):
             InputError: the layout is unknown, or a number is out of range.
         """
         check_not_negative(leak_per_s=leak_per_s)
-        limited = flow_limit is not None
-        # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2 differs by 0.5 % between
-        # 1 ms and 0.25 ms, and 2 ms diverges. A flow limit couples all chambers, and 1 ms oscillates.
-        self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
-        substep = _SUBSTEP_S * spec.scale.time if substep is None else substep
-        max_flow = 1.0 if flow_limit is None else flow_limit
-        positive = {"flow_limit": max_flow, "line_volume": line_volume, "substep": substep}
-        for name, value in positive.items():
+        limited, largest_flow = flow_limit is not None, 1.0 if flow_limit is None else flow_limit
+        self._substep = _SUBSTEP_S * spec.scale.time if substep is None else substep
+        for name, value in (
+            ("flow_limit", largest_flow),
+            ("line_volume", line_volume),
+            ("substep", self._substep),
+        ):
             check_positive(name, value)
         if not 0 <= critical_ratio <= MAX_CRITICAL_RATIO:
             raise InputError(
                 f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to {MAX_CRITICAL_RATIO}"
             )
-        *nominal, capacity = conductances(spec, critical_ratio)
-        self._capacity, self._max_supply = capacity, supply_pa
         begins = supply_pa if line_begins is None else line_begins
         if not 0 <= begins <= supply_pa:
             raise InputError(
                 f"line_begins {begins!r} Pa is not allowed; it must be 0 to the supply's {supply_pa:g}"
             )
-        # Stiffness of a closed chamber at the supply pressure, dM/dq = k G P A/V₀, at its strongest.
-        chamber, strongest = spec.chamber, float(chamber_gains(spec).max()) * spec.bending.stiffness
-        growth = chamber.displacement / chamber.dead_volume
-        self.stiffness = strongest * growth * (supply_pa + AMBIENT_PA)
-        self._line_begins = begins + AMBIENT_PA
+        # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2 differs by 0.5 % between
+        # 1 ms and 0.25 ms, and 2 ms diverges. A flow limit couples all chambers, and 1 ms oscillates.
+        self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
+        self.stiffness = _closed_stiffness(spec, supply_pa)
+        *nominal, self._capacity = conductances(spec, critical_ratio)
+        self._max_supply, self._line_begins = supply_pa, begins + AMBIENT_PA
         fill, vent = self.conductances = _chamber_conductances(spec, critical_ratio)
         self._plumbing = Plumbing(
             dead=spec.chamber.dead_volume,
@@ -141,14 +139,14 @@ class OrificePneumatics(Pneumatics):
             critical=critical_ratio,
             fill=REFERENCE_PA * fill,
             vent=REFERENCE_PA * vent,
-            leak=np.full((spec.segments, 2), leak_per_s * capacity),
+            leak=np.full((spec.segments, 2), leak_per_s * self._capacity),
             supply=supply_pa + AMBIENT_PA,
-            max_flow=AMBIENT_PA * max_flow,
+            max_flow=AMBIENT_PA * largest_flow,
             band=REGULATOR_BAND * supply_pa,
             line_volume=line_volume,
             limited=limited,
         )
-        self._substep, self._energy_per_amount = substep, supply_pa / (supply_pa + AMBIENT_PA)
+        self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
         self._settings = {
             "critical_ratio": critical_ratio,
             "flow_limit_l_per_min": None if flow_limit is None else flow_limit * 60_000,
@@ -163,14 +161,17 @@ class OrificePneumatics(Pneumatics):
     def reset(self) -> None:
         """Empty all chambers, close all inlets, and fill the line."""
         super().reset()
-        plumbing = self._plumbing
         self._state = np.zeros((self._segments, 3))
-        for j in range(self._segments):
-            for side in range(2):
-                size, _ = volume(plumbing.dead, plumbing.displacement, plumbing.bias[j], side)
-                self._state[j, side] = AMBIENT_PA * size
+        self._fill(self.pressure, self._plumbing.bias)
         # Amounts of air in the line, drawn from the supply, and lost.
-        self._amounts = np.array([self._line_begins * plumbing.line_volume, 0.0, 0.0])
+        self._amounts = np.array([self._line_begins * self._plumbing.line_volume, 0.0, 0.0])
+
+    def _fill(self, pressure: np.ndarray, bend: np.ndarray) -> None:
+        """Set the amounts of air for gauge pressures (Pa) and bends (rad)."""
+        plumbing = self._plumbing
+        for j, side in np.ndindex(pressure.shape):
+            size, _ = volume(plumbing.dead, plumbing.displacement, bend[j], side)
+            self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`; the actual bends are set to the free bends."""
@@ -178,10 +179,7 @@ class OrificePneumatics(Pneumatics):
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
         self.pressure = check_pressure(pressure, self.max_pressure_ratio * (plumbing.supply - AMBIENT_PA))
         self.bend = np.array(bend, dtype=float)
-        for j in range(self._segments):
-            for side in range(2):
-                size, _ = volume(plumbing.dead, plumbing.displacement, bend[j], side)
-                self._state[j, side] = (AMBIENT_PA + self.pressure[j, side]) * size
+        self._fill(self.pressure, self.bend)
         self._state[:, 2] = linear
 
     def set_supply_pressure(self, supply_pa: float) -> None:
@@ -225,20 +223,26 @@ class OrificePneumatics(Pneumatics):
     def _simulate(
         self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
     ) -> Trace:
-        trace = Trace.empty(len(times), self._segments)
+        trace = self._empty_trace(len(times))
         state, amounts = self._state.copy(), self._amounts.copy()
         actual = np.zeros((2, self._segments))
         if bend is not None:
             actual[0] = bend
             actual[1] = 0.0 if bend_rate is None else bend_rate
         end = np.empty((self._segments, 2)), np.empty(self._segments)
-        coupled = bend is not None
-        simulate(state, amounts, schedule, times, self._substep, coupled, actual, self._plumbing, end, trace)
+        start, motion = (state, amounts), (bend is not None, actual)
+        simulate(start, schedule, times, self._substep, motion, self._plumbing, end, trace)
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         self._state, self._amounts = state, amounts
         self.pressure, self.bend = end
         self.air = self._energy_per_amount * float(amounts[1])
         return trace
+
+
+def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
+    """Return the stiffness of a closed chamber at the supply pressure, dM/dq = k G P A/V₀, N·m/rad."""
+    chamber, strongest = spec.chamber, float(chamber_gains(spec).max()) * spec.bending.stiffness
+    return strongest * (chamber.displacement / chamber.dead_volume) * (supply_pa + AMBIENT_PA)
 
 
 def _chamber_conductances(spec: RobotSpec, critical: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,9 +3,9 @@
 The state y of a segment is (n⁺, n⁻, x): amounts of air (J) and linear bend (rad). The `amounts` of the whole
 robot are (n_line, drawn, lost), J.
 
-With `coupled`, the volumes follow the actual bends, which are extrapolated from `actual`: the bends (rad) and
-their rates (rad/s) at the start of the schedule, shape (2, segments). Otherwise the volumes follow the free
-bends.
+`motion` is the pair (coupled, actual). If coupled is true, the volumes follow the actual bends, which are
+extrapolated from `actual`: the bends (rad) and their rates (rad/s) at the start of the schedule, shape
+(2, segments). Otherwise the volumes follow the free bends.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, linear, terms):  # type: ignore[no-untyped-def]  # noqa: D417
+def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
     """Make one Newton iteration of y = base + weight · ẏ for y and the line; return its size.
 
     Chambers depend on each other only through the bend of their segment and through the line. Each segment is
@@ -132,16 +132,16 @@ def _newton(y, amounts, base, line_base, weight, state, coupled, bend, air, line
     Args:
         y: state, shape (segments, 3).
         amounts: amounts of air of the whole robot, shape (3,).
-        base, line_base: known parts of y and of the amount of air in the line.
+        line_base: known part of the amount of air in the line, J.
         weight: γ h, s.
         state: valve states, shape (segments, 2).
         coupled: see module docstring.
-        bend: actual bends, shape (segments,), rad.
         air: the plumbing.
-        linear: work array, shape (segments, 3, 2): corrections without a change of the line, and their slopes
-            by its pressure.
-        terms: work array, shape (segments, 2, 5), quantities of the chambers for the back substitution.
+        work: the known part `base` of y; ẏ; actual bends, shape (segments,), rad; corrections without a
+            change of the line and their slopes by its pressure, shape (segments, 3, 2); and quantities of the
+            chambers for the back substitution, shape (segments, 2, 5).
     """
+    base, _, bend, linear, terms = work
     line = amounts[0] / air.line_volume if air.limited else air.supply
     supply, closing = supply_flow(line, air)
     line_residual = amounts[0] - line_base - weight * supply
@@ -223,7 +223,7 @@ def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _step(y, amounts, h, begun, state, coupled, actual, air, work):  # type: ignore[no-untyped-def]  # noqa: D417
+def _step(y, amounts, h, begun, state, motion, air, work):  # type: ignore[no-untyped-def]
     """Advance y and amounts in place by one step of SDIRK2.
 
     Args:
@@ -232,14 +232,15 @@ def _step(y, amounts, h, begun, state, coupled, actual, air, work):  # type: ign
         h: length of the step, s.
         begun: time at its beginning, s.
         state: valve states, shape (segments, 2).
-        coupled, actual: see module docstring.
+        motion: see module docstring.
         air: the plumbing.
-        work: work arrays; on return the second one holds ẏ at the end of the step.
+        work: arrays as in `_newton`; on return the second one holds ẏ at the end of the step.
 
     Returns:
         Flow from the supply and total inflow at the end, J/s.
     """
-    base, dy, bend, linear, terms = work
+    base, dy, bend, _, _ = work
+    coupled, actual = motion
     for j in range(y.shape[0]):
         for k in range(3):
             base[j, k] = y[j, k]
@@ -252,8 +253,7 @@ def _step(y, amounts, h, begun, state, coupled, actual, air, work):  # type: ign
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         _extrapolate_bends(bend, actual, begun + (GAMMA if stage == 0 else 1.0) * h)
         for _ in range(_MAX_NEWTON):
-            size = _newton(y, amounts, base, line_base, GAMMA * h, state, coupled, bend, air, linear, terms)
-            if size < _NEWTON_TOLERANCE:
+            if _newton(y, amounts, line_base, GAMMA * h, state, coupled, air, work) < _NEWTON_TOLERANCE:
                 break
         drawn, inflow, outflow = _rates(y, amounts[0], state, coupled, bend, air, dy)
         share = h * (1 - GAMMA if stage == 0 else GAMMA)
@@ -263,24 +263,24 @@ def _step(y, amounts, h, begun, state, coupled, actual, air, work):  # type: ign
 
 
 @allocating
-def simulate(y, amounts, schedule, times, substep, coupled, actual, air, end, trace):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Advance y and amounts in place over a schedule; fill `end`, and a trace at `times`.
+def simulate(start, schedule, times, substep, motion, air, end, trace):  # type: ignore[no-untyped-def]
+    """Advance a state in place over a schedule; fill `end`, and a trace at `times`.
 
     Args:
-        y: state, shape (segments, 3).
-        amounts: shape (3,).
+        start: y, shape (segments, 3), and amounts, shape (3,).
         schedule: effective valve states.
         times: ascending, shape (times,), s.
         substep: longest step, s.
-        coupled, actual: see module docstring.
+        motion: see module docstring.
         air: the plumbing.
         end: out, at the end: gauge pressures, shape (segments, 2), Pa, and free bends, shape (segments,),
             rad.
         trace: out; its air is the amount drawn, J.
     """
-    span, starts, states = schedule
+    (y, amounts), (span, starts, states) = start, schedule
     segments = y.shape[0]
     pressure, free = end
+    coupled, actual = motion
     base, dy, bend = np.empty_like(y), np.empty_like(y), np.empty(segments)
     work = base, dy, bend, np.empty((segments, 3, 2)), np.empty((segments, 2, 5))
     begin, slope, at_begin = np.empty_like(y), np.empty_like(y), np.empty(5)
@@ -301,7 +301,7 @@ def simulate(y, amounts, schedule, times, substep, coupled, actual, air, end, tr
             for i in range(3):
                 at_begin[i] = amounts[i]
             at_begin[3], at_begin[4] = at_end[3], at_end[4]
-            at_end[3], at_end[4] = _step(y, amounts, h, begun, states[run], coupled, actual, air, work)
+            at_end[3], at_end[4] = _step(y, amounts, h, begun, states[run], motion, air, work)
             for i in range(3):
                 at_end[i] = amounts[i]
             until = row
@@ -309,7 +309,7 @@ def simulate(y, amounts, schedule, times, substep, coupled, actual, air, end, tr
                 until += 1
             if until > row:
                 ends = (begin, slope, at_begin), (y, dy, at_end)
-                _fill_rows(times, row, until, begun, h, ends, states[run], coupled, actual, air, trace)
+                _fill_rows(times, (row, until), (begun, h), ends, states[run], motion, air, trace)
                 row = until
     for j in range(segments):
         free[j] = air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
@@ -320,15 +320,16 @@ def simulate(y, amounts, schedule, times, substep, coupled, actual, air, end, tr
 
 
 @allocating
-def _fill_rows(times, first_row, until, begun, h, ends, state, coupled, actual, air, trace):  # type: ignore[no-untyped-def]
+def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ignore[no-untyped-def]
     """Fill rows of a trace within a step from the cubic Hermite polynomials through both ends of the step.
 
-    Each of `ends` has y, ẏ, and an array (5,) of the amounts, the flow from the supply and the total inflow.
+    The step is its beginning and its length, s. Each of `ends` has y, ẏ, and an array (5,) of the amounts,
+    the flow from the supply and the total inflow.
     """
-    (y0, dy0, at0), (y1, dy1, at1) = ends
+    (begun, h), (coupled, actual), (y0, dy0, at0), (y1, dy1, at1) = step, motion, ends[0], ends[1]
     segments = y0.shape[0]
     y, dy, bend = np.empty_like(y0), np.empty_like(y0), np.empty(segments)
-    for row in range(first_row, until):
+    for row in range(rows[0], rows[1]):
         x = min(1.0, max(0.0, (times[row] - begun) / h))
         first, second = x * (1 - x) ** 2 * h, -(x * x) * (1 - x) * h
         blend = x * x * (3 - 2 * x)

@@ -44,20 +44,6 @@ class SpatialLagPneumatics(LagChambers):
         check_supply(supply_pa, self._max_supply)
         self._supply = supply_pa
 
-    def rest_trace(self) -> Trace:
-        """See `Pneumatics.rest_trace`."""
-        trace = self._empty_trace(1)
-        trace.pressure[0], trace.bend[0], trace.valves[0] = self.pressure, self.bend, self.valves
-        trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
-        trace.air[:] = self.air
-        return trace
-
-    def _empty_trace(self, times: int) -> Trace:
-        """Return an uninitialised trace."""
-        chambers, bends = (times, *self.pressure.shape), (times, self._segments, 2)
-        q, dq, ddq = (np.empty(bends) for _ in range(3))
-        return Trace(np.empty(chambers), q, dq, ddq, np.empty(chambers, dtype=np.int8), np.empty(times))
-
     def _simulate(
         self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
     ) -> Trace:
