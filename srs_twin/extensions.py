@@ -28,7 +28,6 @@ COMMANDS = {
 """Commands: functions, or typer applications with subcommands."""
 
 CONTROLLERS = {
-    "compliant_gait": "srs_twin.scenario.compliant_gait:CompliantGaitFile",
     "replay": "srs_twin.recordings.takes:ReplayFile",
     "follow": "srs_twin.planning.follow_file:FollowFile",
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 from itertools import chain
 
 import numpy as np
@@ -19,6 +19,7 @@ from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
+from srs_twin.scenario.fields import Contradiction, Loading
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
 
@@ -29,31 +30,38 @@ kPa."""
 
 def check(document: Document, file: ScenarioFile) -> None:
     """Report contradictions between the sections of a file that do not depend on the robot."""
-    _check_times(document, file)
-    for loc, text in file.start.contradictions():
-        document.report(("start", *loc), text, at_key=True)
-    if file.bench:
-        _check_bench(document, file)
-    _check_floor(document, file)
-    _check_expectations(document, file)
-    _check_gap_factor(document, file)
-    _check_world(document, file)
+    start = ((("start", *loc), text, True) for loc, text in file.start.contradictions())
     sections = [section.contradictions_with(file) for section in file.sections().values()]
-    for loc, text, at_key in chain(file.controller.contradictions_with(file), *sections):
+    own = (
+        _times(file),
+        start,
+        _bench(file),
+        _floor(file),
+        _expectations(file),
+        _gap_factor(file),
+        _world(file),
+    )
+    _report(document, chain(*own, file.controller.contradictions_with(file), *sections))
+
+
+def _report(document: Document, contradictions: Iterable[Contradiction]) -> None:
+    for loc, text, at_key in contradictions:
         document.report(loc, text, at_key=at_key)
 
 
-def _check_floor(document: Document, file: ScenarioFile) -> None:
-    """Report floors that a plant does not support."""
+def _floor(file: ScenarioFile) -> Iterator[Contradiction]:
+    """Yield floors that a plant does not support."""
     world, plants = file.world, file.plants
     if world.steps and plants.analytical is not None:
-        document.report(
-            ("world", "steps"), "the floor of the analytical model is a plane; only the twin has steps"
+        yield (
+            ("world", "steps"),
+            "the floor of the analytical model is a plane; only the twin has steps",
+            False,
         )
-    uneven = "steps" if world.steps else "floor"
     preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
     if preloaded and (world.steps or world.floor.tilt_deg):
-        document.report(("world", uneven), "a twin on this floor needs contact: loaded (plants.twin)")
+        uneven = "steps" if world.steps else "floor"
+        yield ("world", uneven), "a twin on this floor needs contact: loaded (plants.twin)", False
 
 
 def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
@@ -81,28 +89,8 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     return []
 
 
-def check_start_among_pegs(document: Document, file: ScenarioFile, spec: RobotSpec, world: World) -> None:
-    """Report the first peg that overlaps the straight snake at its start."""
-    if not file.world.pegs:
-        return
-    start, geometry = file.start.build(), spec.geometry
-    c, s = math.cos(start.heading), math.sin(start.heading)
-    stations = geometry.pitch * np.arange(geometry.connectors)
-    ahead = float(spec.mass.array() @ stations) / spec.mass.total
-    for k, peg in enumerate(world.obstacles, start=1):
-        x, y = peg.x - start.x, peg.y - start.y
-        along = c * x + s * y
-        outside = along - min(max(along, ahead - geometry.body_length), ahead)
-        if math.hypot(outside, c * y - s * x) < peg.radius + geometry.width / 2:
-            text = (
-                f"obstacle {k} at ({peg.x:.4g}, {peg.y:.4g}) m overlaps the snake at its start; move the pegs"
-            )
-            document.report(("world", "pegs"), text)
-            return
-
-
-def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
-    """Report faults, sensors and time steps that the robot does not allow."""
+def check_robot(document: Document, file: ScenarioFile, robot: RobotFile, world: World) -> None:
+    """Report faults, sensors, time steps and positions that the robot does not allow."""
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
@@ -110,121 +98,131 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
             document.report(("faults", k, "segment"), text)
     with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
-    # The integrator needs time steps shorter than the damping times of the segments (`mjcf.robot_mjcf`).
-    _check_contact(document, file, robot)
-    if robot.has_servos and file.pneumatics.kind != "lag":
-        document.report(("pneumatics", "kind"), f"{robot.name} has servos, which respond like lag; use lag")
+    spatial = _spatial(file, robot) if robot.is_spatial else _planar(file, robot)
+    _report(document, chain(spatial, _contact(file, robot), _servos(file, robot), _timestep(file, robot)))
+    _report(document, _first_peg(file, robot.spec(file.seed), world))
+
+
+def _first_peg(file: ScenarioFile, spec: RobotSpec, world: World) -> Iterator[Contradiction]:
+    """Yield the first peg that overlaps the straight snake at its start."""
+    start, geometry = file.start.build(), spec.geometry
+    c, s = math.cos(start.heading), math.sin(start.heading)
+    stations = geometry.pitch * np.arange(geometry.connectors)
+    ahead = float(spec.mass.array() @ stations) / spec.mass.total
+    for k, peg in enumerate(world.obstacles if file.world.pegs else (), start=1):
+        x, y = peg.x - start.x, peg.y - start.y
+        along = c * x + s * y
+        outside = along - min(max(along, ahead - geometry.body_length), ahead)
+        if math.hypot(outside, c * y - s * x) < peg.radius + geometry.width / 2:
+            place = f"({peg.x:.4g}, {peg.y:.4g}) m"
+            text = f"obstacle {k} at {place} overlaps the snake at its start; move the pegs"
+            yield ("world", "pegs"), text, False
+            return
+
+
+def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
+    """Yield a time step that is too long for the integrator: not below the damping times of the segments."""
     bending, twin = robot.spec().bending, file.plants.twin
     shortest = min(bending.damping_time, bending.out_of_plane_damping_time)
     if twin is not None and not twin.timestep_s < shortest:
-        document.report(
-            ("plants", "twin", "timestep_s"),
-            f"{twin.timestep_s:g} s is too long: it must be below the shortest damping time of the robot, "
-            f"{shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)",
-        )
+        text = f"{twin.timestep_s:g} s is too long: it must be below the shortest damping time of the robot, "
+        text += f"{shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)"
+        yield ("plants", "twin", "timestep_s"), text, False
 
 
-def _check_contact(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
-    """Report options of the plants that the robot's kind of contact does not have."""
-    model, twin = file.plants.analytical, file.plants.twin
-    if robot.is_spatial:
-        _check_spatial(document, file, robot)
-    elif model and model.model == "quasistatic":
+def _servos(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
+    """Yield chambers other than lag for a robot with servos."""
+    if robot.has_servos and file.pneumatics.kind != "lag":
+        text = f"{robot.name} has servos, which respond like lag; use lag"
+        yield ("pneumatics", "kind"), text, False
+
+
+def _planar(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
+    """Yield a model that does not support a robot whose segments bend in one plane."""
+    if file.plants.analytical and file.plants.analytical.model == "quasistatic":
         text = f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
-        document.report(("plants", "analytical", "model"), text)
+        yield ("plants", "analytical", "model"), text, False
+
+
+def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
+    """Yield options of the plants that the robot's kind of contact does not have."""
+    model, twin = file.plants.analytical, file.plants.twin
     if not robot.has_skin:
         if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
             text = f"friction {model.friction} acts at one point per connector; momentary loads need two"
-            document.report(("plants", "analytical"), text)
+            yield ("plants", "analytical"), text, False
         return
     for kind, plant in file.plants.running.items():
         for key in plant.wheel_keys:
             if key in plant.model_fields_set:
-                text = (
-                    f"{robot.name} has a skin with its own friction law (robot: contact.law); remove this key"
-                )
-                document.report(("plants", kind, key), text, at_key=True)
+                law = "has a skin with its own friction law (robot: contact.law)"
+                yield ("plants", kind, key), f"{robot.name} {law}; remove this key", True
     if twin and twin.contact == "preloaded":
-        document.report(("plants", "twin", "contact"), "a robot with skin needs contact: loaded")
+        yield ("plants", "twin", "contact"), "a robot with skin needs contact: loaded", False
     if model and model.model == "simplified":
         text = "a body with skin has no frozen chords; use complete or compliant"
-        document.report(("plants", "analytical", "model"), text)
+        yield ("plants", "analytical", "model"), text, False
     if model and model.inertia == "lumped":
         text = "the mass of a body with skin is along its length; use point or connector"
-        document.report(("plants", "analytical", "inertia"), text)
+        yield ("plants", "analytical", "inertia"), text, False
 
 
-def _check_spatial(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
-    """Report sections that do not support a robot whose segments bend in two directions."""
+def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
+    """Yield sections that do not support a robot whose segments bend in two directions."""
     model, world = file.plants.analytical, file.world
     if model is not None and model.model != "quasistatic":
         text = f"{robot.name} is spatial; only model: quasistatic bends in two directions"
-        document.report(("plants", "analytical"), text, at_key=True)
+        yield ("plants", "analytical"), text, True
     if file.start.moves:
         text = f"{robot.name} is spatial and starts straight and at rest; set its pose only"
-        document.report(("start",), text, at_key=True)
-    if (
-        world.steps
-        or world.floor.tilt_deg
-        or world.objects
-        or world.obstacles
-        or world.polygons
-        or world.random
-    ):
+        yield ("start",), text, True
+    things = (world.steps, world.floor.tilt_deg, world.objects, world.obstacles, world.polygons, world.random)
+    if any(things):
         text = f"{robot.name} is spatial and crawls on a level floor without obstacles"
-        document.report(("world",), text, at_key=True)
+        yield ("world",), text, True
     if file.pneumatics.kind != "lag":
-        document.report(("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag")
+        yield ("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag", False
 
 
-def check_controller(
-    document: Document, file: ScenarioFile, robot: RobotFile, supply_pa: float, products: Mapping[str, object]
-) -> tuple[str, list[str]]:
-    """Return the layout of the valves and warnings; report why a controller does not suit the scenario."""
-    spec, controller = robot.spec(), file.controller
-    limit = largest_bend(spec, supply_pa)
-    warnings: list[str] = []
+def check_controller(file: ScenarioFile, loading: Loading) -> None:
+    """Set the layout of the valves, and report why a controller does not suit the scenario."""
+    document, spec, controller = loading.document, loading.robot.spec(), file.controller
     try:
-        warnings = list(controller.warnings(limit))
+        loading.warnings += list(controller.warnings(largest_bend(spec, loading.supply_pa)))
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
     if spec.is_spatial and controller.kind != Gait.kind:
         document.report(
             ("controller", "kind"), f"{spec.name} is spatial; only {Gait.kind} drives its chambers"
         )
-    possible = controller.layouts(products)
-    layout = file.valves.layout or possible[0]
+    possible = controller.layouts(loading.products)
+    loading.layout = layout = file.valves.layout or possible[0]
     if layout not in possible:
         reason = "3/2 valves cannot hold" if layout == "3/2" else "it does not hold valves"
         text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}; {reason}"
         document.report(("valves", "layout"), text)
     with document.report_errors("pneumatics"):
-        _check_coupling_step(document, file, file.pneumatics.chambers(spec, supply_pa, layout))
+        chambers = file.pneumatics.chambers(spec, loading.supply_pa, layout)
+        _report(document, _coupling_step(file, chambers))
     for kind in file.plants.running:
         try:
             controller.check(spec, file.tick(kind))
         except InputError as error:
             document.report(("controller",), f"on the {kind} plant: {error}")
-    return layout, warnings
 
 
-def _check_coupling_step(document: Document, file: ScenarioFile, chambers: Pneumatics) -> None:
-    """Report a time step that is too long for chambers whose pressure depends on the bends."""
-    twin = file.plants.twin
-    if (
-        twin is not None
-        and chambers.depends_on_bend
-        and twin.timestep_s > chambers.coupling_step_s * (1 + 1e-9)
-    ):
-        document.report(
-            ("plants", "twin", "timestep_s"),
+def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contradiction]:
+    """Yield a time step that is too long for chambers whose pressure depends on the bends."""
+    twin, longest = file.plants.twin, chambers.coupling_step_s * (1 + 1e-9)
+    if twin is not None and chambers.depends_on_bend and twin.timestep_s > longest:
+        text = (
             f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on the bends; it must be "
-            f"at most {chambers.coupling_step_s:g} s",
         )
+        yield ("plants", "twin", "timestep_s"), f"{text}at most {chambers.coupling_step_s:g} s", False
 
 
-def _check_times(document: Document, file: ScenarioFile) -> None:
-    """Report ticks, durations and recording rates that are not multiples of each other."""
+def _times(file: ScenarioFile) -> Iterator[Contradiction]:
+    """Yield ticks, durations and recording rates that are not multiples of each other."""
     for kind, plant in file.plants.running.items():
         tick, interval = file.tick(kind), 1 / file.record_hz
         tick_name = f"the {kind} plant's tick"
@@ -242,8 +240,11 @@ def _check_times(document: Document, file: ScenarioFile) -> None:
                 if isinstance(plant, TwinFile):
                     count_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
         except TimeStepError as error:
-            text = str(error) if key != ("record_hz",) else f"{error.problem}; {_rate_remedy(file)}"
-            document.report(key, text)
+            yield (
+                key,
+                str(error) if key != ("record_hz",) else f"{error.problem}; {_rate_remedy(file)}",
+                False,
+            )
 
 
 def _rate_remedy(file: ScenarioFile) -> str:
@@ -258,61 +259,60 @@ def _rate_remedy(file: ScenarioFile) -> str:
     )
 
 
-def _check_bench(document: Document, file: ScenarioFile) -> None:
-    """Report keys that have no meaning on a bench, where the module is clamped at its head."""
+def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
+    """Yield keys that have no meaning on a bench, where the module is clamped at its head."""
+    if not file.bench:
+        return
     if "start" in file.model_fields_set:
-        text = "a module on a bench starts at its clamp; remove start or bench"
-        document.report(("start",), text, at_key=True)
+        yield ("start",), "a module on a bench starts at its clamp; remove start or bench", True
     for kind, plant in file.plants.running.items():
         for key in plant.floor_keys:
             if key in plant.model_fields_set:
                 text = "there is no floor on a bench; remove this key, or bench: true"
-                document.report(("plants", kind, key), text, at_key=True)
+                yield ("plants", kind, key), text, True
     if file.plants.analytical and file.plants.analytical.model == "compliant":
         text = "compliant needs a free snake; on a bench use complete, which has the bends of a free module"
-        document.report(("plants", "analytical", "model"), text)
+        yield ("plants", "analytical", "model"), text, False
 
 
-def _check_world(document: Document, file: ScenarioFile) -> None:
-    """Report random obstacles without an area, and pegs and objects that a plant does not support."""
-    random, bounds = file.world.random, file.world.bounds
-    if random and random.kind == "strewn" and not (random.area or bounds):
-        document.report(("world", "random"), "strewn needs an area; set area, or bounds of the world")
-    plants = file.plants
-    if file.world.pegs and plants.analytical and not plants.analytical.touch:
+def _world(file: ScenarioFile) -> Iterator[Contradiction]:
+    """Yield random obstacles without an area, and pegs and objects that a plant does not support."""
+    world, plants = file.world, file.plants
+    if world.random and world.random.kind == "strewn" and not (world.random.area or world.bounds):
+        yield ("world", "random"), "strewn needs an area; set area, or bounds of the world", False
+    if world.pegs and plants.analytical and not plants.analytical.touch:
         text = "pegs need an analytical plant that touches them; set model: compliant and touch: true"
-        document.report(("plants", "analytical"), text)
-    if not file.world.objects:
-        return
-    if plants.analytical is not None:
+        yield ("plants", "analytical"), text, False
+    if world.objects and plants.analytical is not None:
         text = (
             "the analytical plant has no movable objects; only the twin does: remove analytical from plants"
         )
-        document.report(("world", "objects"), text)
-    if file.bench or file.world.steps or (plants.twin and plants.twin.contact == "preloaded"):
+        yield ("world", "objects"), text, False
+    preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
+    if world.objects and (file.bench or world.steps or preloaded):
         text = "objects need a free snake on a plane floor and contact: loaded (plants.twin)"
-        document.report(("world", "objects"), text)
+        yield ("world", "objects"), text, False
 
 
-def _check_expectations(document: Document, file: ScenarioFile) -> None:
-    """Report expectations of plants or data that the scenario does not have."""
+def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
+    """Yield expectations of plants or data that the scenario does not have."""
     measured = any(section.measures for section in file.sections().values())
     for i, item in enumerate(file.expect):
         if item.metric in MEASURED_UNITS and not measured:
-            document.report(("expect", i, "metric"), f"{item.metric} needs the section recording")
+            yield ("expect", i, "metric"), f"{item.metric} needs the section recording", False
         if item.plant and item.plant not in file.plants.running:
-            document.report(("expect", i, "plant"), f"{item.plant} does not run here; add it to plants")
+            yield ("expect", i, "plant"), f"{item.plant} does not run here; add it to plants", False
         if item.of and len(file.plants.running) < 2:
-            document.report(("expect", i, "of"), "a comparison needs both plants; add the other to plants")
+            yield ("expect", i, "of"), "a comparison needs both plants; add the other to plants", False
 
 
-def _check_gap_factor(document: Document, file: ScenarioFile) -> None:
-    """Report a gap factor without both plants, or for an analytical model that already has rigid gaps."""
+def _gap_factor(file: ScenarioFile) -> Iterator[Contradiction]:
+    """Yield a gap factor without both plants, or for an analytical model that already has rigid gaps."""
     analytical, twin, key = file.plants.analytical, file.plants.twin, ("comparison", "gap_factor")
     if not file.comparison.gap_factor:
         return
     if analytical is None or twin is None:
-        document.report(key, "a comparison needs both plants; add the other to plants")
+        yield key, "a comparison needs both plants; add the other to plants", False
     elif analytical.gaps:
         text = "the analytical plant already has gaps in its geometry; set plants.analytical.gaps: false"
-        document.report(key, text)
+        yield key, text, False

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from srs_twin.control.base import Controller
+from srs_twin.control.compliant_gait import SMALLEST_AMPLITUDE, CompliantGait, check_robot, layouts_of
 from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
 from srs_twin.control.gait import Gait, PitchWave
 from srs_twin.control.grasp import Grasp, check_hold, check_release
@@ -27,7 +28,6 @@ _RIGHT_ANGLE = math.pi / 2
 
 _FREQUENCY = quantity(0.01, 50.0)
 _PHASE = quantity(-6.3, 6.3)
-_PHASE_STEP = quantity(-6.3, 6.3)
 _Phases = Annotated[list[Annotated[float, Field(ge=-6.3, le=6.3)]], Field(max_length=200)]
 _CARRIER = quantity(1.0, 1000.0)
 _SLOPE = quantity(0.001, 1000.0)
@@ -135,7 +135,7 @@ class GaitFile(ControllerSection):
     """Steering offset, positive to the left."""
     phase_rad: float = _PHASE
     """Phase at the start."""
-    phase_step_rad: float | None = _PHASE_STEP
+    phase_step_rad: float | None = _PHASE
     """Lag of each segment behind the one before it (default: the robot's)."""
     phases_rad: _Phases | None = constructor_default()
     """Additional lag of each segment, one value per segment (default: none)."""
@@ -147,13 +147,12 @@ class GaitFile(ControllerSection):
 
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
-        pitch = PitchWave(**self.pitch.arguments()) if self.pitch else None
-        return Gait(**self.arguments() | {"pitch": pitch})
+        return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
         """See `ControllerSection.check`: a pitch wave needs a spatial robot."""
         if self.pitch is not None:
-            PitchWave(**self.pitch.arguments()).check(spec)
+            self.pitch.build().check(spec)
 
 
 class LearningFile(ControllerSection):
@@ -186,7 +185,7 @@ class LearningFile(ControllerSection):
     chambers on the inner side of the turn for longer."""
     phase_rad: float = _PHASE
     """Phase at the start."""
-    phase_step_rad: float | None = _PHASE_STEP
+    phase_step_rad: float | None = _PHASE
     """Lag of each segment behind the one before it (default: the robot's)."""
 
     @model_validator(mode="after")
@@ -214,14 +213,12 @@ class LearningFile(ControllerSection):
 class ConstantFile(Section):
     """Constant bend."""
 
+    constructors = (Constant,)
+
     kind: Literal["constant"]
     """Shape of the reference."""
     bend_rad: float = quantity(-_RIGHT_ANGLE, _RIGHT_ANGLE)
     """Bend."""
-
-    def build(self) -> Reference:
-        """Return the reference."""
-        return Constant(self.bend_rad)
 
 
 class StepFile(Section):
@@ -237,10 +234,6 @@ class StepFile(Section):
     """Bend before the step."""
     time_s: float = quantity(0.0, 3600.0)
     """Time of the step."""
-
-    def build(self) -> Reference:
-        """Return the reference."""
-        return Step(self.bend_rad, self.before_rad, self.time_s)
 
 
 class _PeriodicFile(Section):
@@ -277,16 +270,14 @@ class SquareFile(_PeriodicFile):
 class StaircaseFile(Section):
     """Sequence of bends, each held for the same time; the last one is kept."""
 
+    constructors = (Staircase,)
+
     kind: Literal["staircase"]
     """Shape of the reference."""
     bends_rad: Annotated[tuple[Bend, ...], Field(min_length=1, max_length=1000)]
     """Bends, rad."""
     hold_s: float = quantity(0.001, 3600.0)
     """Duration of each bend."""
-
-    def build(self) -> Reference:
-        """Return the reference."""
-        return Staircase(self.bends_rad, self.hold_s)
 
 
 ReferenceFile = Annotated[
@@ -400,7 +391,7 @@ class GraspFile(ControllerSection):
     """Time of the release after the start of the drag (default: never)."""
     drag_m: float | None = quantity(0.001, 1000.0)
     """Distance of the drag after which the object is released (sensed; default: any)."""
-    phase_step_rad: float | None = _PHASE_STEP
+    phase_step_rad: float | None = _PHASE
     """Lag of each segment behind the one before it (default: the robot's)."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
@@ -409,5 +400,43 @@ class GraspFile(ControllerSection):
         check_release(self.mode, self.drag_m)
 
 
-CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile)
+class CompliantGaitFile(ControllerSection):
+    """Lateral undulation that yields to contact."""
+
+    constructors = (CompliantGait,)
+
+    kind: Literal["compliant_gait"]
+    """Controller."""
+    frequency_hz: float = _FREQUENCY
+    """Gait frequency."""
+    offset: float = quantity(-0.95, 0.95)
+    """Steering offset, positive to the left."""
+    response: Literal["amplitude", "wave_number", "hold", "vent"] = constructor_default()
+    """Reaction to contact: an admittance on the amplitude or on the lag per segment; or blocked segments hold
+    their air or vent."""
+    gain: float = quantity(-10.0, 10.0)
+    """Gain of the admittance; above 0 the wave yields, below 0 it pushes harder."""
+    time_s: float = quantity(0.001, 100.0)
+    """Time constant of the admittance."""
+    amplitude: float = quantity(SMALLEST_AMPLITUDE, 1.0)
+    """Nominal amplitude of the wave relative to that of full pressure."""
+    threshold_rad: float = quantity(0.01, 3.0)
+    """Lag of a bend behind its free bend above which the segment is blocked (hold, vent)."""
+    phase_rad: float = _PHASE
+    """Phase at the start."""
+    phase_step_rad: float | None = _PHASE
+    """Lag of each segment behind the one before it (default: the robot's)."""
+
+    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
+        """See `ControllerSection.layouts`."""
+        return layouts_of(self.response)
+
+    def check(self, spec: RobotSpec, tick: float) -> None:
+        """See `ControllerSection.check`: two or more segments that bend in one plane."""
+        check_robot(spec)
+
+
+CORE_CONTROLLERS = (
+    GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile, CompliantGaitFile
+)  # fmt: skip
 """Controller sections of the core."""

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from srs_twin.extensions import SECTIONS, load, objects
-from srs_twin.io.documents import Document
+from srs_twin.io.documents import Document, Loc
 from srs_twin.io.validation import StrictModel, attribute_docstrings
 from srs_twin.robot.sourced import from_si, split_unit, to_si
 
@@ -150,7 +150,7 @@ class Section(StrictModel):
         return self.model_copy(update={key: from_si(key, p.default) for key, p in missing.items() if p})
 
 
-Contradiction = tuple[tuple[str, ...], str, bool]
+Contradiction = tuple[Loc, str, bool]
 """Path in the file, message, and whether the message refers to the key instead of its value."""
 
 
@@ -185,6 +185,9 @@ class Loading:
         world: obstacles, bounds and goal.
         products: products so far, by section.
         warnings: warnings for the user.
+        supply_pa: supply pressure, gauge, Pa.
+        layout: layout of the valves.
+        begin: initial state of the plants, a `start.InitialState`; None: straight and at rest.
     """
 
     document: Document
@@ -193,6 +196,9 @@ class Loading:
     world: World
     products: dict[str, Any] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
+    supply_pa: float = 0.0
+    layout: str = ""
+    begin: Any = None
 
 
 class ExtensionSection(Section):

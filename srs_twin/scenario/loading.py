@@ -11,7 +11,7 @@ import copy
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ from srs_twin.scenario.checks import (
     check,
     check_controller,
     check_robot,
-    check_start_among_pegs,
     check_supply_pressure,
 )
 from srs_twin.scenario.fields import Loading
@@ -34,7 +33,6 @@ from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.scenario.start import InitialState
 
 
 def load_scenario(
@@ -77,12 +75,14 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     unmodified = copy.deepcopy(document.data) if changes else None
     for change in changes:
         _set(document, change)
-    file, robot, world, components, warnings = _checked(document)
+    file, loading = _checked(document)
+    robot, world = loading.robot, loading.world
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
-        warnings.append("world: goal and bounds have no effect; only a controller of kind: follow uses them")
-    resolved = _resolved(file, robot, file.name or name, components.layout, components.products)
-    before = _resolved_or_raw(unmodified, components.products) if changes else resolved
+        text = "world: goal and bounds have no effect; only a controller of kind: follow uses them"
+        loading.warnings.append(text)
+    resolved = _resolved(file, robot, file.name or name, loading.layout, loading.products)
+    before = _resolved_or_raw(unmodified, loading.products) if changes else resolved
     if changed := changed_fields(
         before, resolved, [change.loc for change in changes], document.get("changes") or ()
     ):
@@ -97,23 +97,20 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         duration=file.duration_s,
         seed=file.seed,
         record_hz=file.record_hz,
-        supply_pa=components.supply_pa,
+        supply_pa=loading.supply_pa,
         pose=(pose.x, pose.y, pose.heading),
-        begin=components.begin,
+        begin=loading.begin,
         world=world,
         file=file,
         document=resolved,
-        warnings=tuple(warnings),
-        products=components.products,
+        warnings=tuple(loading.warnings),
+        products=loading.products,
         source=document.name,
     )
 
 
-def _checked(document: Document) -> tuple[ScenarioFile, RobotFile, World, _Components, list[str]]:
+def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
     """Validate a document and build what its checks need; all problems are raised together.
-
-    Returns:
-        Validated sections, robot, world, components, and warnings.
 
     Raises:
         InputFileError: all problems of the document.
@@ -125,58 +122,37 @@ def _checked(document: Document) -> tuple[ScenarioFile, RobotFile, World, _Compo
         warnings += [
             f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
         ]
-    world = World()
     if file and robot:
         file = file.scaled_to(robot.scale)
+    world, loading = World(), None
     if file:
         with document.report_errors("world", "pegs" if file.world.pegs else "random"):
             length = robot.scale.length if robot else 1.0
             world = file.world.build_world(file.start.build(), file.seed, length)
         check(document, file)
-    components = _Components()
     if file and robot:
-        check_robot(document, file, robot)
-        check_start_among_pegs(document, file, robot.spec(file.seed), world)
-        components = _build_components(Loading(document, file, robot, world, {}, warnings), file)
+        check_robot(document, file, robot, world)
+        loading = Loading(document, file, robot, world, warnings=warnings)
+        _build_parts(file, loading)
     document.raise_problems(robot_problems)
-    assert file is not None and robot is not None, "no problem was reported"
-    return file, robot, world, components, warnings
+    assert file is not None and loading is not None, "no problem was reported"
+    return file, loading
 
 
-@dataclass
-class _Components:
-    """Components of a scenario that depend on the robot.
-
-    Attributes:
-        supply_pa: supply pressure, gauge, Pa.
-        layout: layout of the valves.
-        begin: initial state of the plants; None: straight and at rest.
-        products: products of the extension sections by section.
-    """
-
-    supply_pa: float = 0.0
-    layout: str = ""
-    begin: InitialState | None = None
-    products: dict[str, Any] = field(default_factory=dict)
-
-
-def _build_components(loading: Loading, file: ScenarioFile) -> _Components:
-    """Return the components of a scenario and check them; problems are reported to the document."""
+def _build_parts(file: ScenarioFile, loading: Loading) -> None:
+    """Build the parts that depend on the robot and check them; problems are reported to the document."""
     document, robot, products = loading.document, loading.robot, loading.products
-    components = _Components(products=products)
     # Check the controller last, because it needs the products of all sections.
     products |= {key: section.read(loading) for key, section in file.sections().items()}
     if file.controller.is_ready(products):
-        components.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
-        components.layout, warnings = check_controller(document, file, robot, components.supply_pa, products)
-        loading.warnings += warnings
+        loading.supply_pa = supply_kpa(file, robot) * PA_PER_KPA
+        check_controller(file, loading)
     if not document.problems:
         with document.report_errors("start"):
             segments = robot.spec(file.seed).segments
-            components.begin = file.start.initial_state(segments, components.supply_pa, file.plants.running)
+            loading.begin = file.start.initial_state(segments, loading.supply_pa, file.plants.running)
     for key, section in file.sections().items():
         products[key] = products[key] or section.prepare(loading)
-    return components
 
 
 def _set(document: Document, change: Override) -> None:

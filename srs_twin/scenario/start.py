@@ -166,11 +166,8 @@ class InitialState:
         moving = self.states[plant.name]
         x, y = map(float, moving.com)
         resting = plant.reset(pose=(x, y, moving.heading), seed=seed)
-        snake = replace(
-            resting, com=moving.com, com_velocity=moving.com_velocity, heading=moving.heading,
-            bend=moving.bend, bend_rate=moving.bend_rate, pressure=moving.pressure,
-        )  # fmt: skip
-        return plant.place(snake, yaw_rate=moving.yaw_rate, seed=seed)
+        fields = {name: value for name, value in vars(moving).items() if name != "yaw_rate"}
+        return plant.place(replace(resting, **fields), yaw_rate=moving.yaw_rate, seed=seed)
 
 
 def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionState:
