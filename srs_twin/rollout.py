@@ -20,7 +20,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -399,16 +399,8 @@ def run_many(
         job = jobs[k]
         try:
             controller = job.controller if isinstance(job.controller, Controller) else job.controller()
-            return rollout(
-                _build_plant(job, thread_data),
-                controller,
-                job.duration,
-                pose=job.pose,
-                begin=job.begin,
-                seed=job.seed,
-                record_hz=job.record_hz,
-                progress=check_cancelled,
-            )
+            parts = {"plant": _build_plant(job, thread_data), "controller": controller}
+            return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
             return error.with_traceback(None)  # the traceback's frames would keep the plant alive
         except InputError as error:
@@ -447,11 +439,9 @@ def run_batch(
         InputError: duration, tick and record_hz are not compatible, or invalid valve commands.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
-    samples, stride = sample_counts(batch.tick, record_hz, batch.twins[0].sample_step)
-    recorders = [Recorder(twin, _PolicyController(), record_hz, duration) for twin in batch.twins]
-    resting = batch.reset(poses=poses, seed=seed)
-    for k, recorder in enumerate(recorders):
-        recorder.add(resting.at(k))
+    controllers = [_PolicyController() for _ in batch.twins]
+    recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
+    samples, stride = recorders[0].samples, recorders[0].stride
     for tick in range(1, ticks + 1):
         histories = batch.advance(policy(batch.state), samples)
         for recorder, history, error in zip(recorders, histories, batch.errors, strict=True):
@@ -462,6 +452,18 @@ def run_batch(
         if all(batch.errors):
             break
     return _finish_batch(batch, recorders)
+
+
+def _record_start(
+    batch: TwinBatch, controllers: Sequence[Controller], duration: float, record_hz: float, **start: Any
+) -> list[Recorder]:
+    """Reset a batch with the arguments `start`; return recorders that contain the initial states."""
+    pairs = zip(batch.twins, controllers, strict=True)
+    recorders = [Recorder(twin, controller, record_hz, duration) for twin, controller in pairs]
+    resting = batch.reset(**start)
+    for k, recorder in enumerate(recorders):
+        recorder.add(resting.at(k))
+    return recorders
 
 
 def _finish_batch(batch: TwinBatch, recorders: Sequence[Recorder]) -> list[Trajectory | DivergedError]:
@@ -505,7 +507,6 @@ def run_scripts(
             errors of `run_batch`.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
-    samples, stride = sample_counts(batch.tick, record_hz, batch.twins[0].sample_step)
     if len(controllers) != len(batch.twins):
         raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
     scripts = []
@@ -518,11 +519,8 @@ def run_scripts(
                 "run_scripts needs controllers with a script"
             )
         scripts.append(script)
-    pairs = zip(batch.twins, controllers, strict=True)
-    recorders = [Recorder(twin, controller, record_hz, duration) for twin, controller in pairs]
-    resting = batch.reset(poses=poses, seed=seed)
-    for k, recorder in enumerate(recorders):
-        recorder.add(resting.at(k))
+    recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
+    samples, stride = recorders[0].samples, recorders[0].stride
     recorded = ticks - ticks % stride
     chunk = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
     for done in range(0, recorded, chunk):

@@ -7,34 +7,19 @@ from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, Strip, calibrate
-from srs_twin.sensing.sensors import (
-    CurvatureSensor,
-    DeadSensor,
-    DriftedSensor,
-    FaultySensor,
-    IdealSensor,
-    Sensor,
-    TwoAxisSensor,
-)
+from srs_twin.sensing.hall import SPAN
+from srs_twin.sensing.hall import HallSensor as HallSensor
+from srs_twin.sensing.hall import Strip as Strip
+from srs_twin.sensing.hall import calibrate as calibrate
+from srs_twin.sensing.sensors import CurvatureSensor as CurvatureSensor
+from srs_twin.sensing.sensors import DeadSensor as DeadSensor
+from srs_twin.sensing.sensors import DriftedSensor as DriftedSensor
+from srs_twin.sensing.sensors import FaultySensor as FaultySensor
+from srs_twin.sensing.sensors import IdealSensor as IdealSensor
+from srs_twin.sensing.sensors import Sensor as Sensor
+from srs_twin.sensing.sensors import TwoAxisSensor as TwoAxisSensor
 
 KINDS = (IdealSensor.kind, CurvatureSensor.kind)
-
-__all__ = [
-    "KINDS",
-    "Calibration",
-    "CurvatureSensor",
-    "DeadSensor",
-    "DriftedSensor",
-    "FaultySensor",
-    "HallSensor",
-    "IdealSensor",
-    "Sensor",
-    "Strip",
-    "TwoAxisSensor",
-    "calibrate",
-    "make_sensor",
-]
 
 _STRIP_OPTIONS = {field.name for field in fields(Strip)} - {"segment_length"}
 _HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
