@@ -14,10 +14,10 @@ from scipy.stats import qmc
 
 from srs_twin import Gait, rollout
 from srs_twin.errors import DivergedError
+from srs_twin.identification.priors import Priors
 from srs_twin.io.validation import StrictModel
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.file import RobotFile
-from srs_twin.robot.priors import Priors
 
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "calibration" / "robots" / "others"

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from srs_twin.studies.uncertainty.spreads import predicted, sampling_errors
 
+from srs_twin.identification.priors import Priors
 from srs_twin.robot.file import RobotFile
-from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
 from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, propagate

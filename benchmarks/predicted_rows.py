@@ -25,11 +25,11 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.priors import Priors
 from srs_twin.reproduction.claims import Claim, load_claims
 from srs_twin.reproduction.runs import open_store
 from srs_twin.reproduction.verdicts import judge
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.robot.priors import Priors
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = ("follow-sim", "experiments", "gen1-grid", "gen1-shape-rms", "smc-6hz-amplitude.low", "ilc-")

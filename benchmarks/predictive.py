@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from srs_twin.identification.priors import Priors
 from srs_twin.robot.file import RobotFile
-from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.sweep.execution import local
 from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, Propagation, propagate

@@ -134,8 +134,8 @@ def design(
     import numpy as np
 
     from srs_twin.identification.design import choose_experiments
+    from srs_twin.identification.priors import Priors
     from srs_twin.robot.file import load_robot, load_robot_file
-    from srs_twin.robot.priors import Priors
 
     targets = {}
     for text in want.split(","):

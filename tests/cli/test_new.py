@@ -9,8 +9,8 @@ import sys
 import numpy as np
 import pytest
 
+from srs_twin.identification.priors import Priors
 from srs_twin.robot.file import load_robot, load_robot_file
-from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario
 
 

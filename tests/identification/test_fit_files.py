@@ -173,7 +173,7 @@ def test_the_uncertainty_of_a_fit_is_stored_in_the_robot(tmp_path):
     from scipy.stats import lognorm
 
     from srs_twin.identification.fitted_robot import fitted_robot
-    from srs_twin.robot.priors import Priors
+    from srs_twin.identification.priors import Priors
 
     names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
     fit = [

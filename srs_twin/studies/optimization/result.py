@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.identification.priors import Priors
 from srs_twin.robot.file import RobotFile
-from srs_twin.robot.priors import Priors
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.optimization.runs import StudyRuns, metric_of

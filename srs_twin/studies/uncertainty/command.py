@@ -71,9 +71,9 @@ def uncertainty(
 
     runner = make_engine(engine, workers, None)
     from srs_twin.experiment import INTERVALS
+    from srs_twin.identification.priors import Priors
     from srs_twin.io.files import check_output_folder
     from srs_twin.robot.file import RobotFile
-    from srs_twin.robot.priors import Priors
     from srs_twin.scenario.loading import load_scenario
     from srs_twin.studies.uncertainty.propagation import propagate
     from srs_twin.studies.uncertainty.study import UncertaintyStudy

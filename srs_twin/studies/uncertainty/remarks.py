@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.robot.priors import Priors
+from srs_twin.identification.priors import Priors
 from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES, RANGES, MetricUncertainty
 from srs_twin.studies.uncertainty.surrogates import quadratic_samples
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.robot.priors import Priors
+from srs_twin.identification.priors import Priors
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import TwinFile
 from srs_twin.scenario.provenance import versions

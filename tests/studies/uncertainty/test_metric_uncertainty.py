@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from srs_twin.robot.priors import Prior, Priors
+from srs_twin.identification.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.uncertainty.metric_uncertainty import (

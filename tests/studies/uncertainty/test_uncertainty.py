@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from srs_twin.errors import InputError, InputFileError
+from srs_twin.identification.priors import Priors
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import RobotFile, load_robot_file
-from srs_twin.robot.priors import Priors
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import OpenSweep, local
 from srs_twin.studies.uncertainty.propagation import propagate
