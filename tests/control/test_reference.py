@@ -118,7 +118,7 @@ def test_an_unknown_policy_lists_the_known_ones():
     ("make", "words"),
     [
         (lambda: Constant(math.nan), "bend nan is not allowed"),
-        (lambda: Step(math.inf), "after inf is not allowed"),
+        (lambda: Step(math.inf), "bend inf is not allowed"),
         (lambda: Sine(0.0, 1.0), "amplitude 0.0 is not allowed; it must be finite and above 0"),
         (lambda: Sine(0.5, -1.0), "frequency -1.0 is not allowed; it must be finite and above 0"),
         (lambda: Square(0.5, 1.0, math.nan), "phase nan is not allowed"),
