@@ -208,7 +208,6 @@ def run_tasks(
     *,
     workers: int | None = None,
     attempts: int = 3,
-    prepare: Callable[[], None] | None = None,
 ) -> Generator[TaskResult[Result], None, None]:
     """Run a function on every argument in worker processes; yield results in the order of completion.
 
@@ -220,13 +219,11 @@ def run_tasks(
         arguments: one argument per task.
         workers: number of processes (default: one per processor), at most one per task.
         attempts: number of workers that may die on a task before it fails.
-        prepare: function called once in each worker before its first task.
 
     Raises:
         InputError: fewer than one worker or attempt; task or arguments that cannot be pickled or that only
             the main program defines.
-        SrsError: raised by ``prepare``; no task can run.
-        TaskFailedError: any other exception of ``prepare``, or the task cannot be imported.
+        TaskFailedError: the task cannot be imported.
         WorkerDiedError: ``attempts`` workers in a row died before their first task.
     """
     count = processor_count() if workers is None else workers
@@ -235,7 +232,7 @@ def run_tasks(
             raise InputError(f"{name}: {value} is not allowed; it must be 1 or more")
     try:
         with _empty_main_module():
-            program, *packed = map(pickle.dumps, [(task, prepare), *arguments])
+            program, *packed = map(pickle.dumps, [task, *arguments])
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
             f"cannot be sent to worker processes: {error}. Workers import functions and classes by name, but "
@@ -288,7 +285,7 @@ class _TaskRun:
         """Wait until a worker reports or dies, and handle all that did.
 
         Raises:
-            SrsError: `prepare` failed, or workers died before their first task.
+            SrsError: the task cannot be imported, or workers died before their first task.
         """
         handles = [handle for worker in self._workers for handle in (worker.pipe, worker.process.sentinel)]
         active = wait_for(handles)
@@ -390,19 +387,12 @@ def _worker_main(pipe: Connection, program: bytes) -> None:
     signal.signal(signal.SIGTERM, _raise_exit)
     arguments: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_receive_arguments, args=(pipe, arguments), daemon=True).start()
-    task: Any = None
-
-    def begin() -> None:
-        nonlocal task
-        task, prepare = pickle.loads(program)
-        if prepare is not None:
-            prepare()
-
+    task: list[Any] = []
     with suppress(OSError):  # the parent process no longer reads results
-        pipe.send_bytes(_call_and_pickle(begin))
+        pipe.send_bytes(_call_and_pickle(lambda: task.append(pickle.loads(program))))
         while True:
             raw = arguments.get()
-            pipe.send_bytes(_call_and_pickle(lambda raw=raw: task(pickle.loads(raw))))  # type: ignore[misc]
+            pipe.send_bytes(_call_and_pickle(lambda raw=raw: task[0](pickle.loads(raw))))  # type: ignore[misc]
 
 
 def _call_and_pickle(call: Callable[[], Any]) -> bytes:

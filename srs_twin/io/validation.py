@@ -29,6 +29,7 @@ _LIST_HINT = "`srs-twin schema` or docs/reference"
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
 _WITH_UNIT = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE)
+_ANY = object()
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -148,7 +149,7 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
         root: complete schema with the definitions.
         brief: give the number of choices instead of a long list.
     """
-    texts = [_describe_option(option, root, brief) for option in _flatten_union(schema, root)]
+    texts = [_describe_option(option, root, brief) for option in _alternatives(schema, root)]
     if sum(text.startswith(_BLOCK) for text in texts) > 2:
         texts = [_BLOCK if text.startswith(_BLOCK) else text for text in texts]
     return " or ".join(dict.fromkeys(filter(None, texts)))
@@ -185,7 +186,7 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     words = " or ".join(dict.fromkeys(describe_schema(option, schema, brief=True) for option in options))
     if kind == "missing":
         return f"missing; it must be {words}"
-    value, flat = item["input"], [inner for option in options for inner in _flatten_union(option, schema)]
+    value, flat = item["input"], [inner for option in options for inner in _alternatives(option, schema)]
     choices = [choice for option in options for choice in _choices(option, schema)]
     close = did_you_mean(value, choices) if isinstance(value, str) and len(choices) > 1 else ""
     if isinstance(value, str) and _WITH_UNIT.fullmatch(value) and any("minimum" in option for option in flat):
@@ -281,21 +282,29 @@ def _describe_range(schema: Schema) -> str:
 def _choices(schema: Schema, root: Schema) -> list[Any]:
     """Return the constants that a schema allows."""
     choices = []
-    for option in _flatten_union(schema, root):
+    for option in _alternatives(schema, root):
         choices += [option["const"]] if "const" in option else list(option.get("enum", ()))
     return choices
 
 
-def _flatten_union(schema: Schema, root: Schema) -> Iterator[Schema]:
-    """Yield the alternatives of a schema, with references resolved and nested unions flattened."""
+def _alternatives(schema: Schema, root: Schema, data: object = _ANY) -> Iterator[Schema]:
+    """Yield the alternatives of a schema, with references resolved and nested unions flattened.
+
+    Args:
+        schema: schema of one value.
+        root: complete schema with the definitions.
+        data: value, whose discriminator selects one of a union; by default all are yielded.
+    """
     while "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
     inner = schema.get("anyOf") or schema.get("oneOf")
     if not inner:
         yield schema
         return
-    for option in inner:
-        yield from _flatten_union(option, root)
+    key = None if data is _ANY else schema.get("discriminator", {}).get("propertyName")
+    for option in (flat for member in inner for flat in _alternatives(member, root, data)):
+        if key is None or option.get("properties", {}).get(key, {}).get("const") == child(data, key):
+            yield option
 
 
 def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
@@ -304,7 +313,7 @@ def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
     for key in loc:
         inner_schemas: list[Schema] = []
         for schema in schemas:
-            for option in _matching_options(schema, root, data):
+            for option in _alternatives(schema, root, data):
                 if isinstance(key, str):
                     inner = option.get("properties", {}).get(key, option.get("additionalProperties"))
                 else:
@@ -319,16 +328,4 @@ def _allowed_keys(root: Schema, loc: Loc, data: Any) -> list[str]:
     schemas = list(_schemas_at(root, loc, data))
     for key in loc:
         data = child(data, key)
-    return [key for s in schemas for o in _matching_options(s, root, data) for key in o.get("properties", {})]
-
-
-def _matching_options(schema: Schema, root: Schema, data: object) -> list[Schema]:
-    """Return the alternatives of a schema; with a discriminator, those that match the data."""
-    while "$ref" in schema:
-        schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
-    if "anyOf" in schema:  # an optional block is a union of null and its kinds
-        return [o for member in schema["anyOf"] for o in _matching_options(member, root, data)]
-    key, options = schema.get("discriminator", {}).get("propertyName"), list(_flatten_union(schema, root))
-    if key is None:
-        return options
-    return [o for o in options if o.get("properties", {}).get(key, {}).get("const") == child(data, key)]
+    return [key for s in schemas for o in _alternatives(s, root, data) for key in o.get("properties", {})]

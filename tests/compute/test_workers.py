@@ -18,10 +18,8 @@ from srs_twin.compute.workers import START_METHOD, run_tasks
 from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
 from srs_twin.io.files import atomic_write
 
+
 # Tasks, which workers import from this module.
-PREPARED: list[str] = []
-
-
 def square(x):
     return x * x
 
@@ -80,20 +78,25 @@ def leave(x):
     sys.exit(x)
 
 
-def prepared(_):
-    return PREPARED
-
-
-def note(word):
-    PREPARED.append(word)
-
-
 def kill_self():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def refuse():
     raise InputError("no such robot")
+
+
+class Imported:
+    """Task that calls a function when a worker imports it."""
+
+    def __init__(self, function):
+        self.function = function
+
+    def __reduce__(self):
+        return self.function, ()
+
+    def __call__(self, argument):
+        return argument
 
 
 def write_slowly(folder, _):
@@ -186,18 +189,14 @@ def test_errors_of_tasks_are_returned_and_other_tasks_continue():
     assert "return 1 / (x - 3)" in "".join(done[3].error.__notes__)
 
 
-def test_prepare_runs_once_per_worker():
-    assert results(list(run_tasks(prepared, range(3), workers=1, prepare=partial(note, "x")))) == [["x"]] * 3
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("prepare", "kind", "words"),
+    ("function", "kind", "words"),
     [(refuse, InputError, "^no such robot"), (kill_self, WorkerDiedError, "SIGKILL, 2 times in a row")],
 )
-def test_failing_prepare_stops_the_run(prepare, kind, words):
+def test_failing_import_of_the_task_stops_the_run(function, kind, words):
     with pytest.raises(kind, match=words):
-        list(run_tasks(square, [1, 2], workers=2, attempts=2, prepare=prepare))
+        list(run_tasks(Imported(function), [1, 2], workers=2, attempts=2))
 
 
 MAIN_PROGRAM = """
