@@ -68,9 +68,12 @@ def _per_cent(reference: float, value: float) -> str:
 
 
 def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:
-    """Return metric → published value and its source, for the expectations that contain both."""
-    stated = [e for e in expectations if e.get("near") is not None and e.get("source")]
-    return {row["metric"]: (row["near"], row["source"]) for row in stated}
+    """Return metric → published value and its source, for the expectations of plants that contain both."""
+    return {
+        row["metric"]: (row["near"], row["source"])
+        for row in expectations
+        if row.get("near") is not None and row.get("source") and row.get("of") != "comparison"
+    }
 
 
 MEASURED_UNITS = units_of("""

@@ -20,6 +20,7 @@ from srs_twin.comparison.metrics import (
     METRIC_UNITS,
     headline,
     meanings,
+    published,
 )
 from srs_twin.io.documents import Override, parse_yaml
 from srs_twin.io.files import shipped_names
@@ -252,6 +253,12 @@ def test_percentages_of_the_headline_add_up(averaged, twin, effect):
         assert int(cause[1]) + rest == int(whole)
         assert int(cause[1]) == pytest.approx(100 * abs(change / 0.2), abs=0.5001)
         assert ("alone would" in said) != averaged
+
+
+def test_only_expectations_of_plants_are_published_values():
+    row = {"metric": "com_speed_m_s", "of": "twin", "near": 0.2, "source": "Table 10"}
+    agreement = {"metric": "com_speed_rel", "of": "comparison", "near": 0, "source": "docs/agreement.md"}
+    assert published([row, agreement]) == {"com_speed_m_s": (0.2, "Table 10")}
 
 
 def test_headline_tells_of_objects_and_of_a_body_that_passes_through_itself():
