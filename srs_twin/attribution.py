@@ -83,8 +83,6 @@ MATCHED_STIFFNESS_FACTOR = 45.0
 Such a stiff segment follows its free bend, like the prescribed bends of the analytical model.
 """
 
-RobotChange = Callable[[RobotSpec], RobotSpec]
-
 
 class Switch(NamedTuple):
     """Assumption of the analytical model that can be replaced by that of the twin.
@@ -117,7 +115,6 @@ class Refinement:
         factor: ratio of the total effect to the change under the refinement.
         plant: plant that makes the approximation, "twin" or "analytical".
         base: changed arguments of the plant without the refinement.
-        change: change of the robot.
     """
 
     name: str
@@ -126,7 +123,6 @@ class Refinement:
     factor: float
     plant: str = "twin"
     base: dict[str, Any] = field(default_factory=dict)
-    change: RobotChange = lambda spec: spec
 
 
 class PlantVariants:
@@ -253,8 +249,14 @@ class PlantVariants:
             {"numerics": Numerics(wheel_spin=wheel_spin)},
             spin_factor,
         )
+        spec = self._scenario.robot
+        stiffer = _with_bending(
+            spec,
+            pitch_stiffness=4 * spec.bending.pitch_stiffness,
+            roll_stiffness=4 * spec.bending.roll_stiffness,
+        )
         out_of_plane = Refinement(
-            "out-of-plane motion", "pitch and roll of segments", {}, 4 / 3, change=_stiffer_out_of_plane
+            "out-of-plane motion", "pitch and roll of segments", {"robot": stiffer}, 4 / 3
         )
         return [
             Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
@@ -294,24 +296,18 @@ class PlantVariants:
         spec = self._scenario.robot
         changes = dict(ChainMap(*(switch.options for switch in reversed(self._all) if switch.name in on)))
         if "damping" not in on and self._model.model != "compliant":
-            spec = replace(spec, bending=replace(spec.bending, damping_time=spec.actuator.tau_mode))
+            spec = _with_bending(spec, damping_time=spec.actuator.tau_mode)
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
 
-    def twin(self, change: RobotChange = lambda spec: spec, **options: Any) -> Plant:
-        """Build the twin with a changed robot and changed arguments."""
-        return self._scenario.build_plant("twin", robot=change(self._scenario.robot), **options)
+    def twin(self, **options: Any) -> Plant:
+        """Build the twin with changed arguments."""
+        return self._scenario.build_plant("twin", **options)
 
     def stiff_twin(self) -> Plant:
         """Build the twin of the matched setting, whose bends are stiff."""
-
-        def stiffer(spec: RobotSpec) -> RobotSpec:
-            stiffness = MATCHED_STIFFNESS_FACTOR * spec.bending.stiffness
-            damping_time = spec.actuator.tau_mode
-            return replace(
-                spec, bending=replace(spec.bending, stiffness=stiffness, damping_time=damping_time)
-            )
-
-        return self.twin(stiffer)
+        spec = self._scenario.robot
+        stiffness = MATCHED_STIFFNESS_FACTOR * spec.bending.stiffness
+        return self.twin(robot=_with_bending(spec, stiffness=stiffness, damping_time=spec.actuator.tau_mode))
 
     def matched(self) -> Plant:
         """Build the analytical model of the matched setting: friction, inertia and gaps of the twin."""
@@ -319,12 +315,9 @@ class PlantVariants:
         return self.analytical(frozenset(on), model="complete", friction_torque=True)
 
 
-def _stiffer_out_of_plane(spec: RobotSpec) -> RobotSpec:
-    bending = spec.bending
-    stiffer = replace(
-        bending, pitch_stiffness=4 * bending.pitch_stiffness, roll_stiffness=4 * bending.roll_stiffness
-    )
-    return replace(spec, bending=stiffer)
+def _with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
+    """Return a robot with changed bending parameters."""
+    return replace(spec, bending=replace(spec.bending, **changes))
 
 
 Progress = Callable[[float, float | None], None]
@@ -396,20 +389,12 @@ def explain(
     first = frozenset(switch.name for switch in variants.first)
     names = [switch.name for switch in variants.switches]
     sets = [first | subset for subset in subsets(names)]
-    all_on = sets[-1]
     share = 1.0 if window is None else window / scenario.duration
     walls = {kind: share * wall for kind, wall in (wall_s or {}).items()}
     runs = _run_all(scenario, variants, sets, controller, window, progress, walls)
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}
 
-    differences = {switched: gap_between(runs[_variant_name(switched)], twin) for switched in sets}
-    averaged = contributions(names, {switched - first: value for switched, value in differences.items()})
-    change = differences[first] - gap
-    frozen = Contribution(change, change, change)
-    shares = [_make_share(switch.name, switch.title, "first", frozen) for switch in variants.first]
-    for switch in variants.switches:
-        shares.append(_make_share(switch.name, switch.title, "averaged", averaged[switch.name]))
-    shares += _refinement_shares(variants.refinements, runs, all_on)
+    shares = _shares(variants, runs, first, gap)
     remainder = gap - np.sum([share.value for share in shares], axis=0)
     metrics = plant_metrics(model)
     return Attribution(
@@ -483,7 +468,7 @@ def _builders(variants: PlantVariants, sets: Sequence[frozenset[str]]) -> dict[s
         if refinement.plant == "analytical":
             builders[refinement.name] = partial(variants.analytical, sets[-1], **refinement.options)
             continue
-        builders[refinement.name] = partial(variants.twin, refinement.change, **refinement.options)
+        builders[refinement.name] = partial(variants.twin, **refinement.options)
         if refinement.base:
             builders.setdefault(_variant_name(refinement.base), partial(variants.twin, **refinement.base))
     return builders
@@ -536,16 +521,12 @@ def _in_processes(
     tasks: Sequence[_Task], report: Callable[[int], None] | None
 ) -> list[Trajectory | DivergedError]:
     """Simulate variants in worker processes; return their results in order."""
-    results: dict[int, Trajectory | DivergedError] = {}
+    results: dict[int, Any] = {}
     with closing(run_tasks(_simulate, tasks)) as completed:
         for done in completed:
-            if isinstance(done.error, DivergedError):
-                results[done.number] = done.error
-            elif done.error is not None:
+            if done.error is not None and not isinstance(done.error, DivergedError):
                 raise done.error
-            else:
-                assert done.result is not None, "a task without error has a result"
-                results[done.number] = done.result
+            results[done.number] = done.error or done.result
             if report is not None:
                 report(len(results))
     return [results[number] for number in range(len(tasks))]
@@ -583,6 +564,24 @@ def _reporter(progress: Progress, costs: Sequence[float], *, is_measured: bool) 
     return report
 
 
+def _shares(
+    variants: PlantVariants, runs: Mapping[str, Trajectory], first: frozenset[str], gap: np.ndarray
+) -> list[AssumptionShare]:
+    """Return the contributions of switches and refinements to the difference."""
+    twin, names = runs[_variant_name({})], [switch.name for switch in variants.switches]
+    differences = {
+        subset: gap_between(runs[_variant_name(first | subset)], twin) for subset in subsets(names)
+    }
+    change = differences[frozenset()] - gap
+    frozen = Contribution(change, change, change)
+    averaged = contributions(names, differences)
+    return [
+        *(_make_share(switch, "first", frozen) for switch in variants.first),
+        *(_make_share(switch, "averaged", averaged[switch.name]) for switch in variants.switches),
+        *_refinement_shares(variants.refinements, runs, first.union(names)),
+    ]
+
+
 def _refinement_shares(
     refinements: Sequence[Refinement], runs: Mapping[str, Trajectory], all_on: frozenset[str]
 ) -> list[AssumptionShare]:
@@ -596,21 +595,16 @@ def _refinement_shares(
         else:
             before, after = gap_between(model, twin), gap_between(runs[refinement.name], twin)
         value = refinement.factor * (after - before)
-        effect = Contribution(value, value, value)
-        shares.append(_make_share(refinement.name, refinement.title, "refined", effect))
+        shares.append(_make_share(refinement, "refined", Contribution(value, value, value)))
     return shares
 
 
-def _make_share(name: str, title: str, how: str, contribution: Contribution) -> AssumptionShare:
+def _make_share(assumption: Switch | Refinement, how: str, contribution: Contribution) -> AssumptionShare:
     """Return a contribution to the difference, positive if a switch reduces the difference."""
-    return AssumptionShare(
-        name,
-        title,
-        _to_floats(-contribution.value),
-        _to_floats(-contribution.high),
-        _to_floats(-contribution.low),
-        how,
+    value, low, high = (
+        _to_floats(-bound) for bound in (contribution.value, contribution.high, contribution.low)
     )
+    return AssumptionShare(assumption.name, assumption.title, value, low, high, how)
 
 
 def _to_floats(values: Sequence[float] | np.ndarray) -> tuple[float, ...]:

@@ -33,18 +33,7 @@ _PYTHON_FORMATWARNING = warnings.formatwarning
 
 # File errors that no earlier check can exclude: a name that is too long, a full or read-only disk, missing
 # permission, a defective medium. A missing file, or a folder in place of a file, remains an internal error.
-_FILE_SYSTEM_ERRORS = frozenset(
-    {
-        errno.ENAMETOOLONG,
-        errno.EROFS,
-        errno.ENOSPC,
-        errno.EDQUOT,
-        errno.EACCES,
-        errno.EPERM,
-        errno.ELOOP,
-        errno.EIO,
-    }
-)
+_FILE_SYSTEM_ERRORS = "ENAMETOOLONG EROFS ENOSPC EDQUOT EACCES EPERM ELOOP EIO".split()
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -83,7 +72,8 @@ def main(argv: list[str] | None = None) -> None:
         if _is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
-        if isinstance(error, OSError) and error.filename and error.errno in _FILE_SYSTEM_ERRORS:
+        code = errno.errorcode.get(getattr(error, "errno", None) or 0)
+        if isinstance(error, OSError) and error.filename and code in _FILE_SYSTEM_ERRORS:
             say(f"{os.fsdecode(error.filename)}: cannot be used ({error.strerror})")
             sys.exit(InputError.exit_code)
         say(f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the traceback")

@@ -6,10 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.comparison.sampling import units_of
+from srs_twin.comparison.sampling import meanings_of, units_of
 from srs_twin.trajectory import Trajectory
 
-OBJECT_UNITS = units_of("object_moved_m")
+OBJECT_MEANINGS = meanings_of("""
+object_moved_m: distance of an object at the end from its place at the start, the largest of all objects
+""")
+OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 
 TOUCH_N = 1e-3
 """Smallest force of a contact, N; smaller ones are numerical."""

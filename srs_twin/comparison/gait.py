@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.sampling import interpolant, positive_number, units_of
+from srs_twin.comparison.sampling import interpolant, meanings_of, positive_number, units_of
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
@@ -230,9 +230,14 @@ def path_curvature(chord: float, turn: float) -> float:
     return 2 * math.sin(turn / 2) / chord
 
 
-ENERGY_METRICS = (
-    "mechanical_power_w internal_power_w cost_of_transport pneumatic_power_w pneumatic_cost_of_transport"
-)
+ENERGY_MEANINGS = meanings_of("""
+mechanical_power_w: mean power of the torques of the segments
+internal_power_w: mean power dissipated by relative motion of the hinges of a segment
+cost_of_transport: mechanical power divided by weight and speed
+pneumatic_power_w: mean power of the air that the chambers draw
+pneumatic_cost_of_transport: pneumatic power divided by weight and speed
+""")
+"""Power and cost of transport of a gait."""
 
 
 def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> dict[str, Any]:
@@ -252,7 +257,7 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
         speed: mean speed, m/s.
     """
     mass = positive_number(trajectory, "mass_kg")
-    metrics: dict[str, Any] = dict.fromkeys(ENERGY_METRICS.split())
+    metrics: dict[str, Any] = dict.fromkeys(ENERGY_MEANINGS)
     if trajectory.has("internal_loss"):
         metrics["internal_power_w"] = _mean_rate(trajectory, window, "internal_loss")
     for source, power, cost in (
@@ -272,14 +277,23 @@ def _mean_rate(trajectory: Trajectory, window: GaitWindow, name: str) -> float:
     return float((end - start) / (window.end - window.start))
 
 
-SPATIAL_UNITS = units_of(
-    "travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns"
-)
+SPATIAL_MEANINGS = meanings_of("""
+travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gait periods
+travel_direction_rad: direction of travel relative to the mean heading; positive to the left
+body_height_m: largest height of a connector of a spatial snake
+contact_share: mean share of connectors that press on the floor
+supports: mean number of separate parts of the body that press on the floor
+roll_turns: turns of the body about its axis over the whole run, mean over the connectors
+""")
+SPATIAL_UNITS = units_of(SPATIAL_MEANINGS)
 """Metrics of a spatial snake; each is one number or None."""
 
-SPATIAL_DIFFERENCES = units_of("travel_speed_rel travel_direction_abs contact_agreement") | {
-    "travel_direction_abs": "rad"
-}
+SPATIAL_DIFFERENCE_MEANINGS = meanings_of("""
+travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
+travel_direction_abs: magnitude of the difference of the directions of travel
+contact_agreement: share of samples in which a connector touches the floor on both plants or on neither
+""")
+SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {"travel_direction_abs": "rad"}
 """Differences between two runs of a spatial snake."""
 
 

@@ -20,7 +20,7 @@ from srs_twin.comparison.gait import (
     path_curvature,
     turning_radius,
 )
-from srs_twin.comparison.sampling import body_length, label, positive_number, units_of
+from srs_twin.comparison.sampling import body_length, label, meanings_of, positive_number, units_of
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -157,18 +157,41 @@ def box_edges(trajectory: Trajectory, window: GaitWindow, path: PathFit) -> tupl
     return float(offset.min()), float(offset.max())
 
 
-LEARNING_UNITS = units_of("""
+LEARNING_MEANINGS = meanings_of("""
+amplitude_growth_rel: mean amplitude of the last period before a duty changes, divided by that of the first
+periods_to_converge: first period from which all amplitudes stay within 5 % of their targets
+amplitude_error_end_rad: largest amplitude error in the last period
+amplitude_error_end_rel: largest amplitude error in the last period, divided by its target
+amplitude_error_rad: amplitude error of each chamber in each period
+duty: learnt duty of each chamber in each period
+duty_lowest: smallest duty in the last period
+duty_highest: largest duty in the last period
+path_speed_m_s: speed along the chords of the last five periods
+path_curvature_before_per_m: curvature of the path before learning; positive to the left
+path_curvature_per_m: curvature of the path in the last five periods
+path_bend_before_per_m: magnitude of the curvature before learning
+path_bend_per_m: magnitude of the curvature in the last five periods
+path_bend_left_rel: fraction of the magnitude of the curvature that remains after learning
+path_radius_m: radius of the path in the last five periods
+path_radius_spread_rel: range of the radii of these periods, divided by their mean
+heading_drift_rad: turn of the heading per period, mean over the last five
+heading_drift_by_period_rad: turn of the heading in each period
+box_left_m: extent of the body to the left of its path; negative
+box_right_m: extent of the body to the right of its path
+""")
+LEARNING_LIST_UNITS = units_of(["amplitude_error_rad", "duty", "heading_drift_by_period_rad"])
+"""Histories: for each period a list over segments of lists over chambers; for the heading one number per
+period."""
+LEARNING_UNITS = units_of(
+    """
     amplitude_growth_rel periods_to_converge amplitude_error_end_rad amplitude_error_end_rel
     path_speed_m_s path_curvature_before_per_m path_curvature_per_m
     path_bend_before_per_m path_bend_per_m path_bend_left_rel
     path_radius_m path_radius_spread_rel heading_drift_rad
     duty_lowest duty_highest box_left_m box_right_m
-""")
+    """.split()
+)
 """Metrics of a run with iterative learning; each is one number or None."""
-
-LEARNING_LIST_UNITS = units_of("amplitude_error_rad duty heading_drift_by_period_rad")
-"""Histories: for each period a list over segments of lists over chambers; for the heading one number per
-period."""
 
 CONVERGENCE_TOLERANCE = 0.05
 """Largest relative amplitude error of a chamber that has converged, 1."""

@@ -8,10 +8,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.comparison.contacts import OBJECT_UNITS, object_metrics
+from srs_twin.comparison.contacts import OBJECT_MEANINGS, OBJECT_UNITS, object_metrics
 from srs_twin.comparison.gait import (
-    ENERGY_METRICS,
+    ENERGY_MEANINGS,
+    SPATIAL_DIFFERENCE_MEANINGS,
     SPATIAL_DIFFERENCES,
+    SPATIAL_MEANINGS,
     SPATIAL_UNITS,
     GaitWindow,
     energy_metrics,
@@ -21,12 +23,20 @@ from srs_twin.comparison.gait import (
 )
 from srs_twin.comparison.learning import (
     LEARNING_LIST_UNITS,
+    LEARNING_MEANINGS,
     LEARNING_UNITS,
     is_learning,
     learning_metrics,
 )
-from srs_twin.comparison.sampling import body_length, check_columns, metric_groups, units_of
-from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, reading_metrics, tracking_metrics
+from srs_twin.comparison.sampling import body_length, check_columns, meanings_of, metric_groups, units_of
+from srs_twin.comparison.tracking import (
+    READING_MEANINGS,
+    READING_UNITS,
+    TRACKING_MEANINGS,
+    TRACKING_UNITS,
+    reading_metrics,
+    tracking_metrics,
+)
 from srs_twin.trajectory import Trajectory
 
 RELATIVE = set(
@@ -76,46 +86,10 @@ def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[floa
     }
 
 
-MEASURED_UNITS = units_of("""
-    measured_com_speed_rel measured_yaw_rate_abs measured_shape_rms_m measured_path_rms_m
-    measured_bend_rms_rad measured_heading_rms_rad
-""") | {"measured_yaw_rate_abs": "rad/s"}
-"""Metrics of a plant compared with a recording of the robot: plant minus measurement, as in `compare`."""
-
 METRICS_LISTED = "`srs-twin list metrics`"
 """Command that lists all metrics, for messages."""
 
-METRIC_UNITS = {
-    **units_of("com_speed_m_s path_length_m yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad"),
-    **units_of(ENERGY_METRICS),
-    **units_of("final_bend_rad"),
-    **TRACKING_UNITS,
-    **LEARNING_UNITS,
-    **READING_UNITS,
-    **SPATIAL_UNITS,
-    **OBJECT_UNITS,
-    **{name: unit for group in metric_groups() for name, unit in group.units.items()},
-    **MEASURED_UNITS,
-    **units_of("wall_s realtime_factor"),
-}
-"""Metrics of a plant that are one number each; expectations can refer to them."""
-
-LIST_METRIC_UNITS = units_of("bend_amplitude_rad bend_bias_rad valve_switches") | LEARNING_LIST_UNITS
-"""Metrics of a plant that are lists, head first; those of iterative learning have one list per period."""
-
-COMPARISON_UNITS = (
-    units_of("""
-    com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body path_rms_m
-    bend_rms_rad bend_rms_rel heading_rms_rad
-""")
-    | {"yaw_rate_abs": "rad/s"}
-    | SPATIAL_DIFFERENCES
-)
-"""Metrics of `compare`, each one number. They are defined here, so that listing them does not import
-`compare`."""
-
-
-_MEANINGS = """
+_PLANT_MEANINGS = meanings_of("""
 com_speed_m_s: forward speed of the centre of mass, mean over whole gait periods after the first two
 path_length_m: length of the path of the centre of mass over the whole run
 yaw_rate_rad_s: mean rate of the heading over the same periods; positive to the left
@@ -124,70 +98,21 @@ mean_bend_amplitude_rad: half the range of the bend, mean over the segments
 bend_amplitude_rad: half the range of the bend of each segment, head first
 bend_bias_rad: mean bend of each segment, head first
 valve_switches: openings of the + and − valve of each segment, head first
-mechanical_power_w: mean power of the torques of the segments
-internal_power_w: mean power dissipated by relative motion of the hinges of a segment
-cost_of_transport: mechanical power divided by weight and speed
-pneumatic_power_w: mean power of the air that the chambers draw
-pneumatic_cost_of_transport: pneumatic power divided by weight and speed
-final_bend_rad: bend of the first segment at the end
-rise_time_s: time from 10 to 90 % of a step
-overshoot_rel: overshoot divided by the step
-overshoot_rad: overshoot as an angle
-settling_2_s: time until the bend stays within 2 % of the step
-settling_5_s: time until the bend stays within 5 % of the step
-steady_error_rad: mean error in the second half of the time in which the reference is constant
-steady_rms_rad: RMS error in that time
-ripple_pp_rad: peak-to-peak of the bend in that time
-ripple_rms_rad: RMS of the bend about its mean in that time
-sensed_ripple_pp_rad: peak-to-peak of the sensor reading in that time
-error_rms_rad: RMS of reference minus bend over the run
-amplitude_rel: amplitude of the bend divided by that of a sine reference
-amplitude_spread_rel: standard deviation of that ratio between periods
-phase_lag_rad: phase lag of the bend behind a sine reference
-phase_lag_spread_rad: standard deviation of the phase lag between periods
-fit_residual_rad: RMS residual of the sine fitted to the bend
-inlet_openings: openings per inlet valve
-outlet_openings: openings per outlet valve
-amplitude_growth_rel: mean amplitude of the last period before a duty changes, divided by that of the first
-periods_to_converge: first period from which all amplitudes stay within 5 % of their targets
-amplitude_error_end_rad: largest amplitude error in the last period
-amplitude_error_end_rel: largest amplitude error in the last period, divided by its target
-amplitude_error_rad: amplitude error of each chamber in each period
-duty: learnt duty of each chamber in each period
-duty_lowest: smallest duty in the last period
-duty_highest: largest duty in the last period
-path_speed_m_s: speed along the chords of the last five periods
-path_curvature_before_per_m: curvature of the path before learning; positive to the left
-path_curvature_per_m: curvature of the path in the last five periods
-path_bend_before_per_m: magnitude of the curvature before learning
-path_bend_per_m: magnitude of the curvature in the last five periods
-path_bend_left_rel: fraction of the magnitude of the curvature that remains after learning
-path_radius_m: radius of the path in the last five periods
-path_radius_spread_rel: range of the radii of these periods, divided by their mean
-heading_drift_rad: turn of the heading per period, mean over the last five
-heading_drift_by_period_rad: turn of the heading in each period
-box_left_m: extent of the body to the left of its path; negative
-box_right_m: extent of the body to the right of its path
-reading_r_squared: R² of a linear relation between sensor readings and bends
-reading_error_rad: largest difference between mean reading and mean bend
-reading_backstep_rad: largest decrease of the reading with increasing bend
-reading_backstep_at_rad: bend in the middle of that decrease
-reading_range_t: range of the magnetic field at the sensor
-travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gait periods
-travel_direction_rad: direction of travel relative to the mean heading; positive to the left
-body_height_m: largest height of a connector of a spatial snake
-contact_share: mean share of connectors that press on the floor
-supports: mean number of separate parts of the body that press on the floor
-object_moved_m: distance of an object at the end from its place at the start, the largest of all objects
-roll_turns: turns of the body about its axis over the whole run, mean over the connectors
+""")
+_BENCH_MEANINGS = {"final_bend_rad": "bend of the first segment at the end"}
+_MEASURED_MEANINGS = meanings_of("""
 measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
 measured_yaw_rate_abs: magnitude of the difference of the yaw rates
 measured_shape_rms_m: RMS distance of the connectors from the recorded ones, with centre and heading aligned
 measured_path_rms_m: RMS distance of the centres of mass
 measured_bend_rms_rad: RMS difference of the bends
 measured_heading_rms_rad: RMS difference of the headings
+""")
+_TIME_MEANINGS = meanings_of("""
 wall_s: computing time of the simulation
 realtime_factor: simulated time divided by computing time
+""")
+_COMPARISON_MEANINGS = meanings_of("""
 com_speed_rel: speed of the twin minus that of the analytical model, divided by the latter
 gap_factor: factor by which the analytical speed was multiplied for the comparison, 1 unless requested
 yaw_rate_abs: magnitude of the difference of the yaw rates
@@ -197,16 +122,43 @@ path_rms_m: RMS distance of the centres of mass at equal times
 bend_rms_rad: RMS difference of the bends
 bend_rms_rel: RMS difference of the bends divided by the RMS bend of the analytical model
 heading_rms_rad: RMS difference of the headings
-travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
-travel_direction_abs: magnitude of the difference of the directions of travel
-contact_agreement: share of samples in which a connector touches the floor on both plants or on neither
-"""
+""")
+_MEANINGS = (
+    *(_PLANT_MEANINGS, ENERGY_MEANINGS, _BENCH_MEANINGS),
+    *(TRACKING_MEANINGS, LEARNING_MEANINGS, READING_MEANINGS, SPATIAL_MEANINGS, OBJECT_MEANINGS),
+    *(_MEASURED_MEANINGS, _TIME_MEANINGS, _COMPARISON_MEANINGS, SPATIAL_DIFFERENCE_MEANINGS),
+)
+"""Metric → meaning for each topic, in the order of `srs-twin list metrics`."""
+
+LIST_METRIC_UNITS = units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches")) | LEARNING_LIST_UNITS
+"""Metrics of a plant that are lists, head first; those of iterative learning have one list per period."""
+
+MEASURED_UNITS = units_of(_MEASURED_MEANINGS) | {"measured_yaw_rate_abs": "rad/s"}
+"""Metrics of a plant compared with a recording of the robot: plant minus measurement, as in `compare`."""
+
+METRIC_UNITS = {
+    **units_of(name for name in _PLANT_MEANINGS if name not in LIST_METRIC_UNITS),
+    **units_of([*ENERGY_MEANINGS, *_BENCH_MEANINGS]),
+    **TRACKING_UNITS,
+    **LEARNING_UNITS,
+    **READING_UNITS,
+    **SPATIAL_UNITS,
+    **OBJECT_UNITS,
+    **{name: unit for group in metric_groups() for name, unit in group.units.items()},
+    **MEASURED_UNITS,
+    **units_of(_TIME_MEANINGS),
+}
+"""Metrics of a plant that are one number each; expectations can refer to them."""
+
+COMPARISON_UNITS = units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
+"""Metrics of `compare`, each one number. They are defined here, so that listing them does not import
+`compare`."""
 
 
 def meanings() -> dict[str, str]:
     """Return metric → meaning in one line, for metrics of plants, lists and comparisons."""
-    core = dict(line.split(": ", 1) for line in _MEANINGS.split("\n") if line)
-    return core | {name: text for group in metric_groups() for name, text in group.meanings.items()}
+    tables = (*_MEANINGS, *(group.meanings for group in metric_groups()))
+    return {name: text for table in tables for name, text in table.items()}
 
 
 VALIDATION = (
@@ -438,10 +390,10 @@ def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], 
     return difference, _per_cent(model, twin) if metric in RELATIVE else ""
 
 
-_GAIT_METRICS = f"""
-    com_speed_m_s yaw_rate_rad_s turning_radius_m
-    bend_amplitude_rad bend_bias_rad mean_bend_amplitude_rad {ENERGY_METRICS}
-""".split()
+_GAIT_METRICS = [
+    *("com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m"),
+    *("bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", *ENERGY_MEANINGS),
+]
 _NOT_LEARNING = dict.fromkeys(LEARNING_UNITS | LEARNING_LIST_UNITS)
 
 

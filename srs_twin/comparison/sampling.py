@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING
@@ -28,9 +28,14 @@ def split_unit(metric: str) -> tuple[str, str]:
     return metric.removesuffix(suffix), _UNITS.get(suffix, "1")
 
 
-def units_of(names: str) -> dict[str, str]:
-    """Return metric → unit for the metric names in a string, separated by white space."""
-    return {name: split_unit(name)[1] for name in names.split()}
+def units_of(names: Iterable[str]) -> dict[str, str]:
+    """Return metric → unit, as the names of the metrics state."""
+    return {name: split_unit(name)[1] for name in names}
+
+
+def meanings_of(lines: str) -> dict[str, str]:
+    """Return metric → meaning for a text with a line ``metric: meaning`` for each."""
+    return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
 def rms(values: np.ndarray) -> float:
@@ -159,7 +164,7 @@ class MetricGroup:
     @property
     def units(self) -> dict[str, str]:
         """Metric → unit, as its name states."""
-        return units_of(" ".join(self.meanings))
+        return units_of(self.meanings)
 
 
 @cache

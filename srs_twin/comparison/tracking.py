@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.comparison.gait import WARM_UP_PERIODS
-from srs_twin.comparison.sampling import check_columns, rms, units_of
+from srs_twin.comparison.sampling import check_columns, meanings_of, rms, units_of
 from srs_twin.trajectory import Trajectory
 
 _MAX_SINE_RESIDUAL = 1e-4
@@ -145,12 +145,27 @@ def _crossing_time(time: np.ndarray, response: np.ndarray, k: int, level: float)
     return float(time[k - 1] + fraction * (time[k] - time[k - 1]))
 
 
-TRACKING_UNITS = units_of("""
-    rise_time_s overshoot_rel overshoot_rad settling_2_s settling_5_s
-    steady_error_rad steady_rms_rad ripple_pp_rad ripple_rms_rad sensed_ripple_pp_rad error_rms_rad
-    amplitude_rel amplitude_spread_rel phase_lag_rad phase_lag_spread_rad fit_residual_rad
-    inlet_openings outlet_openings
+TRACKING_MEANINGS = meanings_of("""
+rise_time_s: time from 10 to 90 % of a step
+overshoot_rel: overshoot divided by the step
+overshoot_rad: overshoot as an angle
+settling_2_s: time until the bend stays within 2 % of the step
+settling_5_s: time until the bend stays within 5 % of the step
+steady_error_rad: mean error in the second half of the time in which the reference is constant
+steady_rms_rad: RMS error in that time
+ripple_pp_rad: peak-to-peak of the bend in that time
+ripple_rms_rad: RMS of the bend about its mean in that time
+sensed_ripple_pp_rad: peak-to-peak of the sensor reading in that time
+error_rms_rad: RMS of reference minus bend over the run
+amplitude_rel: amplitude of the bend divided by that of a sine reference
+amplitude_spread_rel: standard deviation of that ratio between periods
+phase_lag_rad: phase lag of the bend behind a sine reference
+phase_lag_spread_rad: standard deviation of the phase lag between periods
+fit_residual_rad: RMS residual of the sine fitted to the bend
+inlet_openings: openings per inlet valve
+outlet_openings: openings per outlet valve
 """)
+TRACKING_UNITS = units_of(TRACKING_MEANINGS)
 """Metrics of a run with a reference; each is one number or None."""
 
 _MIN_STEP = 1e-3
@@ -281,9 +296,14 @@ def _openings(trajectory: Trajectory) -> dict[str, float | None]:
     return metrics
 
 
-READING_UNITS = units_of("""
-    reading_r_squared reading_error_rad reading_backstep_rad reading_backstep_at_rad reading_range_t
+READING_MEANINGS = meanings_of("""
+reading_r_squared: R² of a linear relation between sensor readings and bends
+reading_error_rad: largest difference between mean reading and mean bend
+reading_backstep_rad: largest decrease of the reading with increasing bend
+reading_backstep_at_rad: bend in the middle of that decrease
+reading_range_t: range of the magnetic field at the sensor
 """)
+READING_UNITS = units_of(READING_MEANINGS)
 """Metrics of a run with a non-ideal sensor; each is one number or None."""
 
 BIN_RAD = math.radians(1.0)

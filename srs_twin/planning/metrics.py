@@ -19,10 +19,10 @@ if TYPE_CHECKING:
     from srs_twin.planning.footprint import Footprint
     from srs_twin.planning.path import Segment
 
-PLAN_UNITS = units_of("plan_found plan_length_m plan_nodes plan_kink_rad")
+PLAN_UNITS = units_of(("plan_found", "plan_length_m", "plan_nodes", "plan_kink_rad"))
 """Metrics of a plan without a run."""
 
-PLANNING_UNITS = PLAN_UNITS | units_of("plan_s")
+PLANNING_UNITS = PLAN_UNITS | units_of(["plan_s"])
 """Metrics of planning without a run: those of the plan, and its wall time."""
 
 _MEANINGS = {
@@ -47,7 +47,7 @@ _MEANINGS = {
 }
 """Meanings of the metrics of a run that follows a plan."""
 
-FOLLOWING_UNITS = units_of(" ".join(_MEANINGS))
+FOLLOWING_UNITS = units_of(_MEANINGS)
 """Metrics of a run that follows a plan."""
 
 DISSERTATION_HALF_WIDTH_M = 0.025

@@ -15,7 +15,7 @@ from typing import Any
 
 from pydantic import Field
 
-from srs_twin.comparison.gait import ENERGY_METRICS
+from srs_twin.comparison.gait import ENERGY_MEANINGS
 from srs_twin.io.documents import Loc, child, format_path, parse_path
 from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.fields import Line, Section
@@ -27,13 +27,13 @@ PLANTS = "plants"
 """Name of the changed field if a run uses other plants than those in the file."""
 
 STEADY = frozenset(
-    f"""
-    com_speed_m_s yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad {ENERGY_METRICS}
+    """
+    com_speed_m_s yaw_rate_rad_s turning_radius_m mean_bend_amplitude_rad
     amplitude_rel amplitude_spread_rel phase_lag_rad phase_lag_spread_rad fit_residual_rad
     com_speed_rel gap_factor yaw_rate_abs shape_rms_m shape_rms_body
     plan_found plan_length_m plan_nodes plan_kink_rad
 """.split()
-)
+).union(ENERGY_MEANINGS)
 """Metrics that do not depend on the duration: means over periods, shape differences, and plans."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")

@@ -15,7 +15,6 @@ import os
 import re
 import signal
 import subprocess
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -166,7 +165,7 @@ def headless_viewer() -> str | ProbeResult:
 
 def web_viewer() -> str | ProbeResult:
     """Serve the Rerun web viewer, and request its page and its WebAssembly module."""
-    from srs_twin.viewing.rerun.viewer import HOST, free_port
+    from srs_twin.viewing.rerun.viewer import HOST, free_port, is_served
 
     port = free_port()
     # Reset the handler: otherwise the child would inherit one that ignores interrupts.
@@ -175,7 +174,8 @@ def web_viewer() -> str | ProbeResult:
     command = [*_rerun_command(), "--serve-web", "--web-viewer-port", str(port)]
     server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        if not _wait_until_served(server, f"http://{HOST}:{port}/"):
+        page = f"http://{HOST}:{port}/"
+        if not is_served(server, [page, f"{page}re_viewer_bg.wasm"], _SERVER_TIMEOUT_S):
             return ProbeResult("broken", f"its page was not served on {HOST}")
     finally:
         # `rerun` is a script that starts the actual program, and stops it when interrupted.
@@ -189,25 +189,6 @@ def _rerun_command() -> list[str]:
     from srs_twin.viewing.rerun.viewer import HOST, free_port, rerun_executable
 
     return [str(rerun_executable()), "--bind", HOST, "--port", str(free_port())]
-
-
-def _wait_until_served(server: subprocess.Popen[bytes], address: str) -> bool:
-    """Wait until both files are served; return False if the server exits or does not respond in time."""
-    import urllib.error
-    import urllib.request
-
-    # Local requests must not use a proxy.
-    opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-    deadline = time.monotonic() + _SERVER_TIMEOUT_S
-    while server.poll() is None and time.monotonic() < deadline:
-        try:
-            for file in ("", "re_viewer_bg.wasm"):
-                request = urllib.request.Request(address + file, method="HEAD")
-                opener.open(request, timeout=2.0).close()
-            return True
-        except (urllib.error.URLError, OSError):
-            time.sleep(0.1)
-    return False
 
 
 PROBES: dict[str, Callable[[], str | ProbeResult]] = {

@@ -12,7 +12,7 @@ import time as wall
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
 from srs_twin.control.base import Controller
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
@@ -203,19 +203,9 @@ class LiveSnake:
             self.command = self.limits.clipped(replace(self.command, **{name: value}))
 
 
-class Window(Protocol):
-    """Window that displays a snake."""
-
-    def is_open(self) -> bool:
-        """Return whether the window is open."""
-
-    def show(self, snake: LiveSnake) -> None:
-        """Draw the current state."""
-
-
 def steer(
     snake: LiveSnake,
-    window: Window,
+    window: MujocoWindow,
     *,
     clock: Callable[[], float] = wall.perf_counter,
     sleep: Callable[[float], None] = wall.sleep,
@@ -296,11 +286,11 @@ class MujocoWindow:
         self._viewer.close()
 
     def is_open(self) -> bool:
-        """See `Window.is_open`."""
+        """Return whether the window is open."""
         return bool(self._viewer.is_running())
 
     def show(self, snake: LiveSnake) -> None:
-        """See `Window.show`."""
+        """Draw the current state."""
         names, values = ("\n".join(column) for column in zip(*snake.status_lines(), strict=True))
         self._skins.show(snake.state.pressure, snake.twin.spec.supply.nominal)
         self._viewer.set_texts((None, None, names, values))

@@ -192,7 +192,8 @@ def serve_recordings(
     except (OSError, OverflowError) as error:
         raise InputError(f"cannot use port {port} ({error}); omit --port to use a free one") from error
     with server, running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, output):
-        _wait_until_served(rerun, f"{upstream}/", output)
+        if not is_served(rerun, [f"{upstream}/"], _START_TIMEOUT_S):
+            raise InputError(f"Rerun does not serve its viewer: {output_lines(output)[-1]}")
         yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
 
@@ -243,13 +244,14 @@ def _opener() -> urllib.request.OpenerDirector:
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def _wait_until_served(rerun: Rerun, address: str, output: IO[bytes]) -> None:
-    """Wait until Rerun serves its page."""
-    deadline = time.monotonic() + _START_TIMEOUT_S
-    while rerun.poll() is None and time.monotonic() < deadline:
+def is_served(server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float) -> bool:
+    """Wait until a server answers requests to all addresses; return False if it ends or the time runs out."""
+    deadline = time.monotonic() + timeout_s
+    while server.poll() is None and time.monotonic() < deadline:
         try:
-            _opener().open(address, timeout=2.0).close()
-            return
+            for address in addresses:
+                _opener().open(urllib.request.Request(address, method="HEAD"), timeout=2.0).close()
+            return True
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
-    raise InputError(f"Rerun does not serve its viewer: {output_lines(output)[-1]}")
+    return False
