@@ -26,7 +26,6 @@ from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.recording import Recording, ValveLog
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.trajectory import Trajectory
 
 _BEND_NOISE_RAD = 0.01
 """Standard deviation of bends whose error is not known."""
@@ -78,7 +77,7 @@ class Response:
         trajectory, log = recording.trajectory, log_of(recording, name)
         log_metadata = trajectory.metadata.get("valve_log")
         is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get("offset_estimated")
-        bend = measured_bends(trajectory)
+        bend = measured_bends(recording)
         drive = log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
         sha256 = array_hash(bend, log.time, log.values)
         time = trajectory.time - log.time[0]
@@ -100,8 +99,9 @@ def log_of(recording: Recording, name: str) -> ValveLog:
     return recording.valves
 
 
-def measured_bends(trajectory: Trajectory) -> np.ndarray:
+def measured_bends(recording: Recording) -> np.ndarray:
     """Return bends (samples, segments), rad; NaN where a marker of the segment was interpolated."""
+    trajectory = recording.trajectory
     bend = trajectory.stack("bend").copy()
     if trajectory.has("filled"):
         filled = trajectory.stack("filled") > 0

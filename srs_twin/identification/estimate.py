@@ -103,6 +103,23 @@ class Parameter:
             raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
 
 
+def correlation_matrix(covariance: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
+    """Return the correlation of parameters with values, NaN elsewhere, shape (parameters, parameters).
+
+    Args:
+        covariance: covariance of the parameters, same shape; not used where a parameter has no value.
+        parameters: parameters.
+    """
+    matrix = np.full(covariance.shape, np.nan)
+    rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
+    known = covariance[np.ix_(rows, rows)]
+    # Without noise all errors are 0; the floor avoids 0/0.
+    errors = np.maximum(np.sqrt(np.diag(known)), 1e-150)
+    matrix[np.ix_(rows, rows)] = np.clip(known / np.outer(errors, errors), -1.0, 1.0)
+    matrix[rows, rows] = 1.0
+    return matrix
+
+
 @dataclass(frozen=True)
 class FitEstimate(HtmlResult):
     """Result of a fit.

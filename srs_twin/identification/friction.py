@@ -36,6 +36,7 @@ from srs_twin.identification.estimate import (
     Residual,
     Role,
     Verdict,
+    correlation_matrix,
 )
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles, trajectory_hash
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
@@ -130,14 +131,8 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
     # Errors of k and m affect both coefficients by the same factor, so they correlate.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(errors, errors)
     parameters = [_parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)]
-    for k, parameter in enumerate(parameters):
-        if parameter.value is None:
-            correlation[k], correlation[:, k] = np.nan, np.nan
-        else:
-            correlation[k, k] = 1.0
+    correlation = correlation_matrix(covariance, parameters)
     scatter = [max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan for value in values]
     residuals = tuple(
         Residual(f"{data.name} {direction}", "1", data.coefficients(direction) - means[k], scatter[k], role)

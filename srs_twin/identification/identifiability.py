@@ -179,23 +179,11 @@ class Accuracy:
             return "weakly identified", "its standard error is large"
         return "identified", ""
 
-    def correlation(self, parameters: Sequence[Parameter], kept: Sequence[int]) -> np.ndarray:
-        """Return the correlation of parameters with values, NaN elsewhere, shape (parameters, parameters).
-
-        Args:
-            parameters: parameters of the result.
-            kept: their indices among the free parameters.
-        """
-        matrix = np.full((len(parameters), len(parameters)), np.nan)
-        rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
-        if rows:
-            indices = np.searchsorted(self.inside, [kept[k] for k in rows])
-            # Without noise all errors are 0; the floor avoids 0/0.
-            errors = np.maximum(self.known.errors[indices], 1e-150)
-            scaled = self.known.covariance[np.ix_(indices, indices)] / np.outer(errors, errors)
-            matrix[np.ix_(rows, rows)] = np.clip(scaled, -1.0, 1.0)
-            matrix[rows, rows] = 1.0
-        return matrix
+    def covariance(self, kept: Sequence[int]) -> np.ndarray:
+        """Return the covariance in z of some of the parameters, NaN at bounds, shape (kept, kept)."""
+        matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
+        matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
+        return matrix[np.ix_(kept, kept)]
 
 
 def _describe_bound(parameter: FreeParameter, z: float) -> str:

@@ -38,7 +38,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.identification.estimate import FitEstimate, Residual, correlation_time, explains_data
+from srs_twin.identification.estimate import (
+    FitEstimate,
+    Residual,
+    correlation_matrix,
+    correlation_time,
+    explains_data,
+)
 from srs_twin.identification.identifiability import Accuracy, identifiability
 from srs_twin.identification.parameters import FreeParameter
 
@@ -364,7 +370,7 @@ def _estimate(
     accuracy = Accuracy(unknowns, z, best.converged, inside, known, bias, spread, quantile, explained)
     kept = [i for i, unknown in enumerate(unknowns) if not unknown.nuisance]
     parameters = tuple(accuracy.parameter(i) for i in kept)
-    correlation = accuracy.correlation(parameters, kept)
+    correlation = correlation_matrix(accuracy.covariance(kept), parameters)
     counts = (samples, float(independent))
     return FitEstimate(
         parameters, correlation, residuals, known.cancels, *counts, scale, held, best.converged

@@ -109,7 +109,7 @@ class StaticTable:
             InputError: the recording has no log or no plateau.
         """
         trajectory, log = recording.trajectory, log_of(recording, name)
-        time, bend = trajectory.time, measured_bends(trajectory)
+        time, bend = trajectory.time, measured_bends(recording)
         pressure = np.stack([trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1)
         band = np.maximum(_PLATEAU_BAND_PA, 3 * _noise_scale(log.values))
         if log.kind == "valve":

@@ -38,6 +38,9 @@ from srs_twin.robot.world import Pose
 ROUNDING_MARGIN = 1e-7
 """Distance added to all checks, m; rounding errors are below 1e-11 m in worlds of a kilometre."""
 
+ArcSequence = list[tuple[float, float]]
+"""Consecutive arcs: curvature, 1/m, and length, m."""
+
 _STRAIGHT = 1e-9
 """Curvature (1/m) or half turn (rad) below which an arc is treated as straight, to avoid 0/0."""
 

@@ -15,9 +15,8 @@ from itertools import count
 
 import numpy as np
 
-from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.arcs import ArcSequence, Primitives
 from srs_twin.planning.collision import Checker
-from srs_twin.planning.dubins import ArcSequence
 from srs_twin.planning.guidance import (
     NO_HEURISTIC,
     NO_PASSAGES,

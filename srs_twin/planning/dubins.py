@@ -22,6 +22,7 @@ import math
 import numpy as np
 
 from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.planning.arcs import ArcSequence
 from srs_twin.robot.world import Pose
 
 _FULL_TURN = 2 * math.pi
@@ -29,9 +30,6 @@ _FULL_TURN = 2 * math.pi
 
 _ROUNDING = 1e-9
 """Distances (in radii) and angles (rad) below this are rounding errors."""
-
-ArcSequence = list[tuple[float, float]]
-"""Consecutive arcs: curvature, 1/m, and length, m."""
 
 
 def shortest_path(start: Pose, x: float, y: float, heading: float | None, radius: float) -> ArcSequence:

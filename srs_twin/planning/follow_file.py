@@ -10,7 +10,6 @@ from pydantic import Field, model_validator
 from srs_twin.control.base import Controller
 from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
-from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import SPREADS, ConditionsFile
 from srs_twin.planning.scenario import PlannerSection, ScenarioPlanner
 from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
@@ -94,7 +93,9 @@ class FollowFile(ControllerSection):
             InputError: start or goal is not possible, or the extra `ompl` is missing.
         """
         planner: ScenarioPlanner = context.products["planner"]
-        body, settle, problem = planner.footprint, self._settle(planner.footprint), planner.problem
+        body, problem, settle = planner.footprint, planner.problem, self.settle_m
+        if settle is None:
+            settle = body.settle or self.parameters["settle"].default
         law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})
         if self.follower == "bearing":
             law = BearingLaw(**self.arguments(BearingLaw))
@@ -145,12 +146,6 @@ class FollowFile(ControllerSection):
                 "run_up_m": getattr(planner, "run_up_m", 0.0),
             }
         )
-
-    def _settle(self, footprint: Footprint) -> float:
-        """Return the response length ℓ, m."""
-        if self.settle_m is not None:
-            return self.settle_m
-        return footprint.settle or self.parameters["settle"].default
 
     def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled, kernel_only
-from srs_twin.planning.arcs import Primitives, arc_collides, arc_end
+from srs_twin.planning.arcs import ArcSequence, Primitives, arc_collides, arc_end
 from srs_twin.planning.collision import ObstacleGrid
-from srs_twin.planning.dubins import ArcSequence, dubins_path
+from srs_twin.planning.dubins import dubins_path
 from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
-from srs_twin.planning.arcs import arc_end, path_coordinates
+from srs_twin.planning.arcs import ArcSequence, arc_end, path_coordinates
 from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
@@ -56,7 +56,7 @@ def make_segment(start: Pose, curvature: float, length: float, footprint: Footpr
     return Segment(start, curvature, length, row.offset, row.speed)
 
 
-def path_from_arcs(start: Pose, arcs: list[tuple[float, float]], footprint: Footprint) -> tuple[Segment, ...]:
+def path_from_arcs(start: Pose, arcs: ArcSequence, footprint: Footprint) -> tuple[Segment, ...]:
     """Return the path of consecutive arcs; neighbours of equal curvature are merged.
 
     Args:

@@ -32,9 +32,9 @@ import math
 from typing import Any
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.arcs import ArcSequence, Primitives
 from srs_twin.planning.collision import Checker, ObstacleGrid
-from srs_twin.planning.dubins import ArcSequence, dubins_path, shortest_path
+from srs_twin.planning.dubins import dubins_path, shortest_path
 from srs_twin.planning.moves import (
     MoveSet,
     follow_dubins_path,

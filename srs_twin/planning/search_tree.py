@@ -9,9 +9,9 @@ from itertools import product
 
 import numpy as np
 
-from srs_twin.planning.arcs import arc_end
+from srs_twin.planning.arcs import ArcSequence, arc_end
 from srs_twin.planning.collision import nearest_obstacles
-from srs_twin.planning.dubins import ArcSequence, shortest_path
+from srs_twin.planning.dubins import shortest_path
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.moves import follow_arc
 from srs_twin.planning.search_kernels import (
