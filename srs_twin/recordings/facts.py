@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 from pydantic import ConfigDict, Field, TypeAdapter
 
 from srs_twin.io.validation import StrictModel
-from srs_twin.recordings.recording_map import LOG_NAME, Up, canonical_key
+from srs_twin.recordings.body.floor import Up
+from srs_twin.recordings.recording_map import LOG_NAME, canonical_key
 
 
 def _unit(unit: str) -> object:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.recordings.body.floor import map_to_floor
+from srs_twin.recordings.body.floor import Up, map_to_floor
 from srs_twin.recordings.body.layout import (
     LAYOUT_SIZES,
     MIN_COVERAGE,
@@ -41,7 +41,7 @@ from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
-from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap, Up, canonical_key
+from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap, canonical_key
 from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
 from srs_twin.recordings.signals.units import (
     ABSOLUTE,
@@ -82,14 +82,12 @@ class Scene:
         names: names of the markers.
         order: markers in their order along the body; empty if it is unknown.
         rigid: pairs of markers on one rigid part.
-        title: title of the picture.
     """
 
     places: np.ndarray
     names: tuple[str, ...]
     order: tuple[int, ...]
     rigid: tuple[tuple[int, int], ...]
-    title: str
 
 
 def inspect_file(
@@ -105,30 +103,33 @@ def inspect_file(
     Raises:
         InputError: the file cannot be read; the message gives the reason.
     """
+    facts, scene = _file_facts(path, map, spec)
+    facts.proposals = proposed_map([facts]).splitlines()
+    return facts, scene
+
+
+def _file_facts(
+    path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec | None
+) -> tuple[RecordingFacts, Scene | None]:
+    """Return the facts of a file without the proposed map, and its markers; as `inspect_file`."""
     start = start_of(path, map.dialect)
     timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
     kind = PlainCsv.name if timed else identify(path, map.dialect)
     if kind == PlainCsv.name:
         file = laid_out(read_file(path), map.dialect)
         if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
-            return _with_proposal(_table_facts(file, map)), None
+            return _table_facts(file, map), None
     topics = read_topics(path)
     markers = topics.markers if topics else None
     if topics is not None and markers is None and topics.signals:
-        return _with_proposal(_topics_facts(topics, kind, map)), None
+        return _topics_facts(topics, kind, map), None
     table = read_markers(path, map.unstated) if markers is None else in_unit(markers, map.units)
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts.robot = _robot_facts(path, map, spec)
     if topics is not None:
         facts.signals = _topics_facts(topics, kind, map).signals
-    return _with_proposal(facts), scene
-
-
-def _with_proposal(facts: RecordingFacts) -> RecordingFacts:
-    """Add the proposed map."""
-    facts.proposals = proposed_map([facts]).splitlines()
-    return facts
+    return facts, scene
 
 
 def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> RecordingFacts:
@@ -215,7 +216,7 @@ def _body_facts(
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
         facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")
-        return Scene(places, names, (), (), facts.file)
+        return Scene(places, names, (), ())
     noise, (median, spread) = marker_noise(places), distance_statistics(complete)
     pairs = _rigid_pairs(median, spread, noise)
     try:
@@ -225,21 +226,19 @@ def _body_facts(
         order = ()
     facts.noise_mm, facts.order = 1e3 * noise, [names[k] for k in order]
     facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
+    # A rigid body is represented by two markers with its name, whose distance is not measured.
+    neighbours = [(a, b) for a, b in pairwise(order) if names[a] != names[b]]
     facts.distances = [
         DistanceFacts(
             markers=[names[a], names[b]], median_mm=1e3 * median[a, b], spread_mm=1e3 * spread[a, b]
         )
-        for a, b in pairwise(order)
-        if names[a] != names[b]  # a rigid body is represented by two markers with its name
+        for a, b in neighbours
     ]
-    facts.layouts = {
-        layout: (count - size.extra) // size.per_connector
-        for layout, size in LAYOUT_SIZES.items()
-        if (count - size.extra) % size.per_connector == 0
-    }
+    connectors = {layout: divmod(count - n.extra, n.per_connector) for layout, n in LAYOUT_SIZES.items()}
+    facts.layouts = {layout: whole for layout, (whole, rest) in connectors.items() if rest == 0}
     heads = _heads(complete[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
     facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
-    return Scene(places, names, order, pairs, facts.file)
+    return Scene(places, names, order, pairs)
 
 
 def _rigid_pairs(median: np.ndarray, spread: np.ndarray, noise: float) -> tuple[tuple[int, int], ...]:
@@ -302,12 +301,8 @@ def _robot_facts(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpe
 
 def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
     """Return the facts of a table of numbers over time."""
-    meanings = map.meanings(QUANTITIES)
-    timed = {
-        name: meaning
-        for name, meaning in meanings.items()
-        if meaning.name == "time" and clean(name) in file.names
-    }
+    times = map.meanings(["time"])
+    timed = {name: meaning for name, meaning in times.items() if clean(name) in file.names}
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
     notes, time, epoch_ns, unit = [*file.notes], None, None, "no time"
     if clock is not None:

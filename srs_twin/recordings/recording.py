@@ -85,13 +85,7 @@ class ValveLog:
         return replace(self, time=self.time + offset)
 
     def schedule(self) -> Schedule:
-        """Return the valve states as a schedule from the first row to the last.
-
-        Raises:
-            InputError: the log contains pressures.
-        """
-        if self.kind != "valve":
-            raise InputError(f"{self.source}: a log of pressures has no schedule of valves")
+        """Return the states of a log of valves as a schedule from the first row to the last."""
         states = self.values.astype(np.int8)
         changes = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
         return Schedule(

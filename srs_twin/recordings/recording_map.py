@@ -13,6 +13,7 @@ from pydantic import Field
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.validation import StrictModel, load_model, validate
+from srs_twin.recordings.body.floor import Up
 from srs_twin.recordings.csv_table import Meaning
 from srs_twin.recordings.formats.base import MarkerTable, Unstated
 from srs_twin.recordings.recorded_file import Dialect
@@ -27,9 +28,6 @@ QUANTITIES: dict[str, dict[str, float]] = {
     "time": TIMES, "valve": {}, "duty": SHARES, "pressure": PRESSURES, "setpoint": PRESSURES, "bend": ANGLES,
 }  # fmt: skip
 """Quantities of a log → their units."""
-
-Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-"""Axis of a file that points up."""
 
 _NUMBERS = ("carrier_hz", "ambient_kpa")
 _LOG_KEYS = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or bend_1"

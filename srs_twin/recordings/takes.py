@@ -17,6 +17,8 @@ from srs_twin.control.replay import Replay, layouts_for
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics import Pneumatics
+from srs_twin.recordings.body.floor import Up
+from srs_twin.recordings.body.layout import Layout
 from srs_twin.recordings.formats import BAG_SUFFIXES
 from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, ValveLog, read_motion
@@ -75,19 +77,20 @@ class RecordingReader:
             spec: the robot.
             frequency: gait frequency if the reader has none, Hz.
         """
-        given: dict[str, Any] = {"up": self.up, "layout": self.layout, "head": self.head, "map": self.map}
-        return read_motion(path, spec, **given, **self._signal_settings(frequency))
+        return read_motion(
+            path, spec, up=self.up, layout=self.layout, head=self.head, map=self.map,
+            longest_gap_s=self.longest_gap_s, gait_frequency_hz=self._frequency_or(frequency),
+        )  # fmt: skip
 
     def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
         """Read the measured motion of the body, from markers or a bend log; as `motion`."""
-        if is_bend_log(path, self.map):
-            return read_bends(path, spec, map=self.map, **self._signal_settings(frequency))
-        return self.motion(path, spec, frequency)
+        if not is_bend_log(path, self.map):
+            return self.motion(path, spec, frequency)
+        gap, frequency = self.longest_gap_s, self._frequency_or(frequency)
+        return read_bends(path, spec, map=self.map, longest_gap_s=gap, gait_frequency_hz=frequency)
 
-    def _signal_settings(self, frequency: float | None) -> dict[str, Any]:
-        given = self.gait_frequency_hz
-        frequency = frequency if given is None else given
-        return {"longest_gap_s": self.longest_gap_s, "gait_frequency_hz": frequency}
+    def _frequency_or(self, other: float | None) -> float | None:
+        return other if self.gait_frequency_hz is None else self.gait_frequency_hz
 
     def joined(self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool) -> Recording:
         """Join a motion with a log on one clock; columns of the same file already share it.
@@ -182,9 +185,9 @@ class RecordingFile(ExtensionSection):
     """Clock offset added to the times of the log (default: estimated)."""
     gait_frequency_hz: float | None = quantity(0.01, 50.0)
     """Gait frequency (default: the frequency of the valve pattern)."""
-    up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = constructor_default()
+    up: Literal["auto", Up] = constructor_default()
     """Upward axis of the file."""
-    layout: Literal["auto", "single", "head", "pair", "middles", "head_middles"] = constructor_default()
+    layout: Literal["auto", Layout] = constructor_default()
     """Marker layout."""
     map: RecordingMap = constructor_default()
     """Recording map: quantities of markers, rigid bodies and columns (docs/logs.md#recording-map)."""

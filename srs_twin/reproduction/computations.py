@@ -88,12 +88,8 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
         ratio = np.abs([x * c + y * s, y * c - x * s]) / load
         np.maximum(largest, ratio.max(axis=1), out=largest)
 
-    rollout(
-        scenario.build_plant("analytical"),
-        scenario.build_controller(),
-        scenario.duration,
-        observers=(observe,),
-    )
+    plant, controller = scenario.build_plant("analytical"), scenario.build_controller()
+    rollout(plant, controller, scenario.duration, observers=(observe,))
     return float(largest[0]), float(largest[1])
 
 

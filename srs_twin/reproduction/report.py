@@ -317,12 +317,11 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
     outcomes = outcomes_document(rows)
     document = {
         "summary": {
-            column: {use: count_verdicts(rows, column, (use,)) for use in USES}
-            for column in ("analytical", "twin", "alone")
+            column: {use: count_verdicts(rows, column, (use,)) for use in USES} for column in COLUMNS
         },
         "groups": {
             column: {name: count_verdicts(group, column) for name, group in by_category(rows).items()}
-            for column in ("analytical", "twin", "alone")
+            for column in COLUMNS
         },
         "changed_from_baseline": list(changes),
         "rows": [_row(row, outcomes[row.claim.id]) for row in rows],

@@ -102,7 +102,9 @@ def _data_digests() -> dict[str, str]:
     return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
 
 
-HTML, JSON, JUNIT = "reproduce.html", "reproduce.json", "reproduce.xml"
+HTML = "reproduce.html"
+JSON = "reproduce.json"
+JUNIT = "reproduce.xml"
 
 
 @contextmanager

@@ -134,11 +134,14 @@ def combine(combination: str, values: tuple[float, ...]) -> float:
     if combination == "difference":
         return a - b
     if combination == "unevenness":
-        return abs(a + b) / abs(a) if abs(a) > _NOTHING else math.nan
-    if combination in ("ratio", "excess"):
-        ratio = a / b if abs(b) > _NOTHING else math.nan
-        return ratio - 1 if combination == "excess" else ratio
-    return a
+        return _ratio(abs(a + b), abs(a))
+    if combination == "value":
+        return a
+    return _ratio(a, b) if combination == "ratio" else _ratio(a, b) - 1
+
+
+def _ratio(numerator: float, denominator: float) -> float:
+    return numerator / denominator if abs(denominator) > _NOTHING else math.nan
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:
@@ -148,7 +151,7 @@ def aggregate(name: str | None, values: np.ndarray) -> float:
     if name == "least":
         return float(values.min())
     if name == "spread":
-        return float(np.ptp(values) / abs(values.mean())) if abs(values.mean()) > _NOTHING else math.nan
+        return _ratio(float(np.ptp(values)), abs(float(values.mean())))
     return float(values.mean())
 
 
@@ -257,22 +260,19 @@ def judge(
         for claim in claims
     ]
     run(row.claim.with_switch(cause) for row in rows for cause in _switchable_causes(row))
-    return tuple(
-        replace(
-            row,
-            outcomes={
-                column: _explain(store, row.claim, column, outcome)
-                for column, outcome in row.outcomes.items()
-            },
-        )
-        for row in rows
-    )
+    return tuple(_explained(store, row) for row in rows)
 
 
 def _switchable_causes(row: JudgedClaim) -> list[Cause]:
     """Return the causes of missed columns that runs with a switched assumption must show."""
     missed = {name for name, outcome in row.outcomes.items() if outcome.verdict != MET}
     return [cause for cause in row.claim.cause if cause.switch is not None and missed & set(cause.columns)]
+
+
+def _explained(store: RunStore, row: JudgedClaim) -> JudgedClaim:
+    """Return a row with the causes of its missed outcomes."""
+    outcomes = {name: _explain(store, row.claim, name, outcome) for name, outcome in row.outcomes.items()}
+    return replace(row, outcomes=outcomes)
 
 
 def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Outcome:

@@ -20,10 +20,14 @@ The axis of the file closest to the normal points up. Each map is a rotation, so
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from srs_twin.errors import InputError
+
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+"""Axis of a file that points up."""
 
 MAPS = {
     "z": ((0, 1), (1, 1), (2, 1)), "y": ((0, 1), (2, -1), (1, 1)), "x": ((1, 1), (2, 1), (0, 1)),
@@ -114,11 +118,8 @@ def _find_floor(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[s
                 f"the vertical axis cannot be determined, because the markers spread {1e3 * spread[0]:.0f} "
                 f"mm and {1e3 * spread[1]:.0f} mm in two directions; give --up x, y or z, or `up` in a map"
             )
-        return (
-            usual,
-            points,
-            [f"up assumed to be {usual}, as usual in such files: markers do not determine it"],
-        )
+        note = f"up assumed to be {usual}, as usual in such files: markers do not determine it"
+        return usual, points, [note]
     normal = axes[:, 0] * np.sign(axes[axis, 0])
     tilt = float(np.arccos(min(1.0, normal[axis])))
     if tilt > _MAX_AXIS_TILT:

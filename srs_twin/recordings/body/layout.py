@@ -15,7 +15,7 @@ Errors raised here do not name the file; `read_motion` adds its name.
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,10 @@ class LayoutSize(NamedTuple):
     extra: int
 
 
-LAYOUT_SIZES = {
+Layout = Literal["single", "head", "pair", "middles", "head_middles"]
+"""Name of a layout."""
+
+LAYOUT_SIZES: dict[str, LayoutSize] = {
     "single": LayoutSize(1, 0),
     "head": LayoutSize(1, 1),
     "pair": LayoutSize(2, 0),

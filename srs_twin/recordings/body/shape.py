@@ -291,10 +291,8 @@ def _estimated_prior(
         prior.length_mean = np.median(length, axis=0) if fixed else length.mean(axis=0)
         prior.length_std = float(np.sqrt(((length - prior.length_mean) ** 2 + variance).mean()))
         if fixed:
-            epsilon, bend_covariance = (
-                fit.state[:, prior.bends] @ weights,
-                fit.covariance[:, prior.bends, prior.bends],
-            )
+            epsilon = fit.state[:, prior.bends] @ weights
+            bend_covariance = fit.covariance[:, prior.bends, prior.bends]
             epsilon_variance = np.einsum("u,fuv,v->f", weights, bend_covariance, weights)
             prior.alternating_std = float(np.sqrt((epsilon**2 + epsilon_variance).mean()))
         if fit.freedom > _MIN_REDUNDANCY * len(measured):

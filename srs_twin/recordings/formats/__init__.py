@@ -95,11 +95,9 @@ def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:
             raise InputError(f"{name}: {description} cannot be read; {remedy}. Formats: {listed}")
     if start.problem and b"\0" not in raw:
         raise InputError(f"{name}:{start.header_lines + 1}: {start.problem}")
-    description = (
-        "it is a binary file of an unknown kind"
-        if b"\0" in raw
-        else f"its first line is '{start.first_line[:40]}'"
-    )
+    description = f"its first line is '{start.first_line[:40]}'"
+    if b"\0" in raw:
+        description = "it is a binary file of an unknown kind"
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
     raise UnknownFormatError(
         escape_unprintable(f"{name}:1: not a known motion recording: {description}; {listed}")

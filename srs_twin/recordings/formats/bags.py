@@ -7,6 +7,7 @@ import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import closing
+from enum import IntEnum
 from typing import final
 
 from srs_twin.recordings.formats.topics import (
@@ -21,7 +22,17 @@ from srs_twin.recordings.formats.topics import (
 from srs_twin.recordings.recorded_file import RecordedFile
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-_MCAP_SCHEMA, _MCAP_CHANNEL, _MCAP_MESSAGE, _MCAP_CHUNK = 0x03, 0x04, 0x05, 0x06
+
+
+class _McapRecord(IntEnum):
+    """Kinds of records that are read, of those in the MCAP specification."""
+
+    SCHEMA = 0x03
+    CHANNEL = 0x04
+    MESSAGE = 0x05
+    CHUNK = 0x06
+
+
 _RECORD_HEAD = struct.Struct("<BQ")
 """Header of a record: kind and length."""
 
@@ -51,7 +62,9 @@ class Mcap(Bag):
             ChunkError: the file is damaged; a `CutError` if its end is missing.
         """
         data = memoryview(file.data)
-        chunks = (content for kind, content in _mcap_records(data[len(MCAP_MAGIC) :]) if kind == _MCAP_CHUNK)
+        chunks = (
+            content for kind, content in _mcap_records(data[len(MCAP_MAGIC) :]) if kind == _McapRecord.CHUNK
+        )
         check_unpacked(file, (_CHUNK_HEAD.unpack_from(chunk)[2] for chunk in chunks))
         return stream_messages(data)
 
@@ -62,14 +75,14 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
     channels: dict[int, Topic] = {}
     for outer, packed in _mcap_records(data[len(MCAP_MAGIC) :]):
         for kind, content in (
-            _mcap_records(_unpacked_chunk(packed)) if outer == _MCAP_CHUNK else [(outer, packed)]
+            _mcap_records(_unpacked_chunk(packed)) if outer == _McapRecord.CHUNK else [(outer, packed)]
         ):
-            if kind == _MCAP_MESSAGE:
+            if kind == _McapRecord.MESSAGE:
                 number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(content)
                 yield Message(channels[number], log_time, content[_MESSAGE_HEAD.size :])
-            elif kind == _MCAP_SCHEMA:
+            elif kind == _McapRecord.SCHEMA:
                 kinds[int.from_bytes(content[:2], "little")] = _text(content, 2)[0]
-            elif kind == _MCAP_CHANNEL:
+            elif kind == _McapRecord.CHANNEL:
                 number, schema = struct.unpack_from("<HH", content)
                 name, place = _text(content, 4)
                 encoding, _ = _text(content, place)
@@ -82,10 +95,8 @@ def _mcap_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
         if len(data) < _RECORD_HEAD.size:
             raise CutError("the file ends in a record")
         kind, length = _RECORD_HEAD.unpack_from(data)
-        content, data = (
-            data[_RECORD_HEAD.size : _RECORD_HEAD.size + length],
-            data[_RECORD_HEAD.size + length :],
-        )
+        end = _RECORD_HEAD.size + length
+        content, data = data[_RECORD_HEAD.size : end], data[end:]
         if len(content) < length:
             raise CutError("the file ends in a record")
         yield kind, content
@@ -110,7 +121,10 @@ def _text(content: memoryview, place: int) -> tuple[str, int]:
 
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-_ROS1_MESSAGE, _ROS1_CHUNK, _ROS1_CONNECTION = b"\2", b"\5", b"\7"
+# Values of the field "op" of a record.
+_ROS1_MESSAGE = b"\2"
+_ROS1_CHUNK = b"\5"
+_ROS1_CONNECTION = b"\7"
 
 
 @final

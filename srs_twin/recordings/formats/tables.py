@@ -140,8 +140,6 @@ class DeepLabCut(Format):
             raise file.error(f"DeepLabCut files have frames and pixels only; give {' and '.join(missing)}")
         rate = frame_rate(file, str(rate_hz))
         factor = float(scale_m or 0.0) if pixels else LENGTHS[length_unit(file, unit or "")]
-        if not 0 < factor < 1e3:
-            raise file.error(f"scale_m {factor:g} is not allowed; it must be m per pixel")
         lines = {cells[0]: cells for cells in file.head(4) if cells}
         if not {"bodyparts", "coords"} <= lines.keys():
             raise file.error(

@@ -369,20 +369,15 @@ _BODIES: dict[str, Callable[[str, Any], list[tuple[str, Any, Any]]]] = {
 @lru_cache(1000)
 def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
     """Return name and type of a topic, and the decoder of its messages; None if the type is unknown."""
-    kind = (
-        escape_unprintable(topic.kind[:80])
-        .replace("/msg/", "/")
-        .replace("tf/tfMessage", "tf2_msgs/TFMessage")
-    )
+    kind = escape_unprintable(topic.kind[:80]).replace("/msg/", "/")
+    kind = kind.replace("tf/tfMessage", "tf2_msgs/TFMessage")
     decode: Callable[[bytes], Any] | None = None
     if topic.encoding == "json":
         decode = partial(json.loads, object_hook=lambda fields: SimpleNamespace(**fields))
     elif topic.encoding in ("cdr", "ros1") and (kind in _BODIES or _SIGNALS.fullmatch(kind)):
         store = _definitions(topic.encoding)
-        decode = partial(
-            store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1,
-            typename=kind.replace("/", "/msg/"),
-        )
+        deserialize = store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
+        decode = partial(deserialize, typename=kind.replace("/", "/msg/"))
     return escape_unprintable(topic.name[:200]), kind, decode
 
 
