@@ -225,7 +225,9 @@ def _plots(
         **(added.figures(runs, spec) if added else {}),
         learning: learning_plot(runs) if is_learning_run else None,
         "Bend of the first segment and its reference.": tracking_plot(runs) if tracked else None,
-        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec, world),
+        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec, world)
+        if spec.segments > 1
+        else None,
         "Speed of the centre of mass.": None if tracked else speed_plot(runs),
         "Bend of each segment; positive bends the head end to the left.": bend_plot(runs),
         "Pressure of the + chamber minus that of the − chamber.": pressure_plot(runs),
