@@ -18,8 +18,7 @@ import numpy as np
 from grid import table
 
 from srs_twin.envs import TASKS, make_task
-from srs_twin.envs.baseline import Score, baseline, play_episode
-from srs_twin.envs.policy import load_policy
+from srs_twin.envs.policy import Score, baseline, load_policy, play_episode
 
 
 def score(name: str, seed: int, policy_file: str | None = None) -> Score:

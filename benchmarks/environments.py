@@ -22,8 +22,9 @@ from grid import table
 from timing import ROUNDS, Ratio, Result, Task, Timing, interleaved, machine, three_figures
 
 from srs_twin import Gait, TwinBatch, load_robot
-from srs_twin.envs.crawling import OPEN, STEP_S, CrawlTask
+from srs_twin.envs.crawling import OPEN, CrawlTask
 from srs_twin.envs.gymnasium import SnakeVectorEnv
+from srs_twin.envs.observed import STEP_S
 
 OFFSET, FREQUENCY_HZ, PRESSURE_KPA = 0.1, 2.0, 48.3
 

@@ -8,17 +8,27 @@ has to curl around a cylinder and drag it. Both rewards use potentials, as in `c
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.gait import Gait
 from srs_twin.control.grasp import check_hold, hold_with
-from srs_twin.envs.crawling import CAMERA, STEP_S, Arena, CrawlEpisode, CrawlTask
-from srs_twin.envs.task import Episode, RewardTerm, Robot, Signal, Signals, Task, numbered_signals
-from srs_twin.planning.camera import Camera, CameraFrames
+from srs_twin.envs.crawling import Arena, CrawlEpisode, CrawlTask
+from srs_twin.envs.observed import (
+    CAMERA,
+    COSTS,
+    CameraTask,
+    ObservedEpisode,
+    ahead_and_left,
+    observation_groups,
+    place_signals,
+)
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals
+from srs_twin.envs.variation import Robot
+from srs_twin.planning.camera import Camera
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import GRAVITY
@@ -31,73 +41,79 @@ ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}
 FIELD_RADIUS_M = 0.5
 """Distance from the start at which the field counts as crossed, m."""
 
-_PITCH_M, _RADIUS_M, _JITTER_M, _FRICTION = 0.13, 0.02, 0.005, 0.2  # as in pegs_skin
-_ROWS, _COLUMNS = 10, 12
+_PITCH_M = 0.13
+"""Distance between posts of a row and between rows, m, as in pegs_skin."""
+
+_RADIUS_M = 0.02
+"""Radius of a post, m, as in pegs_skin."""
+
+_JITTER_M = 0.005
+"""Largest random displacement of a post, m, as in pegs_skin."""
+
+_FRICTION = 0.2
+"""Friction coefficient of the posts, 1, as in pegs_skin."""
+
+_ROWS = 10
+"""Number of rows; even, as that of columns, so that the snake is in the middle between two rows."""
+
+_COLUMNS = 12
+"""Number of posts in a row."""
+
 _SEEN_PEGS = 4
 """Number of posts in an observation."""
 
+_FAR_M = 3.0
+"""Largest observed distance, m."""
+
 _ROOM = Bounds((-1.5, 1.5), (-1.5, 1.5))
-
-
-class PegsTask(CrawlTask):
-    """Task of crawling out of a field of posts (module docstring)."""
-
-    # Among posts, contact is no failure.
-    reward_terms = tuple(
-        replace(term, weight=0.0) if term.name == "touching_s" else term for term in CrawlTask.reward_terms
-    )
-
-    def __init__(
-        self,
-        *,
-        robot: Robot = ISOTROPIC_SKIN,
-        limit_s: float = 15.0,
-        camera: Camera = CAMERA,
-        **settings: Any,
-    ) -> None:
-        """Create the task; arguments and errors as in `CrawlTask`, with 3 hinges per segment."""
-        arena = Arena(_ROOM, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), obstacles=1)
-        settings = {"hinges_per_segment": 3, **settings}
-        super().__init__("Pegs", arena, robot=robot, limit_s=limit_s, camera=camera, **settings)
-
-    def _set_observations(self, groups: Any) -> None:
-        kept = {name: signals for name, signals in groups.items() if name not in ("goal", "obstacles")}
-        far, pegs = 3.0, []
-        for k in range(1, _SEEN_PEGS + 1):
-            text = f"position of the post with rank {k} by distance"
-            pegs += [
-                Signal(f"peg_{k}_ahead_m", "m", -far, far, f"{text}, along the heading"),
-                Signal(f"peg_{k}_left_m", "m", -far, far, f"{text}, to the left of the heading"),
-            ]
-        super()._set_observations(kept | {"pegs": tuple(pegs)})
-
-    def begin(self, rng: np.random.Generator, last: Episode | None = None) -> PegsEpisode:
-        """See `Task.begin`."""
-        spec, seed = self._variation.draw(rng), int(rng.integers(2**32))
-        # Even numbers of rows and columns put the snake in the middle between two rows.
-        first = (-(_COLUMNS - 1) / 2 * _PITCH_M, 0.0)
-        pegs = peg_field(_PITCH_M, _RADIUS_M, _ROWS, _COLUMNS, first, seed, jitter=_JITTER_M)
-        world = World(pegs, _ROOM, Goal(0.0, 0.0, None, FIELD_RADIUS_M), friction=_FRICTION)
-        twin = self._twin(spec, last, world, supply_pa=self.limits.pressure[1])
-        return PegsEpisode(self, twin, world, 0.0, CameraFrames(self._camera, seed), seed)
+"""Bounds of both tasks, m."""
 
 
 class PegsEpisode(CrawlEpisode):
     """Episode of crawling out of a field; the goal is the circle around the start."""
 
-    def _measure(self) -> list[float]:
+    def _measure(self) -> dict[str, Sequence[float]]:
         values = super()._measure()
-        posts = np.reshape(values[-3 * len(self.world.obstacles) :], (-1, 3))
-        nearest = posts[np.argsort(np.hypot(posts[:, 0], posts[:, 1]), kind="stable")[:_SEEN_PEGS], :2]
-        # Without the position of the goal, which follows that of the camera.
-        return [*values[:4], *values[6 : -3 * len(posts)], *map(float, nearest.ravel())]
+        posts = np.reshape(values["obstacles"], (-1, 3))
+        nearest = np.argsort(np.hypot(posts[:, 0], posts[:, 1]), kind="stable")[:_SEEN_PEGS]
+        return values | {"pegs": posts[nearest, :2].ravel().tolist()}
 
     def _goal_distance(self, state: SnakeState) -> float:
         """Return the distance to the circle, m."""
-        return self._goal.radius - super()._goal_distance(state)
+        return self.goal.radius - super()._goal_distance(state)
 
     def _has_arrived(self, distance: float) -> bool:
         return distance <= 0
+
+
+class PegsTask(CrawlTask):
+    """Task of crawling out of a field of posts (module docstring)."""
+
+    episode_class = PegsEpisode
+    # Among posts, contact is no failure.
+    reward_terms = tuple(
+        replace(term, weight=0.0) if term.name == "touching_s" else term for term in CrawlTask.reward_terms
+    )
+
+    def __init__(self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 15.0, **settings: Any) -> None:
+        """Create the task; arguments and errors as in `CrawlTask`, with 3 hinges per segment."""
+        arena = Arena(_ROOM, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), obstacles=1)
+        settings = {"hinges_per_segment": 3, **settings}
+        super().__init__("Pegs", arena, robot=robot, limit_s=limit_s, **settings)
+
+    def _observation_groups(self) -> dict[str, Signals]:
+        groups = super()._observation_groups()
+        # Without the goal, whose position follows from that of the snake.
+        del groups["goal"], groups["obstacles"]
+        text = "position of the post with rank {} by distance,"
+        pegs = (place_signals(f"peg_{k}", _FAR_M, text.format(k)) for k in range(1, _SEEN_PEGS + 1))
+        return groups | {"pegs": tuple(signal for pair in pegs for signal in pair)}
+
+    def _draw_world(self, rng: np.random.Generator) -> tuple[World, float, int]:
+        seed = int(rng.integers(2**32))
+        first = (-(_COLUMNS - 1) / 2 * _PITCH_M, 0.0)
+        pegs = peg_field(_PITCH_M, _RADIUS_M, _ROWS, _COLUMNS, first, seed, jitter=_JITTER_M)
+        return World(pegs, _ROOM, Goal(0.0, 0.0, None, FIELD_RADIUS_M), friction=_FRICTION), 0.0, seed
 
 
 CHAIN = {"base": "gen2", "geometry": {"connectors": 13}, "gait": {"phase_step_rad": math.pi / 4}}
@@ -121,22 +137,32 @@ _PULSES = 5
 _SLOTS = 100
 """Slots of a step with constant valves."""
 
-# Ranges of the objects as in docs/objects.md.
-_OBJECT_RADII_M, _MASSES_KG, _LOADS_N = (0.020, 0.030), (0.02, 0.10), (0.05, 0.25)
-_BEHIND_M, _GAPS_M = (0.12, 0.16), (0.002, 0.015)
+_OBJECT_RADII_M = (0.020, 0.030)
+"""Radii of the objects, m, as in docs/objects.md."""
+
+_MASSES_KG = (0.02, 0.10)
+"""Masses of the objects, kg, as in docs/objects.md."""
+
+_LOADS_N = (0.05, 0.25)
+"""Friction forces of the objects on the floor, N, as in docs/objects.md."""
+
+_BEHIND_M = (0.12, 0.16)
+"""Distances of the objects behind the front of the holding modules, m."""
+
+_GAPS_M = (0.002, 0.015)
+"""Gaps between object and body, m."""
 
 
-class GraspTask(Task):
+class GraspTask(CameraTask):
     """Task of dragging a cylinder with the tail (module docstring)."""
 
-    name, step_s = "Grasp", STEP_S
+    name = "Grasp"
     has_obstacles = True
     reward_terms = (
         RewardTerm("progress_m", 1.0, "increase of the distance of the object from its start"),
         RewardTerm("dragged", 1.0, f"1 in the step in which this distance reaches {DRAG_M:g} m"),
         RewardTerm("object_lost", -1.0, "1 in the step in which the object has left the tail"),
-        RewardTerm("time_s", 0.0, "duration of the step"),
-        RewardTerm("air_j", 0.0, "energy of the air taken from the supply"),
+        *COSTS,
     )
 
     def __init__(
@@ -156,13 +182,18 @@ class GraspTask(Task):
         """
         super().__init__(robot, limit_s, **settings)
         check_hold(HOLD, self.robot)
-        self._camera = camera
+        self.camera = camera
         self.actions = (
             Signal("grip", "1", -1.0, 1.0, "duty of the holding modules; positive values bend to the left"),
             Signal("drive", "1", 0.0, 1.0, "the other modules use the gait above 0.5, otherwise they vent"),
             Signal("offset", "1", -0.4, 0.4, "steering offset φ of the gait, positive to the left"),
         )
-        self._set_observations(_grasp_groups(self.robot.segments, self.actions))
+        radius = Signal("object_radius_m", "m", *_OBJECT_RADII_M, "radius of the object")
+        item = (*place_signals("object", _FAR_M, "position of the object"), radius)
+        range_m = -_FAR_M, _FAR_M
+        self._set_observations(
+            observation_groups(range_m, range_m, {"object": item}, self.robot, self.actions)
+        )
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> GraspEpisode:
         """See `Task.begin`."""
@@ -174,31 +205,26 @@ class GraspTask(Task):
         y = side * (geometry.width / 2 + gap + radius)
         item = MovableObject((radius,), mass, load / (mass * GRAVITY), front - behind, y)
         twin = self._twin(spec, last, World(objects=(item,)))
-        return GraspEpisode(self, twin, item, CameraFrames(self._camera, seed), seed)
+        return GraspEpisode(self, twin, item, seed)
 
 
-class GraspEpisode(Episode):
+class GraspEpisode(ObservedEpisode):
     """Episode of dragging an object."""
 
-    state_attributes: ClassVar[tuple[str, ...]] = (
-        "_gait", "_frames", "_readings", "_command", "_driven", "_moved", "_air"
-    )  # fmt: skip
+    state_attributes: ClassVar[tuple[str, ...]] = ("_command", "_driven", "_moved")
 
-    def __init__(
-        self, task: GraspTask, twin: TwinSnake, item: MovableObject, frames: CameraFrames, seed: int
-    ) -> None:
+    def __init__(self, task: GraspTask, twin: TwinSnake, item: MovableObject, seed: int) -> None:
         """Place the straight snake at the origin."""
         state = twin.reset(seed=seed)
-        self._item, self._frames, self._readings = item, frames, SensorReadings(twin.spec.segments)
-        self._gait = Gait(GRASP_FREQUENCY_HZ)
+        self._item, self._gait = item, Gait(GRASP_FREQUENCY_HZ)
         self._gait.reset(twin.spec, twin.tick)
-        self._command, self._driven, self._moved, self._air = [0.0, 0.0, 0.0], 0.0, 0.0, float(state.air)
-        super().__init__(task, twin, state)
+        self._command, self._driven, self._moved = [0.0, 0.0, 0.0], 0.0, 0.0
+        super().__init__(task, twin, state, seed)
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
-        self._frames.restart()
-        self._moved, self._air = self._distance_moved(), float(self.state.air)
+        super()._initialise_from_state()
+        self._moved = self._distance_moved()
 
     def _valves(self, action: list[float]) -> np.ndarray:
         grip, drive, self._gait.offset = self._command = action
@@ -221,69 +247,30 @@ class GraspEpisode(Episode):
         x, y = self._object_place()
         return math.hypot(x - self._item.x, y - self._item.y)
 
-    def _measure(self) -> list[float]:
-        time = float(self.state.time)
-        seen = self._frames.capture(self.state)
-        assert seen is not None, "the camera has one frame per step"
-        self._readings.update(time, self.state.sensed)
-        c, s = math.cos(seen.heading), math.sin(seen.heading)
-        x, y = self._object_place()
-        dx, dy = x - seen.x, y - seen.y
-        angle = self._gait.angle(self._driven)
-        place = [c * dx + s * dy, c * dy - s * dx, self._item.size[0]]
-        return [
-            *(seen.x, seen.y, c, s), *place, math.cos(angle), math.sin(angle), *self._readings.value,
-            *self._command,
-        ]  # fmt: skip
+    def _gait_angle(self) -> float:
+        return self._gait.angle(self._driven)
+
+    def _last_command(self) -> list[float]:
+        return self._command
+
+    def _measure(self) -> dict[str, Sequence[float]]:
+        seen, values = self._observe()
+        return values | {"object": [*ahead_and_left(seen, *self._object_place()), self._item.size[0]]}
 
     def _reward_values(self) -> dict[str, float]:
-        moved, air = self._distance_moved(), float(self.state.air)
-        before, self._moved = self._moved, moved
-        air_before, self._air = self._air, air
+        before, self._moved = self._moved, self._distance_moved()
         middle = np.asarray(self.state.position)[-HOLD - 1 :].mean(axis=0)
-        if moved >= DRAG_M:
+        if self._moved >= DRAG_M:
             self.ending = "dragged"
         elif np.hypot(*(np.array(self._object_place()) - middle)) > _LOST_M:
             self.ending = "object_lost"
         return {
-            "progress_m": moved - before,
+            "progress_m": self._moved - before,
             "dragged": float(self.ending == "dragged"),
             "object_lost": float(self.ending == "object_lost"),
-            "time_s": self._task.step_s,
-            "air_j": air - air_before,
+            **self._costs(),
         }
 
     def _info(self) -> dict[str, Any]:
         x, y = self._object_place()
-        return super()._info() | {
-            "com_x_m": float(self.state.com[0]),
-            "com_y_m": float(self.state.com[1]),
-            "object_x_m": x,
-            "object_y_m": y,
-            "object_moved_m": self._moved,
-        }
-
-
-def _grasp_groups(segments: int, actions: Signals) -> dict[str, Signals]:
-    far, largest = 3.0, MAX_READING_RAD
-    return {
-        "pose": (
-            Signal("x_m", "m", -far, far, "x of the centre of mass, from the camera"),
-            Signal("y_m", "m", -far, far, "y of the centre of mass, from the camera"),
-            Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, from the camera"),
-            Signal("heading_sin", "1", -1.0, 1.0, "sine of the mean heading, from the camera"),
-        ),
-        "object": (
-            Signal("object_ahead_m", "m", -far, far, "position of the object along the heading"),
-            Signal("object_left_m", "m", -far, far, "position of the object to the left of the heading"),
-            Signal("object_radius_m", "m", *_OBJECT_RADII_M, "radius of the object"),
-        ),
-        "gait": (
-            Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
-            Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
-        ),
-        "bends": tuple(
-            numbered_signals(segments, "bend_#_rad", "rad", -largest, largest, "sensor reading of a bend")
-        ),
-        "command": tuple(replace(action, description="last command") for action in actions),
-    }
+        return super()._info() | {"object_x_m": x, "object_y_m": y, "object_moved_m": self._moved}

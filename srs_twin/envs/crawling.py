@@ -1,39 +1,47 @@
-"""GoTo and Obstacles: crawl to a goal, on an open floor or among circular obstacles.
+"""GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or among circular obstacles.
 
 The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its weight. By default it is
 the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room, minus 0.5 per
 second of contact. The first term is potential-based shaping with the potential −distance and no discount:
 its sum is the distance gained, so it does not change the ranking of policies that reach the goal.
+
+In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch wave of the gait, so
+that the robot can undulate, sidewind to both sides or crawl rectilinearly (`control.gait`). With a share of 0
+the wave to the left and right remains.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.control.base import MAX_READING_RAD, SensorReadings
-from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
+from srs_twin.control.commands import MAX_OFFSET, CommandedGait, GaitCommand, GaitLimits
 from srs_twin.control.gait import PitchWave
-from srs_twin.envs.task import Episode, RewardTerm, Robot, Signal, Signals, Task, numbered_signals
+from srs_twin.envs.observed import (
+    CAMERA,
+    COSTS,
+    STEP_S,
+    CameraTask,
+    ObservedEpisode,
+    ahead_and_left,
+    observation_groups,
+    place_signals,
+)
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals
+from srs_twin.envs.variation import Robot
 from srs_twin.errors import InputError
-from srs_twin.planning.camera import Camera, CameraFrames
+from srs_twin.io.saved_state import short_digest
+from srs_twin.planning.camera import Camera
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import Bounds, Goal, World, random_circles
-
-STEP_S = 0.1
-"""Duration of a step, s."""
+from srs_twin.robot.world import Bounds, Circle, Goal, World, random_circles
 
 GOAL_RADIUS_M = 0.1
 """Distance from the centre of mass to the goal at which it is reached, m."""
-
-CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
-"""Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad)."""
 
 _PA_PER_KPA = 1e3
 
@@ -45,6 +53,9 @@ _GAP_M = 0.25
 
 _CLEAR_M = 0.3
 """Radius around start and goal without obstacles, m."""
+
+_MARGIN_M = 0.5
+"""Distance of observed positions beyond the room, m: a step may end outside, and the camera has noise."""
 
 
 @dataclass(frozen=True)
@@ -86,23 +97,146 @@ CIRCLES = Arena(
 )
 """Floor of task Obstacles: four circles between start and goal."""
 
+FLOOR = Arena(
+    room=Bounds((-2.0, 2.0), (-2.0, 2.0)),
+    headings=(-math.pi, math.pi),
+    distances=(0.4, 1.0),
+    bearings=(-math.pi, math.pi),
+)
+"""Open floor of task Crawl3D; the goal may be in any direction, because a sidewinder does not travel along
+its heading."""
 
-class CrawlTask(Task):
+SPATIAL_FREQUENCIES_HZ = (0.25, 1.0)
+"""Gait frequencies of spatial robots, Hz; at 1 Hz the inertia of the lifted parts is no longer small
+(docs/spatial.md)."""
+
+SPATIAL_RELATIVE_PRESSURES = (0.25, 0.6)
+"""Supply pressures of spatial robots divided by the nominal one, 1: 12 to 29 kPa for `spatial_example`, bends
+of 0.4 to 0.9 rad per segment."""
+
+
+class CrawlEpisode(ObservedEpisode):
+    """Episode of crawling to a goal.
+
+    Attributes:
+        world: obstacles, room and goal.
+    """
+
+    state_attributes: ClassVar[tuple[str, ...]] = ("_distance", "_offset")
+
+    goal: Goal
+
+    def __init__(self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, seed: int) -> None:
+        """Place the snake at the origin of a world with a goal."""
+        assert world.goal is not None, "the task sets a goal"
+        self.world, self.goal, limits = world, world.goal, task.limits
+        mean_command = GaitCommand(0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure)))
+        state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
+        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
+        self._distance, self._offset = self._goal_distance(state), 0.0
+        super().__init__(task, twin, state, seed)
+
+    def identity(self) -> dict[str, Any]:
+        """See `Episode.identity`; a twin that is reused was built with the goal of an earlier episode."""
+        return super().identity() | {"world": short_digest(self.world)}
+
+    def _initialise_from_state(self) -> None:
+        """See `Episode._initialise_from_state`."""
+        super()._initialise_from_state()
+        self._distance = self._goal_distance(self.state)
+
+    def _valves(self, action: list[float]) -> np.ndarray:
+        command, pitch = self._command(action)
+        return self._gait.valves(float(self.state.time), command, pitch)
+
+    def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
+        """Return the gait parameters of an action."""
+        offset, frequency, pressure_kpa = action
+        return GaitCommand(offset, frequency, pressure_kpa * _PA_PER_KPA), None
+
+    def _last_command(self) -> list[float]:
+        command = self._gait.command
+        return [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
+
+    def _gait_angle(self) -> float:
+        return self._gait.gait.angle(float(self.state.time))
+
+    def _measure(self) -> dict[str, Sequence[float]]:
+        seen, values = self._observe()
+        values["goal"] = ahead_and_left(seen, self.goal.x, self.goal.y)
+        circles = ((*ahead_and_left(seen, item.x, item.y), item.radius) for item in self.world.obstacles)
+        values["obstacles"] = [number for circle in circles for number in circle]
+        return values
+
+    def _reward_values(self) -> dict[str, float]:
+        room, (x, y) = self.world.bounds, self.state.com
+        before, self._distance = self._distance, self._goal_distance(self.state)
+        offset_before, self._offset = self._offset, self._gait.command.offset
+        if self._has_arrived(self._distance):
+            self.ending = "goal_reached"
+        elif room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
+            self.ending = "room_left"
+        return {
+            "progress_m": before - self._distance,
+            "touching_s": self._task.step_s * self._touching(),
+            "goal_reached": float(self.ending == "goal_reached"),
+            "room_left": float(self.ending == "room_left"),
+            "offset_change": abs(self._offset - offset_before),
+            **self._costs(),
+        }
+
+    def _info(self) -> dict[str, Any]:
+        return super()._info() | {
+            "heading_rad": float(self.state.heading),
+            "goal_x_m": self.goal.x,
+            "goal_y_m": self.goal.y,
+            "goal_distance_m": self._distance,
+            "touching": self._touching(),
+        }
+
+    def _touching(self) -> bool:
+        return bool(np.any(self.state.obstacle_force))
+
+    def _has_arrived(self, distance: float) -> bool:
+        """Return whether the episode ends at a distance from the goal (m)."""
+        return distance <= self.goal.radius
+
+    def _goal_distance(self, state: SnakeState) -> float:
+        return math.hypot(self.goal.x - float(state.com[0]), self.goal.y - float(state.com[1]))
+
+
+class SpatialCrawlEpisode(CrawlEpisode):
+    """Episode of crawling to a goal with a spatial robot."""
+
+    state_attributes = ("_pitch",)
+
+    _pitch = (0.0, 0.0)
+    """Share and lag (rad) of the last pitch wave."""
+
+    def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
+        share, lag = self._pitch = action[3], action[4]
+        return super()._command(action[:3])[0], PitchWave(share, lag)
+
+    def _last_command(self) -> list[float]:
+        return [*super()._last_command(), *self._pitch]
+
+
+class CrawlTask(CameraTask):
     """Task of crawling to a goal (module docstring).
 
     Attributes:
         arena: floor, and distributions of start and goal.
         limits: bounds of the gait commands.
+        episode_class: class of the episodes.
     """
 
-    step_s = STEP_S
+    episode_class: ClassVar[type[CrawlEpisode]] = CrawlEpisode
     reward_terms: ClassVar[tuple[RewardTerm, ...]] = (
         RewardTerm("progress_m", 1.0, "decrease of the distance from the centre of mass to the goal"),
         RewardTerm("touching_s", -0.5, "time in contact with an obstacle"),
         RewardTerm("goal_reached", 1.0, "1 in the step that reaches the goal"),
         RewardTerm("room_left", -1.0, "1 in the step that leaves the room"),
-        RewardTerm("time_s", 0.0, "duration of the step"),
-        RewardTerm("air_j", 0.0, "energy of the air taken from the supply"),
+        *COSTS,
         RewardTerm("offset_change", 0.0, "absolute change of the steering offset"),
     )
 
@@ -137,24 +271,33 @@ class CrawlTask(Task):
                 f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g} s; "
                 f"it must be {1 / STEP_S:g} Hz or more"
             )
-        self.name, self.arena, self._camera = name, arena, camera
+        self.name, self.arena, self.camera = name, arena, camera
         self.has_obstacles = arena.obstacles > 0
         self.limits = self._gait_limits()
         self.actions = self._action_signals()
-        self._set_observations(_observation_groups(arena, self.robot, self.actions))
+        self._set_observations(self._observation_groups())
 
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
         """See `Task.begin`."""
         spec = self._variation.draw(rng)
+        world, heading, seed = self._draw_world(rng)
+        twin = self._twin(spec, last, world, supply_pa=self.limits.pressure[1])
+        return self.episode_class(self, twin, world, heading, seed)
+
+    def _draw_world(self, rng: np.random.Generator) -> tuple[World, float, int]:
+        """Return the world, the initial heading (rad) and the random seed of an episode."""
         arena = self.arena
         draws = (rng.uniform(*limits) for limits in (arena.headings, arena.distances, arena.bearings))
         heading, distance, bearing = map(float, draws)
         direction = heading + bearing
         goal = Goal(distance * math.cos(direction), distance * math.sin(direction), None, GOAL_RADIUS_M)
-        seed = int(rng.integers(2**32))
-        world = World(self._obstacles(goal, seed), self.arena.room, goal)
-        twin = self._twin(spec, last, world, supply_pa=self.limits.pressure[1])
-        return self._episode_class(self, twin, world, heading, CameraFrames(self._camera, seed), seed)
+        seed, circles = int(rng.integers(2**32)), tuple[Circle, ...]()
+        if arena.obstacle_area is not None:
+            clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
+            circles = random_circles(
+                arena.obstacles, arena.obstacle_area, seed, radius=_RADII_M, gap=_GAP_M, clear=clear
+            )
+        return World(circles, arena.room, goal), heading, seed
 
     def _gait_limits(self) -> GaitLimits:
         """Return the bounds of offset, frequency and pressure."""
@@ -162,173 +305,50 @@ class CrawlTask(Task):
 
     def _action_signals(self) -> Signals:
         """Return the components of an action."""
-        return gait_signals(self.limits)
-
-    @property
-    def _episode_class(self) -> type[CrawlEpisode]:
-        return CrawlEpisode
-
-    def _obstacles(self, goal: Goal, seed: int) -> tuple[Any, ...]:
-        area = self.arena.obstacle_area
-        if area is None:
-            return ()
-        clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
-        return random_circles(self.arena.obstacles, area, seed, radius=_RADII_M, gap=_GAP_M, clear=clear)
-
-
-class CrawlEpisode(Episode):
-    """Episode of crawling to a goal.
-
-    Attributes:
-        world: obstacles, room and goal.
-    """
-
-    state_attributes: ClassVar[tuple[str, ...]] = (
-        "_gait", "_frames", "_readings", "_distance", "_air", "_offset",
-    )  # fmt: skip
-
-    def __init__(
-        self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, frames: CameraFrames, seed: int
-    ) -> None:
-        """Place the snake at the origin."""
-        if world.goal is None:
-            raise InputError("there is no goal to crawl to; give world.goal")
-        self.world, self.goal = world, world.goal
-        self._goal = world.goal
-        limits = task.limits
-        mean_command = GaitCommand(0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure)))
-        state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
-        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
-        self._frames, self._readings = frames, SensorReadings(state.sensed.size)
-        self._distance, self._air, self._offset = self._goal_distance(state), float(state.air), 0.0
-        super().__init__(task, twin, state)
-
-    def _initialise_from_state(self) -> None:
-        """See `Episode._initialise_from_state`."""
-        self._frames.restart()
-        self._distance, self._air = self._goal_distance(self.state), float(self.state.air)
-
-    def _valves(self, action: list[float]) -> np.ndarray:
-        command, pitch = self._command(action)
-        return self._gait.valves(float(self.state.time), command, pitch)
-
-    def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
-        """Return the gait parameters of an action."""
-        offset, frequency, pressure_kpa = action
-        return GaitCommand(offset, frequency, pressure_kpa * _PA_PER_KPA), None
-
-    def _last_command(self) -> list[float]:
-        """Return the observations of the last command."""
-        command = self._gait.command
-        return [command.offset, command.frequency, command.pressure / _PA_PER_KPA]
-
-    def _measure(self) -> list[float]:
-        time = float(self.state.time)
-        seen = self._frames.capture(self.state)
-        assert seen is not None, "the camera has one frame per step"
-        self._readings.update(time, self.state.sensed.T.ravel())  # to the left, then upwards
-        c, s = math.cos(seen.heading), math.sin(seen.heading)
-
-        def ahead_and_left(x: float, y: float) -> tuple[float, float]:
-            dx, dy = x - seen.x, y - seen.y
-            return c * dx + s * dy, c * dy - s * dx
-
-        angle = self._gait.gait.angle(time)
-        circles = [(*ahead_and_left(circle.x, circle.y), circle.radius) for circle in self.world.obstacles]
-        pose = [seen.x, seen.y, c, s, *ahead_and_left(self._goal.x, self._goal.y)]
-        gait_and_bends = [math.cos(angle), math.sin(angle), *self._readings.value]
-        obstacles = [number for circle in circles for number in circle]
-        return [*pose, *gait_and_bends, *self._last_command(), *obstacles]
-
-    def _reward_values(self) -> dict[str, float]:
-        state, room, step_s = self.state, self.world.bounds, self._task.step_s
-        distance, air, offset = self._goal_distance(state), float(state.air), self._gait.command.offset
-        before, self._distance = self._distance, distance
-        air_before, self._air = self._air, air
-        offset_before, self._offset = self._offset, offset
-        x, y = state.com
-        if self._has_arrived(distance):
-            self.ending = "goal_reached"
-        elif room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
-            self.ending = "room_left"
-        return {
-            "progress_m": before - distance,
-            "touching_s": step_s * self._touching(),
-            "goal_reached": float(self.ending == "goal_reached"),
-            "room_left": float(self.ending == "room_left"),
-            "time_s": step_s,
-            "air_j": air - air_before,
-            "offset_change": abs(offset - offset_before),
-        }
-
-    def _info(self) -> dict[str, Any]:
-        x, y = map(float, self.state.com)
-        return super()._info() | {
-            "com_x_m": x,
-            "com_y_m": y,
-            "heading_rad": float(self.state.heading),
-            "goal_x_m": self._goal.x,
-            "goal_y_m": self._goal.y,
-            "goal_distance_m": self._distance,
-            "touching": self._touching(),
-        }
-
-    def _touching(self) -> bool:
-        return bool(np.any(self.state.obstacle_force))
-
-    def _has_arrived(self, distance: float) -> bool:
-        """Return whether the episode ends at a distance from the goal (m)."""
-        return distance <= self._goal.radius
-
-    def _goal_distance(self, state: SnakeState) -> float:
-        return math.hypot(self._goal.x - float(state.com[0]), self._goal.y - float(state.com[1]))
-
-
-def gait_signals(limits: GaitLimits) -> Signals:
-    """Return the action signals of a gait command."""
-    low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
-    return (
-        Signal("offset", "1", *limits.offset, "steering offset φ of the gait, positive to the left"),
-        Signal("frequency_hz", "Hz", *limits.frequency, "gait frequency; the phase stays continuous"),
-        Signal("pressure_kpa", "kPa", low, high, "gauge pressure of the air supply"),
-    )
-
-
-def _observation_groups(arena: Arena, spec: RobotSpec, actions: Sequence[Signal]) -> dict[str, Signals]:
-    (left, right), (bottom, top) = arena.room.x, arena.room.y
-    margin = 0.5  # margin, m: a step may end outside the room, and the camera has noise
-    farthest = math.hypot(right - left, top - bottom) + 1.0
-    pose = (
-        Signal("x_m", "m", left - margin, right + margin, "x of the centre of mass, from the camera"),
-        Signal("y_m", "m", bottom - margin, top + margin, "y of the centre of mass, from the camera"),
-        Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, from the camera"),
-        Signal("heading_sin", "1", -1.0, 1.0, "sine of the mean heading, from the camera"),
-    )
-    goal = (
-        Signal("goal_ahead_m", "m", -farthest, farthest, "position of the goal along the heading"),
-        Signal("goal_left_m", "m", -farthest, farthest, "position of the goal to the left of the heading"),
-    )
-    gait = (
-        Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
-        Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
-    )
-    largest = MAX_READING_RAD
-    bends = [
-        signal
-        for name, text in (("bend_#_rad", "a bend"), ("pitch_#_rad", "a bend upwards"))[: 1 + spec.is_spatial]
-        for signal in numbered_signals(
-            spec.segments, name, "rad", -largest, largest, f"sensor reading of {text}"
+        limits = self.limits
+        low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
+        return (
+            Signal("offset", "1", *limits.offset, "steering offset φ of the gait, positive to the left"),
+            Signal("frequency_hz", "Hz", *limits.frequency, "gait frequency; the phase stays continuous"),
+            Signal("pressure_kpa", "kPa", low, high, "gauge pressure of the air supply"),
         )
-    ]
-    command = (replace(action, description="last command") for action in actions)
-    groups = {"pose": pose, "goal": goal, "gait": gait, "bends": tuple(bends), "command": tuple(command)}
-    circles: list[Signal] = []
-    for k in range(1, arena.obstacles + 1):
-        ahead, left_of = f"obstacle_{k}_ahead_m", f"obstacle_{k}_left_m"
-        where = f"position of circle {k}"
-        circles += [
-            Signal(ahead, "m", -farthest, farthest, f"{where} along the heading"),
-            Signal(left_of, "m", -farthest, farthest, f"{where} to the left of the heading"),
-            Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"),
-        ]
-    return groups | ({"obstacles": tuple(circles)} if circles else {})
+
+    def _observation_groups(self) -> dict[str, Signals]:
+        """Return the components of an observation by group."""
+        sides = self.arena.room.x, self.arena.room.y
+        x, y = ((low - _MARGIN_M, high + _MARGIN_M) for low, high in sides)
+        far = math.hypot(*(high - low for low, high in sides)) + 1.0
+        goal = place_signals("goal", far, "position of the goal")
+        groups = observation_groups(x, y, {"goal": goal}, self.robot, self.actions)
+        circles: list[Signal] = []
+        for k in range(1, self.arena.obstacles + 1):
+            circles += place_signals(f"obstacle_{k}", far, f"position of circle {k}")
+            circles.append(Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"))
+        return groups | ({"obstacles": tuple(circles)} if circles else {})
+
+
+class SpatialCrawlTask(CrawlTask):
+    """Task of crawling to a goal with a spatial robot (module docstring)."""
+
+    spatial = True
+    episode_class = SpatialCrawlEpisode
+
+    def __init__(self, *, robot: str = "spatial_example", **settings: Any) -> None:
+        """Create the task; arguments and errors as in `CrawlTask`.
+
+        Raises:
+            InputError: the robot is planar, or as in `CrawlTask`.
+        """
+        super().__init__("Crawl3D", FLOOR, robot=robot, **settings)
+
+    def _gait_limits(self) -> GaitLimits:
+        low, high = (ratio * self.robot.supply.nominal for ratio in SPATIAL_RELATIVE_PRESSURES)
+        return GaitLimits((-MAX_OFFSET, MAX_OFFSET), SPATIAL_FREQUENCIES_HZ, (low, high))
+
+    def _action_signals(self) -> Signals:
+        lag = "lag of the pitch wave; π/2: sidewinding to the right"
+        return (
+            *super()._action_signals(),
+            Signal("pitch_share", "1", 0.0, 1.0, "share of the pitch wave in the sum of the amplitudes"),
+            Signal("pitch_lag_rad", "rad", -math.pi, math.pi, lag),
+        )

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar
 
@@ -25,16 +25,18 @@ from srs_twin.compute.workers import Workers
 from srs_twin.envs.task import (
     Episode,
     Signals,
+    StepResult,
     abbreviate,
     as_finite_array,
-    check_reset_options,
+    check_names,
     check_seed,
     lower_bounds,
     upper_bounds,
 )
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import EngineWarning, InputError, UnknownNameError, check_choice
-from srs_twin.io.saved_state import DeepCopied
+from srs_twin.io.saved_state import DeepCopied, SavedState
+from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 _GOAL_LINE = 0.003
@@ -193,7 +195,7 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
             InputError: see `reset`.
         """
         check_seed(seed)
-        checked = check_reset_options(options)
+        checked = _checked_options(options)
         rng = copy.deepcopy(self.np_random) if seed is None else seeding.np_random(seed)[0]
         # Do not reuse the twin of the running episode with options, because they may be refused.
         episode = self.task.begin(rng, None if checked else self.episode)
@@ -212,14 +214,13 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         self.np_random.bit_generator.state = rng.bit_generator.state
         return self.episode.first.observation, self.episode.first.info
 
-    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.ndarray) -> StepResult:
         """Apply an action for one step of the task.
 
         Raises:
             InputError: no episode is running, or the action is invalid.
         """
-        result = self._current_episode().step(action)
-        return result.observation, result.reward, result.terminated, result.truncated, result.info
+        return self._current_episode().step(action)
 
     def render(self) -> np.ndarray | None:
         """Return an image, shape (height, width, 3), uint8; None without a render mode.
@@ -239,12 +240,41 @@ class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
         return self.episode
 
 
+_RESET_OPTIONS = ("state", "snake", "yaw_rate")
+_OPTION_TYPES = {
+    "state": (SavedState, "a SavedState, which episode.save() returns"),
+    "snake": (SnakeState, "a SnakeState, such as plant.state"),
+}
+"""Option of a reset → type, and its description in messages."""
+
+
+def _checked_options(options: object) -> dict[str, Any]:
+    """Return the options of a reset after validation, {} for None.
+
+    Raises:
+        UnknownNameError: an option does not exist.
+        InputError: options is not a mapping, two options exclude each other, or a value has the wrong type.
+    """
+    if options is None:
+        return {}
+    if not isinstance(options, Mapping):
+        raise InputError(
+            f"options {abbreviate(options)} are not allowed; give a dict with {', '.join(_RESET_OPTIONS)}"
+        )
+    check_names("option of reset", options, _RESET_OPTIONS)
+    for name, (expected_type, expected) in _OPTION_TYPES.items():
+        if name in options and not isinstance(options[name], expected_type):
+            raise InputError(f"option {name} {abbreviate(options[name])} is not allowed; give {expected}")
+    if "state" in options and len(options) > 1:
+        raise InputError("options snake and yaw_rate are not allowed with option state; leave them out")
+    if "yaw_rate" in options and "snake" not in options:
+        raise InputError("option yaw_rate requires option snake; give both")
+    return dict(options)
+
+
 def space_of(signals: Signals) -> spaces.Box:
     """Return the box of the signals' bounds."""
     return spaces.Box(lower_bounds(signals), upper_bounds(signals), dtype=np.float32)
-
-
-StepTuple = tuple[np.ndarray, float, bool, bool, dict[str, Any]]
 
 
 class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
@@ -372,12 +402,10 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         states = [self.envs[k]._current_episode().state for k in environments]
         self._batch.reset(poses=[(*s.com, float(s.heading)) for s in states], worlds=list(environments))
 
-    def _step_on_device(self, actions: np.ndarray) -> list[StepTuple]:
+    def _step_on_device(self, actions: np.ndarray) -> list[StepResult]:
         """Step all running episodes as one batch and reset the ended ones."""
-        batch, results = self._batch, dict[int, StepTuple]()
-        for k in map(int, np.flatnonzero(self._ended)):
-            observation, info = self.envs[k].reset()
-            results[k] = (observation, 0.0, False, False, info)
+        batch, ended = self._batch, np.flatnonzero(self._ended).tolist()
+        results = {k: self._begin_next(k) for k in ended}
         running = [k for k in range(self.num_envs) if k not in results]
         vented = np.full((self.envs[0]._current_episode().twin.spec.segments, 2), -1, dtype=np.int8)
         valves = [vented] * self.num_envs
@@ -390,17 +418,18 @@ class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
         batch.step(np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves]))
         for k in running:
             episode, error = self.envs[k]._current_episode(), batch.errors[k]
-            result = episode.diverged(error) if error is not None else episode.finish_step(batch.state.at(k))
-            results[k] = (result.observation, result.reward, result.terminated, result.truncated, result.info)
-        if ended := [k for k in results if k not in running]:
+            results[k] = episode.finish_step(batch.state.at(k)) if error is None else episode.diverged(error)
+        if ended:
             self._reset_device_poses(ended)
         return [results[k] for k in range(self.num_envs)]
 
-    def _step_or_reset(self, k: int, action: np.ndarray) -> StepTuple:
-        if self._ended[k]:
-            observation, info = self.envs[k].reset()
-            return observation, 0.0, False, False, info
-        return self.envs[k].step(action)
+    def _step_or_reset(self, k: int, action: np.ndarray) -> StepResult:
+        return self._begin_next(k) if self._ended[k] else self.envs[k].step(action)
+
+    def _begin_next(self, k: int) -> StepResult:
+        """Start the next episode of an environment, in place of a step."""
+        observation, info = self.envs[k].reset()
+        return StepResult(observation, 0.0, False, False, info)
 
     def _merge_infos(self, infos: Any) -> dict[str, Any]:
         merged: dict[str, Any] = {}

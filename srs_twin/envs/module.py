@@ -117,10 +117,11 @@ class ModuleEpisode(Episode):
         number = int(float(self.state.time) / HOLD_S + 1e-9)
         return float(self._levels[min(number, len(self._levels) - 1)])
 
-    def _measure(self) -> list[float]:
+    def _measure(self) -> dict[str, list[float]]:
         before = float(self._readings.value[0])
         self._readings.update(float(self.state.time), self.state.sensed)
-        return [float(self._readings.value[0]), before, self._reference(), *self._duties]
+        bends = [float(self._readings.value[0]), before, self._reference()]
+        return {"bends": bends, "command": self._duties}
 
     def _reward_values(self) -> dict[str, float]:
         return {"error_rad_s": abs(self._target - float(self.state.bend[0])) * self._task.step_s}

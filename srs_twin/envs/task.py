@@ -1,37 +1,28 @@
-r"""Reinforcement-learning tasks, common to Gymnasium and dm_env, and domain randomisation of the robot.
+"""Reinforcement-learning tasks, common to Gymnasium and dm_env.
 
 An agent gives an action and receives an observation every `step_s`. Observations contain only sensor and
 camera measurements, with their noise; the reward and `info` may use the true state. An episode terminates at
 its goal or on failure (`terminated`), or is cut off at the time limit (`truncated`).
-
-Robots vary by up to three sources: the tolerances of `modules` in a robot file, the confidence intervals of
-a fit file, and given ranges. Fitted parameters are drawn jointly from a normal distribution with the fit's
-standard errors and correlations, and clipped to their intervals. The correlations matter: where the data
-determine only a sum of two parameters, the draws preserve that sum.
 """
 
 from __future__ import annotations
 
-import os
 import reprlib
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from srs_twin.envs.variation import Path, Ranges, Robot, Variation
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, check_choice, count_steps
-from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.identification.parameters import free_parameters, with_values
-from srs_twin.io.documents import Document
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, World
 
@@ -70,10 +61,7 @@ class RewardTerm:
     description: str
 
 
-Path = str | os.PathLike[str]
-Robot = Path | Mapping[str, Any]
 Signals = tuple[Signal, ...]
-Ranges = Mapping[str, tuple[float, float]]
 
 
 def lower_bounds(signals: Signals) -> np.ndarray:
@@ -84,31 +72,6 @@ def lower_bounds(signals: Signals) -> np.ndarray:
 def upper_bounds(signals: Signals) -> np.ndarray:
     """Return the upper bounds, float32 of shape (signals,)."""
     return np.array([signal.high for signal in signals], dtype=np.float32)
-
-
-def numbered_signals(
-    count: int, name: str, unit: str, low: float, high: float, description: str
-) -> list[Signal]:
-    """Return one signal per segment or obstacle; # in the name is replaced by its number, from 1."""
-    return [Signal(name.replace("#", str(k)), unit, low, high, description) for k in range(1, count + 1)]
-
-
-def clip_action(signals: Signals, action: object) -> list[float]:
-    """Return an action clipped to the bounds of its signals.
-
-    Raises:
-        InputError: the shape is wrong, or a value is not a finite number.
-    """
-    values = as_finite_array(action, (len(signals),))
-    if values is None:
-        names = ", ".join(signal.name for signal in signals)
-        raise InputError(
-            f"action {abbreviate(action)} is not allowed; give {len(signals)} finite numbers: {names}"
-        )
-    return [
-        min(max(value, signal.low), signal.high)
-        for value, signal in zip(values.tolist(), signals, strict=True)
-    ]
 
 
 def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
@@ -130,6 +93,17 @@ def abbreviate(value: object) -> str:
     return reprlib.repr(value)
 
 
+def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> None:
+    """Check that names are known.
+
+    Raises:
+        UnknownNameError: a name is not; the message calls it `kind`.
+    """
+    for name in names:
+        if name not in known:
+            raise UnknownNameError(kind, str(name), known)
+
+
 def check_seed(seed: object) -> None:
     """Check that a seed is None or an integer of 0 or more.
 
@@ -144,39 +118,6 @@ def check_seed(seed: object) -> None:
 _MAX_PRINTED_VALUES = 6
 """Largest number of array elements that a message prints."""
 
-_OPTIONS = ("state", "snake", "yaw_rate")
-
-
-def check_reset_options(options: object) -> dict[str, Any]:
-    """Return the options of a reset after validation, {} for None.
-
-    Raises:
-        UnknownNameError: an option does not exist.
-        InputError: options is not a mapping, two options exclude each other, or a value has the wrong type.
-    """
-    if options is None:
-        return {}
-    if not isinstance(options, Mapping):
-        raise InputError(
-            f"options {abbreviate(options)} are not allowed; give a dict with {', '.join(_OPTIONS)}"
-        )
-    for name in options:
-        if name not in _OPTIONS:
-            raise UnknownNameError("option of reset", str(name), _OPTIONS)
-    types = {
-        "state": (SavedState, "a SavedState, which episode.save() returns"),
-        "snake": (SnakeState, "a SnakeState, such as plant.state"),
-    }
-    for name, (expected_type, expected) in types.items():
-        if name in options and not isinstance(options[name], expected_type):
-            raise InputError(f"option {name} {abbreviate(options[name])} is not allowed; give {expected}")
-    if "state" in options and len(options) > 1:
-        raise InputError("options snake and yaw_rate are not allowed with option state; leave them out")
-    if "yaw_rate" in options and "snake" not in options:
-        raise InputError("option yaw_rate requires option snake; give both")
-    return dict(options)
-
-
 ACTION_RANGES = ("unit", "physical")
 """Ranges of actions: −1 to 1, or the bounds of the signals in their units (until release 1.1)."""
 
@@ -187,9 +128,8 @@ TIME_UP = "time_up"
 DIVERGED = "diverged"
 
 
-@dataclass(frozen=True)
-class StepResult:
-    """Result of one step.
+class StepResult(NamedTuple):
+    """Result of one step, as Gymnasium returns it.
 
     Attributes:
         observation: float32, within the bounds of the task's observations.
@@ -268,17 +208,13 @@ class Task(ABC):
             text = "action_range='physical' ends with release 1.1; actions from −1 to 1 span the same bounds"
             warnings.warn(text, DeprecationWarning, stacklevel=3)
         defaults = {term.name: term.weight for term in self.reward_terms}
-        for name in rewards or ():
-            if name not in defaults:
-                raise UnknownNameError("reward term", name, defaults)
+        check_names("reward term", rewards or (), defaults)
         self.action_range, self.weights = action_range, defaults | dict(rewards or {})
-        self._selected_groups = None if observations is None else tuple(observations)
+        self._requested_groups = None if observations is None else tuple(observations)
         variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
         allowed = set(signature(TwinSnake).parameters) - _RESERVED_TWIN_ARGUMENTS
-        for name in twin_settings:
-            if name not in allowed:
-                raise UnknownNameError("setting of the task or its twin", name, allowed)
+        check_names("setting of the task or its twin", twin_settings, allowed)
         self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
         self.robot = variation.file.spec()
         if not self.spatial:
@@ -296,19 +232,17 @@ class Task(ABC):
             UnknownNameError: a group does not exist.
             InputError: no group is selected.
         """
-        selected = tuple(groups) if self._selected_groups is None else self._selected_groups
-        for name in selected:
-            if name not in groups:
-                raise UnknownNameError("group of observations", name, groups)
+        selected = tuple(groups) if self._requested_groups is None else self._requested_groups
+        check_names("group of observations", selected, groups)
         if not selected:
             raise InputError(f"observations: give at least one group of {', '.join(groups)}")
-        owners = [(group, signal) for group, signals in groups.items() for signal in signals]
-        self.groups, self._indices = groups, [k for k, (name, _) in enumerate(owners) if name in selected]
-        self.observations = tuple(owners[k][1] for k in self._indices)
+        self.groups, self._selected_groups = groups, tuple(name for name in groups if name in selected)
+        self.observations = tuple(signal for name in self._selected_groups for signal in groups[name])
 
-    def select(self, measured: Sequence[float]) -> np.ndarray:
-        """Return the selected components of all observations, float32."""
-        return np.array(measured, dtype=np.float32)[self._indices]
+    def select(self, measured: Mapping[str, Sequence[float]]) -> np.ndarray:
+        """Return the values of the selected groups in order, float32."""
+        values = [value for name in self._selected_groups for value in measured[name]]
+        return np.array(values, dtype=np.float32)
 
     @cached_property
     def commands(self) -> Signals:
@@ -323,7 +257,15 @@ class Task(ABC):
         Raises:
             InputError: the shape is wrong, or a value is not a finite number.
         """
-        values = clip_action(self.commands, action)
+        given = as_finite_array(action, (len(self.commands),))
+        if given is None:
+            names = [signal.name for signal in self.commands]
+            raise InputError(
+                f"action {abbreviate(action)} is not allowed; "
+                f"give {len(names)} finite numbers: {', '.join(names)}"
+            )
+        bounds = zip(given.tolist(), self.commands, strict=True)
+        values = [min(max(value, signal.low), signal.high) for value, signal in bounds]
         if self.action_range == "physical":
             return values
         return [
@@ -477,8 +419,8 @@ class Episode(Stateful, ABC):
         """Return the valve states of the next step."""
 
     @abstractmethod
-    def _measure(self) -> list[float]:
-        """Return the values of all groups of observations; called once per step, as it draws noise."""
+    def _measure(self) -> Mapping[str, Sequence[float]]:
+        """Return the values of each group of observations; called once per step, as it draws noise."""
 
     @abstractmethod
     def _reward_values(self) -> dict[str, float]:
@@ -489,88 +431,3 @@ class Episode(Stateful, ABC):
         rewards = {f"reward_{name}": value for name, value in self._rewards.items()}
         time, air = float(self.state.time), float(self.state.air)
         return {"time_s": time, "air_j": air, "ending": self.ending, **rewards}
-
-
-_SEED_COUNT = 2**32
-"""Number of seeds from which the modules of a robot are drawn."""
-
-
-@dataclass(frozen=True)
-class Variation:
-    """Distribution of robots over episodes (domain randomisation).
-
-    Attributes:
-        file: nominal robot with the tolerances of its modules.
-        fit: fit whose parameters are drawn from their confidence intervals; None: no fit.
-        ranges: parameter name → lower and upper limit of a uniform distribution.
-    """
-
-    file: RobotFile
-    fit: FitFile | None = None
-    ranges: Ranges = field(default_factory=dict)
-
-    @classmethod
-    def load(cls, robot: Robot, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
-        """Load the variation of a robot.
-
-        Args:
-            robot: name or path of a robot file, or its keys with `base`.
-            fit: path of a fit file for this robot.
-            ranges: see the attribute.
-
-        Raises:
-            InputError: a file does not exist, the fit is for another robot, or a range is not allowed.
-        """
-        fit_file = None if fit is None else load_fit(fit)
-        file = _changed_robot(robot) if isinstance(robot, Mapping) else load_robot_file(robot)
-        name = file.name if isinstance(robot, Mapping) else os.fspath(robot)
-        if fit_file is not None and fit_file.robot != name:
-            raise InputError(f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'")
-        variation = cls(file, fit_file, dict(ranges or {}))
-        spec = variation.file.spec()
-        for name, (low, high) in variation.ranges.items():
-            if not low <= high:
-                raise InputError(
-                    f"{name}: the range {low:g} to {high:g} is not allowed; give the lower limit first"
-                )
-            for limit in (low, high):
-                free_parameters(spec, [name], starts={name: limit})  # raises if not allowed
-        return variation
-
-    def draw(self, rng: np.random.Generator) -> RobotSpec:
-        """Draw the robot of an episode."""
-        spec = self.file.spec(int(rng.integers(_SEED_COUNT)))
-        if self.fit is not None:
-            spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
-        return with_values(spec, {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()})
-
-
-def _changed_robot(keys: Mapping[str, Any]) -> RobotFile:
-    """Return the robot of a mapping with `base` and changed keys.
-
-    Raises:
-        InputError: the base does not exist, or a key is invalid.
-    """
-    document = Document("robot", keys)
-    file = resolve_robot(document, keys, prefix=())
-    document.raise_problems()
-    assert file is not None, "without problems"
-    return file
-
-
-def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
-    """Draw fitted parameters from their joint normal distribution; add the actuator's fixed bend."""
-    fitted = [parameter for parameter in fit.parameters if parameter.value is not None]
-    values = np.array([parameter.value for parameter in fitted], dtype=float)
-    errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
-    covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    # Use eigenvalues, because correlations of 1 make the covariance singular.
-    drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
-    unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
-    bounds = {unknown.name: unknown for unknown in unknowns}
-    result = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
-    for parameter, value in zip(fitted, drawn, strict=True):
-        bound = bounds[parameter.name]
-        low, high = max(parameter.low, bound.low), min(parameter.high, bound.high)  # type: ignore[type-var]
-        result[parameter.name] = float(np.clip(value, low, high))
-    return result

@@ -25,9 +25,8 @@ def make_task(name: str, **settings: Any) -> Task:
         InputError: a setting is invalid.
     """
     from srs_twin.envs.contact import GraspTask, PegsTask
-    from srs_twin.envs.crawling import CIRCLES, OPEN, CrawlTask
+    from srs_twin.envs.crawling import CIRCLES, OPEN, CrawlTask, SpatialCrawlTask
     from srs_twin.envs.module import ModuleTask
-    from srs_twin.envs.spatial import SpatialCrawlTask
 
     if name not in TASKS:
         raise UnknownNameError("task", name, TASKS)

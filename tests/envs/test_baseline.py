@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from srs_twin.envs import make_task
-from srs_twin.envs.baseline import PathFollowing, ProportionalIntegral, play_episode
+from srs_twin.envs.policy import PathFollowing, ProportionalIntegral, play_episode
 
 
 @pytest.mark.slow

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from srs_twin.control.grasp import hold_with
 from srs_twin.envs import make_task
-from srs_twin.envs.baseline import baseline, play_episode
 from srs_twin.envs.contact import DRAG_M, FIELD_RADIUS_M, HOLD
 from srs_twin.envs.gymnasium import SnakeEnv
+from srs_twin.envs.policy import baseline, play_episode
 from srs_twin.errors import InputError
 
 

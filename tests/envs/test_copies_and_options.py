@@ -162,6 +162,20 @@ def test_refused_reset_leaves_the_environment_unchanged():
     assert equal_bits(play(env, actions), play(other, actions))
 
 
+def test_a_state_of_a_later_episode_continues_in_another_environment():
+    """The later episode reuses the twin of the first one, whose goal is elsewhere."""
+    env, other = SnakeEnv("GoTo", **SHORT), SnakeEnv("GoTo", **SHORT)
+    env.reset(seed=3)
+    env.reset(seed=4)
+    env.step(np.array([0.1, 0.5, 0.8]))
+    state = env.episode.save()
+    other.reset(seed=4, options={"state": state})
+    actions = sample_actions(other, 2)
+    assert equal_bits([env.step(a) for a in actions], [other.step(a) for a in actions])
+    with pytest.raises(InputError, match="the saved state has other settings"):
+        other.reset(seed=3, options={"state": state})
+
+
 def test_refused_reset_leaves_all_environments_of_a_vector_unchanged():
     envs, others = (SnakeVectorEnv("GoTo", 2, threads=2, **SHORT) for _ in range(2))
     for environment in (envs, others):

@@ -72,7 +72,7 @@ def test_goal_ends_an_episode_with_discount_0():
     assert env.action_spec().name.split("\t") == ["offset", "frequency_hz", "pressure_kpa"]
     env.reset()
     physics = env.physics
-    physics.episode.goal = physics.episode._goal = type(physics.episode._goal)(0.0, 0.0, None, 0.1)
+    physics.episode.goal = type(physics.episode.goal)(0.0, 0.0, None, 0.1)
     timestep = env.step(np.array([0.0, 2.0, 45.0], dtype=np.float32))
     assert timestep.step_type is dm_env.StepType.LAST and timestep.discount == 0.0
     assert physics.twin.bend_angles().shape == (4,)

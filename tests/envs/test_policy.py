@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from srs_twin.envs import make_task
-from srs_twin.envs.baseline import play_episode
-from srs_twin.envs.policy import NetworkPolicy, load_policy
+from srs_twin.envs.policy import NetworkPolicy, load_policy, play_episode
 from srs_twin.errors import InputError
 
 RNG = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from snakes import robot
 from srs_twin import InputError
 from srs_twin.envs import make_task
 from srs_twin.envs.gymnasium import SnakeEnv
-from srs_twin.envs.task import Variation
+from srs_twin.envs.variation import Variation
 from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import DataSet, fit_file, write_fit
 from srs_twin.io.documents import dump_yaml

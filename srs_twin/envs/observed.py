@@ -1,0 +1,141 @@
+"""Tasks of snakes with a gait, observed by a camera and bend sensors."""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+from srs_twin.control.base import MAX_READING_RAD, SensorReadings
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, Task
+from srs_twin.planning.camera import Camera, CameraFrames
+from srs_twin.plants.base import SnakeState
+from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import Pose
+
+STEP_S = 0.1
+"""Duration of a step, s."""
+
+CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
+"""Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad)."""
+
+COSTS = (
+    RewardTerm("time_s", 0.0, "duration of the step"),
+    RewardTerm("air_j", 0.0, "energy of the air taken from the supply"),
+)
+"""Terms of all tasks with a camera."""
+
+
+class CameraTask(Task):
+    """Task whose episodes have a camera.
+
+    Attributes:
+        camera: frame rate and noise of the camera.
+    """
+
+    camera: Camera
+    step_s = STEP_S
+
+
+class ObservedEpisode(Episode):
+    """Episode of a snake with a gait, a camera and bend sensors."""
+
+    state_attributes: ClassVar[tuple[str, ...]] = ("_gait", "_frames", "_readings", "_air")
+
+    def __init__(self, task: CameraTask, twin: TwinSnake, state: SnakeState, seed: int) -> None:
+        """Initialise; see `Episode.__init__`."""
+        self._frames, self._readings = CameraFrames(task.camera, seed), SensorReadings(state.sensed.size)
+        self._air = float(state.air)
+        super().__init__(task, twin, state)
+
+    def _initialise_from_state(self) -> None:
+        """See `Episode._initialise_from_state`."""
+        self._frames.restart()
+        self._air = float(self.state.air)
+
+    def _observe(self) -> tuple[Pose, dict[str, Sequence[float]]]:
+        """Return the observed pose of the snake, and the groups of observations that all tasks have."""
+        seen = self._frames.capture(self.state)
+        assert seen is not None, "the camera has one frame per step"
+        bends = self.state.sensed.T.ravel()  # to the left, then upwards
+        self._readings.update(float(self.state.time), bends)
+        angle = self._gait_angle()
+        return seen, {
+            "pose": [seen.x, seen.y, math.cos(seen.heading), math.sin(seen.heading)],
+            "gait": [math.cos(angle), math.sin(angle)],
+            "bends": self._readings.value.tolist(),
+            "command": self._last_command(),
+        }
+
+    @abstractmethod
+    def _gait_angle(self) -> float:
+        """Return the phase angle of the gait at the first segment, rad."""
+
+    @abstractmethod
+    def _last_command(self) -> list[float]:
+        """Return the observations of the last command."""
+
+    def _costs(self) -> dict[str, float]:
+        """Return the values of `COSTS` in the last step."""
+        before, self._air = self._air, float(self.state.air)
+        return {"time_s": self._task.step_s, "air_j": self._air - before}
+
+    def _info(self) -> dict[str, Any]:
+        x, y = map(float, self.state.com)
+        return super()._info() | {"com_x_m": x, "com_y_m": y}
+
+
+def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
+    """Return the position of a point relative to an observed pose, ahead and to the left, m."""
+    c, s, dx, dy = math.cos(seen.heading), math.sin(seen.heading), x - seen.x, y - seen.y
+    return c * dx + s * dy, c * dy - s * dx
+
+
+def place_signals(name: str, far: float, description: str) -> Signals:
+    """Return the signals of a position relative to the observed pose, up to a distance in m."""
+    return (
+        Signal(f"{name}_ahead_m", "m", -far, far, f"{description} along the heading"),
+        Signal(f"{name}_left_m", "m", -far, far, f"{description} to the left of the heading"),
+    )
+
+
+def observation_groups(
+    x: tuple[float, float],
+    y: tuple[float, float],
+    target: Mapping[str, Signals],
+    robot: RobotSpec,
+    actions: Iterable[Signal],
+) -> dict[str, Signals]:
+    """Return the groups of observations of a task with a camera.
+
+    Args:
+        x: smallest and largest x of the centre of mass, m.
+        y: smallest and largest y, m.
+        target: group of the goal or object.
+        robot: robot.
+        actions: components of an action.
+    """
+    directions = (("bend_#_rad", "a bend"), ("pitch_#_rad", "a bend upwards"))[: 1 + robot.is_spatial]
+    largest = MAX_READING_RAD
+    return {
+        "pose": (
+            Signal("x_m", "m", *x, "x of the centre of mass, from the camera"),
+            Signal("y_m", "m", *y, "y of the centre of mass, from the camera"),
+            Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, from the camera"),
+            Signal("heading_sin", "1", -1.0, 1.0, "sine of the mean heading, from the camera"),
+        ),
+        **target,
+        "gait": (
+            Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
+            Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
+        ),
+        "bends": tuple(
+            Signal(name.replace("#", str(k)), "rad", -largest, largest, f"sensor reading of {text}")
+            for name, text in directions
+            for k in range(1, robot.segments + 1)
+        ),
+        "command": tuple(replace(action, description="last command") for action in actions),
+    }

@@ -1,0 +1,111 @@
+"""Distribution of robots over episodes (domain randomisation).
+
+Robots vary by up to three sources: the tolerances of `modules` in a robot file, the confidence intervals of
+a fit file, and given ranges. Fitted parameters are drawn jointly from a normal distribution with the fit's
+standard errors and correlations, and clipped to their intervals. The correlations matter: where the data
+determine only a sum of two parameters, the draws preserve that sum.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from srs_twin.errors import InputError
+from srs_twin.identification.fit_file import FitFile, load_fit
+from srs_twin.identification.parameters import free_parameters, with_values
+from srs_twin.io.documents import Document
+from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.spec import RobotSpec
+
+Path = str | os.PathLike[str]
+Robot = Path | Mapping[str, Any]
+Ranges = Mapping[str, tuple[float, float]]
+
+_SEED_COUNT = 2**32
+"""Number of seeds from which the modules of a robot are drawn."""
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Distribution of robots over episodes.
+
+    Attributes:
+        file: nominal robot with the tolerances of its modules.
+        fit: fit whose parameters are drawn from their confidence intervals; None: no fit.
+        ranges: parameter name → lower and upper limit of a uniform distribution.
+    """
+
+    file: RobotFile
+    fit: FitFile | None = None
+    ranges: Ranges = field(default_factory=dict)
+
+    @classmethod
+    def load(cls, robot: Robot, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
+        """Load the variation of a robot.
+
+        Args:
+            robot: name or path of a robot file, or its keys with `base`.
+            fit: path of a fit file for this robot.
+            ranges: see the attribute.
+
+        Raises:
+            InputError: a file does not exist, the fit is for another robot, or a range is not allowed.
+        """
+        fit_file = None if fit is None else load_fit(fit)
+        file = _changed_robot(robot) if isinstance(robot, Mapping) else load_robot_file(robot)
+        name = file.name if isinstance(robot, Mapping) else os.fspath(robot)
+        if fit_file is not None and fit_file.robot != name:
+            raise InputError(f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'")
+        variation = cls(file, fit_file, dict(ranges or {}))
+        spec = variation.file.spec()
+        for name, (low, high) in variation.ranges.items():
+            if not low <= high:
+                raise InputError(
+                    f"{name}: the range {low:g} to {high:g} is not allowed; give the lower limit first"
+                )
+            for limit in (low, high):
+                free_parameters(spec, [name], starts={name: limit})  # raises if not allowed
+        return variation
+
+    def draw(self, rng: np.random.Generator) -> RobotSpec:
+        """Draw the robot of an episode."""
+        spec = self.file.spec(int(rng.integers(_SEED_COUNT)))
+        if self.fit is not None:
+            spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
+        return with_values(spec, {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()})
+
+
+def _changed_robot(keys: Mapping[str, Any]) -> RobotFile:
+    """Return the robot of a mapping with `base` and changed keys.
+
+    Raises:
+        InputError: the base does not exist, or a key is invalid.
+    """
+    document = Document("robot", keys)
+    file = resolve_robot(document, keys, prefix=())
+    document.raise_problems()
+    assert file is not None, "without problems"
+    return file
+
+
+def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
+    """Draw fitted parameters from their joint normal distribution; add the actuator's fixed bend."""
+    fitted = [parameter for parameter in fit.parameters if parameter.value is not None]
+    values = np.array([parameter.value for parameter in fitted], dtype=float)
+    errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
+    covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
+    # Use eigenvalues, because correlations of 1 make the covariance singular.
+    drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
+    unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
+    bounds = {unknown.name: unknown for unknown in unknowns}
+    result = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
+    for parameter, value in zip(fitted, drawn, strict=True):
+        bound = bounds[parameter.name]
+        low, high = max(parameter.low, bound.low), min(parameter.high, bound.high)  # type: ignore[type-var]
+        result[parameter.name] = float(np.clip(value, low, high))
+    return result
