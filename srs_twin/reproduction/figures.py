@@ -25,6 +25,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.plots import draw
+from srs_twin.studies.sweep.table import SweepTable
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.from_above import plan_view
 from srs_twin.viewing.plots.runs import (
@@ -134,7 +135,7 @@ def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
     columns |= {name: [point.changes[name] for point in points] for name in sweep.fields}
     for metric in dict.fromkeys(name for row in rows if row for name in row.values):
         columns[metric] = [row.values.get(metric) if row else None for row in rows]
-    return draw(next(plot for plot in sweep.plots if plot.metric == entry.metric), columns)
+    return draw(next(plot for plot in sweep.plots if plot.metric == entry.metric), SweepTable(columns))
 
 
 def _over_time(runs: Trajectories, value: Callable[[Trajectory], np.ndarray], label: str) -> Figure:

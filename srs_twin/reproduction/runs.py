@@ -10,7 +10,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -196,16 +196,17 @@ class RunStore:
             return
         on_row = progress(len(missing)) if progress is not None else None
         start_server("srs_twin.studies.sweep.warm")
-        with closing(run_tasks(run_job, missing, workers=workers)) as finished:
-            for done in finished:
-                row = done.result or failed_row(missing[done.number].key, done.error)
-                self._store.add(row)
-                if row.status == DONE:
-                    self._rows[row.key] = row
-                else:
-                    self._failures[row.key] = row.reason or "it failed"
-                if on_row is not None:
-                    on_row(row)
+
+        def keep(row: Row) -> None:
+            if row.status == DONE:
+                self._rows[row.key] = row
+            else:
+                self._failures[row.key] = row.reason or "it failed"
+            if on_row is not None:
+                on_row(row)
+
+        finished = run_tasks(run_job, missing, workers=workers)
+        self._store.collect(finished, [job.key for job in missing], keep)
 
     def row(self, key: str) -> Row | None:
         """Return the result of a job; None if it has not run or has failed."""

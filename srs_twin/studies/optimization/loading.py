@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,19 +12,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from srs_twin.comparison.metrics import METRIC_UNITS, METRICS_LISTED
-from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml
 from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.scenario.expectation import Words
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
-from srs_twin.scenario.loading import load_scenario, parse_scenario
+from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.modified import Changes as ChangedFields
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.sweep.points import Changes, Experiment, Value, leaf_names
-from srs_twin.studies.sweep.table import FieldName, Plain
-from srs_twin.studies.uncertainty.study import compliant_scenario
+from srs_twin.studies.sweep.loading import base_scenario, changed_base, problems_at, with_suggestion
+from srs_twin.studies.sweep.points import Changes, Experiment, FieldName, Plain, Value, leaf_names
+from srs_twin.studies.uncertainty.study import compliant_scenario, on_plant
 
 SEGMENTS = "robot.segments"
 """Variable for the number of segments; it changes all parameters of the robot that depend on it."""
@@ -43,6 +43,20 @@ class VariableFile(Section):
     """Quantities that stay constant when the number of segments changes (robot.segments)."""
     bounds_source: Words | None = None
     """Physical reason for low and high, repeated in the result for designs on a bound."""
+
+    def value_at(self, share: float) -> float | int:
+        """Return the value at a fraction of the range, rounded."""
+        low, high = self.low, self.high
+        value = low * (high / low) ** share if self.scale == "log" else low + (high - low) * share
+        # Six digits, so that designs that differ only by rounding share a run.
+        return round(value) if self.whole else float(f"{value:.6g}")
+
+    def share_of(self, value: float) -> float:
+        """Return a value as a fraction of the range."""
+        low, high = self.low, self.high
+        if self.scale == "log":
+            return float(np.log(value / low) / np.log(high / low))
+        return (value - low) / (high - low)
 
     @model_validator(mode="after")
     def _in_order(self) -> VariableFile:
@@ -151,24 +165,12 @@ class DesignSpace:
 
     def values(self, shares: np.ndarray) -> tuple[float | int, ...]:
         """Return the values of a design, shape (d,), given as fractions from 0 to 1."""
-        values: list[float | int] = []
-        for share, variable in zip(np.clip(shares, 0.0, 1.0), self.variables.values(), strict=True):
-            low, high = variable.low, variable.high
-            value = low * (high / low) ** share if variable.scale == "log" else low + (high - low) * share
-            # Six digits, so that designs that differ only by rounding share a run.
-            values.append(round(value) if variable.whole else float(f"{value:.6g}"))
-        return tuple(values)
+        ranges = zip(self.variables.values(), np.clip(shares, 0.0, 1.0), strict=True)
+        return tuple(variable.value_at(share) for variable, share in ranges)
 
     def shares(self, values: Mapping[str, float]) -> np.ndarray:
         """Return a design as fractions of the ranges, shape (d,)."""
-        shares = []
-        for name, variable in self.variables.items():
-            low, high, value = variable.low, variable.high, values[name]
-            if variable.scale == "log":
-                shares.append(np.log(value / low) / np.log(high / low))
-            else:
-                shares.append((value - low) / (high - low))
-        return np.array(shares)
+        return np.array([variable.share_of(values[name]) for name, variable in self.variables.items()])
 
     def bounds(self, shares: np.ndarray) -> dict[str, str]:
         """Return the variables of a design, shape (d,), that are on a bound → "low" or "high"."""
@@ -253,14 +255,7 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] 
         loc = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
         document.apply(replace(change, loc=loc))
     file = validate(StudyFile, document, document.data)
-    scenario: Scenario | None = None
-    scenario_errors: tuple[str, ...] = ()
-    if file is not None:
-        with document.report_errors("scenario"):
-            try:
-                scenario = load_scenario(file.scenario)
-            except InputFileError as error:
-                scenario_errors = error.lines
+    scenario, scenario_errors = (None, ()) if file is None else base_scenario(document)
     study = None
     if file is not None and scenario is not None:
         _check_metrics(document, file)
@@ -273,17 +268,14 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] 
 
 def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]) -> ChangedFields:
     """Return the changed fields of the scenario, and the study's seed if it was changed."""
-    after = study.experiments["twin"]
-    before = replace(after, base=study.scenario.document).with_fixed(written.get("fixed") or {})
-    changes = changed_fields(before, after.base, [loc for loc in locs if loc != ("seed",)])
+    fields = [loc for loc in locs if loc != ("seed",)]
+    changes = changed_base(study.experiments["twin"], study.scenario, written, fields)
     seed: dict[str, Any] = {"seed": 0, **written}
-    return changes + changed_fields(seed, study.document, [loc for loc in locs if loc == ("seed",)])
+    return changes + changed_fields(seed, study.document, set(locs) - set(fields))
 
 
 def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -> OptimizationStudy:
-    settings = scenario.document["plants"].get("twin", {})
-    base: Any = {**scenario.document, "plants": {"twin": settings}, "expect": []}
-    base = Experiment(base, ("twin",)).with_fixed(file.fixed)
+    base = Experiment(on_plant(scenario.document, "twin"), ("twin",)).with_fixed(file.fixed)
     experiments = {"twin": Experiment(base, ("twin",))}
     compliant = None
     try:
@@ -306,22 +298,15 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
 
 def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
     """Validate the scenario with the smallest and the largest value of each variable."""
-    size, reported = study.space.size, set[str]()
-    for i, name in enumerate(study.file.variables):
-        for end, share in (("low", 0.0), ("high", 1.0)):
-            shares = np.full(size, 0.5)
-            shares[i] = share
-            for experiment in study.experiments.values():
-                try:
-                    parse_scenario(experiment.document(study.space.changes(shares)), name="")
-                except InputFileError as error:
-                    for line in dict.fromkeys(error.lines):
-                        text = line.removeprefix(": ")
-                        if text in reported:
-                            continue
-                        reported.add(text)
-                        is_unknown = "unknown key" in text and "did you mean" not in text
-                        hint = (
-                            did_you_mean(name, [SEGMENTS, *leaf_names(experiment.base)]) if is_unknown else ""
-                        )
-                        document.report(("variables", name, end), text + hint)
+
+    def points() -> Iterator[tuple[Loc, Experiment, Changes]]:
+        for i, name in enumerate(study.file.variables):
+            for end, share in (("low", 0.0), ("high", 1.0)):
+                shares = np.full(study.space.size, 0.5)
+                shares[i] = share
+                for experiment in study.experiments.values():
+                    yield ("variables", name, end), experiment, study.space.changes(shares)
+
+    known = [SEGMENTS, *leaf_names(next(iter(study.experiments.values())).base)]
+    for loc, problem in problems_at(points()):
+        document.report(loc, with_suggestion(problem, str(loc[1]), known))

@@ -16,8 +16,8 @@ from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import write_text
 from srs_twin.studies.optimization.result import EVALUATIONS, PRODUCTS, RESULT, StudyResult
 from srs_twin.studies.optimization.search import costs, excesses
-from srs_twin.studies.sweep.store import write_table
-from srs_twin.viewing.html import Table, image, render
+from srs_twin.studies.sweep.table import write_table
+from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import save
 
@@ -41,16 +41,9 @@ def draw_convergence(
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
     best = (np.fmax if maximize else np.fmin).accumulate(np.where(feasible, values, np.nan))
-    axes.plot(number[feasible], values[feasible], "o", color="#9aa5b1", markersize=4, label="each run")
-    if not feasible.all():
-        axes.plot(
-            number[~feasible],
-            values[~feasible],
-            "x",
-            color="#d5dae0",
-            markersize=4,
-            label="misses constraints",
-        )
+    marks = [(feasible, "o", "#9aa5b1", "each run"), (~feasible, "x", "#d5dae0", "misses constraints")]
+    for which, marker, color, name in marks[: 1 if feasible.all() else 2]:
+        axes.plot(number[which], values[which], marker, color=color, markersize=4, label=name)
     axes.step(number, best, where="post", color="#1f6f8b", label="best so far")
     if initial is not None:
         axes.axhline(initial, color="#b5651d", linestyle="--", linewidth=1, label="initial scenario")
@@ -130,8 +123,8 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
     write_table(folder / EVALUATIONS, pa.table(columns))
     written = [EVALUATIONS]
     study, scenario = result.study, result.study.scenario.document
-    for k, run in enumerate(result.optimum.best, start=1):
-        document = study.experiments["twin"].document(study.space.changes(run.shares))
+    for k, design in enumerate(result.designs, start=1):
+        document = study.experiments["twin"].document(study.space.changes(design.run.shares))
         document |= {"plants": scenario["plants"], "title": f"{study.title}: best {k}"[:200]}
         (folder / "best").mkdir(parents=True, exist_ok=True)
         (folder / f"best/{k}.yaml").write_text(dump_yaml(document), "utf-8")
@@ -150,7 +143,7 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     """
     study = result.study
     goals, initial = study.file.objectives, result.document()["begun"]
-    twin = [run for run in result.optimum.runs if run.part == "twin"]
+    twin, best = [run for run in result.runs if run.part == "twin"], [entry.run for entry in result.designs]
     values = np.array([[run.metric(goal.metric) for goal in goals] for run in twin])
     labels = [metric_label(goal.metric) for goal in goals]
     start = [initial[goal.metric] for goal in goals]
@@ -162,12 +155,12 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
             values[:, 0], feasible, labels[0], start[0], maximize=maximize
         )
     else:
-        front = np.array([[run.metric(goal.metric) for goal in goals] for run in result.optimum.best])
+        front = np.array([[run.metric(goal.metric) for goal in goals] for run in best])
         figures["front"] = draw_front(values, front, labels, start)
     shares = np.array([run.shares for run in twin])
     ranks = np.argsort(np.lexsort((costs(study, twin)[:, 0], violation)))  # infeasible runs rank last
     ends = [(variable.low, variable.high) for variable in study.file.variables.values()]
-    bounds = [study.space.bounds(run.shares) for run in result.optimum.best]
+    bounds = [study.space.bounds(run.shares) for run in best]
     marks = [[bound.get(name) for bound in bounds] for name in study.space.variables]
     figures["parallel"] = draw_parallel(
         shares, ranks, list(map(field_label, study.space.variables)), ends, marks
@@ -198,7 +191,7 @@ def _best_table(result: StudyResult) -> Table:
     headings = ["", *map(field_label, study.space.variables), *map(metric_label, result.metrics)]
     headings += [f"{metric_label(objective.metric)}, gain" for objective in study.file.objectives]
     headings += ["refined"]
-    initial = [_text(document["begun"][name]) for name in result.metrics]
+    initial = [cell(document["begun"][name]) for name in result.metrics]
     rows = [["initial scenario", *[""] * study.space.size, *initial]]
     rows[0] += [""] * (len(headings) - len(rows[0]))
     for design in document["best"]:
@@ -209,16 +202,17 @@ def _best_table(result: StudyResult) -> Table:
         ]
         for name in result.metrics:
             ends = (design["intervals"] or {}).get(name)
-            interval = f" ({_text(ends[0])} to {_text(ends[1])})" if ends else ""
-            row.append(_text(design["metrics"][name]) + interval)
+            interval = f" ({cell(ends[0])} to {cell(ends[1])})" if ends else ""
+            row.append(cell(design["metrics"][name]) + interval)
         for gain in design["gains"].values():
             ends = gain["interval_95"]
             interval = f" ({percentage(ends[0])} to {percentage(ends[1])})" if ends else ""
             row.append(percentage(gain["share"]) + interval)
         row.append(f"changes by {percentage(max(filter(None, design['refined'].values()), default=0.0))}")
         rows.append(row)
-    notes = ["In brackets: 95 % interval over the robot's uncertain parameters."] if result.samples else []
-    notes += bound_lines(result)
+    notes = bound_lines(result)
+    if result.initial.samples:
+        notes.insert(0, "In brackets: 95 % interval over the robot's uncertain parameters.")
     return Table(headings, rows, range(1, len(headings)), " ".join(notes))
 
 
@@ -248,13 +242,9 @@ def _fidelity_text(result: StudyResult) -> str:
     for name, correlation in result.document()["fidelities"].items():
         if correlation is not None:
             label = metric_label(name)
-            total, near = _text(correlation["all"]), _text(correlation["near"])
+            total, near = cell(correlation["all"]), cell(correlation["near"])
             texts.append(f"{label}: {total} over all designs, {near} over the better half")
     return "; ".join(texts)
-
-
-def _text(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
 
 
 def percentage(value: float | None) -> str:

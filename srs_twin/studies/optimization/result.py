@@ -14,13 +14,23 @@ from srs_twin.identification.priors import Priors
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import OptimizationStudy
-from srs_twin.studies.optimization.runs import StudyRuns, metric_of
+from srs_twin.studies.optimization.runs import Run, StudyRuns, metric_of
 from srs_twin.studies.optimization.search import Optimum, excesses
-from srs_twin.studies.sweep.points import Changes
+from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
-RESULT, EVALUATIONS, REPORT = "study.json", "evaluations.parquet", "report.html"
+RESULT = "study.json"
+"""File of the result."""
+
+EVALUATIONS = "evaluations.parquet"
+"""File of all runs."""
+
+REPORT = "report.html"
+"""File of the report."""
+
 PICTURES = ("convergence.png", "front.png", "parallel.png")
+"""Files of plots."""
+
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
@@ -31,23 +41,45 @@ _MIN_RANKED = 4
 
 
 @dataclass(frozen=True)
+class EvaluatedDesign:
+    """Design with its run on the twin, and further runs that show how far the result can be trusted.
+
+    Attributes:
+        run: run of the twin.
+        refined: with half the time step, and with twice the hinges; empty for the initial scenario.
+        samples: with draws of the robot's uncertain parameters, equal for all designs; may be empty.
+    """
+
+    run: Run
+    refined: tuple[Row, ...]
+    samples: tuple[Row, ...] = field(repr=False)
+
+    def sampled(self, name: str) -> np.ndarray:
+        """Return a metric of the samples, shape (samples,)."""
+        return np.array([metric_of(row, "twin", name) for row in self.samples])
+
+    def refinement_change(self, name: str) -> float | None:
+        """Return the largest relative change of a metric by a refinement of the twin."""
+        value = self.run.metric(name)
+        refined = [metric_of(row, "twin", name) for row in self.refined]
+        return _number(max(abs(other - value) for other in refined) / max(abs(value), 1e-12))
+
+
+@dataclass(frozen=True)
 class StudyResult:
     """Result of a study.
 
     Attributes:
         study: study.
-        optimum: result of the search.
-        initial: unmodified scenario with the fixed fields, on the twin.
-        refined: each best design with half the time step, and with twice the hinges.
-        samples: the unmodified scenario, then each best design, with the same draws of the robot's uncertain
-            parameters.
+        runs: all runs of the search in order.
+        initial: unmodified scenario with the fixed fields.
+        designs: best designs, best first.
     """
 
     study: OptimizationStudy
-    optimum: Optimum
-    initial: Row
-    refined: tuple[tuple[Row, Row], ...]
-    samples: tuple[tuple[Row, ...], ...] = field(repr=False)
+    runs: tuple[Run, ...]
+    initial: EvaluatedDesign
+    designs: tuple[EvaluatedDesign, ...]
 
     @classmethod
     def evaluate(cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns) -> StudyResult:
@@ -62,113 +94,91 @@ class StudyResult:
             {"plants.twin.hinges_per_segment": 2 * settings["hinges_per_segment"]},
         ]
         designs = [study.space.changes(run.shares) for run in optimum.best]
-        initial = runs.rows("twin", [{}])[0]
-        rows = runs.rows("twin", [{**design, **fine} for design in designs for fine in refinements])
-        refined = tuple((rows[2 * k], rows[2 * k + 1]) for k in range(len(designs)))
-        count, samples = study.file.budget.uncertain, list[list[Row]]()
-        if count:
-            robots = _draw_robots(study, count)
-            changes = [{**robot, **design} for design in ({}, *designs) for robot in robots]
-            rows = runs.rows("twin", changes)
-            samples = [rows[k * count : (k + 1) * count] for k in range(1 + len(designs))]
-        result = cls(study, optimum, initial, refined, tuple(map(tuple, samples)))
+        initial = Run("twin", np.zeros(0), runs.rows("twin", [{}])[0])
+        refined = runs.rows("twin", [{**design, **fine} for design in designs for fine in refinements])
+        robots = _draw_robots(study, study.file.budget.uncertain)
+        samples = runs.rows("twin", [{**robot, **design} for design in ({}, *designs) for robot in robots])
+        evaluated = [EvaluatedDesign(initial, (), tuple(samples[: len(robots)]))]
+        for k, run in enumerate(optimum.best):
+            own = samples[(k + 1) * len(robots) : (k + 2) * len(robots)]
+            evaluated.append(EvaluatedDesign(run, tuple(refined[2 * k : 2 * k + 2]), tuple(own)))
+        result = cls(study, optimum.runs, evaluated[0], tuple(evaluated[1:]))
         return result if study.file.objectives[0].quantile is None else result.ranked_by_quantile()
 
     def ranked_by_quantile(self) -> StudyResult:
         """Return the result with the best designs ranked by the objective's quantile over the samples."""
         objective = self.study.file.objectives[0]
-        sign = -1.0 if objective.goal == "maximize" else 1.0
-        count = len(self.optimum.best)
-        quantiles = [
-            np.nanquantile(self._samples(k + 1, objective.metric), objective.quantile or 0.5)
-            for k in range(count)
-        ]
-        order = np.argsort(sign * np.array(quantiles))
-        best = Optimum(tuple(self.optimum.best[k] for k in order), self.optimum.runs)
-        samples = (self.samples[0], *(self.samples[k + 1] for k in order))
-        return replace(self, optimum=best, refined=tuple(self.refined[k] for k in order), samples=samples)
+        sign, share = -1.0 if objective.goal == "maximize" else 1.0, objective.quantile or 0.5
+        order = np.argsort([sign * np.nanquantile(d.sampled(objective.metric), share) for d in self.designs])
+        return replace(self, designs=tuple(self.designs[k] for k in order))
 
     def document(self) -> dict[str, Any]:
         """Return the result as JSON values, as `--json` prints it."""
-        study, names = self.study, self.metrics
-        counts = {part: sum(run.part == part for run in self.optimum.runs) for part in study.experiments}
-        best = []
-        for k, run in enumerate(self.optimum.best):
-            metrics = {name: _number(run.metric(name)) for name in names}
-            values = study.space.values(run.shares)
-            best.append(
-                {
-                    "variables": dict(zip(study.space.variables, values, strict=True)),
-                    "metrics": metrics, "plant": "twin", "scenario": f"best/{k + 1}.yaml",
-                    "keeps_constraints": bool((excesses(study, [run]) <= 0).all()),
-                    "on_bound": self.on_bound(k),
-                    "refined": {name: self.refinement_change(k, name) for name in names},
-                    "survives": self.is_converged(k),
-                    "intervals": {name: self.interval(k, name) for name in names} if self.samples else None,
-                    "beats_next": self.beats_next(k),
-                    "gains": {o.metric: self.gain(k, o.metric) for o in study.file.objectives},
-                }
-            )  # fmt: skip
+        study, objectives = self.study, self.study.file.objectives
         return {
-            "study": study.name, "title": study.title, "best": best, "evaluations": counts,
-            "begun": {name: _number(metric_of(self.initial, "twin", name)) for name in names},
-            "fidelities": {o.metric: self.fidelity_correlation(o.metric) for o in study.file.objectives},
-            "seed": study.file.seed, "versions": versions(),
-        }  # fmt: skip
+            "study": study.name,
+            "title": study.title,
+            "best": [self._design_document(k) for k in range(len(self.designs))],
+            "evaluations": {part: sum(run.part == part for run in self.runs) for part in study.experiments},
+            "begun": {name: _number(self.initial.run.metric(name)) for name in self.metrics},
+            "fidelities": {o.metric: self.fidelity_correlation(o.metric) for o in objectives},
+            "seed": study.file.seed,
+            "versions": versions(),
+        }
 
-    def on_bound(self, k: int) -> dict[str, dict[str, object]]:
+    def _design_document(self, k: int) -> dict[str, object]:
+        """Return a best design as JSON values."""
+        study, names, design = self.study, self.metrics, self.designs[k]
+        objectives = [objective.metric for objective in study.file.objectives]
+        changes = {name: design.refinement_change(name) for name in names}
+        known = [changes[name] for name in objectives]
+        intervals = {name: _interval_95(design.sampled(name)) for name in names}
+        return {
+            "variables": dict(zip(study.space.variables, study.space.values(design.run.shares), strict=True)),
+            "metrics": {name: _number(design.run.metric(name)) for name in names},
+            "plant": "twin",
+            "scenario": f"best/{k + 1}.yaml",
+            "keeps_constraints": bool((excesses(study, [design.run]) <= 0).all()),
+            "on_bound": self._on_bound(design),
+            "refined": changes,
+            "survives": all(share is not None and share <= _MAX_REFINEMENT_CHANGE for share in known),
+            "intervals": intervals if design.samples else None,
+            "beats_next": self._beats_next(k),
+            "gains": {name: self._gain(design, name) for name in objectives},
+        }
+
+    def _on_bound(self, design: EvaluatedDesign) -> dict[str, dict[str, object]]:
         """Return the variables of a best design that are on a bound.
 
         Returns:
             Variable → `bound` ("low" or "high"), its `value`, and the `source` of the bounds or None.
         """
-        variables = self.study.file.variables
         return {
-            name: {
-                "bound": bound,
-                "value": getattr(variables[name], bound),
-                "source": variables[name].bounds_source,
-            }
-            for name, bound in self.study.space.bounds(self.optimum.best[k].shares).items()
+            name: {"bound": bound, "value": getattr(variable, bound), "source": variable.bounds_source}
+            for name, bound in self.study.space.bounds(design.run.shares).items()
+            for variable in (self.study.file.variables[name],)
         }
 
     @property
     def metrics(self) -> tuple[str, ...]:
         """Metrics of the objectives, then of the constraints."""
-        file = self.study.file
-        objectives = [objective.metric for objective in file.objectives]
-        return tuple(dict.fromkeys([*objectives, *(constraint.metric for constraint in file.constraints)]))
+        objectives = [objective.metric for objective in self.study.file.objectives]
+        constraints = [constraint.metric for constraint in self.study.file.constraints]
+        return tuple(dict.fromkeys([*objectives, *constraints]))
 
-    def refinement_change(self, k: int, name: str) -> float | None:
-        """Return the largest relative change of a best design's metric by a refinement of the twin."""
-        value = self.optimum.best[k].metric(name)
-        refined = [metric_of(row, "twin", name) for row in self.refined[k]]
-        return _number(max(abs(other - value) for other in refined) / max(abs(value), 1e-12))
-
-    def is_converged(self, k: int) -> bool:
-        """Return whether no objective of a best design changes by more than 1 % by a refinement."""
-        changes = [self.refinement_change(k, objective.metric) for objective in self.study.file.objectives]
-        return all(change is not None and change <= _MAX_REFINEMENT_CHANGE for change in changes)
-
-    def interval(self, k: int, name: str) -> list[float | None]:
-        """Return the 95 % interval of a best design's metric over the robot's uncertain parameters."""
-        return _interval_95(self._samples(k + 1, name))
-
-    def beats_next(self, k: int) -> float | None:
+    def _beats_next(self, k: int) -> float | None:
         """Return the fraction of drawn robots for which a design is better than the next; None if unknown."""
-        if not self.samples or len(self.study.file.objectives) > 1 or k + 2 >= len(self.samples):
+        objective, *others = self.study.file.objectives
+        if not self.designs[k].samples or others or k + 1 >= len(self.designs):
             return None
-        objective = self.study.file.objectives[0]
-        this, following = (self._samples(index, objective.metric) for index in (k + 1, k + 2))
+        this, following = (design.sampled(objective.metric) for design in self.designs[k : k + 2])
         return float(np.mean(this > following if objective.goal == "maximize" else this < following))
 
-    def gain(self, k: int, name: str) -> dict[str, object]:
+    def _gain(self, design: EvaluatedDesign, name: str) -> dict[str, object]:
         """Return the relative gain of a best design over the initial scenario, and its 95 % interval."""
-        value, before = self.optimum.best[k].metric(name), metric_of(self.initial, "twin", name)
-        gain: dict[str, object] = {"share": _number(value / before - 1), "interval_95": None}
-        if self.samples:
-            gain["interval_95"] = _interval_95(self._samples(k + 1, name) / self._samples(0, name) - 1)
-        return gain
+        share = design.run.metric(name) / self.initial.run.metric(name) - 1
+        ratios = design.sampled(name) / self.initial.sampled(name) - 1
+        return {"share": _number(share), "interval_95": _interval_95(ratios) if design.samples else None}
 
     def fidelity_correlation(self, name: str) -> dict[str, float | None] | None:
         """Return the rank correlations of a metric between the fidelities, for all and the better designs.
@@ -177,10 +187,10 @@ class StudyResult:
         """
         from scipy.stats import spearmanr
 
-        compliant = {run.shares.tobytes(): run for run in self.optimum.runs if run.part == "compliant"}
+        compliant = {run.shares.tobytes(): run for run in self.runs if run.part == "compliant"}
         both = [
             (compliant[run.shares.tobytes()].metric(name), run.metric(name))
-            for run in self.optimum.runs
+            for run in self.runs
             if run.part == "twin" and run.shares.tobytes() in compliant
         ]
         pairs = np.array([pair for pair in both if all(map(math.isfinite, pair))]).reshape(-1, 2)
@@ -197,7 +207,7 @@ class StudyResult:
     @cached_property
     def table(self) -> Mapping[str, list[Any]]:
         """All runs in order, as columns: part, variables, status, reason, metrics."""
-        study, runs = self.study, self.optimum.runs
+        study, runs = self.study, self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
         values = [study.space.values(run.shares) for run in runs]
         columns |= {name: [float(row[i]) for row in values] for i, name in enumerate(study.space.variables)}
@@ -206,24 +216,19 @@ class StudyResult:
         columns |= {name: [_number(run.metric(name)) for run in runs] for name in names}
         return columns
 
-    def _samples(self, index: int, name: str) -> np.ndarray:
-        return np.array([metric_of(row, "twin", name) for row in self.samples[index]])
-
 
 def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
     """Draw the robot's uncertain parameters, except those that are variables of the study."""
-    from scipy.stats import qmc
-
+    if not count:
+        return []
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])
     chosen = [name.removeprefix("robot.") for name in study.space.changes(np.full(study.space.size, 0.5))]
     priors = Priors.from_robot(
         robot, without=[path for path in Priors.from_robot(robot).paths if path in chosen]
     )
-    shares = qmc.Sobol(len(priors.paths), rng=study.file.seed).random_base2(max(count - 1, 1).bit_length())
-    return [
-        {f"robot.{path}": float(value) for path, value in zip(priors.paths, row, strict=True)}
-        for row in priors.quantile(shares[:count])
-    ]
+    values = priors.quantile(sobol_points(len(priors.paths), count, study.file.seed))
+    names = [f"robot.{path}" for path in priors.paths]
+    return [dict(zip(names, row, strict=True)) for row in values.tolist()]
 
 
 def _interval_95(values: np.ndarray) -> list[float | None]:

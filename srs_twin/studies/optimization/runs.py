@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, closing
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.sweep.execution import Engine
 from srs_twin.studies.sweep.points import RUNNER, Changes, Point
 from srs_twin.studies.sweep.store import RowStore, SweepIdentity
-from srs_twin.studies.sweep.task import DONE, Row, failed_row
+from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
 """Fidelity → plant that runs it."""
@@ -120,14 +120,14 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         experiment, plant = self._study.experiments[part], PLANTS[part]
         points = [Point(run_key(experiment.document(change), (plant,), RUNNER), change) for change in changes]
         missing = list({p.key: p for p in points if p.key not in self._rows}.values())
+
+        def on_row(row: Row) -> None:
+            self._rows[row.key] = row
+            if self._on_row is not None:
+                self._on_row(part, row)
+
         if missing:  # starting an engine may take seconds
-            with closing(self._engine(experiment, missing)) as rows:  # type: ignore[type-var]
-                for done in rows:
-                    row = done.result or failed_row(missing[done.number].key, done.error)
-                    self._stores[part].add(row)
-                    self._rows[row.key] = row
-                    if self._on_row is not None:
-                        self._on_row(part, row)
+            self._stores[part].collect(self._engine(experiment, missing), [p.key for p in missing], on_row)
         return [self._rows[point.key] for point in points]
 
     def reset(self) -> None:

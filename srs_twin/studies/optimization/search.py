@@ -30,6 +30,7 @@ from scipy.stats import norm
 from srs_twin.errors import InputError
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.optimization.runs import Run, StudyRuns
+from srs_twin.studies.sweep.points import sobol_points
 from srs_twin.studies.sweep.task import DONE, Row
 from srs_twin.studies.uncertainty.surrogates import GaussianProcess
 
@@ -107,24 +108,24 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the objectives of runs, signed for minimisation, shape (runs, objectives); NaN if unknown."""
-    signs = [-1.0 if objective.goal == "maximize" else 1.0 for objective in study.file.objectives]
-    rows = [
-        [s * run.metric(o.metric) for s, o in zip(signs, study.file.objectives, strict=True)] for run in runs
-    ]
-    return np.array(rows, dtype=float).reshape(len(runs), len(signs))
+    goals = study.file.objectives
+    return _signed(runs, [(goal.metric, -1.0 if goal.goal == "maximize" else 1.0, 0.0) for goal in goals])
 
 
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the violations of the constraints, at most 0 if satisfied, shape (runs, limits)."""
-    rows = []
-    for run in runs:
-        row = []
-        for constraint in study.file.constraints:
-            value = run.metric(constraint.metric)
-            row += [value - constraint.below] if constraint.below is not None else []
-            row += [constraint.above - value] if constraint.above is not None else []
-        rows.append(row)
-    return np.array(rows, dtype=float).reshape(len(runs), -1)
+    limits = (
+        (constraint.metric, sign, limit)
+        for constraint in study.file.constraints
+        for sign, limit in ((1.0, constraint.below), (-1.0, constraint.above))
+    )
+    return _signed(runs, [(name, sign, limit) for name, sign, limit in limits if limit is not None])
+
+
+def _signed(runs: Sequence[Run], terms: Sequence[tuple[str, float, float]]) -> np.ndarray:
+    """Return sign · (metric − offset) of runs for each (metric, sign, offset), shape (runs, terms)."""
+    rows = [[sign * (run.metric(name) - offset) for name, sign, offset in terms] for run in runs]
+    return np.array(rows, dtype=float).reshape(len(runs), len(terms))
 
 
 def front(costs: np.ndarray) -> np.ndarray:
@@ -162,11 +163,7 @@ class _Search:
         """Search the low-fidelity model with CMA-ES, for two objectives with several weights."""
         cma = _cma()
         budget = int(_CMA_SHARE * self._study.file.budget.compliant)
-        weights = (
-            [np.ones(1)]
-            if self._objectives == 1
-            else [np.array([w, 1 - w]) for w in np.linspace(0.02, 0.98, 7)]
-        )
+        weights = self._weights_of(np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1))
         self._run("compliant", self._sample_space(max(2 * self._size, budget // 10)))
         for k, weight in enumerate(weights):
             share = (budget - len(self._compliant_runs)) // (len(weights) - k)
@@ -195,7 +192,7 @@ class _Search:
             return
         random_designs = self._sample_space(max(count // 3, 1))
         chosen: list[np.ndarray] = []
-        for weight in self._weights(count - len(random_designs)):
+        for weight in self._random_weights(count - len(random_designs)):
             order = np.argsort(self._scalarise(self._compliant_runs, weight))
             designs = (self._compliant_runs[k].shares for k in order)
             new = next((design for design in designs if _is_far(design, chosen, _OPTIMUM_DISTANCE)), None)
@@ -253,9 +250,8 @@ class _Search:
         """Return the runs of the twin with the least violation of the constraints; raises as `best`."""
         finished = [run for run in self._twin_runs if np.isfinite(self._outputs([run])).all()]
         if not finished:
-            why = next(
-                (run.row.reason for run in self._twin_runs if run.row.reason), "the metrics have no value"
-            )
+            reasons = (run.row.reason for run in self._twin_runs if run.row.reason)
+            why = next(reasons, "the metrics have no value")
             raise InputError(f"no run of the twin has a result: {why}")
         violations = np.maximum(excesses(self._study, finished), 0.0).sum(axis=1)
         return [
@@ -280,19 +276,18 @@ class _Search:
 
     def _sample_space(self, count: int) -> np.ndarray:
         """Return Sobol points of the design space, some of them on bounds, shape (count, d)."""
-        from scipy.stats import qmc
-
-        samples = qmc.Sobol(self._size, rng=self._rng).random_base2(max(count - 1, 1).bit_length())
-        wide = (1 + 2 * _EDGE_OVERDRAW) * samples[:count] - _EDGE_OVERDRAW
+        wide = (1 + 2 * _EDGE_OVERDRAW) * sobol_points(self._size, count, self._rng) - _EDGE_OVERDRAW
         return self._study.space.snapped(np.clip(wide, 0.0, 1.0))
 
-    def _weights(self, count: int) -> list[np.ndarray]:
+    def _random_weights(self, count: int) -> list[np.ndarray]:
+        """Return weights that are evenly distributed, in random order."""
         if self._objectives == 1:
-            return [np.ones(1)] * count
-        return [
-            np.array([w, 1 - w])
-            for w in self._rng.permutation((np.arange(count) + self._rng.random()) / count)
-        ]
+            return self._weights_of(np.ones(count))
+        return self._weights_of(self._rng.permutation((np.arange(count) + self._rng.random()) / count))
+
+    def _weights_of(self, shares: np.ndarray) -> list[np.ndarray]:
+        """Return the weights of the objectives for each share of the first one."""
+        return [np.array([share, 1 - share] if self._objectives == 2 else [1.0]) for share in shares]
 
     def _scalarise(
         self, runs: Sequence[Run], weight: np.ndarray, relative_to: Sequence[Run] | None = None

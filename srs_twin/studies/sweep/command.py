@@ -148,9 +148,7 @@ def make_engine(name: str, workers: int | None, address: str | None) -> Engine:
     if name == "ray":
         return execution.on_ray(address, workers)
     if name == "warp":
-        from srs_twin.studies.sweep.execution import on_device
-
-        return on_device(address, workers)
+        return execution.on_device(address, workers)
     if address is not None:
         raise InputError("--address is only for the engines ray and warp; remove it")
     return execution.local(workers)

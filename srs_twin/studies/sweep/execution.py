@@ -13,10 +13,10 @@ import os
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from srs_twin.compute.workers import TaskResult, run_tasks, start_server
 from srs_twin.errors import EngineWarning, InputError, SrsError
@@ -30,22 +30,9 @@ from srs_twin.scenario.provenance import file_digests, source_digests
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
-from srs_twin.studies.sweep.store import (
-    RESULTS,
-    RowStore,
-    SweepIdentity,
-    metric_ranges,
-    result_table,
-    rows_digest,
-    shown_columns,
-    shown_metrics,
-    write_table,
-)
-from srs_twin.studies.sweep.table import SweepTable, published_table
-from srs_twin.studies.sweep.task import DONE, FAILED, Row, failed_row, run_point
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from srs_twin.studies.sweep.store import RowStore, SweepIdentity, rows_digest
+from srs_twin.studies.sweep.table import SweepTable, published_table, shown_metrics
+from srs_twin.studies.sweep.task import DONE, FAILED, Row, run_point
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
 """Environment variables of Ray: no usage reports, and workers share the Python environment of this
@@ -131,8 +118,20 @@ def _run_on_ray(experiment: Experiment, points: Sequence[Point]) -> Iterator[Tas
 ENGINES = ("local", "ray", "warp")
 
 
-SUMMARY, SWEEP, SCENARIO = "sweep.json", "sweep.yaml", "scenario.resolved.yaml"
+RESULTS = "results.parquet"
+"""File of the table."""
+
+SUMMARY = "sweep.json"
+"""File of the summary."""
+
+SWEEP = "sweep.yaml"
+"""File of the sweep with its changes."""
+
+SCENARIO = "scenario.resolved.yaml"
+"""File of the scenario with all defaults and the robot written out."""
+
 PLOTS = "plots"
+"""Folder of the plots."""
 
 # The summary comes first, because the first file marks a complete set (`replace_files`).
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
@@ -167,27 +166,21 @@ class OpenSweep:
         existing = self._store.keys(failed=not retry_failed)
         return tuple(point for point in self.sweep.points if point.key not in existing)
 
+    def rows(self) -> list[Row]:
+        """Return the stored rows, ordered by key."""
+        return list(self._store.rows())
+
     def run(
         self, engine: Engine, points: tuple[Point, ...], finished: Callable[[Row], None] | None = None
     ) -> None:
-        """Run points and store each row as it finishes.
-
-        An interrupt ends the workers; finished rows stay.
+        """Run points and store each row as it finishes, see `RowStore.collect`.
 
         Args:
             engine: engine for the runs.
             points: points of the sweep.
             finished: called with each row.
-
-        Raises:
-            InputError: a row cannot be stored.
         """
-        with closing(engine(self.sweep.experiment, points)) as rows:  # type: ignore[type-var]
-            for done in rows:
-                row = done.result or failed_row(points[done.number].key, done.error)
-                self._store.add(row)
-                if finished is not None:
-                    finished(row)
+        self._store.collect(engine(self.sweep.experiment, points), [p.key for p in points], finished)
 
     def finish(self) -> Summary:
         """Write table, plots and report of the present rows, and sweep.json last.
@@ -199,11 +192,10 @@ class OpenSweep:
             return self._write(fresh)
 
     def _write(self, fresh: Path) -> Summary:
-        rows = list(self._store.rows())
-        results = result_table(self.sweep, rows)
-        write_table(fresh / RESULTS, results)
+        rows = self.rows()
+        results = SweepTable.from_rows(self.sweep, rows)
+        results.write(fresh / RESULTS, self.sweep)
         titles = self._draw(fresh, results)
-        columns = SweepTable.from_columns(shown_columns(self.sweep, results))
         published = self.sweep.beside
         for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
             (fresh / name).write_text(dump_yaml(document), "utf-8")
@@ -215,16 +207,16 @@ class OpenSweep:
             reasons=dict(Counter(row.reason or "" for row in failed).most_common()),
             exit_code=max((row.exit_code for row in failed), default=0),
             sha256=rows_digest(rows),
-            ranges=metric_ranges(results),
+            ranges=results.ranges(),
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
-            published=None if published is None else published_table(published, columns),
+            published=None if published is None else published_table(published, results),
         )
         pictures = {title: (fresh / name).read_bytes() for name, title in titles.items()}
-        write_report(fresh / REPORT, self.sweep, summary, columns, shown_metrics(self.sweep), pictures)
+        write_report(fresh / REPORT, self.sweep, summary, results, shown_metrics(self.sweep), pictures)
         (fresh / SUMMARY).write_text(json.dumps(self._document(summary), indent=2) + "\n", "utf-8")
         return summary
 
-    def _draw(self, fresh: Path, results: pa.Table) -> dict[str, str]:
+    def _draw(self, fresh: Path, results: SweepTable) -> dict[str, str]:
         """Write the plots into a folder; return file name → title."""
         if not self.sweep.plots:
             return {}

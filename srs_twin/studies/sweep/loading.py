@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,8 +23,18 @@ from srs_twin.scenario.modified import Changes, affects, changed_fields, marked,
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.sweep.points import Experiment, RangeFile, Sweep, SweepFile, Value, leaf_names, sample
-from srs_twin.studies.sweep.table import ColumnValues, Published
+from srs_twin.studies.sweep.points import (
+    Experiment,
+    Published,
+    RangeFile,
+    Sweep,
+    SweepFile,
+    Value,
+    is_number,
+    leaf_names,
+    sample,
+)
+from srs_twin.studies.sweep.table import ColumnValues
 
 
 def check_published(document: Document, file: SweepFile, published: Published) -> None:
@@ -39,8 +49,7 @@ def check_published(document: Document, file: SweepFile, published: Published) -
         if field in file.vary:
             _check_published_fields(document, file, field, values)
         else:
-            hint = did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
-            document.report(("beside", "at", field), f"is not varied{hint}", at_key=True)
+            document.report(("beside", "at", field), _not_varied(field, file), at_key=True)
     columns = list(METRIC_UNITS) if file.metrics is None else [m for m in file.metrics if m in METRIC_UNITS]
     for metric in published.metrics:
         loc = ("beside", "metrics", metric)
@@ -51,6 +60,11 @@ def check_published(document: Document, file: SweepFile, published: Published) -
         elif metric not in columns:
             document.report(loc, "is not among the sweep's metrics; add it there", at_key=True)
     _check_lengths(document, published)
+
+
+def _not_varied(field: str, file: SweepFile) -> str:
+    hint = did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
+    return f"is not varied{hint}"
 
 
 def _check_lengths(document: Document, published: Published) -> None:
@@ -73,10 +87,10 @@ def _check_published_fields(
 ) -> None:
     """Report published texts and booleans that no point has; `unmatched_values` warns about numbers."""
     varied = file.vary[field]
-    has_numbers = isinstance(varied, RangeFile) or any(_is_number(value) for value in varied)
-    texts = [] if isinstance(varied, RangeFile) else [value for value in varied if not _is_number(value)]
+    has_numbers = isinstance(varied, RangeFile) or any(is_number(value) for value in varied)
+    texts = [] if isinstance(varied, RangeFile) else [value for value in varied if not is_number(value)]
     for i, value in enumerate(values):
-        is_known = has_numbers if _is_number(value) else value in texts
+        is_known = has_numbers if is_number(value) else value in texts
         if not is_known:
             allowed = ", ".join(map(str, texts[:10])) if texts else "numbers"
             document.report(
@@ -89,17 +103,13 @@ def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
     warnings = []
     for field, values in sweep.beside.at.items() if sweep.beside else ():
         column = [row[sweep.fields.index(field)] for row in sweep.values]
-        numbers = ColumnValues("", np.unique([float(value) for value in column if _is_number(value)]))
-        missing = [value for value in values if _is_number(value) and not numbers.rows_with(value).any()]
+        numbers = ColumnValues("", np.unique([float(value) for value in column if is_number(value)]))
+        missing = [value for value in values if is_number(value) and not numbers.rows_with(value).any()]
         if missing:
             named = ", ".join(f"{value:g}" for value in missing[:5])
             more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
             warnings.append(f"beside: no run has {field} {named}{more}")
     return tuple(warnings)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def load_sweep(
@@ -127,7 +137,7 @@ def load_sweep(
     if plants is not None:
         document.apply(Override(f"--plants {','.join(plants)}", ("plants",), list(plants)))
     file = validate(SweepFile, document, document.data)
-    scenario, scenario_errors = _scenario(document)
+    scenario, scenario_errors = base_scenario(document)
     sweep = None
     if file is not None and scenario is not None:
         sweep = _Loader(document, file, scenario).sweep(name)
@@ -145,8 +155,7 @@ def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], 
         written: sweep file as plain data.
         locs: paths of the changed fields of the scenario.
     """
-    before = replace(sweep.experiment, base=scenario.document).with_fixed(written.get("fixed") or {})
-    changed = changed_fields(before, sweep.experiment.base, locs)
+    changed = changed_base(sweep.experiment, scenario, written, locs)
     plants = written["plants"] if written.get("plants") is not None else list(scenario.plants)
     changes = with_plants(changed, plants, sweep.experiment.plants)
     if not changes:
@@ -168,13 +177,50 @@ def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], 
     return replace(sweep, title=title, changes=changes, beside=beside, warnings=warnings, document=document)
 
 
+def changed_base(
+    experiment: Experiment, scenario: Scenario, written: Mapping[str, Any], locs: Iterable[Loc]
+) -> list[dict[str, Any]]:
+    """Return the fields of an experiment that differ from those of its file, see `changed_fields`.
+
+    Args:
+        experiment: experiment with the changes.
+        scenario: unmodified scenario.
+        written: sweep or study file as plain data.
+        locs: paths of the changed fields of the scenario.
+    """
+    before = replace(experiment, base=scenario.document).with_fixed(written.get("fixed") or {})
+    return changed_fields(before, experiment.base, locs)
+
+
+def problems_at(points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]]) -> Iterator[tuple[Loc, str]]:
+    """Yield the problems of scenarios at some points, each once, with the location of its values.
+
+    Args:
+        points: location in the file, experiment, and changes of its scenario.
+    """
+    reported: set[str] = set()
+    for loc, experiment, changes in points:
+        try:
+            parse_scenario(experiment.document(changes), name="")
+        except InputFileError as error:
+            new = [line for line in dict.fromkeys(error.lines) if line not in reported]
+            reported.update(new)
+            yield from ((loc, line.removeprefix(": ")) for line in new)
+
+
+def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
+    """Return a problem, with a similar name if it is an unknown key without a suggestion."""
+    needs_hint = "unknown key" in problem and "did you mean" not in problem
+    return problem + (did_you_mean(field, known) if needs_hint else "")
+
+
 def _affecting_fields(changes: Changes, metric: str) -> list[str]:
     """Return the changed fields that affect a metric of any plant."""
     return [change["field"] for change in changes if any(affects(change["field"], metric, p) for p in PLANTS)]
 
 
-def _scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
-    """Return the scenario of a sweep file, and the problems of the scenario file."""
+def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
+    """Return the scenario that a sweep or a study names, and the problems of the scenario file."""
     name = document.get("scenario")
     if not isinstance(name, str):
         return None, ()
@@ -284,10 +330,7 @@ class _Loader:
                 field = getattr(plot, key)
                 if field is None or field in self._file.vary or (plot.kind == "scatter" and field in plotted):
                     continue
-                hint = (
-                    did_you_mean(field, self._file.vary) or f"; varied: {format_names(list(self._file.vary))}"
-                )
-                self._document.report(("plots", i, key), f"'{field}' is not varied{hint}")
+                self._document.report(("plots", i, key), f"'{field}' {_not_varied(field, self._file)}")
 
     def _check_metric(self, loc: tuple[str | int, ...], metric: str, known: list[str]) -> None:
         if metric in known:
@@ -313,22 +356,13 @@ class _Loader:
 
     def _check_values(self, sweep: Sweep) -> None:
         """Validate the scenario with each varied value, together with the first values of other fields."""
-        first = dict(zip(sweep.fields, sweep.values[0], strict=True))
-        reported: set[str] = set()
-        for loc, changes in self._test_points(sweep, first):
-            try:
-                parse_scenario(sweep.experiment.document(changes), name="")
-            except InputFileError as error:
-                # A problem of all points is reported once.
-                for line in dict.fromkeys(error.lines):
-                    if line not in reported:
-                        self._report_problem(loc, line.removeprefix(": "))
-                reported.update(error.lines)
+        points = ((loc, sweep.experiment, changes) for loc, changes in self._test_points(sweep))
+        for loc, problem in problems_at(points):
+            self._report_problem(loc, problem)
 
-    def _test_points(
-        self, sweep: Sweep, first: Mapping[str, Value]
-    ) -> Iterator[tuple[tuple[str | int, ...], Mapping[str, Value]]]:
+    def _test_points(self, sweep: Sweep) -> Iterator[tuple[Loc, Mapping[str, Value]]]:
         """Yield the location of values in the file and the changes of a point with them."""
+        first = dict(zip(sweep.fields, sweep.values[0], strict=True))
         if self._file.sampling.kind == "list":
             for row in sweep.values:
                 yield ("vary",), dict(zip(sweep.fields, row, strict=True))
@@ -344,17 +378,15 @@ class _Loader:
                 for i, value in enumerate(varied):
                     yield ("vary", field, i), {**first, field: value}
 
-    def _report_problem(self, loc: tuple[str | int, ...], text: str) -> None:
+    def _report_problem(self, loc: Loc, text: str) -> None:
         """Report a problem of a point at the location of the field that causes it."""
         path, _, message = text.partition(": ")
         for section in ("vary", "fixed"):
             for field in getattr(self._file, section):
                 if path == field or path.startswith((f"{field}.", f"{field}[")):
                     field_loc = loc if loc[:2] == (section, field) else (section, field)
-                    is_unknown = message.startswith("unknown key")
-                    needs_hint = is_unknown and "did you mean" not in message
-                    hint = did_you_mean(field, leaf_names(self._scenario)) if needs_hint else ""
-                    self._document.report(field_loc, message + hint, at_key=is_unknown)
+                    message = with_suggestion(message, field, leaf_names(self._scenario))
+                    self._document.report(field_loc, message, at_key=message.startswith("unknown key"))
                     return
         self._document.report(loc[:2], text)
 

@@ -8,9 +8,9 @@ for each combination of their values. A plot without any value contains a note i
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -23,20 +23,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import TriAnalyzer, Triangulation
 
-from srs_twin.studies.sweep.table import (
-    COMPARISON,
-    PLAN,
-    ColumnValues,
-    Plot,
-    Published,
-    SweepTable,
-    group_means,
-)
+from srs_twin.studies.sweep.points import Plot, Published
+from srs_twin.studies.sweep.table import COMPARISON, ColumnValues, SweepTable, group_means
+from srs_twin.studies.sweep.task import PLAN
 from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, style_of
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _MAX_LINES = 12
 """Largest number of values in a legend; more values get a colour bar."""
@@ -62,21 +53,17 @@ _MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markerfacecolo
 _MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
 
 
-def draw(
-    plot: Plot, table: pa.Table | Mapping[str, Iterable[Any]], published: Published | None = None
-) -> Figure:
+def draw(plot: Plot, results: SweepTable, published: Published | None = None) -> Figure:
     """Return the figure of a plot.
 
     Args:
         plot: plot; it shows each plant that has the metric, otherwise the comparison.
-        table: results of a sweep, one row per point: varied fields by their dotted path, `status`, metrics as
-            ``<plant>.<metric>`` and ``comparison.<metric>``. The order of rows does not matter.
+        results: results of a sweep; the order of rows does not matter.
         published: published values; a line plot shows those of its metric along x.
 
     Raises:
         InputError: a column does not exist.
     """
-    results = SweepTable.from_columns(table)
     owners = results.owners(plot.metric)
     # If plants have the metric, the comparison is not shown.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
@@ -99,32 +86,35 @@ def _separate_fields(plot: Plot, results: SweepTable) -> list[str]:
 
 def _title(plot: Plot, results: SweepTable, owners: list[str]) -> str:
     """Return the title, with notes on a second line."""
-    metric = results.metric(plot.metric, owners[0]).label.partition(" (")[0]
-    axes = [plot.x, *([plot.y] if plot.y else [])]
-    names = [results.values(name, owners[0]).label.partition(" (")[0] for name in axes]
-    notes = _notes(plot, results, owners)
+    labels = [results.metric(plot.metric, owners[0]).label]
+    labels += [results.values(name, owners[0]).label for name in (plot.x, plot.y) if name]
+    metric, *names = (label.partition(" (")[0] for label in labels)
     against = "against" if plot.kind == "scatter" else "over"
     title = f"{metric[:1].upper()}{metric[1:]} {against} {' and '.join(names)}"
-    return "\n".join([title, *([f"({'; '.join(notes)})"] if notes else [])])
+    notes = _notes(plot, results, owners)
+    return f"{title}\n({'; '.join(notes)})" if notes else title
 
 
 def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
     """Return notes on means, further fields, failed runs and missing values."""
+    values = [results.metric(plot.metric, owner).numbers for owner in owners]
+    distinct = np.unique(np.concatenate(values))
+    distinct = distinct[np.isfinite(distinct)]
+    failed = int(results.failed.sum())
+    missing = sum(int((np.isnan(value) & ~results.failed).sum()) for value in values)
     notes = []
     if plot.kind != "scatter" and results.repeats:
-        notes = [f"each value the mean over {', '.join(map(field_label, results.repeats))}"]
+        notes.append(f"each value the mean over {', '.join(map(field_label, results.repeats))}")
     if separate := _separate_fields(plot, results):
         fields, count = ", ".join(map(field_label, separate)), len(results.groups(separate))
         shown = f", {_MAX_ROWS} of {count} shown" if plot.kind == "contour" and count > _MAX_ROWS else ""
-        notes += [f"one {'row' if plot.kind == 'contour' else 'line'} for each {fields}{shown}"]
-    failed = int(results.failed.sum())
-    notes += [f"{failed} of {len(results.failed)} runs failed"] if failed else []
-    values = [results.metric(plot.metric, owner).numbers for owner in owners]
-    missing = sum(int((np.isnan(value) & ~results.failed).sum()) for value in values)
-    notes += [f"{missing} values missing"] if missing else []
-    known = np.concatenate(values)
-    distinct = np.unique(known[np.isfinite(known)])
-    notes += [f"every value is {distinct[0]:.4g}"] if len(distinct) == 1 else []
+        notes.append(f"one {'row' if plot.kind == 'contour' else 'line'} for each {fields}{shown}")
+    if failed:
+        notes.append(f"{failed} of {len(results.failed)} runs failed")
+    if missing:
+        notes.append(f"{missing} values missing")
+    if len(distinct) == 1:
+        notes.append(f"every value is {distinct[0]:.4g}")
     return notes
 
 
@@ -276,7 +266,7 @@ def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure
     values = [results.metric(plot.metric, owner) for owner in owners]
     points = [
         [
-            Points.from_rows(x.numbers[k], y.numbers[k], value.numbers[k], results.failed[k])
+            Points.from_rows(*(column[k] for column in (x.numbers, y.numbers, value.numbers, results.failed)))
             for value in values
         ]
         for _, k in groups
@@ -289,14 +279,11 @@ def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure
                 _fill(axes, cell, levels, cmap)
             else:
                 write_empty_note(axes, results.failed[k])
-            for label, which in (("failed", cell.failed), ("no value", ~cell.known & ~cell.failed)):
-                mark_rows(axes, cell.x[which], cell.y[which], label)
-            for set_limits, ends in (
-                (axes.set_xlim, value_range([x])),
-                (axes.set_ylim, value_range([y])),
-            ):
-                margin = 0.03 * (ends[1] - ends[0])
-                set_limits(ends[0] - margin, ends[1] + margin)
+            mark_rows(axes, cell.x[cell.failed], cell.y[cell.failed], "failed")
+            unknown = ~cell.known & ~cell.failed
+            mark_rows(axes, cell.x[unknown], cell.y[unknown], "no value")
+            axes.set_xlim(_with_margin(value_range([x])))
+            axes.set_ylim(_with_margin(value_range([y])))
             legend_above(axes)
             axes.set_title(", ".join((style_of(owner).label, *labels)), fontsize=9, loc="left")
             set_ticks(axes.xaxis, x)
@@ -307,6 +294,11 @@ def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure
     if any(cell.known.any() for row in points for cell in row):
         color_bar(figure, BoundaryNorm(levels, 256), cmap, values[0], levels[::2].tolist())
     return figure
+
+
+def _with_margin(ends: tuple[float, float]) -> tuple[float, float]:
+    margin = 0.03 * (ends[1] - ends[0])
+    return ends[0] - margin, ends[1] + margin
 
 
 def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
@@ -361,32 +353,32 @@ def _levels_and_colors(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
 
 
 class _Colors:
-    """Colours of the values of a column, explained by a legend if they are few, otherwise by a colour bar.
+    """Colours of the values of `by`, explained by a legend if they are few, otherwise by a colour bar.
 
     Attributes:
-        column: values of the first owner.
+        column: values of the first owner; zeros if nothing distinguishes the runs.
         groups: distinct values.
         few: whether a legend is used.
         norm: map from values to positions on the colour map.
+        by_group: value → colour; empty if owners determine the colours.
     """
 
-    def __init__(self, columns: Sequence[ColumnValues]) -> None:
+    def __init__(self, columns: Sequence[ColumnValues], *, used: bool) -> None:
         numbers = np.concatenate([column.numbers for column in columns])
         self.column, self.groups = columns[0], np.unique(numbers[np.isfinite(numbers)])
         self.few = len(self.groups) <= _MAX_LINES
         self.norm = Normalize(*value_range(columns))
         positions = np.linspace(0.0, 0.92, len(self.groups)) if self.few else self.norm(self.groups)
         colors = map(to_hex, colormaps["viridis"](positions))
-        self.colors = dict(zip(self.groups.tolist(), colors, strict=True))
+        self.by_group = dict(zip(self.groups.tolist(), colors, strict=True)) if used else {}
 
     def draw_key(self, figure: Figure, axes: Axes) -> None:
         """Draw the legend or the colour bar."""
         if not self.few:
             color_bar(figure, self.norm, "viridis", self.column)
             return
-        handles = [
-            Line2D([], [], color=self.colors[group], label=self.column.text(group)) for group in self.groups
-        ]
+        colors = self.by_group.items()
+        handles = [Line2D([], [], color=color, label=self.column.text(group)) for group, color in colors]
         position: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "alignment": "left"}
         title = textwrap.fill(self.column.label, 18)
         axes.legend(handles=handles, title=title, title_fontsize=8, **_LEGEND, **position)
@@ -396,19 +388,18 @@ def _draw_line_or_scatter(
     plot: Plot, results: SweepTable, owners: list[str], published: Published | None
 ) -> Figure:
     """Draw lines or dots, coloured by the column `by`, and marks of failed runs at the lower edge."""
-    figure, ((axes,),) = _panels(1, key=plot.by is not None)
     is_line, is_colored = plot.kind == "line", plot.by is not None
+    figure, ((axes,),) = _panels(1, key=is_colored)
     constant = ColumnValues("", np.zeros(len(results.failed)))
     by = [results.values(plot.by, owner) if plot.by else constant for owner in owners]
-    colors = _Colors(by)
+    colors = _Colors(by, used=is_colored)
     x, values = results.values(plot.x, owners[0]), results.metric(plot.metric, owners[0])
     drawn = 0
     for owner, column in zip(owners, by, strict=True):
-        owner_x = results.values(plot.x, owner).numbers
-        owner_y = results.metric(plot.metric, owner).numbers
+        points = [results.values(plot.x, owner).numbers, results.metric(plot.metric, owner).numbers]
         for _, k in results.groups(_separate_fields(plot, results)):
-            subset = (owner_x[k], owner_y[k], ColumnValues("", column.numbers[k], column.names))
-            drawn += (_draw_lines if is_line else _draw_dots)(axes, owner, *subset, colors, is_colored)
+            columns = np.array([*points, column.numbers])[:, k]
+            drawn += (_draw_lines if is_line else _draw_dots)(axes, owner, columns, colors)
     finish(axes, values.label)
     axes.set_xlabel(x.label, fontsize=9)
     set_ticks(axes.xaxis, x)
@@ -419,67 +410,51 @@ def _draw_line_or_scatter(
     # A plan has no plant to distinguish, so it has no legend entry.
     samples = [_sample(owner, line=is_line, plain=is_colored) for owner in owners if owner != PLAN]
     if is_line and published is not None and plot.x in published.at and plot.metric in published.metrics:
-        line_colors = colors.colors if is_colored and colors.few else {}
-        samples.append(_draw_published(axes, published, plot, x, by[0], line_colors))
+        samples.append(_draw_published(axes, published, plot, x, by[0], colors))
     legend_above(axes, samples)
     if is_colored:
         colors.draw_key(figure, axes)
     return figure
 
 
-def _draw_lines(
-    axes: Axes,
-    owner: str,
-    x: np.ndarray,
-    y: np.ndarray,
-    by: ColumnValues,
-    colors: _Colors,
-    is_colored: bool,
-) -> int:
-    """Draw a line per value of `by` through the means over seeds; return the number of points."""
-    drawn = 0
+def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
+    """Draw a line per value of `by` through the means over seeds; return the number of points.
+
+    Args:
+        axes: axes.
+        owner: owner of the metric.
+        columns: x, y and `by` of each run, shape (3, runs).
+        colors: colours of the values of `by`.
+    """
+    drawn, (x, y, by) = 0, columns
     for i, group in enumerate(colors.groups):
         # Markers become smaller from line to line, so that coinciding lines stay visible.
-        steps = len(colors.groups) - 1 - i if by.names and colors.few else 0
-        rows = (by.numbers == group) & np.isfinite(x)
+        steps = len(colors.groups) - 1 - i if colors.column.names and colors.few else 0
+        rows = (by == group) & np.isfinite(x)
         positions, which = np.unique(x[rows], return_inverse=True)
         means = group_means(which.reshape(-1), len(positions), y[rows])
-        style = _line_style(owner) | ({"color": colors.colors[group]} if is_colored else {})
+        style = _line_style(owner) | ({"color": colors.by_group[group]} if colors.by_group else {})
         style |= {"markersize": (3.5 if colors.few else 2.0) + 2.0 * steps}
         axes.plot(positions, means, linewidth=1.3 if colors.few else 0.9, **style)
         drawn += int(np.isfinite(means).sum())
     return drawn
 
 
-def _draw_dots(
-    axes: Axes,
-    owner: str,
-    x: np.ndarray,
-    y: np.ndarray,
-    by: ColumnValues,
-    colors: _Colors,
-    is_colored: bool,
-) -> int:
-    """Draw a dot per run, independent of the order of rows; return the number of dots."""
-    known = np.isfinite(x) & np.isfinite(y) & np.isfinite(by.numbers)
-    order = np.flatnonzero(known)[np.lexsort((y[known], x[known], by.numbers[known]))]
-    levels, style = by.numbers[order], style_of(owner)
+def _draw_dots(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
+    """Draw a dot per run, independent of the order of rows; return the number of dots, see `_draw_lines`."""
+    x, y, by = columns[:, np.isfinite(columns).all(axis=0)]
+    order, style = np.lexsort((y, x, by)), style_of(owner)
     color: dict[str, Any] = {"color": style.color}
-    if is_colored and colors.few:
-        color = {"c": [colors.colors[level] for level in levels]}
-    elif is_colored:
-        color = {"c": levels, "cmap": "viridis", "norm": colors.norm}
+    if colors.by_group and colors.few:
+        color = {"c": [colors.by_group[level] for level in by[order]]}
+    elif colors.by_group:
+        color = {"c": by[order], "cmap": "viridis", "norm": colors.norm}
     axes.scatter(x[order], y[order], s=16, marker=style.marker, alpha=0.85, linewidths=0, **color)
     return len(order)
 
 
 def _draw_published(
-    axes: Axes,
-    published: Published,
-    plot: Plot,
-    x: ColumnValues,
-    by: ColumnValues,
-    colors: Mapping[float, str],
+    axes: Axes, published: Published, plot: Plot, x: ColumnValues, by: ColumnValues, colors: _Colors
 ) -> Line2D:
     """Mark the published values of a metric along x, in the colour of their line if it is known.
 
@@ -487,10 +462,10 @@ def _draw_published(
         Legend entry.
     """
     style: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
-    groups = published.at.get(plot.by, ()) if plot.by else ()
+    groups = published.at.get(plot.by, ()) if plot.by and colors.few else ()
     points = zip(published.at[plot.x], published.metrics[plot.metric], strict=True)
     for i, (position, value) in enumerate(points):
-        color = colors.get(by.number(groups[i])) if groups else None
+        color = colors.by_group.get(by.number(groups[i])) if groups else None
         if value is not None:
             color = color or PUBLISHED_COLOR
             axes.plot(x.number(position), value, color=color, markeredgewidth=0.6, zorder=5, **style)

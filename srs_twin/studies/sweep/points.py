@@ -20,15 +20,68 @@ from srs_twin.robot.sourced import replace_value
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.provenance import run_key
-from srs_twin.studies.sweep.table import MAX_FIELDS, FieldName, FieldValues, Plain, Plot, Published
 
 if TYPE_CHECKING:
     from srs_twin.scenario.modified import Changes as Changed
-    from srs_twin.studies.sweep.table import Plot, Published
 
 
 MAX_POINTS = 1_000_000
 """Largest number of points of a sweep."""
+
+MAX_FIELDS = 16
+"""Largest number of varied fields."""
+
+Value = bool | int | float | str
+
+Plain = bool | int | float | Annotated[str, Field(max_length=200)]
+FieldName = Annotated[str, Field(min_length=1, max_length=200)]
+FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
+PublishedValues = Annotated[
+    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(min_length=1, max_length=10_000)
+]
+
+
+class Plot(Section):
+    """Plot of the results."""
+
+    kind: Literal["contour", "line", "scatter"]
+    """Kind of plot."""
+    x: FieldName
+    """Varied field along x; with scatter also a metric."""
+    y: FieldName | None = None
+    """Varied field along y (contour)."""
+    metric: FieldName
+    """Plotted metric, of each plant or of the comparison."""
+    by: FieldName | None = None
+    """Varied field that distinguishes lines or colours (line, scatter)."""
+
+    @model_validator(mode="after")
+    def _check_combinations(self) -> Plot:
+        if self.kind == "contour" and self.y is None:
+            raise ValueError("a contour needs y")
+        if self.kind != "contour" and self.y is not None:
+            raise ValueError(f"y is only for contour, not for {self.kind}, whose vertical axis is metric")
+        if self.kind == "contour" and self.by is not None:
+            raise ValueError("by is only for line and scatter, not for contour")
+        return self
+
+
+class Published(Section):
+    """Published values of metrics at some values of the varied fields."""
+
+    source: Annotated[str, Field(min_length=1, max_length=60)]
+    """Source of the values (Table 8)."""
+    note: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
+    """Note on the comparison (signs, method of measurement)."""
+    at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)]
+    """Varied fields → their values at each published point; lists of equal length."""
+    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)]
+    """Metrics of the plants → their published values at each point; null if missing."""
+
+    @property
+    def settings(self) -> list[dict[str, Value]]:
+        """Values of the fields at each published point."""
+        return [dict(zip(self.at, values, strict=True)) for values in zip(*self.at.values(), strict=True)]
 
 
 class RangeFile(Section):
@@ -112,6 +165,11 @@ class SweepFile(Section):
     """Published values to compare with."""
 
 
+def is_number(value: object) -> bool:
+    """Return whether a value is an integer or a float, not a boolean."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def sweep_json_schema() -> dict[str, object]:
     """Return the JSON Schema (draft 2020-12) of sweep files."""
     schema = SweepFile.model_json_schema(by_alias=True)
@@ -121,7 +179,6 @@ def sweep_json_schema() -> dict[str, object]:
 RUNNER = "srs_twin.studies.sweep.task"
 """Module that runs a point; a row's key includes its sources and those of its imports."""
 
-Value = bool | int | float | str
 Changes = Mapping[str, Value]
 
 BY_A_SWEEP = "varied by a sweep"
@@ -274,7 +331,7 @@ def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: flo
     frequency = (controller.get("reference") or controller).get("frequency_hz")
     ticks = [document.get("plants", {}).get(plant, {}).get("tick_s", 0.02) for plant in plants]
     numbers = [frequency, *ticks]
-    if not all(isinstance(n, int | float) and not isinstance(n, bool) and 0 < n < math.inf for n in numbers):
+    if not all(is_number(number) and 0 < number < math.inf for number in numbers):
         return document.get("duration_s")
     tick = max(ticks)
     return round(math.ceil(periods / frequency / tick * (1 - 1e-12)) * tick, 9)
@@ -313,6 +370,13 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
         raise InputError(f"{name}: a range needs a count here, or sampling: latin_hypercube or sobol")
     spaced = np.geomspace if values.scale == "log" else np.linspace
     return [float(value) for value in spaced(values.start, values.stop, values.count)]
+
+
+def sobol_points(dimensions: int, count: int, rng: np.random.Generator | int) -> np.ndarray:
+    """Return the first points of a scrambled Sobol sequence in the unit cube, shape (count, dimensions)."""
+    from scipy.stats import qmc
+
+    return np.asarray(qmc.Sobol(dimensions, rng=rng).random_base2(max(count - 1, 1).bit_length())[:count])
 
 
 def _space_filling_points(

@@ -5,18 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from srs_twin.io.files import write_text
-from srs_twin.studies.sweep.table import COMPARISON, PLAN, SweepTable
-from srs_twin.viewing.html import Table, image, render
+from srs_twin.studies.sweep.points import Sweep, is_number
+from srs_twin.studies.sweep.table import COMPARISON, SweepTable
+from srs_twin.studies.sweep.task import PLAN
+from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label
-
-if TYPE_CHECKING:
-    from srs_twin.studies.sweep.points import Sweep
-
 
 MAX_RUNS = 200
 """Largest number of rows of a table of runs."""
@@ -26,8 +24,6 @@ _MAX_COLUMNS = 24
 
 _COLUMNS_PER_TABLE = 6
 """Number of metric columns that fit on a printed page."""
-
-_NONE = "–"
 
 
 @dataclass(frozen=True)
@@ -74,14 +70,14 @@ class _Column:
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         number = self.numbers[run]
-        return f"{number:z.{max(places, 0)}f}" if np.isfinite(number) else _NONE
+        return f"{number:z.{max(places, 0)}f}" if np.isfinite(number) else cell(None)
 
     def mean_text(self, runs: np.ndarray) -> str:
         """Return mean ± standard deviation of runs, and their number if some have no value."""
         numbers = self.numbers[runs]
         known = numbers[np.isfinite(numbers)]
         if not len(known):
-            return _NONE
+            return cell(None)
         std = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
         return f"{known.mean():.4g}{std}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
 
@@ -144,7 +140,7 @@ def _split_tables(
     headings: tuple[str, ...],
     lines: Iterable[tuple[tuple[str, ...], Any]],
     columns: Sequence[_Column],
-    cell: Callable[[_Column, Any], str],
+    text: Callable[[_Column, Any], str],
     note: str,
 ) -> list[Table]:
     """Return tables with as many metric columns as fit on a page; at least one table.
@@ -153,13 +149,13 @@ def _split_tables(
         headings: headings of the first columns of each table.
         lines: first cells of each line, and its run or runs.
         columns: metric columns.
-        cell: function that returns a metric's text for these runs.
+        text: function that returns a metric's text for these runs.
         note: note below each table.
     """
     tables, lines = [], list(lines)
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):
         chunk = columns[first : first + _COLUMNS_PER_TABLE]
-        rows = tuple((*start, *(cell(column, runs) for column in chunk)) for start, runs in lines)
+        rows = tuple((*start, *(text(column, runs) for column in chunk)) for start, runs in lines)
         all_headings = (*headings, *(column.heading for column in chunk))
         tables.append(Table(all_headings, rows, range(len(all_headings)), note))
     return tables
@@ -243,7 +239,7 @@ def _varied(sweep: Sweep) -> Table:
 def _values_text(values: list[Any]) -> str:
     if len(values) <= _MAX_VALUES:
         return ", ".join(map(_value_text, values))
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+    if all(map(is_number, values)):
         return f"{_value_text(min(values))} to {_value_text(max(values))}, {len(values)} values"
     return f"{', '.join(map(_value_text, values[:_MAX_VALUES]))} and {len(values) - _MAX_VALUES} more"
 

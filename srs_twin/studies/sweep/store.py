@@ -1,4 +1,4 @@
-"""Storage of rows as soon as they are finished, and the table of results.
+"""Storage of rows as soon as they are finished.
 
 Rows are in an SQLite file in the sweep's folder. A row is written completely or not at all, and only one
 process can write. The log is not flushed to disk after every row: rows of a killed process are kept, but a
@@ -11,24 +11,18 @@ import contextlib
 import hashlib
 import json
 import os
-import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS
+from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, display_path, missing_folders, remove_empty_folders
-from srs_twin.studies.sweep.points import Sweep
-from srs_twin.studies.sweep.task import FAILED, PLAN, PLAN_TIME, Row
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
+from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 
 FILE = "rows.sqlite"
 
@@ -146,6 +140,31 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         content = json.dumps([row.values, row.wall_s, row.reason, row.exit_code])
         self._write("INSERT OR REPLACE INTO rows VALUES (?, ?, ?)", row.key, row.status, content)
 
+    def collect(
+        self,
+        finished: Iterator[TaskResult[Row]],
+        keys: Sequence[str],
+        on_row: Callable[[Row], object] | None = None,
+    ) -> None:
+        """Store the rows of tasks as they finish; the error of a task gives a failed row.
+
+        An interrupt ends the tasks; finished rows stay.
+
+        Args:
+            finished: results of tasks.
+            keys: key of each task's row.
+            on_row: called with each row.
+
+        Raises:
+            InputError: a row cannot be stored.
+        """
+        with contextlib.closing(finished) as results:  # type: ignore[type-var]
+            for done in results:
+                row = done.result or failed_row(keys[done.number], done.error)
+                self.add(row)
+                if on_row is not None:
+                    on_row(row)
+
     def trajectory_file(self, key: str, plant: str) -> Path:
         """Return the path of a stored trajectory."""
         return self._path.parent / "trajectories" / f"{key}.{plant}.parquet"
@@ -199,63 +218,6 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         return InputError(f"{display_path(self._path)}: {text.format(error)}")
 
 
-RESULTS = "results.parquet"
-
-_NUMBERS = re.compile(r"(_\d+)?(_period_\d+)?$")
-"""Suffix of the column name for an element of a list metric."""
-
-_SUMMARY_METRICS = (
-    "com_speed_m_s",
-    "yaw_rate_rad_s",
-    "mean_bend_amplitude_rad",
-    "com_speed_rel",
-    "shape_rms_body",
-)
-"""Metrics that are shown first."""
-
-_PLAN_SUMMARY_METRICS = ("plan_found", "plan_length_m", "plan_s")
-"""Metrics that are shown first for a sweep that is only planned."""
-
-
-def result_table(sweep: Sweep, rows: Sequence[Row]) -> pa.Table:
-    """Return the results with one row per point, ordered by key.
-
-    Columns: ``key``, the varied fields by their dotted names, ``status``, ``reason``, ``exit_code``, the
-    metrics as ``<plant>.<metric>`` and ``comparison.<metric>``, or as ``plan.<metric>`` if the scenario is
-    only planned (null if missing), ``wall_s``.
-
-    Args:
-        sweep: sweep.
-        rows: its rows, in any order.
-    """
-    import pyarrow as pa
-
-    rows = sorted(rows, key=lambda row: row.key)
-    changes = {point.key: point.changes for point in sweep.points}
-    columns: dict[str, pa.Array] = {"key": pa.array([row.key for row in rows], pa.string())}
-    for name in sweep.fields:
-        columns[name] = _column([changes[row.key][name] for row in rows])
-    for name, kind in (("status", pa.string()), ("reason", pa.string()), ("exit_code", pa.int8())):
-        columns[name] = pa.array([getattr(row, name) for row in rows], kind)
-    for metric in _metrics(sweep, rows):
-        columns[metric] = pa.array([row.values.get(metric) for row in rows], pa.float64())
-    columns["wall_s"] = pa.array([row.wall_s for row in rows], pa.float64())
-    metadata = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
-    return pa.table(columns).replace_schema_metadata({"srs_twin.sweep": metadata})
-
-
-def write_table(path: Path, results: pa.Table) -> None:
-    """Write a table as a Parquet file atomically.
-
-    Raises:
-        InputError: the path cannot be written.
-    """
-    import pyarrow.parquet as pq
-
-    with atomic_write(path) as part:
-        pq.write_table(results, part, compression="zstd")
-
-
 def rows_digest(rows: Sequence[Row]) -> str:
     """Return the SHA-256 of rows, hexadecimal, independent of their order and without wall times."""
     digest = hashlib.sha256()
@@ -264,74 +226,3 @@ def rows_digest(rows: Sequence[Row]) -> str:
         content = [row.key, row.status, values, row.reason, row.exit_code]
         digest.update(json.dumps(content, sort_keys=True).encode())
     return digest.hexdigest()
-
-
-def metric_ranges(results: pa.Table) -> dict[str, tuple[float, float, float]]:
-    """Return (minimum, median, maximum) of the summary metrics that are present."""
-    import numpy as np
-
-    ranges = {}
-    for name in results.column_names:
-        owner, _, metric = name.partition(".")
-        if metric in (_PLAN_SUMMARY_METRICS if owner == PLAN else _SUMMARY_METRICS):
-            values = results.column(name).drop_null().to_numpy()
-            if len(values):
-                ranges[name] = (float(values.min()), float(np.median(values)), float(values.max()))
-    return ranges
-
-
-def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics of reports: those of the file, otherwise plotted, published and summary metrics."""
-    if sweep.metrics is not None:
-        return sweep.metrics
-    published = sweep.beside.metrics if sweep.beside else ()
-    summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
-    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *summary)))
-
-
-def shown_columns(sweep: Sweep, results: pa.Table) -> pa.Table:
-    """Return a table with only those metrics that are `shown_metrics`."""
-    metrics, names = set(shown_metrics(sweep)), results.column_names
-    other = {*names[: names.index("exit_code") + 1], "wall_s"}
-    return results.select(
-        [n for n in names if n in other or _NUMBERS.sub("", n.partition(".")[2]) in metrics]
-    )
-
-
-def _metrics(sweep: Sweep, rows: Sequence[Row]) -> list[str]:
-    """Return the metrics that become columns, in their order in the rows."""
-    names = dict.fromkeys(name for row in rows for name in row.values) or _plotted_columns(sweep)
-    if sweep.metrics is None:
-        return list(names)
-    stems = _stems(sweep.metrics)
-    return [name for name in names if _NUMBERS.sub("", name.partition(".")[2]) in stems]
-
-
-def _plotted_columns(sweep: Sweep) -> dict[str, None]:
-    """Return the columns that plots need, for a table without any results."""
-    plotted = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
-    metrics = [name for name in plotted if name is not None and name not in sweep.fields]
-    owners = {
-        name: ("comparison",) if name in COMPARISON_UNITS else sweep.experiment.plants or (PLAN,)
-        for name in metrics
-    }
-    return dict.fromkeys(f"{owner}.{name}" for name in metrics for owner in owners[name])
-
-
-def _stems(metrics: Sequence[str]) -> set[str]:
-    """Return the column names of metrics without element numbers, including those of the two chambers."""
-    return {f"{metric}{side}" for metric in metrics for side in ("", "_plus", "_minus")}
-
-
-def _column(values: Sequence[Any]) -> pa.Array:
-    """Return the values of a field as one column of booleans, integers, floats or texts."""
-    import pyarrow as pa
-
-    types = {type(value) for value in values}
-    if types <= {bool}:
-        return pa.array(values, pa.bool_())
-    if types <= {int}:
-        return pa.array(values, pa.int64())
-    if types <= {int, float}:
-        return pa.array([float(value) for value in values], pa.float64())
-    return pa.array([value if isinstance(value, str) else json.dumps(value) for value in values], pa.string())

@@ -4,78 +4,31 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field, model_validator
 
-from srs_twin.comparison.metrics import relative_difference
+from srs_twin.comparison.metrics import COMPARISON_UNITS, relative_difference
 from srs_twin.errors import UnknownNameError
-from srs_twin.scenario.fields import Section
-from srs_twin.viewing.html import Table
+from srs_twin.io.files import atomic_write
+from srs_twin.studies.sweep.points import Published, Sweep, Value, is_number
+from srs_twin.studies.sweep.task import PLAN, Row
+from srs_twin.viewing.html import Table, cell
 from srs_twin.viewing.plots.labels import field_label, metric_label
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-MAX_FIELDS = 16
+COMPARISON = "comparison"
+"""Owner of the metrics of a comparison."""
 
-Plain = bool | int | float | Annotated[str, Field(max_length=200)]
-FieldName = Annotated[str, Field(min_length=1, max_length=200)]
-FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
-PublishedValues = Annotated[
-    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(min_length=1, max_length=10_000)
-]
-
-
-class Plot(Section):
-    """Plot of the results."""
-
-    kind: Literal["contour", "line", "scatter"]
-    """Kind of plot."""
-    x: FieldName
-    """Varied field along x; with scatter also a metric."""
-    y: FieldName | None = None
-    """Varied field along y (contour)."""
-    metric: FieldName
-    """Plotted metric, of each plant or of the comparison."""
-    by: FieldName | None = None
-    """Varied field that distinguishes lines or colours (line, scatter)."""
-
-    @model_validator(mode="after")
-    def _check_combinations(self) -> Plot:
-        if self.kind == "contour" and self.y is None:
-            raise ValueError("a contour needs y")
-        if self.kind != "contour" and self.y is not None:
-            raise ValueError(f"y is only for contour, not for {self.kind}, whose vertical axis is metric")
-        if self.kind == "contour" and self.by is not None:
-            raise ValueError("by is only for line and scatter, not for contour")
-        return self
-
-
-class Published(Section):
-    """Published values of metrics at some values of the varied fields."""
-
-    source: Annotated[str, Field(min_length=1, max_length=60)]
-    """Source of the values (Table 8)."""
-    note: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
-    """Note on the comparison (signs, method of measurement)."""
-    at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)]
-    """Varied fields → their values at each published point; lists of equal length."""
-    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)]
-    """Metrics of the plants → their published values at each point; null if missing."""
-
-    @property
-    def settings(self) -> list[dict[str, Value]]:
-        """Values of the fields at each published point."""
-        return [dict(zip(self.at, values, strict=True)) for values in zip(*self.at.values(), strict=True)]
-
-
-COMPARISON, PLAN = "comparison", "plan"
 OWNERS = ("analytical", "twin", COMPARISON, PLAN)
-Value = bool | int | float | str
+"""Prefixes of metrics."""
+
 _EXACT = 1e15
 """Magnitude below which whole numbers, such as seeds, are printed with all digits."""
 
@@ -84,6 +37,21 @@ _RELATIVE_TOLERANCE = 1e-9
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
 """Columns that are neither varied fields nor metrics."""
+
+_ELEMENT = re.compile(r"(_\d+)?(_period_\d+)?$")
+"""Suffix of the column name for an element of a list metric."""
+
+_SUMMARY_METRICS = (
+    "com_speed_m_s",
+    "yaw_rate_rad_s",
+    "mean_bend_amplitude_rad",
+    "com_speed_rel",
+    "shape_rms_body",
+)
+"""Metrics that are shown first."""
+
+_PLAN_SUMMARY_METRICS = ("plan_found", "plan_length_m", "plan_s")
+"""Metrics that are shown first for a sweep that is only planned."""
 
 
 @dataclass(frozen=True)
@@ -132,13 +100,50 @@ class SweepTable:
     columns: Mapping[str, Sequence[Any]]
 
     @staticmethod
-    def from_columns(table: pa.Table | Mapping[str, Iterable[object]]) -> SweepTable:
-        """Return the table of a pyarrow table or a mapping of columns."""
-        if isinstance(table, Mapping):
-            return SweepTable(
-                {name: np.asarray(column, dtype=object).tolist() for name, column in table.items()}
-            )
-        return SweepTable(table.to_pydict())
+    def from_rows(sweep: Sweep, rows: Iterable[Row]) -> SweepTable:
+        """Return the results with one row per point, ordered by key.
+
+        Columns: ``key``, the varied fields by their dotted names, ``status``, ``reason``, ``exit_code``, the
+        metrics as ``<plant>.<metric>`` and ``comparison.<metric>``, or as ``plan.<metric>`` if the scenario
+        is only planned (None if missing), ``wall_s``.
+
+        Args:
+            sweep: sweep.
+            rows: its rows, in any order.
+        """
+        rows = sorted(rows, key=lambda row: row.key)
+        changes = {point.key: point.changes for point in sweep.points}
+        columns: dict[str, list[Any]] = {"key": [row.key for row in rows]}
+        columns |= {name: _of_one_type([changes[row.key][name] for row in rows]) for name in sweep.fields}
+        columns |= {name: [getattr(row, name) for row in rows] for name in ("status", "reason", "exit_code")}
+        columns |= {name: [row.values.get(name) for row in rows] for name in _metrics(sweep, rows)}
+        return SweepTable(columns | {"wall_s": [row.wall_s for row in rows]})
+
+    def write(self, path: Path, sweep: Sweep) -> None:
+        """Write a Parquet file with the title and versions of the sweep atomically.
+
+        Raises:
+            InputError: the path cannot be written.
+        """
+        import pyarrow as pa
+
+        fields = {name: None if len(self.failed) else pa.bool_() for name in self.fields}
+        texts = dict.fromkeys(("key", "status", "reason"), pa.string())
+        types = {**fields, **texts, "exit_code": pa.int8()}
+        columns = [pa.array(values, types.get(name, pa.float64())) for name, values in self.columns.items()]
+        metadata = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
+        write_table(path, pa.table(columns, list(self.columns), metadata={"srs_twin.sweep": metadata}))
+
+    def ranges(self) -> dict[str, tuple[float, float, float]]:
+        """Return (minimum, median, maximum) of the summary metrics that are present."""
+        ranges = {}
+        for name, column in self.columns.items():
+            owner, _, metric = name.partition(".")
+            if metric in (_PLAN_SUMMARY_METRICS if owner == PLAN else _SUMMARY_METRICS):
+                values = np.array([value for value in column if value is not None])
+                if len(values):
+                    ranges[name] = float(values.min()), float(np.median(values)), float(values.max())
+        return ranges
 
     @property
     def failed(self) -> np.ndarray:
@@ -230,9 +235,61 @@ class SweepTable:
         ]
 
 
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a table as a Parquet file atomically.
+
+    Raises:
+        InputError: the path cannot be written.
+    """
+    import pyarrow.parquet as pq
+
+    with atomic_write(path) as part:
+        pq.write_table(table, part, compression="zstd")
+
+
+def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
+    """Return the metrics of reports: those of the file, otherwise plotted, published and summary metrics."""
+    if sweep.metrics is not None:
+        return sweep.metrics
+    published = sweep.beside.metrics if sweep.beside else ()
+    summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
+    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *summary)))
+
+
+def _metrics(sweep: Sweep, rows: Iterable[Row]) -> list[str]:
+    """Return the metrics that become columns, in their order in the rows."""
+    names = dict.fromkeys(name for row in rows for name in row.values) or _plotted_columns(sweep)
+    if sweep.metrics is None:
+        return list(names)
+    stems = {f"{metric}{side}" for metric in sweep.metrics for side in ("", "_plus", "_minus")}
+    return [name for name in names if _ELEMENT.sub("", name.partition(".")[2]) in stems]
+
+
+def _plotted_columns(sweep: Sweep) -> dict[str, None]:
+    """Return the columns that plots need, for a table without any results."""
+    plants = sweep.experiment.plants or (PLAN,)
+    names = (name for plot in sweep.plots for name in (plot.metric, plot.x, plot.by))
+    return {
+        f"{owner}.{name}": None
+        for name in names
+        if name is not None and name not in sweep.fields
+        for owner in ((COMPARISON,) if name in COMPARISON_UNITS else plants)
+    }
+
+
+def _of_one_type(values: list[Any]) -> list[Any]:
+    """Return the values of a field as booleans, integers, floats or texts; other mixtures become JSON."""
+    types = {type(value) for value in values}
+    if len(types) <= 1:
+        return values
+    if types <= {int, float}:
+        return [float(value) for value in values]
+    return [value if isinstance(value, str) else json.dumps(value) for value in values]
+
+
 def _field(name: str, column: Sequence[object]) -> ColumnValues:
     known = [value for value in column if value is not None]
-    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in known):
+    if all(map(is_number, known)):
         return ColumnValues(field_label(name), _numbers(column))
     texts = ["" if value is None else str(value) for value in column]
     names = tuple(sorted(set(texts)))
@@ -263,10 +320,6 @@ def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray
     return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
 
 
-NONE = "–"
-"""Text of a missing value."""
-
-
 def published_table(published: Published, results: SweepTable) -> Table:
     """Return published values with those of the plants, as means over seeds, one row per setting.
 
@@ -286,10 +339,10 @@ def published_table(published: Published, results: SweepTable) -> Table:
     for metric, values in published.metrics.items():
         for setting, groups, value in zip(published.settings, runs, values, strict=True):
             for texts, chosen in groups:
-                row = [metric_label(metric), *map(_value_text, setting.values()), *texts, _value_text(value)]
+                row = [metric_label(metric), *map(cell, setting.values()), *texts, cell(value)]
                 for plant in plants:
                     mean = _mean(results, metric, plant, chosen)
-                    row += [_value_text(mean), _difference_text(value, mean)]
+                    row += [cell(mean), _difference_text(value, mean)]
                 rows.append((*row, *([str(len(chosen))] if is_mean else [])))
     headings = ["metric", *map(field_label, (*published.at, *further)), "published"]
     headings += [heading for plant in plants for heading in (plant, "difference")]
@@ -306,7 +359,8 @@ def _runs_at(
     for field, value in setting.items():
         chosen = chosen & results.values(field, "").rows_with(value)
     groups = [(texts, rows[chosen[rows]]) for texts, rows in results.groups(further)]
-    return [group for group in groups if len(group[1])] or [((NONE,) * len(further), np.zeros(0, dtype=int))]
+    none = (cell(None),) * len(further), np.zeros(0, dtype=int)
+    return [group for group in groups if len(group[1])] or [none]
 
 
 def _mean(results: SweepTable, metric: str, plant: str, chosen: np.ndarray) -> float | None:
@@ -318,10 +372,4 @@ def _mean(results: SweepTable, metric: str, plant: str, chosen: np.ndarray) -> f
 
 
 def _difference_text(published: float | None, value: float | None) -> str:
-    return NONE if published is None or value is None else relative_difference(published, value)
-
-
-def _value_text(value: Value | None) -> str:
-    if value is None:
-        return NONE
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return cell(None) if published is None or value is None else relative_difference(published, value)

@@ -21,7 +21,11 @@ from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 
-DONE, FAILED = "done", "failed"
+DONE = "done"
+"""Status of a successful run."""
+
+FAILED = "failed"
+"""Status of a failed run."""
 
 PLAN = "plan"
 """Prefix of the metrics of a scenario that is only planned."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +23,7 @@ from srs_twin.cli.options import (
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
+    from srs_twin.scenario.scenario import Scenario
     from srs_twin.studies.sweep.task import Row
     from srs_twin.studies.uncertainty.metric_uncertainty import MetricUncertainty
     from srs_twin.studies.uncertainty.propagation import Propagation
@@ -70,18 +72,15 @@ def uncertainty(
     from srs_twin.studies.sweep.command import make_engine
 
     runner = make_engine(engine, workers, None)
-    from srs_twin.experiment import INTERVALS
     from srs_twin.identification.priors import Priors
-    from srs_twin.io.files import check_output_folder
     from srs_twin.robot.file import RobotFile
     from srs_twin.scenario.loading import load_scenario
     from srs_twin.studies.uncertainty.propagation import propagate
     from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
     loaded = load_scenario(scenario, set=changes.changes())
-    if write and loaded.left_out:
-        fields = ", ".join(dict.fromkeys(field for entry in loaded.left_out for field in entry["because"]))
-        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
+    if write:
+        _check_can_be_kept(loaded)
     priors = Priors.from_robot(RobotFile.model_validate(loaded.document["robot"]), without=without or ())
     study = UncertaintyStudy(
         loaded,
@@ -93,16 +92,8 @@ def uncertainty(
         discrete_choices=_parse_choices(form or ()),
     )
     folder = Path(out) if out else STUDIES / loaded.name
-    if write:
-        check_output_folder(INTERVALS, (f"{loaded.name}.json",), option="")
-
-    @contextmanager
-    def counting(part: str, count: int) -> Iterator[Callable[[Row], object]]:
-        with RunCounter(f"{loaded.name}, {part}", count, quiet=quiet) as progress:
-            yield lambda row: progress(failed=row.exit_code != 0)
-
     with interruptible(f"finished runs are kept in {folder}; start again to resume"):
-        result = propagate(study, folder, runner, counting, changed=changed)
+        result = propagate(study, folder, runner, partial(_count, loaded.name, quiet=quiet), changed=changed)
         files = result.write(folder)
     if as_json:
         print_json(result.document())
@@ -112,6 +103,28 @@ def uncertainty(
     if write:
         say(f"kept in {result.keep()}", quiet=quiet)
     say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
+
+
+def _check_can_be_kept(scenario: Scenario) -> None:
+    """Check that the intervals of a scenario can be written for expectations.
+
+    Raises:
+        InputError: the scenario is modified, or the folder cannot be written.
+    """
+    from srs_twin.experiment import INTERVALS
+    from srs_twin.io.files import check_output_folder
+
+    if scenario.left_out:
+        fields = ", ".join(dict.fromkeys(field for entry in scenario.left_out for field in entry["because"]))
+        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
+    check_output_folder(INTERVALS, (f"{scenario.name}.json",), option="")
+
+
+@contextmanager
+def _count(name: str, part: str, count: int, *, quiet: bool) -> Iterator[Callable[[Row], object]]:
+    """Yield a function that counts the rows of a fidelity."""
+    with RunCounter(f"{name}, {part}", count, quiet=quiet) as progress:
+        yield lambda row: progress(failed=row.exit_code != 0)
 
 
 def _parse_choices(options: Sequence[str]) -> dict[str, tuple[Any, ...]]:

@@ -44,6 +44,42 @@ _BATCH = 50
 
 
 @dataclass(frozen=True)
+class SobolIndices:
+    """Sensitivity indices of one metric.
+
+    Attributes:
+        first: first-order indices, shape (d,).
+        total: total indices, shape (d,).
+        half_width: half the 95 % interval of both, shape (2, d).
+    """
+
+    first: np.ndarray
+    total: np.ndarray
+    half_width: np.ndarray
+
+    def ranks(self) -> list[tuple[int, int]]:
+        """Return the best and the worst possible rank of each parameter as a cause.
+
+        Two total indices differ if their difference exceeds their half widths, added in quadrature.
+        """
+        limit = np.hypot(self.half_width[1][:, None], self.half_width[1])
+        is_larger = self.total[:, None] - self.total > limit
+        return [
+            (1 + int(above), len(self.total) - int(below))
+            for above, below in zip(is_larger.sum(axis=0), is_larger.sum(axis=1), strict=True)
+        ]
+
+    def document(self, names: tuple[str, ...]) -> dict[str, object]:
+        """Return the indices and ranks by name of the uncertain quantity, as JSON values."""
+        keys = ("first", "total", "first_error", "total_error")
+        columns = np.array([self.first, self.total, *self.half_width]).T.tolist()
+        return {
+            name: {**dict(zip(keys, column, strict=True)), "rank": list(rank)}
+            for name, column, rank in zip(names, columns, self.ranks(), strict=True)
+        }
+
+
+@dataclass(frozen=True)
 class MetricUncertainty:
     """Distribution of one metric of one plant.
 
@@ -55,9 +91,7 @@ class MetricUncertainty:
         runs: number of samples that the plant itself ran, without those of a surrogate.
         sampling: standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,).
         surrogate: standard errors of these ends by the surrogate, shape (4,).
-        first: first-order Sobol indices, shape (d,); None if parameters are correlated.
-        total: total Sobol indices, shape (d,).
-        index_half_width: half the 95 % interval of both indices, shape (2, d).
+        indices: sensitivity indices; None for a constant metric or correlated parameters.
         published: published value, if any.
     """
 
@@ -68,9 +102,7 @@ class MetricUncertainty:
     runs: int
     sampling: np.ndarray
     surrogate: np.ndarray
-    first: np.ndarray | None = None
-    total: np.ndarray | None = None
-    index_half_width: np.ndarray | None = None
+    indices: SobolIndices | None = None
     published: float | None = None
 
     def interval(self, name: str) -> tuple[float, float]:
@@ -105,20 +137,6 @@ class MetricUncertainty:
             return None
         return interval_verdict(self.published, self.interval("interval_95"), self.errors[2:].tolist())
 
-    def ranks(self) -> list[tuple[int, int]]:
-        """Return the best and the worst possible rank of each parameter as a cause.
-
-        Two total indices differ if their difference exceeds their half widths, added in quadrature.
-        """
-        if self.total is None or self.index_half_width is None:
-            return []
-        limit = np.hypot(self.index_half_width[1][:, None], self.index_half_width[1])
-        is_larger = self.total[:, None] - self.total > limit
-        return [
-            (1 + int(above), len(self.total) - int(below))
-            for above, below in zip(is_larger.sum(axis=0), is_larger.sum(axis=1), strict=True)
-        ]
-
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
         """Return the distribution as JSON values.
 
@@ -132,14 +150,7 @@ class MetricUncertainty:
         row["value_at_medians"] = self.at_medians if math.isfinite(self.at_medians) else None
         row |= {"samples": self.count, "runs": self.runs, "u_input": float(np.nanstd(self.samples))}
         row["u_num"] = self.numerical_error if math.isfinite(self.half_timestep) else None
-        row["sensitivity"] = None
-        if self.first is not None and self.total is not None and self.index_half_width is not None:
-            keys = ("first", "total", "first_error", "total_error")
-            columns = np.array([self.first, self.total, *self.index_half_width]).T.tolist()
-            row["sensitivity"] = {
-                name: {**dict(zip(keys, column, strict=True)), "rank": list(rank)}
-                for name, column, rank in zip(names, columns, self.ranks(), strict=True)
-            }
+        row["sensitivity"] = None if self.indices is None else self.indices.document(names)
         verdict = self.verdict
         return row | {"published": self.published, "verdict": None if verdict is None else verdict.value}
 

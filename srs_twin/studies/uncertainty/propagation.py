@@ -9,26 +9,27 @@ and runs at all samples. The twin runs only at the first of them; `predict_twin`
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError
 from srs_twin.experiment import INTERVALS, twin_contact
 from srs_twin.io.file_sets import remove_completion_mark, replace_files
 from srs_twin.io.files import write_text
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
 from srs_twin.studies.sweep.execution import open_sweep
-from srs_twin.studies.sweep.store import write_table
+from srs_twin.studies.sweep.table import write_table
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     RANGES,
     MetricUncertainty,
+    SobolIndices,
     predict_twin,
     sampling_errors,
 )
@@ -43,7 +44,15 @@ if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
 
 Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
-RESULT, SAMPLES, PICTURE = "intervals.json", "samples.parquet", "intervals.png"
+
+RESULT = "intervals.json"
+"""File of the result."""
+
+SAMPLES = "samples.parquet"
+"""File of the parameters and metrics of all samples."""
+
+PICTURE = "intervals.png"
+"""File of the plot."""
 
 REFERENCE_ROWS = 3
 """Runs after the samples: medians of the parameters; the robot file's values; the latter with half the
@@ -80,93 +89,68 @@ class Propagation:
         return {plant: self._uncertainties(plant) for plant in self.study.plants}
 
     def _uncertainties(self, plant: str) -> dict[str, MetricUncertainty]:
-        rows, included = self.rows[plant], {}
         low_fidelity = self.rows.get(COMPLIANT) if plant == "twin" else None
-        for metric, column in rows.items():
-            runs = column[:-REFERENCE_ROWS]
-            low = low_fidelity.get(metric) if low_fidelity is not None else None
-            if not np.isfinite(column[-2]) or np.isfinite(runs).mean() < _MIN_KNOWN:
-                continue
-            if low_fidelity is not None and (
-                low is None or np.isfinite(low[:-REFERENCE_ROWS]).mean() < _MIN_KNOWN
-            ):
-                continue
-            if low is None:
-                samples, surrogate = runs, np.zeros(2 * len(RANGES))
-            else:
-                samples, surrogate = predict_twin(self.study.shares, low[:-REFERENCE_ROWS], runs)
-            included[metric] = column, samples, surrogate
-        indices = self._indices({name: samples for name, (_, samples, _) in included.items()})
-        published = {(e.subject, e.metric): e for e in self.study.scenario.expect if e.stated is not None}
+        stated = [e for e in self.study.scenario.expect if e.stated is not None]
+        published = {(e.subject, e.metric): e.stated for e in stated}
         uncertainties = {}
-        for name, (column, samples, surrogate) in included.items():
+        for metric, column in self.rows[plant].items():
+            runs, surrogate = column[:-REFERENCE_ROWS], np.zeros(2 * len(RANGES))
+            low = runs
+            if low_fidelity is not None:
+                low = low_fidelity.get(metric, np.full(1, np.nan))[: self.study.samples]
+            if not np.isfinite(column[-2]) or min(map(_known_share, (runs, low))) < _MIN_KNOWN:
+                continue
+            samples = runs
+            if low_fidelity is not None:
+                samples, surrogate = predict_twin(self.study.shares, low, runs)
             at_medians, value, half_timestep = (float(entry) for entry in column[-REFERENCE_ROWS:])
-            expectation = published.get((plant, name))
-            uncertainties[name] = MetricUncertainty(
+            uncertainties[metric] = MetricUncertainty(
                 value,
                 half_timestep,
                 at_medians,
                 samples,
-                int(np.isfinite(column[:-REFERENCE_ROWS]).sum()),
+                int(np.isfinite(runs).sum()),
                 sampling_errors(samples),
                 surrogate,
-                published=None if expectation is None else expectation.stated,
-                **indices.get(name, {}),
+                published=published.get((plant, metric)),
             )
-        return uncertainties
+        return self._with_indices(uncertainties)
 
-    def _indices(self, samples: Mapping[str, np.ndarray]) -> dict[str, dict[str, np.ndarray]]:
-        """Return the Sobol indices of metrics and their errors; empty for correlated parameters."""
-        names = [name for name, column in samples.items() if _varies(column)]
+    def _with_indices(self, uncertainties: dict[str, MetricUncertainty]) -> dict[str, MetricUncertainty]:
+        """Return uncertainties with Sobol indices, which do not exist for correlated parameters."""
+        names = [name for name, entry in uncertainties.items() if _varies(entry.samples)]
         if not names or not self.study.priors.independent:
-            return {}
-        results = np.stack([_fill_missing(samples[name]) for name in names], axis=1)
+            return uncertainties
+        results = np.stack([_fill_missing(uncertainties[name].samples) for name in names], axis=1)
         chaos = PolynomialChaos.fit(self.study.shares, results)
-        return {
-            name: {
-                "first": chaos.indices[0, :, k],
-                "total": chaos.indices[1, :, k],
-                "index_half_width": chaos.index_half_width[..., k],
-            }
-            for k, name in enumerate(names)
-        }
+        for k, name in enumerate(names):
+            first, total = chaos.indices[..., k]
+            indices = SobolIndices(first, total, chaos.index_half_width[..., k])
+            uncertainties[name] = replace(uncertainties[name], indices=indices)
+        return uncertainties
 
     @property
     def target(self) -> tuple[str, str]:
         """Plant and metric of the summary: the first with a published value, otherwise the speed."""
-        for plant in reversed([p for p in PLANTS if p in self.plants]):
-            uncertainties = self.plants[plant]
-            for metric, uncertainty in uncertainties.items():
+        plants = [plant for plant in PLANTS if plant in self.plants]
+        for plant in reversed(plants):
+            for metric, uncertainty in self.plants[plant].items():
                 if uncertainty.published:
                     return plant, metric
-        plant = [p for p in PLANTS if p in self.plants][-1]
-        names = self.plants[plant]
+        names = self.plants[plants[-1]]
         if not names:
             raise InputError(
-                f"{self.study.scenario.name}: no metric of the {plant} plant has a value in "
+                f"{self.study.scenario.name}: no metric of the {plants[-1]} plant has a value in "
                 f"{100 * _MIN_KNOWN:.0f} % of the samples"
             )
-        return plant, "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))
+        return plants[-1], "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))
 
-    def measure_next(self, plant: str | None = None, metric: str | None = None) -> list[dict[str, Any]]:
-        """Return the interval of a metric after measuring each parameter to ±10 %, the narrowest first.
-
-        Args:
-            plant: plant of the metric.
-            metric: metric; None for either: `target`.
-
-        Raises:
-            UnknownNameError: the metric does not exist.
-        """
-        if plant is None or metric is None:
-            plant, metric = self.target
-        if metric not in self.plants[plant]:
-            raise UnknownNameError("metric", metric, self.plants[plant])
-        priors, uncertainty = self.study.priors, self.plants[plant][metric]
+    def measure_next(self) -> list[dict[str, Any]]:
+        """Return the interval of the target after measuring each parameter to ±10 %, the narrowest first."""
+        priors, uncertainty, chaos = self.study.priors, self._target, self._chaos
         width_now = np.ptp(uncertainty.interval("interval_95"))
-        if not width_now > 0 or uncertainty.first is None:
+        if not width_now > 0 or uncertainty.indices is None:
             return []
-        chaos = self._chaos(plant, metric)
         shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
         # Add residuals of the surrogate, so that the predicted intervals contain its error.
         rng = np.random.default_rng(self.study.seed)
@@ -202,10 +186,8 @@ class Propagation:
         An entry has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % interval
         and all others at their medians, and the `error` of both: two standard deviations of left-out samples.
         """
-        plant, metric = self.target
-        uncertainty, chaos = self.plants[plant][metric], self._chaos(plant, metric)
-        names = self.study.names
-        if uncertainty.total is None:
+        names, chaos, indices = self.study.names, self._chaos, self._target.indices
+        if indices is None:
             return []
         count = len(names)
         shares = np.full((2 * count, count), 0.5 - 1e-9)
@@ -214,23 +196,15 @@ class Propagation:
         error = 2 * float(np.sqrt((chaos.residuals[:, 0] ** 2).mean()))
         return [
             {"parameter": names[i], "low": ends[i][0], "high": ends[i][1], "error": error}
-            for i in np.argsort(-uncertainty.total, kind="stable")
+            for i in np.argsort(-indices.total, kind="stable")
         ]
 
     @cached_property
     def remarks(self) -> dict[str, Remarks]:
         """Plant → limitations of its result for the target's metric."""
-        study, metric = self.study, self.target[1]
+        metric = self.target[1]
         return {
-            plant: Remarks(
-                plant,
-                metric_label(metric),
-                uncertainties[metric],
-                study.priors,
-                study.names,
-                study.samples,
-                has_surrogate=plant == "twin" and study.surrogate_scenario is not None,
-            )
+            plant: Remarks(plant, metric_label(metric), uncertainties[metric], self.study)
             for plant, uncertainties in self.plants.items()
             if metric in uncertainties
         }
@@ -246,20 +220,20 @@ class Propagation:
         ]
         return {
             "warnings": [shortfall.words for shortfall in shortfalls],
-            "remedy": dict(remedy(shortfalls, self.study.samples, self.study.twin_samples)),
+            "remedy": remedy(shortfalls, self.study),
             "remarks": [text for text in texts if text],
         }
 
-    @cached_property
-    def _expansions(self) -> dict[tuple[str, str], PolynomialChaos]:
-        return {}
+    @property
+    def _target(self) -> MetricUncertainty:
+        """Uncertainty of the target's metric."""
+        plant, metric = self.target
+        return self.plants[plant][metric]
 
-    def _chaos(self, plant: str, metric: str) -> PolynomialChaos:
-        """Return the chaos expansion of one metric, cached."""
-        if (chaos := self._expansions.get((plant, metric))) is not None:
-            return chaos
-        samples = _fill_missing(self.plants[plant][metric].samples)[:, None]
-        return self._expansions.setdefault((plant, metric), PolynomialChaos.fit(self.study.shares, samples))
+    @cached_property
+    def _chaos(self) -> PolynomialChaos:
+        """Chaos expansion of the target's metric."""
+        return PolynomialChaos.fit(self.study.shares, _fill_missing(self._target.samples)[:, None])
 
     def document(self) -> dict[str, object]:
         """Return the result as JSON values, as `--json` prints it."""
@@ -340,10 +314,15 @@ def _rounded(data: Any) -> Any:
     return float(f"{data:.6g}") if isinstance(data, float) else data
 
 
+def _known_share(samples: np.ndarray) -> float:
+    """Return the fraction of samples with a value."""
+    return float(np.isfinite(samples).mean())
+
+
 def _varies(samples: np.ndarray) -> bool:
     """Return whether enough samples have a value and these are not all equal."""
-    known = np.isfinite(samples)
-    return bool(known.mean() >= _MIN_KNOWN and np.std(samples[known]) > 1e-9 * abs(samples[known].mean()))
+    known = samples[np.isfinite(samples)]
+    return _known_share(samples) >= _MIN_KNOWN and bool(np.std(known) > 1e-9 * abs(known.mean()))
 
 
 def _fill_missing(samples: np.ndarray) -> np.ndarray:
@@ -381,21 +360,16 @@ def propagate(
             if missing or changed:  # an earlier result does not belong to these rows
                 remove_completion_mark(folder / RESULT)
             opened.finish()
-        rows[part] = _columns(folder / part / "results.parquet", sweep)
+            rows[part] = _columns(sweep, opened.rows())
     return Propagation(study, rows)
 
 
-def _columns(path: Path, sweep: Sweep) -> dict[str, np.ndarray]:
-    """Return metric → value at each point of a sweep, NaN if missing."""
-    import pyarrow.parquet as pq
-
-    table = pq.read_table(path)
-    index = {key: i for i, key in enumerate(table.column("key").to_pylist())}
-    rows = [index.get(point.key) for point in sweep.points]
-    prefix = f"{sweep.experiment.plants[0]}."
-    columns = {}
-    for name in table.column_names:
-        if name.startswith(prefix):
-            values = table.column(name).to_numpy(zero_copy_only=False).astype(float)
-            columns[name.removeprefix(prefix)] = np.array([np.nan if i is None else values[i] for i in rows])
-    return columns
+def _columns(sweep: Sweep, rows: Iterable[Row]) -> dict[str, np.ndarray]:
+    """Return metric → value at each point of a sweep with one plant, NaN if missing."""
+    by_key = {row.key: row.values for row in rows}
+    names = dict.fromkeys(name for values in by_key.values() for name in values)
+    points = [by_key.get(point.key, {}) for point in sweep.points]
+    return {
+        name.partition(".")[2]: np.array([values.get(name) for values in points], dtype=float)
+        for name in names
+    }

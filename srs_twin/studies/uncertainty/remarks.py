@@ -9,13 +9,13 @@ the square root of the number of samples, which gives the number that is needed.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.identification.priors import Priors
 from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES, RANGES, MetricUncertainty
+from srs_twin.studies.uncertainty.study import UncertaintyStudy
 from srs_twin.studies.uncertainty.surrogates import quadratic_samples
 
 MAX_END_ERROR = 0.05
@@ -63,19 +63,13 @@ class Remarks:
         plant: name of the plant.
         label: label of the metric.
         uncertainty: uncertainty of the metric.
-        priors: priors of the robot's parameters.
-        names: names of all uncertain quantities, in the order of the indices.
-        requested: number of samples of the study.
-        has_surrogate: whether a low-fidelity plant exists.
+        study: study.
     """
 
     plant: str
     label: str
     uncertainty: MetricUncertainty
-    priors: Priors
-    names: Sequence[str]
-    requested: int
-    has_surrogate: bool
+    study: UncertaintyStudy
 
     @property
     def subject(self) -> str:
@@ -125,16 +119,16 @@ class Remarks:
         return Shortfall(words, samples, runs)
 
     def _index_shortfall(self) -> Shortfall | None:
-        half_width = self.uncertainty.index_half_width
-        if half_width is None or half_width[1].max() <= MAX_INDEX_ERROR:
+        indices = self.uncertainty.indices
+        if indices is None or indices.half_width[1].max() <= MAX_INDEX_ERROR:
             return None
-        error = min(float(half_width[1].max()), 1.0)
+        error = min(float(indices.half_width[1].max()), 1.0)
         words = (
             f"{self.subject}: total indices have errors of up to ±{100 * error:.0f} %; above "
             f"±{100 * MAX_INDEX_ERROR:.0f} % causes that differ by less than "
             f"{100 * math.sqrt(2) * MAX_INDEX_ERROR:.0f} % cannot be distinguished"
         )
-        count, smallest = self.uncertainty.count, quadratic_samples(len(self.names))
+        count, smallest = self.uncertainty.count, quadratic_samples(len(self.study.names))
         growth = (error / MAX_INDEX_ERROR) ** 2
         if self._is_predicted and count >= smallest:
             return Shortfall(words, runs=_next_power_of_two(self.uncertainty.runs * growth))
@@ -146,27 +140,28 @@ class Remarks:
 
     def _sample_shortfall(self, words: str, needed: float) -> Shortfall:
         """Return a shortfall of samples that the plant itself must run."""
-        count = _next_power_of_two(needed)
-        if self.has_surrogate and self.uncertainty.count < self.requested:
+        count, requested = _next_power_of_two(needed), self.study.samples
+        if self.plant != "twin" or self.study.surrogate_scenario is None:
+            return Shortfall(words, count)
+        if self.uncertainty.count < requested:
             # The surrogate failed to predict the remaining samples.
-            return Shortfall(words, count if count > self.requested else 0, count)
-        runs = max(_DEFAULT_RUNS, self.uncertainty.runs) if self.has_surrogate else 0
-        return Shortfall(words, count, runs)
+            return Shortfall(words, count if count > requested else 0, count)
+        return Shortfall(words, count, max(_DEFAULT_RUNS, self.uncertainty.runs))
 
     def ranking_text(self) -> str:
         """Return a sentence on the largest cause and the resolved ranking of the causes."""
-        uncertainty, ranks = self.uncertainty, self.uncertainty.ranks()
-        total, half_width = uncertainty.total, uncertainty.index_half_width
-        if len(ranks) < 2 or total is None or half_width is None:
+        indices = self.uncertainty.indices
+        if indices is None or len(self.study.names) < 2:
             return ""
+        ranks, total = indices.ranks(), indices.total
         order = np.argsort(-total, kind="stable")
-        first = [self.names[i] for i in order if ranks[i][0] == 1]
+        first = [self.study.names[i] for i in order if ranks[i][0] == 1]
         tied = sum(best < worst for best, worst in ranks)
         if len(first) > 1:
             words = f"{self._samples_text} do not resolve the largest cause; it is {_alternatives(first)}"
         else:
-            top = int(order[0])
-            words = f"{first[0]} matters most (total index {_percent(total[top], half_width[1, top])})"
+            share = _percent(total[order[0]], indices.half_width[1, order[0]])
+            words = f"{first[0]} matters most (total index {share})"
             words += f"; {self._samples_text} do not resolve the order of {tied} others" if tied else ""
         return f"{self.subject}: {words}"
 
@@ -201,11 +196,11 @@ class Remarks:
 
     def _skewed_parameters(self) -> str:
         """Return the parameters whose values in the file are far from their medians, largest cause first."""
-        total = self.uncertainty.total
-        weights = np.ones(len(self.names)) if total is None else total
-        order = np.argsort(-weights[: len(self.priors.parameters)], kind="stable")
+        indices = self.uncertainty.indices
+        weights = np.ones(len(self.study.names)) if indices is None else indices.total
+        order = np.argsort(-weights[: len(self.study.priors.parameters)], kind="stable")
         texts = []
-        for prior in (self.priors.parameters[i] for i in order):
+        for prior in (self.study.priors.parameters[i] for i in order):
             share = float(prior.cdf(np.array([prior.value]))[0])
             if not _MIDDLE[0] <= share <= _MIDDLE[1]:
                 median = float(prior.quantile(np.array([0.5]))[0])
@@ -219,17 +214,11 @@ def outside_marks(uncertainty: MetricUncertainty) -> str:
     return "*" * sum(_is_outside(uncertainty, name) for name in RANGES)
 
 
-def remedy(shortfalls: Sequence[Shortfall], samples: int, twin_samples: int) -> Mapping[str, int]:
-    """Return the options (name → number) with which a study would have no shortfalls; empty if unknown.
-
-    Args:
-        shortfalls: shortfalls of the study.
-        samples: its number of samples.
-        twin_samples: its number of runs of the twin.
-    """
+def remedy(shortfalls: Sequence[Shortfall], study: UncertaintyStudy) -> dict[str, int]:
+    """Return the options (name → number) with which a study would have no shortfalls; empty if unknown."""
     runs = max((shortfall.runs for shortfall in shortfalls), default=0)
     needed = {"samples": max([runs, *(shortfall.samples for shortfall in shortfalls)]), "twin": runs}
-    present = {"samples": samples, "twin": twin_samples}
+    present = {"samples": study.samples, "twin": study.twin_samples}
     return {name: count for name, count in needed.items() if present[name] < count <= MAX_SAMPLES}
 
 

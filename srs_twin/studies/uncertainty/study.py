@@ -15,7 +15,7 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import TwinFile
 from srs_twin.scenario.provenance import versions
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.sweep.points import Experiment, Sweep, Value
+from srs_twin.studies.sweep.points import Experiment, Sweep, Value, sobol_points
 
 COMPLIANT = "compliant"
 
@@ -49,10 +49,7 @@ class UncertaintyStudy:
 
     def draw(self, count: int, seed: int) -> np.ndarray:
         """Return Sobol points u in the unit cube, snapped, shape (count, d)."""
-        from scipy.stats import qmc
-
-        samples = qmc.Sobol(len(self.names), rng=seed).random_base2(max(count - 1, 1).bit_length())
-        return self.snapped(samples[:count])
+        return self.snapped(sobol_points(len(self.names), count, seed))
 
     def snapped(self, shares: np.ndarray) -> np.ndarray:
         """Return points with each discrete choice at the middle of its value's interval."""
@@ -83,15 +80,13 @@ class UncertaintyStudy:
         """Sobol points u of all samples, shape (samples, d)."""
         return self.draw(self.samples, self.seed)
 
-    @property
-    def medians(self) -> np.ndarray:
-        """Medians of the robot's uncertain parameters."""
-        return self.priors.quantile(np.full(len(self.priors.parameters), 0.5))
-
     def sweep(self, part: str) -> Sweep:
         """Return the runs of a fidelity: the samples, then the `REFERENCE_ROWS`."""
         plant = "twin" if part == "twin" else "analytical"
-        document = self.surrogate_scenario if part == COMPLIANT else self._single_plant_document(plant)
+        document = self.surrogate_scenario
+        if part != COMPLIANT:
+            alone = on_plant(self.scenario.document, plant)
+            document = parse_scenario(alone, name=self.scenario.name).document
         assert document is not None, "a fidelity in `runs` has a scenario"
         step = f"plants.{plant}.timestep_s"
         fields = (*(f"robot.{path}" for path in self.priors.paths), *self.discrete_choices, step)
@@ -102,7 +97,7 @@ class UncertaintyStudy:
             columns.append([values[int(fraction * len(values))] for fraction in share])
         own_choices = [_field_value(document, name) for name in self.discrete_choices]
         nominal = [*(prior.value for prior in self.priors.parameters), *own_choices]
-        medians = [*self.medians.tolist(), *own_choices]
+        medians = [*self.priors.quantile(np.full(count, 0.5)).tolist(), *own_choices]
         rows = [
             *([*row, h] for row in zip(*columns, strict=True)),
             [*medians, h],
@@ -121,10 +116,20 @@ class UncertaintyStudy:
             document={"scenario": self.scenario.name, "priors": self.priors.document()},
         )
 
-    def _single_plant_document(self, plant: str) -> dict[str, Any]:
-        settings = self.scenario.document["plants"].get(plant, {})
-        document = {**self.scenario.document, "plants": {plant: settings}, "expect": []}
-        return dict(parse_scenario(document, name=self.scenario.name).document)
+
+def on_plant(
+    document: Mapping[str, Any], plant: str, settings: Mapping[str, object] | None = None
+) -> dict[str, Any]:
+    """Return a scenario with a single plant and no expectations, as plain data.
+
+    Args:
+        document: scenario as plain data.
+        plant: name of the plant.
+        settings: settings of the plant; None: those of the scenario.
+    """
+    if settings is None:
+        settings = document["plants"].get(plant, {})
+    return {**document, "plants": {plant: settings}, "expect": []}
 
 
 def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
@@ -132,9 +137,8 @@ def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}
-    document = {**scenario.document, "plants": {"analytical": settings}, "expect": []}
     try:
-        compliant = parse_scenario(document, name=scenario.name)
+        compliant = parse_scenario(on_plant(scenario.document, "analytical", settings), name=scenario.name)
         compliant.build_plant("analytical")
     except InputError:
         return None

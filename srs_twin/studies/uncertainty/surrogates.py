@@ -18,7 +18,6 @@ Variances and lengths have log-normal priors and take their most probable values
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations, product
@@ -42,6 +41,12 @@ _RESAMPLINGS = 20
 
 _MAX_UNEXPLAINED = 0.5
 """Largest unexplained fraction of the variance at which a surrogate is used."""
+
+_TYPICAL = (0.1, 1.0, 0.01)
+"""Medians of the log-normal priors of s, b and n of a Gaussian process, with a standard deviation of 1."""
+
+_TYPICAL_LENGTH = 2.0
+"""Median of the log-normal priors of all ℓ, with a standard deviation of 1."""
 
 
 def _terms(variables: int, degree: int) -> np.ndarray:
@@ -155,7 +160,7 @@ def _indices(terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
 class GaussianProcess:
     r"""Gaussian process with a linear part, fitted to noisy samples.
 
-    $$ k(x, x') = s^2 e^{-\frac12 \sum_i (x_i - x'_i)^2 / \ell_i^2} + b^2 (1 + h \cdot h') + n^2 \delta $$
+    $$ k(x, x') = s^2 e^{-\frac12 \sum_i (x_i - x'_i)^2 / \ell_i^2} + b^2 (1 + x \cdot x') + n^2 \delta $$
 
     Attributes:
         log_hyperparameters: natural logarithms of s, b, n and ℓ.
@@ -166,8 +171,6 @@ class GaussianProcess:
         x: np.ndarray,
         y: np.ndarray,
         *,
-        linear: np.ndarray | None = None,
-        typical: Sequence[float] = (0.1, 1.0, 0.01, 2.0),
         log_hyperparameters: np.ndarray | None = None,
     ) -> None:
         """Fit the process to samples.
@@ -175,12 +178,10 @@ class GaussianProcess:
         Args:
             x: inputs of order 1, shape (samples, d).
             y: values of order 1, shape (samples,).
-            linear: inputs h of the linear part, shape (samples, …); default: x.
-            typical: medians of the log-normal priors of s, b, n and all ℓ, with a standard deviation of 1.
             log_hyperparameters: given values, instead of the most probable ones.
         """
-        self._x, self._y, self._h = x, y, x if linear is None else linear
-        centre = np.log([*typical[:3], *np.full(x.shape[1], typical[3])])
+        self._x, self._y = x, y
+        centre = np.log([*_TYPICAL, *np.full(x.shape[1], _TYPICAL_LENGTH)])
         self.log_hyperparameters = centre if log_hyperparameters is None else log_hyperparameters
         if log_hyperparameters is None:
             result = scipy.optimize.minimize(
@@ -195,15 +196,14 @@ class GaussianProcess:
         self._factor = scipy.linalg.cho_factor(self._covariance(self.log_hyperparameters), lower=True)
         self._weights = scipy.linalg.cho_solve(self._factor, y)
 
-    def at(self, x: np.ndarray, linear: np.ndarray | None = None) -> np.ndarray:
+    def at(self, x: np.ndarray) -> np.ndarray:
         """Return the mean at inputs."""
-        return np.asarray(self._kernel(x, x if linear is None else linear) @ self._weights)
+        return np.asarray(_kernel(self.log_hyperparameters, x, self._x) @ self._weights)
 
-    def covariance(self, x: np.ndarray, linear: np.ndarray | None = None) -> np.ndarray:
+    def covariance(self, x: np.ndarray) -> np.ndarray:
         """Return the covariance of the function at inputs, without noise."""
-        h = x if linear is None else linear
-        cross = self._kernel(x, h)
-        prior = _kernel(self.log_hyperparameters, x, h, x, h)
+        cross = _kernel(self.log_hyperparameters, x, self._x)
+        prior = _kernel(self.log_hyperparameters, x, x)
         return np.asarray(prior - cross @ scipy.linalg.cho_solve(self._factor, cross.T))
 
     @property
@@ -212,11 +212,8 @@ class GaussianProcess:
         inverse = scipy.linalg.cho_solve(self._factor, np.eye(len(self._y)))
         return np.asarray(self._weights / np.diag(inverse))
 
-    def _kernel(self, x: np.ndarray, h: np.ndarray) -> np.ndarray:
-        return _kernel(self.log_hyperparameters, x, h, self._x, self._h)
-
     def _covariance(self, log_hyperparameters: np.ndarray) -> np.ndarray:
-        kernel = _kernel(log_hyperparameters, self._x, self._h, self._x, self._h)
+        kernel = _kernel(log_hyperparameters, self._x, self._x)
         return np.asarray(kernel + (np.exp(2 * log_hyperparameters[2]) + 1e-9) * np.eye(len(self._y)))
 
     def _negative_log_posterior(self, log_hyperparameters: np.ndarray, centre: np.ndarray) -> float:
@@ -230,13 +227,11 @@ class GaussianProcess:
         return float(white @ white / 2 + np.log(np.diag(factor)).sum() + prior / 2)
 
 
-def _kernel(
-    log_hyperparameters: np.ndarray, x: np.ndarray, h: np.ndarray, y: np.ndarray, g: np.ndarray
-) -> np.ndarray:
+def _kernel(log_hyperparameters: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     size, slope = np.exp(2 * log_hyperparameters[0]), np.exp(2 * log_hyperparameters[1])
     lengths = np.exp(log_hyperparameters[3:])
     distance = (((x[:, None] - y[None]) / lengths) ** 2).sum(axis=-1)
-    return np.asarray(size * np.exp(-distance / 2) + slope * (1 + h @ g.T))
+    return np.asarray(size * np.exp(-distance / 2) + slope * (1 + x @ y.T))
 
 
 def predict_high_fidelity(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError
 from srs_twin.io.documents import parse_yaml
 from srs_twin.studies.sweep.execution import open_sweep
+from srs_twin.studies.sweep.table import SweepTable
 from srs_twin.studies.sweep.task import run_point
 
 SMALL = """\
@@ -36,6 +39,11 @@ def execute(sweep, folder, engine=here, *, points=None, changed=False, **options
         missing = opened.missing(**options)[:points]
         opened.run(engine, missing)
         return len(missing), opened.finish()
+
+
+def table_of(columns):
+    """Return the results with some columns, such as arrays."""
+    return SweepTable({name: np.asarray(column, dtype=object).tolist() for name, column in columns.items()})
 
 
 def write(folder, text=SMALL, name="small.yaml"):

@@ -7,12 +7,13 @@ import re
 import pytest
 from conftest import ROOT
 from ruamel.yaml import YAML
-from small import SMALL, execute, write
+from small import SMALL, execute, table_of, write
 
 from srs_twin.io.documents import parse_yaml
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.plots import draw
-from srs_twin.studies.sweep.table import Plot, Published, SweepTable, published_table
+from srs_twin.studies.sweep.plots import draw as draw_results
+from srs_twin.studies.sweep.points import Plot, Published
+from srs_twin.studies.sweep.table import published_table
 
 P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
 GIVEN = (
@@ -27,6 +28,11 @@ TABLE = {
     f"analytical.{SPEED}": [0.1, 0.3, 0.4, None, -0.1, -0.1],
     f"twin.{SPEED}": [0.2, 0.2, 0.5, None, None, None],
 }
+
+
+def draw(plot, columns, beside):
+    """Return the figure of a plot of columns."""
+    return draw_results(plot, table_of(columns), beside)
 
 
 def published(source, at, metrics):
@@ -66,7 +72,7 @@ def test_published_values_do_not_change_the_rows(tmp_path):
 
 
 def test_the_table_has_means_over_seeds_and_differences():
-    seeds = SweepTable.from_columns({"seed" if name == F else name: column for name, column in TABLE.items()})
+    seeds = table_of({"seed" if name == F else name: column for name, column in TABLE.items()})
     result = published_table(
         published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), seeds
     )
@@ -105,22 +111,18 @@ def test_text_and_boolean_settings_are_matched():
     values = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
     values[f"twin.{SPEED}"] = [1.0, 2.0]
     for field, first in (("a.kind", "y"), ("a.on", False)):
-        result = published_table(
-            published("here", {field: [first]}, {SPEED: [1.0]}), SweepTable.from_columns(values)
-        )
+        result = published_table(published("here", {field: [first]}, {SPEED: [1.0]}), table_of(values))
         assert result.rows[0][2:] == ("1", "2", "+100.0 %")
 
 
 def test_a_table_without_runs_has_published_values_only():
     nothing = {name: [] for name in ("key", P, "status")}
-    result = published_table(
-        published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), SweepTable.from_columns(nothing)
-    )
+    result = published_table(published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), table_of(nothing))
     assert [row[1:] for row in result.rows] == [("20", "0.1"), ("30", "–")]
 
 
 def rows():
-    return SweepTable.from_columns(TABLE)
+    return table_of(TABLE)
 
 
 def stars(axes):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pyarrow as pa
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -13,16 +12,22 @@ from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from pydantic import ValidationError
+from small import table_of
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.studies.sweep.plots import draw
-from srs_twin.studies.sweep.table import Plot
+from srs_twin.studies.sweep.plots import draw as draw_results
+from srs_twin.studies.sweep.points import Plot
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import save
 
 F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
 SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"
+
+
+def draw(plot, columns):
+    """Return the figure of a plot of columns."""
+    return draw_results(plot, table_of(columns))
 
 
 def plot(kind, x, metric, y=None, by=None):
@@ -88,7 +93,7 @@ def filled(axes):
 
 
 def test_a_contour_has_the_points_colours_and_labels_of_the_grid():
-    figure = draw(CONTOUR, pa.table(grid()))
+    figure = draw(CONTOUR, grid())
     left, right = planes(figure)
     assert (left.get_title("left"), right.get_title("left")) == ("analytical", "twin (MuJoCo)")
     assert left.get_xlabel() == "gait frequency (Hz)" and left.get_ylabel() == "supply pressure (kPa)"
@@ -327,7 +332,7 @@ def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
         plot("line", F, SPEED, by=OFFSET),
         plot("scatter", P, SPEED, by=F),
     ):
-        for name, item in (("a", values), ("b", pa.table(shuffled))):
+        for name, item in (("a", values), ("b", shuffled)):
             save(draw(request, item), tmp_path / f"{name}{suffix}")
         first, second = ((tmp_path / f"{name}{suffix}").read_bytes() for name in "ab")
         assert first == second

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from small import SMALL, diverges, execute, here, write
+from small import SMALL, diverges, execute, here, table_of, write
 
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError
@@ -129,7 +129,7 @@ def test_equal_rows_give_equal_pages(tmp_path):
 
 def table(x, value, failed=()):
     status = ["failed" if i in failed else "done" for i in range(len(x))]
-    return SweepTable.from_columns(
+    return table_of(
         {"key": list(map(str, range(len(x)))), "seed": x, "status": status, f"twin.{SPEED}": value}
     )
 
@@ -143,7 +143,7 @@ def test_means_are_only_over_seeds():
     )
     value = rng.normal(5, 2, 300)
     status = ["failed" if i == 7 else "done" for i in range(300)]
-    rows = SweepTable.from_columns({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
+    rows = table_of({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
     assert [result.rows for result in run_tables(rows, [SPEED])] == [()]
     (result,) = mean_tables(rows, [SPEED])
     assert result.headings[:3] == ("steering offset", "gait frequency (Hz)", "runs")
@@ -151,7 +151,7 @@ def test_means_are_only_over_seeds():
     for k, line in enumerate(result.rows):
         own = np.delete(value[50 * k : 50 * k + 50], [7] if k == 0 else [])
         assert line[2:] == (str(len(own)), f"{own.mean():.4g} ± {own.std(ddof=1):.2g}")
-    many = SweepTable.from_columns(
+    many = table_of(
         {"key": range(402), "seed": [0, 1] * 201, "a.b": np.repeat(range(201), 2), "status": ["done"] * 402}
     )
     assert [(result.rows, result.note[:16]) for result in mean_tables(many, [SPEED])] == [
@@ -163,7 +163,7 @@ def test_the_number_of_listed_runs_is_limited():
     rows = table(list(range(MAX_RUNS))[::-1], [float(i) for i in range(MAX_RUNS)])
     (result,) = run_tables(rows, [SPEED])
     assert [int(line[0]) for line in result.rows] == list(range(MAX_RUNS))
-    alone = SweepTable.from_columns(
+    alone = table_of(
         {name: column for name, column in rows.columns.items() if name != "seed"}
         | {"controller.offset": list(range(MAX_RUNS))}
     )
@@ -186,7 +186,7 @@ def test_wide_tables_are_truncated():
     metrics = [SPEED, "path_length_m", "yaw_rate_rad_s", "path_speed_m_s"]
     values = {"key": ["a"], "seed": [1], "status": ["done"]}
     values |= {f"{plant}.{metric}": [1.0] for metric in metrics for plant in ("analytical", "twin")}
-    tables = run_tables(SweepTable.from_columns(values), metrics)
+    tables = run_tables(table_of(values), metrics)
     assert [len(result.headings) for result in tables] == [7, 3]
     assert sorted(h for result in tables for h in result.headings[1:])[0] == "CoM speed (m/s), analytical"
 

@@ -190,7 +190,7 @@ def test_stated_ranges_of_ranks_contain_the_true_rank():
         for seed in range(8):
             noise = np.random.default_rng(seed).normal(scale=0.1, size=samples + 3)
             spread = spread_of(study_of(4, samples, seed=seed), lambda u, noise=noise: u @ WEIGHTS + noise)
-            ranks = spread.ranks()
+            ranks = spread.indices.ranks()
             held += [best <= place <= worst for place, (best, worst) in enumerate(ranks, start=1)]
             widths += [worst - best for best, worst in ranks]
         assert np.mean(held) > 0.95
@@ -201,7 +201,7 @@ def test_stated_ranges_of_ranks_contain_the_true_rank():
 @pytest.mark.slow
 def test_the_order_is_resolved_only_with_enough_samples():
     weights = np.array([4.0, 2.0, 1.0])
-    assert spread_of(study_of(3, 512), weighted(weights)).ranks() == [(1, 1), (2, 2), (3, 3)]
+    assert spread_of(study_of(3, 512), weighted(weights)).indices.ranks() == [(1, 1), (2, 2), (3, 3)]
     (order,) = result_of(study_of(3, 512), weighted(weights)).limits["remarks"]
     assert "friction.number_0 matters most (total index 76 ± 0 %)" in order
     noise = np.random.default_rng(0).normal(size=40)
@@ -210,7 +210,7 @@ def test_the_order_is_resolved_only_with_enough_samples():
 
 
 def test_equal_parameters_have_tied_ranks():
-    ranks = spread_of(study_of(4, 512), weighted(np.array([3.0, 1.0, 1.0, 1.0]))).ranks()
+    ranks = spread_of(study_of(4, 512), weighted(np.array([3.0, 1.0, 1.0, 1.0]))).indices.ranks()
     assert ranks == [(1, 1), (2, 4), (2, 4), (2, 4)]
 
 

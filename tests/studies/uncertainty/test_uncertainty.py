@@ -204,9 +204,9 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         again = [indices(rng.integers(0, len(a), len(a))) for _ in range(200)]
         errors = np.std(again, axis=0)
         assert errors.max() < 0.06
-        result = np.array([spread.first[i], spread.total[i]])
+        result = np.array([spread.indices.first[i], spread.indices.total[i]])
         assert (
-            np.abs(result - indices(np.arange(len(a)))) < 3 * errors + spread.index_half_width[:, i]
+            np.abs(result - indices(np.arange(len(a)))) < 3 * errors + spread.indices.half_width[:, i]
         ).all()
 
 
