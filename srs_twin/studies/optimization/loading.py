@@ -23,7 +23,15 @@ from srs_twin.scenario.modified import Changes as ChangedFields
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.loading import base_scenario, changed_base, problems_at, with_suggestion
-from srs_twin.studies.sweep.points import Changes, Experiment, FieldName, Plain, Value, leaf_names
+from srs_twin.studies.sweep.points import (
+    Changes,
+    Experiment,
+    FieldName,
+    Plain,
+    Value,
+    leaf_names,
+    value_at,
+)
 from srs_twin.studies.uncertainty.study import compliant_scenario, on_plant
 
 SEGMENTS = "robot.segments"
@@ -46,8 +54,7 @@ class VariableFile(Section):
 
     def value_at(self, share: float) -> float | int:
         """Return the value at a fraction of the range, rounded."""
-        low, high = self.low, self.high
-        value = low * (high / low) ** share if self.scale == "log" else low + (high - low) * share
+        value = value_at(share, self.low, self.high, self.scale)
         # Six digits, so that designs that differ only by rounding share a run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
@@ -168,9 +175,10 @@ class DesignSpace:
         ranges = zip(self.variables.values(), np.clip(shares, 0.0, 1.0), strict=True)
         return tuple(variable.value_at(share) for variable, share in ranges)
 
-    def shares(self, values: Mapping[str, float]) -> np.ndarray:
+    def shares(self, values: Sequence[float]) -> np.ndarray:
         """Return a design as fractions of the ranges, shape (d,)."""
-        return np.array([variable.share_of(values[name]) for name, variable in self.variables.items()])
+        ranges = zip(self.variables.values(), values, strict=True)
+        return np.array([variable.share_of(value) for variable, value in ranges])
 
     def bounds(self, shares: np.ndarray) -> dict[str, str]:
         """Return the variables of a design, shape (d,), that are on a bound → "low" or "high"."""
@@ -183,8 +191,7 @@ class DesignSpace:
 
     def snapped(self, shares: np.ndarray) -> np.ndarray:
         """Round the values of designs, given and returned as fractions of the ranges, shape (designs, d)."""
-        names = list(self.variables)
-        return np.array([self.shares(dict(zip(names, self.values(share), strict=True))) for share in shares])
+        return np.array([self.shares(self.values(share)) for share in shares])
 
     def changes(self, shares: np.ndarray) -> Changes:
         """Return the fields that a design changes in the scenario."""

@@ -218,9 +218,9 @@ class Experiment:
 
     def document(self, changes: Changes) -> dict[str, Any]:
         """Return the scenario with changes as plain data, for `parse_scenario`."""
-        document: dict[str, Any] = {k: v for k, v in self.base.items() if k not in ("expect", "changes")}
-        for name, value in changes.items():
-            document = self.with_change(document, name, value)
+        document = self.with_fixed(changes)
+        for key in ("expect", "changes"):
+            document.pop(key, None)
         if self.periods is not None:
             document["duration_s"] = _duration(document, self.plants, self.periods)
         return document
@@ -396,6 +396,9 @@ def _values_at(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[
     """Return the values of a field at fractions (0 to 1) of its range or list."""
     if not isinstance(values, RangeFile):
         return [values[int(share * len(values))] for share in shares]
-    if values.scale == "log":
-        return [float(value) for value in values.start * (values.stop / values.start) ** shares]
-    return [float(value) for value in values.start + (values.stop - values.start) * shares]
+    return list(map(float, value_at(shares, values.start, values.stop, values.scale)))
+
+
+def value_at(share: Any, low: float, high: float, scale: str) -> Any:
+    """Return the values at fractions (0 to 1) of a range, whose scale is "linear" or "log"."""
+    return low * (high / low) ** share if scale == "log" else low + (high - low) * share

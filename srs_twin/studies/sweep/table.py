@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -145,12 +146,12 @@ class SweepTable:
                     ranges[name] = float(values.min()), float(np.median(values)), float(values.max())
         return ranges
 
-    @property
+    @cached_property
     def failed(self) -> np.ndarray:
         """Whether the run of each row failed, shape (rows,)."""
         return np.array([status == "failed" for status in self.columns["status"]], dtype=bool)
 
-    @property
+    @cached_property
     def fields(self) -> list[str]:
         """Varied fields."""
         prefixes = tuple(f"{owner}." for owner in OWNERS)
