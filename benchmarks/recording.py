@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 from srs_twin import compare, load_scenario, rollout
+from srs_twin.viewing.content import RunContent
 from srs_twin.viewing.rerun.recording import write_recording
 
 SCENARIO = "gen2_straight"
@@ -31,7 +32,7 @@ def main() -> None:
         path = Path(folder) / "recording.rrd"
         for _ in range(TIMES):
             begun = time.perf_counter()
-            write_recording(path, spec=scenario.robot, trajectories=runs, comparison=comparison)
+            write_recording(path, RunContent(scenario.robot, runs, comparison))
             walls.append(time.perf_counter() - begun)
         size = path.stat().st_size
     walls.sort()

@@ -35,6 +35,7 @@ from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.content import RunContent, end_event
 
 if TYPE_CHECKING:
     from srs_twin.comparison.compare import Attribution
@@ -164,8 +165,8 @@ class PreparedRun:
                 scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
                 return RunResult(scenario.name, self.folder, trajectories, diverged=tuple(diverged))
-            metrics, shared = self.measure(trajectories, walls, attribution, cause)
-            self._write(fresh, metrics, shared, attribution)
+            metrics, content = self.measure(trajectories, walls, attribution, cause)
+            self._write(fresh, metrics, content, attribution)
         failed = tuple(failed_attributions)
         return RunResult(scenario.name, self.folder, trajectories, metrics, failed_attributions=failed)
 
@@ -175,8 +176,8 @@ class PreparedRun:
         walls: Mapping[str, float],
         attribution: Attribution | None = None,
         cause: dict[str, Any] | None = None,
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the content of metrics.json and the additional data of report and recording.
+    ) -> tuple[dict[str, Any], RunContent]:
+        """Return the content of metrics.json, and that of report and recording.
 
         Args:
             trajectories: trajectory of each plant.
@@ -216,39 +217,45 @@ class PreparedRun:
         twin = scenario.file.plants.twin
         if "twin" in trajectories and twin and twin.fast_preset:
             metrics["preset"] = twin.fast_preset
-        # Expectations of plants that were not run do not count as missed.
-        available = {*trajectories, *(["comparison"] if comparison else ())}
-        complete = set(scenario.plants) <= available
-        expected = [item for item in scenario.expect if item.subject in available or complete]
-        if any(item.within for item in expected):
-            metrics["intervals"] = stored_intervals(scenario)
-        undefined = [why_undefined(item.metric, item.subject, metrics, drawn) for item in expected]
-        pairs = zip(expected, undefined, strict=True)
-        metrics["expectations"] = [item.check(metrics, reason) for item, reason in pairs]
-        metrics["left_out"] = [row for row in scenario.left_out if row["of"] in available]
-        metrics.get("intervals", {}).pop("plants", None)
-        metrics["versions"] = versions()
+        metrics |= self._judged(metrics, drawn) | {"versions": versions()}
         # Use the robot of the plants, which may differ from that of the scenario (plants without rigid gaps).
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
-        return metrics, {
-            "spec": spec,
-            "trajectories": drawn,
-            "comparison": comparison,
-            "measured": differences,
-            "world": scenario.world,
-        }
+        return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
+
+    def _judged(self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]) -> dict[str, Any]:
+        """Return the entries of metrics.json on expectations.
+
+        Args:
+            metrics: all entries on the plants and their comparison.
+            runs: trajectory of each plant and the measured one.
+        """
+        scenario = self.scenario
+        # Expectations of plants that were not run do not count as missed.
+        available = {*metrics["plants"], *(["comparison"] if metrics["comparison"] else ())} - {MEASURED}
+        complete = set(scenario.plants) <= available
+        expected = [item for item in scenario.expect if item.subject in available or complete]
+        entries: dict[str, Any] = {}
+        if any(item.within for item in expected):
+            entries["intervals"] = stored_intervals(scenario)
+        known = metrics | entries
+        entries["expectations"] = [
+            item.check(known, why_undefined(item.metric, item.subject, known, runs)) for item in expected
+        ]
+        entries["left_out"] = [row for row in scenario.left_out if row["of"] in available]
+        entries.get("intervals", {}).pop("plants", None)
+        return entries
 
     def _write(
-        self, fresh: Path, metrics: dict[str, Any], shared: dict[str, Any], attribution: Attribution | None
+        self, fresh: Path, metrics: dict[str, Any], content: RunContent, attribution: Attribution | None
     ) -> None:
         """Write report, recording and metrics into a folder."""
         # Import late, because rerun alone takes half a second.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 
-        title = self.scenario.title
-        write_report(fresh / REPORT, scenario_title=title, metrics=metrics, attribution=attribution, **shared)
-        write_recording(fresh / RECORDING, title=title, **shared)
+        title, report = self.scenario.title, fresh / REPORT
+        write_report(report, content, scenario_title=title, metrics=metrics, attribution=attribution)
+        write_recording(fresh / RECORDING, content, title=title)
         (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
 
 
@@ -295,11 +302,8 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Return the faults of a run, and the reason if it ended early."""
-    events = [asdict(event) for event in trajectory.events if event.kind == "fault"]
-    by = trajectory.metadata.get("ended_by")
-    if by is not None:
-        events.append({"time": float(trajectory.time[-1]), "kind": "ended", "text": f"the run, by its {by}"})
-    return events
+    faults = [event for event in trajectory.events if event.kind == "fault"]
+    return [asdict(event) for event in (*faults, *end_event(trajectory))]
 
 
 def _percents(progress: Callable[[float], None] | None, duration: float) -> Callable[[float], None]:
@@ -391,11 +395,11 @@ def compare(
         start = time.perf_counter()
         trajectories[kind] = rollout(plant, controller, **scenario.timing)
         walls[kind] = time.perf_counter() - start
-    results, shared = run.measure(trajectories, walls)
-    comparison = shared["comparison"]
-    values = {item.name: getattr(comparison, item.name) for item in fields(comparison)}
+    results, content = run.measure(trajectories, walls)
+    assert content.comparison is not None, "both plants ran"
+    values = {item.name: getattr(content.comparison, item.name) for item in fields(content.comparison)}
     return ComparedRuns(
-        **values, title=run.scenario.title, trajectories=trajectories, results=results, spec=shared["spec"]
+        **values, title=run.scenario.title, trajectories=trajectories, results=results, spec=content.spec
     )
 
 

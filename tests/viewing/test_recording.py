@@ -19,10 +19,11 @@ from srs_twin.control.gait import PitchWave
 from srs_twin.errors import InputError
 from srs_twin.planning.metrics import following_metrics
 from srs_twin.trajectory import Event, Trajectory
+from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun import scene
-from srs_twin.viewing.rerun.recording import events_of, subsample, write_recording
+from srs_twin.viewing.rerun.recording import subsample, write_recording
 
 
 def with_events(run, *events, **metadata):
@@ -110,7 +111,7 @@ SIGNALS = {
 @pytest.mark.parametrize("kind", SIGNALS)
 def test_signals_of_each_kind(kind, tmp_path):
     path = tmp_path / "r.rrd"
-    write_recording(path, spec=robot(), trajectories=of_kind(kind))
+    write_recording(path, RunContent(robot(), of_kind(kind)))
     found = read_back(path)
     assert SIGNALS[kind] <= found.keys()
     if kind == "gait":
@@ -120,7 +121,7 @@ def test_signals_of_each_kind(kind, tmp_path):
 def test_step_signals_keep_their_changes(tmp_path):
     runs = of_kind("gait")
     path = tmp_path / "r.rrd"
-    write_recording(path, spec=robot(), trajectories=runs)
+    write_recording(path, RunContent(robot(), runs))
     twin, found = runs["twin"], read_back(path)
     state = (twin.stack("valve_plus") - twin.stack("valve_minus")) / 2
     for j in range(4):
@@ -135,7 +136,7 @@ def test_step_signals_keep_their_changes(tmp_path):
 def test_events_are_in_the_text_log(tmp_path):
     runs = of_kind("learning")
     path = tmp_path / "r.rrd"
-    write_recording(path, spec=robot(), trajectories=runs)
+    write_recording(path, RunContent(robot(), runs))
     seconds, texts = read_back(path)["/events/twin"]
     assert seconds.tolist() == [1.0, 2.0]
     assert texts == ["ilc_update: after period 2", "saturation: segment 1"]
@@ -173,7 +174,7 @@ def test_wheels_roll_without_slip():
 def test_spokes_rotate_about_the_axle(tmp_path):
     spec, runs = robot(), pair(duration=1.0)
     path = tmp_path / "r.rrd"
-    write_recording(path, spec=spec, trajectories=runs)
+    write_recording(path, RunContent(spec, runs))
     (poses,) = (c for c in chunks(path) if c.entity_path == "/world/twin/spokes" and not c.is_static)
     flat = poses.to_record_batch().column("Boxes3D:quaternions").flatten().flatten()
     x, y, z, w = np.array(flat.to_numpy(zero_copy_only=False)).reshape(-1, 4).T
@@ -190,7 +191,7 @@ def test_spokes_rotate_about_the_axle(tmp_path):
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_viewer_shows_the_plots_of_each_kind(kind, tmp_path):
     path = tmp_path / "r.rrd"
-    write_recording(path, spec=robot(), trajectories=of_kind(kind))
+    write_recording(path, RunContent(robot(), of_kind(kind)))
     try:
         (png,) = screenshots(path, [2.5], size=(1000, 800))
     except InputError as error:
@@ -211,7 +212,7 @@ def test_the_viewer_shows_the_plots_of_each_kind(kind, tmp_path):
 def test_recording_with_all_signals_is_small(tmp_path):
     runs = {plant: learning(replace(run)) for plant, run in pair(duration=10.0).items()}
     path = tmp_path / "r.rrd"
-    write_recording(path, spec=robot(), trajectories=runs)
+    write_recording(path, RunContent(robot(), runs))
     assert path.stat().st_size < 5e6
 
 

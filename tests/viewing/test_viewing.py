@@ -28,6 +28,7 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
 from srs_twin.robot.world import Circle, MovableObject, Polygon, World
 from srs_twin.trajectory import Event, Trajectory
+from srs_twin.viewing.content import RunContent
 from srs_twin.viewing.html.report import write_report
 from srs_twin.viewing.plots.from_above import plan_view, strobe_times
 from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
@@ -158,7 +159,7 @@ def flat(column):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory, spec, runs):
     path = tmp_path_factory.mktemp("recording") / "recording.rrd"
-    write_recording(path, spec=spec, trajectories=runs, title="both", comparison=compare(*runs.values()))
+    write_recording(path, RunContent(spec, runs, comparison=compare(*runs.values())), title="both")
     return path
 
 
@@ -206,7 +207,7 @@ def test_recording_contains_the_recorded_positions(recording, spec, runs):
 def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(spec, runs, tmp_path):
     path = tmp_path / "far.rrd"
     ahead = with_columns(runs["twin"], com_x=runs["twin"]["com_x"] + 0.7)
-    write_recording(path, spec=spec, trajectories={"analytical": runs["analytical"], "twin": ahead})
+    write_recording(path, RunContent(spec, {"analytical": runs["analytical"], "twin": ahead}))
     places = flat(read_back(path)["/world/eye"]["Points3D:positions"][1]).reshape(-1, 3)
     assert np.allclose(places[:, :2], (runs["analytical"].com + ahead.com) / 2, atol=1e-6)
     write_side_by_side(tmp_path / "two.rrd", {"a": path, "b": path})
@@ -237,7 +238,7 @@ def test_recording_shows_contact_forces_during_contacts(tmp_path, spec):
     world = World((Circle(0.4, 0.1, 0.05),), polygons=(Polygon(((0, 1), (1, 1), (0.5, 2))),))
     path = tmp_path / "touched.rrd"
     touched = with_columns(twin, **columns)
-    write_recording(path, spec=spec, trajectories={"twin": touched}, world=world)
+    write_recording(path, RunContent(spec, {"twin": touched}, world=world))
     verify_recording(path)
     seconds, vectors = read_back(path)["/world/twin/contact"]["Arrows3D:vectors"]
     drawn = [np.array(row.as_py() or []).reshape(-1, 3) for row in vectors]
@@ -287,16 +288,11 @@ def test_unusual_runs_have_recording_and_report(tmp_path, name):
     runs = ODD_RUNS[name]()
     spec = robot(next(iter(runs.values())).position.shape[1])
     both = compare(runs["analytical"], runs["twin"]) if {"analytical", "twin"} <= runs.keys() else None
-    write_recording(tmp_path / "r.rrd", spec=spec, trajectories=runs, comparison=both)
+    write_recording(tmp_path / "r.rrd", RunContent(spec, runs, comparison=both))
     verify_recording(tmp_path / "r.rrd")
     metrics = {"plants": {plant: plant_metrics(r) for plant, r in runs.items()}, "comparison": None}
     write_report(
-        tmp_path / "r.html",
-        scenario_title=name,
-        spec=spec,
-        trajectories=runs,
-        metrics=metrics,
-        comparison=both,
+        tmp_path / "r.html", RunContent(spec, runs, comparison=both), scenario_title=name, metrics=metrics
     )
     assert (tmp_path / "r.html").read_text("utf-8").count("<figure>") == (5 if both else 4)
     write_plan_animation(tmp_path / "plan.webp", runs, spec, seconds=0.1)
@@ -307,7 +303,7 @@ def test_report_lists_events_in_the_order_of_time(tmp_path, spec):
     run_ = replace(Snake().trajectory("twin"), events=events)
     metrics = {"plants": {"twin": plant_metrics(run_)}, "comparison": None}
     path = tmp_path / "r.html"
-    write_report(path, scenario_title="", spec=spec, trajectories={"twin": run_}, metrics=metrics)
+    write_report(path, RunContent(spec, {"twin": run_}), scenario_title="", metrics=metrics)
     text = path.read_text("utf-8")
     assert 0 < text.find("reading lost") < text.find("drag begins")
 
@@ -315,7 +311,7 @@ def test_report_lists_events_in_the_order_of_time(tmp_path, spec):
 @pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])
 def test_missing_trajectories_are_refused(tmp_path, spec, trajectories):
     with pytest.raises(InputError, match="nothing to draw: .*(there is no trajectory|has no samples)"):
-        write_recording(tmp_path / "r.rrd", spec=spec, trajectories=trajectories)
+        write_recording(tmp_path / "r.rrd", RunContent(spec, trajectories))
     assert not list(tmp_path.iterdir())
 
 
@@ -431,9 +427,7 @@ def report(tmp_path_factory, spec, runs):
     }  # fmt: skip
     written = []
     for _ in range(2):
-        write_report(
-            path, scenario_title=TITLE, spec=spec, trajectories=runs, metrics=metrics, comparison=both
-        )
+        write_report(path, RunContent(spec, runs, comparison=both), scenario_title=TITLE, metrics=metrics)
         written.append(path.read_bytes())
     assert written[0] == written[1], "the same run gives the same report"
     return path.read_text("utf-8")
@@ -602,10 +596,10 @@ def test_recordings_leave_no_threads_behind(tmp_path):
     def threads():
         return len(os.listdir("/proc/self/task"))
 
-    write_recording(tmp_path / "r.rrd", spec=robot(), trajectories=runs)
+    write_recording(tmp_path / "r.rrd", RunContent(robot(), runs))
     before = threads()
     for _ in range(4):
-        write_recording(tmp_path / "r.rrd", spec=robot(), trajectories=runs)
+        write_recording(tmp_path / "r.rrd", RunContent(robot(), runs))
     assert threads() <= before
 
 

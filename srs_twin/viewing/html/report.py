@@ -24,12 +24,11 @@ from srs_twin.comparison.metrics import (
 from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import World
 from srs_twin.scenario.expectation import allowed_text, tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
-from srs_twin.viewing.events import events_of
+from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.html import Picture, Table, cell, colored, notebook_output, picture, render
 from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
@@ -44,12 +43,12 @@ from srs_twin.viewing.plots.runs import (
     speed_plot,
     tracking_plot,
 )
-from srs_twin.viewing.plots.signals import check_drawable, kind_of
+from srs_twin.viewing.plots.signals import kind_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
+    from srs_twin.comparison.compare import Attribution, Comparison
 
 _ZERO = 5e-6
 """Absolute value below which a difference is printed as 0; the same for m, m/s, rad and rad/s."""
@@ -57,33 +56,22 @@ _ZERO = 5e-6
 
 def write_report(
     path: str | Path,
+    content: RunContent,
     *,
     scenario_title: str,
-    spec: RobotSpec,
-    trajectories: Mapping[str, Trajectory],
     metrics: Mapping[str, Any],
-    comparison: Comparison | None = None,
     attribution: Attribution | None = None,
-    measured: Mapping[str, MeasuredDifference] | None = None,
-    world: World | None = None,
 ) -> None:
     """Write the report of one run as a single file without external resources.
 
     Args:
         path: output file; an existing file is replaced.
+        content: content of the run.
         scenario_title: title of the scenario.
-        spec: robot.
-        trajectories: plant → trajectory.
         metrics: content of `metrics.json`.
-        comparison: adds the plot of the differences over time.
         attribution: adds the attribution of the differences.
-        measured: plant → difference from the measured robot; adds a plot.
-        world: adds obstacles and objects to the plan view.
-
-    Raises:
-        InputError: there is no trajectory, or a trajectory is empty.
     """
-    check_drawable(trajectories)
+    trajectories, spec = content.trajectories, content.spec
     duration = max(float(run.time[-1]) for run in trajectories.values())
     expectations = metrics.get("expectations") or ()
     verdicts = [verdict(row) for row in expectations]
@@ -100,7 +88,7 @@ def write_report(
         expectations=_expectations(expectations, verdicts),
         left_out=left_out_line(metrics.get("left_out") or ()),
         **_attribution(attribution),
-        plots=_plots(trajectories, spec, comparison, measured, world, tracked=tracked),
+        plots=_plots(content, tracked=tracked),
         events=_events(trajectories),
         kind="tracking" if tracked else kind_of(trajectories),
         settings=_settings(spec, trajectories, metrics.get("versions") or {}),
@@ -206,26 +194,19 @@ def _signed(value: float) -> str:
     return f"{value:+.3g}" if abs(value) >= _ZERO else "0"
 
 
-def _plots(
-    runs: Mapping[str, Trajectory],
-    spec: RobotSpec,
-    comparison: Comparison | None,
-    measured: Mapping[str, MeasuredDifference] | None,
-    world: World | None,
-    *,
-    tracked: bool,
-) -> list[Picture]:
+def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
     """Return the available plots, beginning with those of the kind of experiment."""
+    runs, spec, comparison = content.trajectories, content.spec, content.comparison
     is_learning_run = all(map(is_learning, runs.values()))
     compared = comparison if comparison is not None and len(comparison.time) else None
     added = next(filter(None, map(added_to, runs.values())), None)
     learning = "Learning: amplitudes and duties of each module per period."
     figures: dict[str, Figure | None] = {
-        "Difference of each plant from the measured robot over time.": measured_plot(measured or {}),
+        "Difference of each plant from the measured robot over time.": measured_plot(content.measured),
         **(added.figures(runs, spec) if added else {}),
         learning: learning_plot(runs) if is_learning_run else None,
         "Bend of the first segment and its reference.": tracking_plot(runs) if tracked else None,
-        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec, world)
+        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec, content.world)
         if spec.segments > 1
         else None,
         "Speed of the centre of mass.": None if tracked else speed_plot(runs),

@@ -9,23 +9,9 @@ import numpy as np
 from srs_twin.comparison.centre_line import centre_lines, offset_to_sides
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.tracking import sine_frequency
-from srs_twin.errors import InputError
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
-
-
-def check_drawable(trajectories: Mapping[str, Trajectory]) -> None:
-    """Check that there is at least one trajectory and that none is empty.
-
-    Raises:
-        InputError: there is no trajectory, or a trajectory is empty.
-    """
-    if not trajectories:
-        raise InputError("nothing to draw: there is no trajectory; run the scenario first")
-    for plant, run in trajectories.items():
-        if not len(run):
-            raise InputError(f"nothing to draw: the trajectory of '{plant}' has no samples")
 
 
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> np.ndarray:

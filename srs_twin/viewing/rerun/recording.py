@@ -30,9 +30,8 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine, RunPictures, added_to, additions
-from srs_twin.viewing.events import events_of
+from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.plots.signals import (
-    check_drawable,
     forward_speed,
     gait_period,
     kind_of,
@@ -55,7 +54,7 @@ from srs_twin.viewing.rerun.viewer import verify_recording
 if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
-    from srs_twin.comparison.compare import Comparison, MeasuredDifference
+    from srs_twin.comparison.compare import MeasuredDifference
 
 
 APPLICATION = "srs_twin"
@@ -74,32 +73,17 @@ _CHAMBER_COLORS = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 
 
-def write_recording(
-    path: str | Path,
-    *,
-    spec: RobotSpec,
-    trajectories: Mapping[str, Trajectory],
-    comparison: Comparison | None = None,
-    title: str = "",
-    world: World | None = None,
-    measured: Mapping[str, MeasuredDifference] | None = None,
-) -> None:
+def write_recording(path: str | Path, content: RunContent, *, title: str = "") -> None:
     """Write the recording of a run: the snakes on the floor, and plots of their signals.
 
     Args:
         path: output file; an existing file is replaced.
-        spec: robot.
-        trajectories: plant → trajectory. If there is a twin, all other plants are ghosts.
-        comparison: adds plots of the differences of shape and path.
-        title: name of the recording in the viewer.
-        world: obstacles; default: none.
-        measured: plant → difference from the measured robot; adds plots.
-
-    Raises:
-        InputError: there is no trajectory, or a trajectory is empty.
+        content: content of the run.
+        title: name of the recording in the viewer; default: title of the robot.
     """
-    check_drawable(trajectories)
-    residuals = {plant: _residuals(difference) for plant, difference in (measured or {}).items()}
+    spec, trajectories, comparison = content.spec, content.trajectories, content.comparison
+    world, measured = content.world, content.measured
+    residuals = {plant: _residuals(difference) for plant, difference in measured.items()}
     quantities = list(dict.fromkeys(name for errors in residuals.values() for name in errors))
     log = rr.RecordingStream(APPLICATION)
     # Do not use `log.save`: on a full disk it leaves an incomplete recording, sometimes without an error.
@@ -110,7 +94,7 @@ def write_recording(
     log.send_recording_name(title or spec.title)
     scene = Entities(log, np.zeros(0), "world/")
     _send_floor(scene, trajectories, spec)
-    send_obstacles(scene, world or World())
+    send_obstacles(scene, world)
     send_lines(scene, next((added.floor_lines(run) for run, added in _additions(trajectories)), []))
     _send_camera_target(log, trajectories)
     for index, (plant, run) in enumerate(trajectories.items()):
@@ -118,7 +102,7 @@ def write_recording(
         ghost = plant != "twin" and "twin" in trajectories
         shapes = subsample(run, SCENE_HZ)
         send_snake(Entities(log, shapes.time, f"world/{plant}/"), shapes, spec, style, ghost=ghost)
-        send_objects(Entities(log, shapes.time, f"world/{plant}/"), shapes, world or World())
+        send_objects(Entities(log, shapes.time, f"world/{plant}/"), shapes, world)
         send_contacts(Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry))
         _send_modules(Entities(log, run.time), plant, run, style)
         _send_motion(Entities(log, run.time), plant, run, style)
@@ -130,7 +114,7 @@ def write_recording(
             to.line(name, 1e3 * error, style_of(name, index))
     for index, (plant, errors) in enumerate(residuals.items()):
         for name, error in errors.items():
-            to = Entities(log, (measured or {})[plant].comparison.time, "measured/")
+            to = Entities(log, measured[plant].comparison.time, "measured/")
             to.line(f"{name}/{plant}", error, style_of(plant, index))
     Path(path).write_bytes(_drain(log, memory))
 

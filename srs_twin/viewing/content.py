@@ -1,0 +1,61 @@
+"""Content of a run for its report and its recording, and its events."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from srs_twin.comparison.compare import Comparison, MeasuredDifference
+from srs_twin.comparison.contacts import touches
+from srs_twin.errors import InputError
+from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
+from srs_twin.trajectory import Event, Trajectory
+
+
+@dataclass(frozen=True)
+class RunContent:
+    """Content of a run for its report and its recording.
+
+    Attributes:
+        spec: robot.
+        trajectories: plant → trajectory. If there is a twin, all other plants are ghosts in the recording.
+        comparison: difference of the plants over time; None: not plotted.
+        measured: plant → difference from the measured robot; empty: not plotted.
+        world: obstacles and movable objects.
+
+    Raises:
+        InputError: there is no trajectory, or a trajectory is empty.
+    """
+
+    spec: RobotSpec
+    trajectories: Mapping[str, Trajectory]
+    comparison: Comparison | None = None
+    measured: Mapping[str, MeasuredDifference] = field(default_factory=dict)
+    world: World = field(default_factory=World)
+
+    def __post_init__(self) -> None:
+        if not self.trajectories:
+            raise InputError("nothing to draw: there is no trajectory; run the scenario first")
+        for plant, run in self.trajectories.items():
+            if not len(run):
+                raise InputError(f"nothing to draw: the trajectory of '{plant}' has no samples")
+
+
+def events_of(run: Trajectory) -> list[Event]:
+    """Return the events of a run and its contacts with obstacles, ordered by time."""
+    return sorted([*run.events, *_contacts(run), *end_event(run)], key=lambda event: event.time)
+
+
+def _contacts(run: Trajectory) -> Iterator[Event]:
+    for touch in touches(run):
+        # The duration of a contact in a single sample is unknown.
+        duration = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
+        text = f"connector {touch.connector}, at most {touch.force:.2g} N{duration}"
+        yield Event(touch.begin, "contact", text)
+
+
+def end_event(run: Trajectory) -> list[Event]:
+    """Return the end of a run as an event if the run ended early."""
+    by = run.metadata.get("ended_by")
+    return [] if by is None else [Event(float(run.time[-1]), "ended", f"the run, by its {by}")]
