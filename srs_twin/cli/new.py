@@ -7,10 +7,11 @@ import math
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
@@ -51,20 +52,9 @@ _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
 """Suffix of a template → suffix of the file."""
 
 
-def robot(
-    name: NameArgument,
-    length: Annotated[float | None, option("--length M")] = None,
-    mass: Annotated[float | None, option("--mass KG")] = None,
-    segments: Annotated[int | None, option("--segments N")] = None,
-    pressure: Annotated[float | None, option("--pressure KPA")] = None,
-    bend: Annotated[float | None, option("--bend RAD")] = None,
-    skin: Annotated[bool, option("--skin")] = False,
-    servo: Annotated[bool, option("--servo")] = False,
-    out: OutOption = None,
-) -> None:
-    """Write a robot file, scaled from generation 2.
-
-    On a terminal, the command prompts for values that no option sets.
+@dataclass(frozen=True)
+class RobotOptions:
+    """Size and kind of a robot.
 
     Options:
         length: Body length, m. [default: generation 2]
@@ -75,30 +65,87 @@ def robot(
         skin: A body that slides on its belly, without wheels.
         servo: Rigid links with servo joints, without air.
     """
-    count = int(_answer("number of segments", segments, 4))
-    body_length = _answer("body length, m", length, 4 * _PITCH_M)
-    scale = body_length / max(count, 1) / _PITCH_M
-    total_mass = _answer("mass of the robot, kg", mass, _rounded(_MASS_KG / 5 * (count + 1) * scale**3))
-    if servo and pressure is not None:
-        raise InputError("a robot with servos has no supply; remove --pressure or --servo")
-    supply = _PRESSURE_KPA if servo else _answer("supply pressure, kPa", pressure, _PRESSURE_KPA)
-    of = "largest angle of a joint" if servo else "bend of one segment at that pressure"
-    max_bend = _answer(f"{of}, rad", bend, _SERVO_BEND_RAD if servo else _BEND_RAD)
-    given = {
-        "segments": count,
-        "length": body_length,
-        "mass": total_mass,
-        "pressure": supply,
-        "bend": max_bend,
-    }
-    for option_name, number in given.items():
-        if not 0 < number < math.inf:
-            raise InputError(f"--{option_name} {number:g} is not allowed; it must be positive")
+
+    length: Annotated[float | None, option("--length M")] = None
+    mass: Annotated[float | None, option("--mass KG")] = None
+    segments: Annotated[int | None, option("--segments N")] = None
+    pressure: Annotated[float | None, option("--pressure KPA")] = None
+    bend: Annotated[float | None, option("--bend RAD")] = None
+    skin: Annotated[bool, option("--skin")] = False
+    servo: Annotated[bool, option("--servo")] = False
+
+    def ask(self) -> RobotSize:
+        """Return the size of the robot; prompt for values that no option sets.
+
+        Raises:
+            InputError: a value is not allowed.
+        """
+        count = int(_answer("number of segments", self.segments, 4))
+        length = _answer("body length, m", self.length, 4 * _PITCH_M)
+        scale = length / max(count, 1) / _PITCH_M
+        default_mass = float(f"{_MASS_KG / 5 * (count + 1) * scale**3:.3g}")
+        mass = _answer("mass of the robot, kg", self.mass, default_mass)
+        if self.servo and self.pressure is not None:
+            raise InputError("a robot with servos has no supply; remove --pressure or --servo")
+        supply = (
+            _PRESSURE_KPA if self.servo else _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
+        )
+        of = "largest angle of a joint" if self.servo else "bend of one segment at that pressure"
+        bend = _answer(f"{of}, rad", self.bend, _SERVO_BEND_RAD if self.servo else _BEND_RAD)
+        size = RobotSize(count, length, mass, supply, bend)
+        for name, number in size._asdict().items():
+            if not 0 < number < math.inf:
+                raise InputError(f"--{name} {number:g} is not allowed; it must be positive")
+        return size
+
+
+class RobotSize(NamedTuple):
+    """Size of a robot; names are those of the options.
+
+    Attributes:
+        segments: number of segments.
+        length: body length, m.
+        mass: mass, kg.
+        pressure: supply pressure, gauge, kPa.
+        bend: largest bend of a segment, rad.
+    """
+
+    segments: int
+    length: float
+    mass: float
+    pressure: float
+    bend: float
+
+
+_DEFAULT_ROBOT = RobotOptions()
+
+
+def robot(name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOption = None) -> None:
+    """Write a robot file, scaled from generation 2.
+
+    On a terminal, the command prompts for values that no option sets.
+    """
+    size = options.ask()
     from srs_twin.robot.file import load_robot
+
+    values = _robot_values(size, servo=options.servo)
+    values["wheels"] = "" if options.skin else _filled("wheels_geometry.txt", values)
+    values["contact"] = _filled("skin_contact.txt" if options.skin else "wheels_contact.txt", values)
+    values["spring"] = "" if options.servo else _filled("pressure_spring.txt", values)
+    values["drive"] = _filled("servo_drive.txt" if options.servo else "pressure_drive.txt", values)
+    title = f"{name}: {size.segments} segments, {size.length:g} m, {size.mass:g} kg"
+    path = _write("robot.yaml", name, out, load_robot, title=title, **values)
+    _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
+
+
+def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, float | str]:
+    """Return the values of the templates of robots."""
     from srs_twin.robot.spec import GRAVITY
 
+    count, length, mass, supply, bend = size
+    scale = length / count / _PITCH_M
     air, share = _AIR_ML * scale**3, _JOINT_SHARE if servo else 0.037 / _PITCH_M
-    values: dict[str, float | str] = {
+    return {
         "segments": count,
         "connectors": count + 1,
         "segment": share * scale * _PITCH_M,
@@ -109,30 +156,23 @@ def robot(
         "radius": 0.008 * scale,
         "height": 0.015 * scale,
         "width": 0.04 * scale,
-        "mass": total_mass / (count + 1),
-        "segment_mass": total_mass / count,
+        "mass": mass / (count + 1),
+        "segment_mass": mass / count,
         "wheel": 0.0015 * scale**3,
-        "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / max_bend**2,
-        "plane": _SERVO_PLANE_RATIO * GRAVITY * total_mass * body_length if servo else 0.1 * scale**4,
+        "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / bend**2,
+        "plane": _SERVO_PLANE_RATIO * GRAVITY * mass * length if servo else 0.1 * scale**4,
         "plane_source": "assumption: a tenth of weight times length" if servo else "scaled from generation 2",
         "plane_interval": "assumption" if servo else "generations 1 and 4, scaled: 0.7 and 0.3 of it",
         "plane_damping": "assumption" if servo else "loss factor of silicone",
         "damping": 0.00214 * math.sqrt(scale),
         "loss": 0.021 * math.sqrt(scale),
-        "bend": max_bend,
+        "bend": bend,
         "pressure": supply,
         "limit": 1.4 * supply,
         "air": air,
         "dead": 11.0 * scale**3,
         "phase": 2 * math.pi / count,
     }
-    title = f"{name}: {count} segments, {body_length:g} m, {total_mass:g} kg"
-    values["wheels"] = "" if skin else _filled("wheels_geometry.txt", values)
-    values["contact"] = _filled("skin_contact.txt" if skin else "wheels_contact.txt", values)
-    values["spring"] = "" if servo else _filled("pressure_spring.txt", values)
-    values["drive"] = _filled("servo_drive.txt" if servo else "pressure_drive.txt", values)
-    path = _write("robot.yaml", name, out, load_robot, title=title, **values)
-    _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
 
 
 def scenario(
@@ -190,10 +230,6 @@ def _answer(question: str, value: float | None, default: float) -> float:
     if value is not None or not sys.stdin.isatty():
         return default if value is None else value
     return float(typer.prompt(question, default=default, err=True))
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 def _write(template: str, name: str, out: str | None, check: Callable[[Path], Any], **values: Any) -> Path:
