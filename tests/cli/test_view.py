@@ -26,6 +26,7 @@ from srs_twin.cli.view import name_recordings
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
 from srs_twin.viewing.plots.style import STYLES
+from srs_twin.viewing.content import RunContent
 from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
 from srs_twin.viewing.rerun.viewer import serve_recordings, verify_recording
 
@@ -41,7 +42,7 @@ def recordings(tmp_path_factory):
         path = folder / name / "recording.rrd"
         path.parent.mkdir()
         spec = robot(runs["twin"].position.shape[1])
-        write_recording(path, spec=spec, trajectories=runs, comparison=compare(*runs.values()))
+        write_recording(path, RunContent(spec, runs, compare(*runs.values())))
         made[name] = path
     return made
 
