@@ -26,12 +26,9 @@ from srs_twin.scenario.fields import Section, quantity
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
     """Return the public functions of a module, by name."""
-    members = inspect.getmembers(module, inspect.isfunction)
-    return {
-        name: function
-        for name, function in members
-        if function.__module__ == module.__name__ and name[0] != "_"
-    }
+    functions = dict(inspect.getmembers(module, inspect.isfunction))
+    own = (name for name in functions if functions[name].__module__ == module.__name__)
+    return {name: functions[name] for name in own if name[0] != "_"}
 
 
 COMPUTATIONS = _functions(computations)
@@ -363,11 +360,8 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
     document, claims = load_list(path or claims_file(), Claim, "claims")
     rows: list[Claim] = []
     for i, claim in claims:
-        locs: list[Loc] = (
-            [(i, "measure")] if claim.measure else [(i, "measures", k) for k in range(len(claim.measures))]
-        )
-        for loc, measure in zip(locs, claim.all_measures, strict=True):
-            measure.check_names(document, loc)
+        for k, measure in enumerate(claim.all_measures):
+            measure.check_names(document, (i, "measure") if claim.measure else (i, "measures", k))
         rows += _rows(claim)
     for name, count in Counter(row.id for row in rows).items():
         if count > 1:

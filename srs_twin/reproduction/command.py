@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -14,9 +14,12 @@ from srs_twin.cli.junit import TestCase, write_report
 from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from srs_twin.reproduction.claims import Claim
+    from srs_twin.reproduction.figures import FigureEntry
     from srs_twin.reproduction.runs import ProgressFactory, RunStore
-    from srs_twin.reproduction.verdicts import JudgedClaim
+    from srs_twin.reproduction.verdicts import JudgedClaim, Outcome
     from srs_twin.studies.sweep.task import Row
 
 
@@ -71,7 +74,7 @@ def reproduce(
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; remove --only and --quick")
     claims = select_claims(load_claims(), tuple(only or ()), quick=quick)
-    figures = []
+    figures: Sequence[tuple[FigureEntry, Figure]] = ()
     with interruptible("finished runs are kept; start again to resume"), open_store(out) as store:
         with _counting("runs", quiet=quiet) as progress:
             rows = judge(claims, store, workers=jobs, progress=progress)
@@ -158,7 +161,7 @@ def _counting(title: str, *, quiet: bool) -> Iterator[ProgressFactory]:
 
 def _draw_figures(
     store: RunStore, workers: int | None, progress: ProgressFactory, *, run_missing: bool
-) -> list[Any]:
+) -> list[tuple[FigureEntry, Figure]]:
     """Return the figures whose runs are finished, optionally after running the missing ones."""
     from srs_twin.reproduction.figures import draw_figures, figure_jobs, load_figures
 
@@ -169,7 +172,11 @@ def _draw_figures(
 
 
 def _write_files(
-    out: Path, rows: Sequence[JudgedClaim], figures: list[Any], *, new_baseline: bool
+    out: Path,
+    rows: Sequence[JudgedClaim],
+    figures: Sequence[tuple[FigureEntry, Figure]],
+    *,
+    new_baseline: bool,
 ) -> list[str]:
     """Write the output files; return the changes from the baseline."""
     from srs_twin.io.file_sets import replace_files
@@ -192,7 +199,7 @@ def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCa
     from srs_twin.reproduction.report import outcome_text
     from srs_twin.reproduction.verdicts import MET
 
-    def test_case(claim: Claim, column: str, outcome: Any) -> TestCase:
+    def test_case(claim: Claim, column: str, outcome: Outcome) -> TestCase:
         if outcome.verdict == MET:
             return TestCase(claim.id, column)
         message = f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed}"
@@ -230,7 +237,7 @@ def _print_rows(rows: Sequence[JudgedClaim]) -> None:
     print(f"\n{summary_line(rows)}")
 
 
-def _short_text(outcome: Any) -> str:
+def _short_text(outcome: Outcome | None) -> str:
     """Return an outcome in at most 11 characters; for an ordering its first and last value."""
     from srs_twin.reproduction.report import number_text, outcome_text
 

@@ -82,7 +82,7 @@ class PredictedQuantity:
         interval = f"{low:.3g} to {high:.3g}"
         return self.robot, self.quantity, interval, f"{published.value:.3g}", result
 
-    def document(self) -> dict[str, Any]:
+    def document(self) -> dict[str, object]:
         """Return JSON values."""
         published = self.published
         return {

@@ -330,7 +330,7 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
     write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
 
 
-def _row(row: JudgedClaim, outcomes: Any) -> dict[str, Any]:
+def _row(row: JudgedClaim, outcomes: object) -> dict[str, object]:
     claim = row.claim
     names = "id source robot says use group could_fail tolerance fitted rule value unit allowed".split()
     return {name: getattr(claim, name) for name in names} | {"outcomes": outcomes}

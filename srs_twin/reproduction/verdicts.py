@@ -7,7 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, PlainSerializer, SerializationInfo, TypeAdapter
@@ -219,7 +219,7 @@ def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Pat
     return file
 
 
-def outcomes_document(rows: Sequence[JudgedClaim], *, digits: int | None = None) -> dict[str, Any]:
+def outcomes_document(rows: Sequence[JudgedClaim], *, digits: int | None = None) -> dict[str, object]:
     """Return outcomes as JSON values: claim → column → verdict, values, value, error, why.
 
     Args:

@@ -232,6 +232,11 @@ def pose_columns(
     return columns | numbered_columns("theta", theta)
 
 
+def name_of(path: str) -> str:
+    """Return the name of a file, whose path may be of another operating system."""
+    return path.replace("\\", "/").rpartition("/")[2]
+
+
 def numbered_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     """Return the columns of a (frames, n) array as name_1…name_n."""
     return {f"{name}_{i}": np.ascontiguousarray(column) for i, column in enumerate(values.T, start=1)}
@@ -250,7 +255,7 @@ def measured_trajectory(
     """
     units = {name: unit for name in columns for prefix, unit in _UNITS.items() if name.startswith(prefix)}
     source: dict[str, object] = {
-        "file": summary.source.replace("\\", "/").rpartition("/")[2],
+        "file": name_of(summary.source),
         "sha256": summary.sha256,
         "kind": summary.kind,
         "samples_filled": summary.samples_filled,

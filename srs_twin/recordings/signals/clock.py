@@ -21,7 +21,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
-from srs_twin.recordings.body.trajectories import numbered_columns
+from srs_twin.recordings.body.trajectories import name_of, numbered_columns
 from srs_twin.recordings.recording import Recording, ValveLog, named_in_errors
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
@@ -290,7 +290,7 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
 
 def _metadata(log: ValveLog, estimate: Offset) -> dict[str, object]:
     return {
-        "file": log.source.replace("\\", "/").rpartition("/")[2],
+        "file": name_of(log.source),
         "sha256": log.sha256,
         "kind": log.kind,
         "offset_s": estimate.seconds,
