@@ -25,8 +25,8 @@ from viewing_runs import pair, robot
 from srs_twin.cli.view import name_recordings
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
-from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.content import RunContent
+from srs_twin.viewing.plots.style import STYLES
 from srs_twin.viewing.rerun.recording import write_recording, write_side_by_side
 from srs_twin.viewing.rerun.viewer import serve_recordings, verify_recording
 
