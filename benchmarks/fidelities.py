@@ -13,12 +13,12 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from srs_twin.studies.uncertainty.spreads import predicted, sampling_errors
 
 from srs_twin.identification.priors import Priors
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import local
+from srs_twin.studies.uncertainty.metric_uncertainty import predict_twin, sampling_errors
 from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, propagate
 from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
@@ -50,7 +50,7 @@ def main() -> None:
             :SETS
         ]:
             order = np.r_[first : first + FEW, 0:first, first + FEW : options.samples]
-            samples, surrogate = predicted(study.shares[order], cheap[order], costly[order][:FEW])
+            samples, surrogate = predict_twin(study.shares[order], cheap[order], costly[order][:FEW])
             errors = np.hypot(sampling_errors(samples), surrogate)
             deviation = np.nanquantile(samples, ENDS) - full
             worst.append(np.abs(deviation).max() / width)

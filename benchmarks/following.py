@@ -19,13 +19,13 @@ from typing import Any
 
 import numpy as np
 from grid import table
-from srs_twin.planning.route import Route
 
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import run_tasks
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.metrics import following_metrics, legs
+from srs_twin.planning.path import ReferencePath
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.trajectory import Trajectory
@@ -82,7 +82,9 @@ def run(order: Order) -> dict[str, Any]:
 
 def cross_track_later(motion: Trajectory) -> float:
     """Return the largest cross-track error after learning, m; 0 if the run ended before."""
-    aside = [np.abs(Route(leg.segments).places(motion.com[leg.samples])[1]) for leg in legs(motion)]
+    aside = [
+        np.abs(ReferencePath(leg.segments).coordinates(motion.com[leg.samples])[1]) for leg in legs(motion)
+    ]
     later = np.concatenate(aside)[motion.time[: sum(map(len, aside))] > LEARNT_S]
     return float(later.max(initial=0.0))
 

@@ -19,12 +19,11 @@ from pathlib import Path
 
 import numpy as np
 from grid import table
-from srs_twin.planning.free_space import disconnected
-from srs_twin.planning.pockets import COARSE, FINE, shut_in
 
 from srs_twin.planning.collision import obstacle_grid
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import load_footprint
+from srs_twin.planning.infeasibility import COARSE, FINE, is_disconnected, prove_unreachable
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
@@ -35,9 +34,9 @@ from witnessed_worlds import KINDS, bodies, drawn
 
 def false_proofs(case: Problem) -> int:
     """Return the number of proofs of infeasibility in a solvable world."""
-    body, around = case.footprint, obstacle_grid(case.world)
-    shut = disconnected(case.start, case.goal, case.world, body.narrowest)
-    return shut + sum(bool(shut_in(case.start, case.goal, body, around, how)) for how in (COARSE, FINE))
+    body, grid = case.footprint, obstacle_grid(case.world)
+    proofs = [prove_unreachable(case.start, case.goal, body, grid, size) for size in (COARSE, FINE)]
+    return is_disconnected(case.start, case.goal, case.world, body.narrowest) + sum(map(bool, proofs))
 
 
 def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shlex
 import tomllib
+from functools import cache
 
 import pytest
 from conftest import ROOT
@@ -52,6 +54,27 @@ def test_called_scripts_and_options_exist(line):
         assert {word for word in words[2:] if word.startswith("--")} <= known
     else:
         assert words[0] in ("codespell", "mypy", "pytest", "ruff", "sphinx-build")
+
+
+@cache
+def words_of(module):
+    """Return the words in the source of a module of the package; empty if there is no such module."""
+    place = ROOT / module.replace(".", "/")
+    files = [path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()]
+    return {word for path in files for word in re.findall(r"\w+", path.read_text("utf-8"))}
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples"])
+def test_scripts_import_names_that_exist(folder):
+    """Names that move inside the package move in the scripts as well."""
+    missing = []
+    for path in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("srs_twin"):
+                for name in (alias.name for alias in node.names):
+                    if name not in words_of(node.module) and not words_of(f"{node.module}.{name}"):
+                        missing.append(f"{path.relative_to(ROOT)}: {node.module}.{name}")
+    assert missing == []
 
 
 def test_makefile_targets_run_the_documented_commands():
