@@ -288,10 +288,7 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace):  # t
                 if not requested:
                     pressure[j, 0], pressure[j, 1], linear[j], bend[j] = plus, minus, x, free
                     continue
-                up, down = state[j, 0] + 1, state[j, 1] + 1
-                first, second = kinds[j, 0], kinds[j, 1]
-                rise = gain[j, 0] * rates[first, up] * (asymptotes[first, up] - plus)
-                rise -= gain[j, 1] * rates[second, down] * (asymptotes[second, down] - minus)
+                rise = _drive_rate(state[j], kinds[j], plus, minus, rates, asymptotes, gain[j])
                 speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
                 trace.pressure[row, j, 0], trace.pressure[row, j, 1] = plus, minus
                 trace.bend[row, j], trace.bend_rate[row, j] = free, slope * speed
@@ -304,6 +301,14 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace):  # t
             trace.air[row] = amount
             row += 1
     return drawn
+
+
+@kernel_only
+def _drive_rate(state, kind, plus, minus, rates, asymptotes, gain):  # type: ignore[no-untyped-def]
+    """Return the rate of G (g⁺p⁺ − g⁻p⁻) of a segment (rad/s); arguments as in `advance_segment`."""
+    first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
+    rise = gain[0] * rates[first, up] * (asymptotes[first, up] - plus)
+    return rise - gain[1] * rates[second, down] * (asymptotes[second, down] - minus)
 
 
 @kernel_only

@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, get_args
 
-import numpy as np
 from pydantic import Field
 
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
@@ -45,6 +44,7 @@ from srs_twin.robot.spec import (
     RobotSpec,
     Supply,
     Tail,
+    widest_gap,
 )
 
 # Numbers outside these ranges are taken as wrong units.
@@ -293,8 +293,7 @@ class RobotFile(StrictModel):
     def _spatial_contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that a spatial robot cannot have."""
         assert self.chamber is not None and self.chamber.directions_deg is not None
-        ordered = np.sort(np.mod(self.chamber.directions_deg.value, 360.0))
-        largest = np.diff(ordered, append=ordered[0] + 360.0).max()
+        largest = widest_gap(self.chamber.directions_deg.value)
         if largest > 180.0 - 1e-6:
             text = f"no chamber within {largest:g} degrees; neighbours must be less than 180 degrees apart"
             yield ("chamber", "directions_deg", "value"), text

@@ -11,6 +11,7 @@ q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -302,6 +303,12 @@ class Actuator:
         _not_negative(self, "extension")
 
 
+def widest_gap(directions: Sequence[float] | np.ndarray) -> float:
+    """Return the largest angle between neighbouring directions, in degrees like them."""
+    ordered = np.sort(np.mod(directions, 360.0))
+    return float(np.diff(ordered, append=ordered[0] + 360.0).max())
+
+
 @dataclass(frozen=True)
 class Chamber:
     """Air space of one chamber of a segment: V(q) = dead_volume + displacement · max(0, ± q).
@@ -320,8 +327,7 @@ class Chamber:
     def __post_init__(self) -> None:
         _positive(self, "dead_volume", "displacement")
         if self.directions is not None:
-            ordered = np.sort(np.mod(self.directions, 2 * math.pi))
-            gap = math.degrees(np.diff(ordered, append=ordered[0] + 2 * math.pi).max())
+            gap = widest_gap(np.degrees(self.directions))
             _require(gap < 180 - 1e-6, "directions", gap, "neighbouring chambers are less than 180° apart")
 
     @property

@@ -98,8 +98,7 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile, world:
             document.report(("faults", k, "segment"), text)
     with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
-    spatial = _spatial(file, robot) if robot.is_spatial else _planar(file, robot)
-    _report(document, chain(spatial, _contact(file, robot), _servos(file, robot), _timestep(file, robot)))
+    _report(document, chain(_kinds(file, robot), _contact(file, robot), _timestep(file, robot)))
     _report(document, _first_peg(file, robot.spec(file.seed), world))
 
 
@@ -130,18 +129,16 @@ def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
         yield ("plants", "twin", "timestep_s"), text, False
 
 
-def _servos(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield chambers other than lag for a robot with servos."""
+def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
+    """Yield models that do not support a spatial robot, a planar one, or one with servos."""
+    if robot.is_spatial:
+        yield from _spatial(file, robot)
+    elif file.plants.analytical and file.plants.analytical.model == "quasistatic":
+        text = f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
+        yield ("plants", "analytical", "model"), text, False
     if robot.has_servos and file.pneumatics.kind != "lag":
         text = f"{robot.name} has servos, which respond like lag; use lag"
         yield ("pneumatics", "kind"), text, False
-
-
-def _planar(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield a model that does not support a robot whose segments bend in one plane."""
-    if file.plants.analytical and file.plants.analytical.model == "quasistatic":
-        text = f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
-        yield ("plants", "analytical", "model"), text, False
 
 
 def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
