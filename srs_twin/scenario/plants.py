@@ -138,9 +138,9 @@ class TwinFile(_PlantFile):
 
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
-        settings = preset_keys(self.preset)
-        # The model is frozen; `model_fields_set` still contains the keys of the file only.
-        self.__dict__.update({key: settings[key] for key in settings.keys() - self.model_fields_set})
+        if "timestep_s" not in self.model_fields_set:
+            # The model is frozen; `model_fields_set` still contains the keys of the file only.
+            self.__dict__["timestep_s"] = preset_timestep(self.preset)
         return self
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
@@ -165,12 +165,11 @@ class TwinFile(_PlantFile):
 
     @property
     def fast_preset(self) -> str | None:
-        """Name of the preset `fast` with the keys that override it; None for other presets."""
+        """Name of the preset `fast`, with a time step that overrides its own; None for other presets."""
         if self.preset != "fast":
             return None
-        values = ((key, getattr(self, key), preset) for key, preset in preset_keys(self.preset).items())
-        overrides = ", ".join(f"{key} {value}" for key, value, preset in values if value != preset)
-        return f"{self.preset} with {overrides}" if overrides else self.preset
+        override = f" with timestep_s {self.timestep_s}"
+        return self.preset + override * (self.timestep_s != preset_timestep(self.preset))
 
     @model_validator(mode="after")
     def _friction_is_loaded(self) -> TwinFile:
@@ -179,17 +178,17 @@ class TwinFile(_PlantFile):
         return self
 
 
-def preset_keys(preset: object) -> dict[str, object]:
-    """Return the keys and values of a preset; the defaults without one, nothing for an unknown one."""
-    values = PRESETS.get(str(preset), {}) if preset else {"timestep": ModelSettings.timestep}
-    return {f"{name}_s": value for name, value in values.items()}
+def preset_timestep(preset: object) -> float | None:
+    """Return the time step of a preset, s; the default without one, None for an unknown one."""
+    return PRESETS.get(str(preset), {}).get("timestep") if preset else ModelSettings.timestep
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
-    """Return plain data of a twin with another preset; keys that override the former preset are kept."""
-    before = preset_keys(twin.get("preset"))
-    explicit = {key: value for key, value in twin.items() if key not in before or before[key] != value}
-    return {**explicit, "preset": preset}
+    """Return plain data of a twin with another preset; a time step that overrides the former one is kept."""
+    data = {**twin, "preset": preset}
+    if twin.get("timestep_s") == preset_timestep(twin.get("preset")):
+        data.pop("timestep_s", None)
+    return data
 
 
 PRESET = ("plants", "twin", "preset")
