@@ -36,6 +36,7 @@ from srs_twin.viewing.plots.style import (
     Style,
     finish,
     panels,
+    set_title,
     side_by_side,
     style_of,
 )
@@ -130,7 +131,7 @@ def _by_segment(
             axes.plot(run.time[window], values[window, j], **style.line, zorder=style.zorder)
         finish(axes, label.format(j + 1))
     selection = "" if len(plotted) == segments else f", {len(plotted)} of {segments} segments"
-    rows[0].set_title(f"{title}, head first{selection}{remark}", fontsize=10, loc="left")
+    set_title(rows[0], f"{title}, head first{selection}{remark}", "left")
     _finish_time(figure, rows, first, last)
     return figure
 
@@ -185,8 +186,8 @@ def learning_plot(trajectories: Runs) -> Figure:
         duties.set_ylim(-0.04, 1.04)
         finish(bends, f"segment {j + 1}\n(rad)")
         finish(duties, "duty")
-    grid[0, 0].set_title("Amplitudes (dotted: targets)", fontsize=10, loc="left")
-    grid[0, 1].set_title("Duties", fontsize=10, loc="left")
+    set_title(grid[0, 0], "Amplitudes (dotted: targets)", "left")
+    set_title(grid[0, 1], "Duties", "left")
     for axes in grid[-1]:
         axes.set_xlabel("period of the chamber")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -273,7 +274,7 @@ def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | Non
     for axes, label in zip(rows, [*(label for label, _ in plotted.values()), "bends (rad)"], strict=True):
         finish(axes, label)
     distances = "shapes and paths as distances, " if plotted else ""
-    rows[0].set_title(f"Plant − measured: {distances}bends RMS over segments", fontsize=10)
+    set_title(rows[0], f"Plant − measured: {distances}bends RMS over segments")
     rows[0].legend(loc="upper left", fontsize=8, frameon=False)
     rows[-1].set_xlabel("time (s)")
     return figure

@@ -188,6 +188,11 @@ def side_by_side(
     return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=margins, **options)
 
 
+def set_title(axes: Axes, title: str, loc: Alignment = "center") -> None:
+    """Set the title of a panel at a fixed height; the search for a free one takes a tenth of the drawing."""
+    axes.set_title(title, fontsize=10, loc=loc, y=1.0)
+
+
 def finish(axes: Axes, label: str, x_label: str = "", *, title: str = "", loc: Alignment = "center") -> None:
     """Set the labels and the title of a panel, and add a grid.
 
@@ -202,7 +207,7 @@ def finish(axes: Axes, label: str, x_label: str = "", *, title: str = "", loc: A
     if x_label:
         axes.set_xlabel(x_label)
     if title:
-        axes.set_title(title, fontsize=10, loc=loc)
+        set_title(axes, title, loc)
     axes.grid(True, linewidth=0.4, alpha=0.5)
     axes.tick_params(labelsize=8)
 
