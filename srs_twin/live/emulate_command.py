@@ -47,8 +47,8 @@ def broker_link(
             f"{_LONGEST_NAME} characters"
         )
     host, port = links.address(address, links.PORT)
-    settings |= {"user": user, "password": os.environ.get(PASSWORD), "ca": ca}
-    return links.MqttLink(robot, segments, host, port, **settings)
+    login = links.Login(user, os.environ.get(PASSWORD), ca)
+    return links.MqttLink(robot, segments, host, port, login=login, **settings)
 
 
 def interruption() -> threading.Event:

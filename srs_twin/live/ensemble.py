@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -253,7 +253,7 @@ class EnsembleFilter:
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
-        """Return a filter with the first or all members, for predictions."""
+        """Return a filter with the first or all members, for predictions on any thread."""
         other = copy.copy(self)
         kept = self.members[:members]
         other.members = kept.copy()
@@ -267,27 +267,22 @@ class EnsembleFilter:
         other._rng = np.random.default_rng(0)
         return other
 
-    def forecaster(self, members: int) -> Callable[[Iterable[ValveInput], float], np.ndarray]:
-        """Return a function that predicts the poses of the first members and may run on any thread.
+    def forecast(self, inputs: Iterable[ValveInput], dt: float) -> np.ndarray:
+        """Advance the members, and return their poses.
 
         Args:
-            members: number of members.
+            inputs: inputs of successive intervals.
+            dt: duration of each, s.
 
         Returns:
-            A function of the inputs of successive intervals and the duration of each (s). It returns x, y (m)
-            and heading (rad) at the end of each interval, shape (intervals, members, 3).
+            x, y (m) and heading (rad) at the end of each interval, shape (intervals, members, 3).
         """
-        other = self.copy(members)
-
-        def forecast(inputs: Iterable[ValveInput], dt: float) -> np.ndarray:
-            poses = []
-            for valves in inputs:
-                other.predict(valves, dt)
-                other.apply_odometry()
-                poses.append(other.members[:, _POSE].copy())
-            return np.array(poses)
-
-        return forecast
+        poses = []
+        for valves in inputs:
+            self.predict(valves, dt)
+            self.apply_odometry()
+            poses.append(self.members[:, _POSE].copy())
+        return np.array(poses)
 
     def _of(self, name: str) -> np.ndarray:
         return self.members[:, self.columns[name]]

@@ -22,6 +22,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -158,6 +159,21 @@ LOST = "lost"
 """Status that the broker publishes when a connection breaks."""
 
 
+@dataclass(frozen=True)
+class Login:
+    """Login at a broker.
+
+    Attributes:
+        user: user name; None: without.
+        password: password of that user.
+        ca: file with the CA certificate of the broker; it enables TLS.
+    """
+
+    user: str | None = None
+    password: str | None = None
+    ca: Path | None = None
+
+
 class MqttLink(Link):
     """One robot's topics at a broker.
 
@@ -167,8 +183,7 @@ class MqttLink(Link):
 
     def __init__(
         self, robot: str, segments: int, host: str = LOOPBACK, port: int = PORT, *,
-        kinds: Iterable[str] = KINDS, user: str | None = None, password: str | None = None,
-        ca: Path | None = None, speaks: str | None = None, chambers: int = 0,
+        kinds: Iterable[str] = KINDS, login: Login = Login(), speaks: str | None = None, chambers: int = 0,
     ) -> None:  # fmt: skip
         """Connect and subscribe.
 
@@ -178,9 +193,7 @@ class MqttLink(Link):
             host: of the broker.
             port: of the broker.
             kinds: of messages to receive.
-            user: name at the broker; None: without.
-            password: of that user.
-            ca: CA certificate of the broker; it enables TLS.
+            login: login at the broker.
             speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
             chambers: number of chambers per segment of a spatial robot; 0: the robot is planar.
 
@@ -199,10 +212,10 @@ class MqttLink(Link):
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_message = self._on_message
         client.reconnect_delay_set(1, 2)
-        if user is not None:
-            client.username_pw_set(user, password)
-        if ca is not None:
-            _trust(client, ca)
+        if login.user is not None:
+            client.username_pw_set(login.user, login.password)
+        if login.ca is not None:
+            _trust(client, login.ca)
         if speaks is not None:
             client.will_set(topic(speaks, STATUS), encode(STATUS, 0.0, LOST))
         try:

@@ -161,10 +161,10 @@ class Shadow:
         inputs = [self._valve_input(duties) for duties in np.split(fine, slots // per_step)]
         times = self.time + _PREDICTION_STEP_S * np.arange(1, len(inputs) + 1)
         begun, heading = self.time, float(self.ensemble.mean("heading")[0])
-        forecast = self.ensemble.forecaster(_PREDICTION_MEMBERS)
+        ensemble = self.ensemble.copy(_PREDICTION_MEMBERS)
 
         def run() -> Prediction:
-            poses = forecast(inputs, _PREDICTION_STEP_S)
+            poses = ensemble.forecast(inputs, _PREDICTION_STEP_S)
             return Prediction(begun, heading, times, poses.mean(axis=1), poses.std(axis=1, ddof=1))
 
         return run

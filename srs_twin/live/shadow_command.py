@@ -130,10 +130,7 @@ def shadow(
         session, shown = _session(stack, lab, play, twin, steering, out, (window, web))
         if not quiet:
             keys = "" if mcap else "; p pauses, v vents, g goes on, s stops" if follow else "; s stops"
-            restored = ", with what was learnt before" if session.resumed else ""
-            say(f"beside {lab.topic_name}{restored}; Ctrl-C ends it{keys}")
-            if shown:
-                say(f"open {shown} in a browser")
+            _print_start(lab.topic_name, session.resumed, keys, shown)
         result = session.run(math.inf if lab.duration is None else lab.duration, over.is_set)
     if as_json:
         print_json(result)
@@ -226,6 +223,13 @@ def _session(
         views.append(view)
     session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)
     return session, shown
+
+
+def _print_start(name: str, resumed: bool, keys: str, page: str) -> None:
+    restored = ", with what was learnt before" if resumed else ""
+    say(f"beside {name}{restored}; Ctrl-C ends it{keys}")
+    if page:
+        say(f"open {page} in a browser")
 
 
 def _print_result(result: dict[str, Any]) -> None:

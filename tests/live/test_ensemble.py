@@ -108,7 +108,7 @@ def test_diverged_members_restart():
     assert np.isfinite(ensemble.members).all()
     assert not ensemble.placed
     ensemble.members[:, ensemble.columns["motion"]] = np.nan
-    assert np.isfinite(ensemble.forecaster(3)([air], 0.02)).all()
+    assert np.isfinite(ensemble.copy(3).forecast([air], 0.02)).all()
 
 
 @pytest.mark.parametrize("robot", ["gen2", "gen4"])

@@ -11,7 +11,7 @@ import pytest
 from brokers import broker, free_port, needs_broker, wait
 
 from srs_twin import InputError
-from srs_twin.live.links import LOST, MqttLink, address
+from srs_twin.live.links import LOST, Login, MqttLink, address
 from srs_twin.live.messages import BENDS, COMMAND, STATUS, topic
 
 pytestmark = needs_broker
@@ -69,9 +69,9 @@ def test_who_breaks_off_is_said_to_be_lost(tmp_path):
 def test_a_password_is_asked_for(tmp_path):
     port = free_port()
     with broker(tmp_path, port, password="bench"):
-        with MqttLink("r", 1, port=port, user="lab", password="bench") as link:
+        with MqttLink("r", 1, port=port, login=Login("lab", "bench")) as link:
             assert link.connected
-        for given in ({}, {"user": "lab", "password": "wrong"}):
+        for given in ({}, {"login": Login("lab", "wrong")}):
             with pytest.raises(InputError, match="does not admit us: Not authorized"):
                 MqttLink("r", 1, port=port, **given)
 
@@ -176,4 +176,4 @@ def test_a_file_that_is_no_certificate_is_refused(tmp_path, content, words):
     elif content is not None:
         file.write_bytes(content)
     with pytest.raises(InputError, match=f"ca.pem: {words}"):
-        MqttLink("r", 1, port=free_port(), ca=file)
+        MqttLink("r", 1, port=free_port(), login=Login(ca=file))
