@@ -7,7 +7,6 @@ that it could not read.
 
 from __future__ import annotations
 
-import contextlib
 import os
 import queue
 import re
@@ -76,7 +75,7 @@ class Link(ABC):
     def received(self) -> list[Message]:
         """Return the messages since the last call."""
         messages = []
-        with contextlib.suppress(queue.Empty):
+        with suppress(queue.Empty):
             while True:
                 messages.append(self._queue.get_nowait())
         return messages
@@ -241,7 +240,7 @@ class MqttLink(Link):
         time = clock() if at is None else at
         sent = self._client.publish(topic(self._robot, kind), encode(kind, time, values))
         if wait_s:
-            with contextlib.suppress(RuntimeError, ValueError):  # not connected, or the queue is full
+            with suppress(RuntimeError, ValueError):  # not connected, or the queue is full
                 sent.wait_for_publish(wait_s)
 
     def send_contact(self, contact: ContactEstimate) -> None:
@@ -260,7 +259,7 @@ class MqttLink(Link):
         if self.connected:
             self.counts["connected"] += 1
             # Else small messages wait for the acknowledgement of the one before, up to 40 ms.
-            with contextlib.suppress(OSError, AttributeError):  # a connection that is gone again
+            with suppress(OSError, AttributeError):  # a connection that is gone again
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
                 client.subscribe([(each, 0) for each in self._topics])
