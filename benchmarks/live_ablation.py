@@ -109,7 +109,6 @@ ESTIMATE_PARTS: dict[str, tuple[str, Part]] = {
 """Refinement that is switched off: cameras, and the function that switches it off."""
 _OFFSET_WALK = (fault_detector, "_OFFSET_WALK", 1e-5)
 _PATIENCE = (fault_hypotheses, "_PATIENCE_FACTOR", 1.0)
-_WEAK = (fault_detector, "_SINGLE_WEAK_FACTOR", 1.0)
 DETECTOR_PARTS: dict[str, tuple[Part, Sequence[tuple[Any, str, Any]], str]] = {
     "nothing": (unchanged, (), "nwps"),
     "states for sensor errors": (_no_sensor_errors, [_OFFSET_WALK], "nws"),
@@ -119,7 +118,6 @@ DETECTOR_PARTS: dict[str, tuple[Part, Sequence[tuple[Any, str, Any]], str]] = {
     "sudden changes of the supply": (_no_sudden_change, (), "nw"),
     "lost commands": (_no_lost_commands, (), "nwp"),
     "longer time for several suspects": (unchanged, [_PATIENCE], "nwp"),
-    "single weak segments are unlikely": (unchanged, [_WEAK], "nwp"),
 }
 """Part that is switched off: function that does so, changed constants, and initials of the conditions."""
 

@@ -37,7 +37,6 @@ from srs_twin.live.air_balance import (
 )
 from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
-    HAS_NAME,
     HYPOTHESES,
     LEAK_RATES,
     SENSORS,
@@ -95,10 +94,6 @@ _SETTLED_S = 0.1
 """Time after which the pressure of a filling chamber shows the supply pressure."""
 _BALANCED_STROKES = 3
 """Number of strokes after which leaks of a chamber are judged by its balance of air."""
-_WEAK_THRESHOLD = 0.1
-"""Probability above which a segment is possibly weak."""
-_SINGLE_WEAK_FACTOR = 0.8
-"""Factor, applied at each measurement, on the probability that a single segment is weak."""
 _TAILS = 4.0
 """Degrees of freedom of Student's t distribution."""
 _AT_REST_RAD = 1e-6
@@ -288,10 +283,6 @@ class FaultDetector(Stateful):
             log_likelihood += self._pressure_log_likelihood(pressures, dt)
             log_likelihood += self._leak_log_likelihood(pressures, rows)
         weight = self.probability * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
-        # All segments share one supply, so a single weak segment is unlikely.
-        weak = (weight @ HAS_NAME[:, WEAK]) / weight.sum(axis=1)
-        single = (weak > 0.5) & ((weak > _WEAK_THRESHOLD).sum() < min(2, len(weak)))
-        weight[:, HAS_NAME[:, WEAK] > 0] *= np.where(single, _SINGLE_WEAK_FACTOR, 1.0)[:, None]
         self.probability = np.maximum(weight / weight.sum(axis=1, keepdims=True), _LEAST_PROBABILITY)
         self._judge_supply()
         self.naming.update(self.time, self.probability)
