@@ -11,6 +11,7 @@ from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, recorde
 
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
+from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.messages import BENDS, COMMAND, Message
 from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.live.steering import LEAST_MARGIN, EstimateSteering, differences
@@ -124,7 +125,8 @@ def test_commands_that_wait_already_bend_the_estimate():
     spec, bends = load_robot("gen4"), []
     n = spec.segments
     for fills in (False, True):
-        shadow = Shadow(spec, members=8, hold_s=0.1)
+        shadow = Shadow(spec, members=8)
+        shadow.buffer = ReorderBuffer(hold_s=0.1)
         for k in range(60):
             time = 0.02 * k
             valves = np.full((n, 2), -1.0)
