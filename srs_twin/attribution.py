@@ -229,9 +229,14 @@ class PlantVariants:
         )
         return [loads, solver]
 
-    @property
-    def _has_wheels(self) -> bool:
-        return self._scenario.robot.skin is None and self._twin.law in ("wheel", "axis")
+    def _wheel_refinements(self) -> list[Refinement]:
+        """Return the refinement of rolling wheels; none for other contacts."""
+        if self._scenario.robot.skin is not None or self._twin.law not in ("wheel", "axis"):
+            return []
+        # The preloaded twin needs axles with inertia; the loaded twin works without.
+        wheel_spin, factor = (0.0, 1.0) if self._twin.contact == "loaded" else (0.25, 4 / 3)
+        lighter = {"numerics": Numerics(wheel_spin=wheel_spin)}
+        return [Refinement("wheel inertia", "inertia of the wheels about their axles", lighter, factor)]
 
     def _refinements(self) -> list[Refinement]:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
@@ -239,16 +244,6 @@ class PlantVariants:
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
         finer_model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
         lighter_links = {"numerics": Numerics(link_share=Numerics.link_share / 2)}
-        # The preloaded twin needs axles with inertia and is of first order in its time step; the loaded twin
-        # works without inertia and is of second order.
-        loaded = self._twin.contact == "loaded"
-        wheel_spin, spin_factor = (0.0, 1.0) if loaded else (0.25, 4 / 3)
-        lighter_wheels = Refinement(
-            "wheel inertia",
-            "inertia of the wheels about their axles",
-            {"numerics": Numerics(wheel_spin=wheel_spin)},
-            spin_factor,
-        )
         spec = self._scenario.robot
         stiffer = _with_bending(
             spec,
@@ -267,7 +262,7 @@ class PlantVariants:
                 4 / 3,
                 base=arcs,
             ),
-            *([lighter_wheels] if self._has_wheels else []),
+            *self._wheel_refinements(),
             *self._contact_refinements(),
             out_of_plane,
             Refinement("link mass", "mass between the hinges", lighter_links, 2.0),
@@ -275,7 +270,8 @@ class PlantVariants:
                 "twin time step",
                 f"time step of {1e3 * step:g} ms",
                 {"timestep": step / 2},
-                4 / 3 if loaded else 2.0,
+                # The loaded twin is of second order in its time step, the preloaded one of first.
+                4 / 3 if self._twin.contact == "loaded" else 2.0,
             ),
             Refinement(
                 "model time step",
