@@ -1,9 +1,16 @@
-"""Numba compilation with a disk cache that detects changes in inlined functions."""
+"""Numba compilation with a disk cache that detects changes in inlined functions.
+
+Numba optimises every function by itself and again in each of its callers, and turns all of them into machine
+code. Here a function that a kernel calls is a *part* of the kernel (`_PartLibrary`): it is optimised and
+turned into machine code only once, together with the function that Python calls. Only that function has a
+wrapper for Python and a cache on disk.
+"""
 
 from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 import os
 import pickle
 import stat
@@ -14,9 +21,12 @@ from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
-from numba import njit, typeof
+import llvmlite.binding as llvm
+from numba import njit, typeof, types
 from numba.core.caching import FunctionCache
-from numba.extending import overload
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
+from numba.extending import lower_builtin, overload, type_callable
 
 from srs_twin.errors import CacheWarning
 
@@ -34,7 +44,6 @@ _OPTIONS: Any = {
 # Disable reference counts, which take most of a small kernel's time; a kernel that creates no arrays does not
 # need them.
 _NO_REFCOUNTS: Any = {"_nrt": False}
-_NO_WRAPPER: Any = {"no_cpython_wrapper": True}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned = False
 _notices: list[Callable[[], None]] = []
@@ -46,7 +55,87 @@ def notify_first_compilation(notice: Callable[[], None]) -> None:
     _notices[:] = [notice]
 
 
-def compiled(function: Function) -> Function:
+class _PartLibrary(JITCodeLibrary):
+    """Code of a part of kernels, which stays an intermediate representation."""
+
+    def finalize(self) -> None:
+        """Make the global variables of the functions known, which numba sets; emit no machine code."""
+        self._raise_if_finalized()
+        names = [variable.name for variable in self._final_module.global_variables]
+        lines = [f"@{name} = common global ptr null" for name in names if name.startswith("_ZN08NumbaEnv")]
+        self._stub = llvm.parse_assembly("\n".join(lines))
+        self._codegen._add_module(self._stub)
+        self._codegen._engine.finalize_object()
+        self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the code with that of all functions that it calls."""
+        self._ensure_finalized()
+        if self._shared_module is None:
+            module = self._final_module.clone()
+            libraries: dict[Any, None] = {}
+            self._collect(libraries)
+            for library in list(libraries)[1:]:
+                is_part = isinstance(library, _PartLibrary)
+                code = library._final_module if is_part else library._get_module_for_linking()
+                module.link_in(code, preserve=True)
+            for function in module.functions:
+                if not function.is_declaration and function.linkage == llvm.Linkage.external:
+                    function.linkage = "linkonce_odr"  # several kernels may contain it
+            self._shared_module = module
+        return self._shared_module
+
+    def _collect(self, libraries: dict[Any, None]) -> None:
+        """Add this library and, recursively, those of the functions that it calls."""
+        if self in libraries:
+            return
+        libraries[self] = None
+        for library in self._linking_libraries:
+            if isinstance(library, _PartLibrary):
+                library._collect(libraries)
+            else:
+                libraries[library] = None
+
+
+class _PartCompiler(Compiler):
+    """Numba's compiler with a `_PartLibrary`."""
+
+    def __init__(self, typing_context: Any, target_context: Any, _: Any, *rest: Any) -> None:
+        library = _PartLibrary(target_context.codegen(), "part")
+        super().__init__(typing_context, target_context, library, *rest)
+
+
+# A wrapper for functions with records of arrays as arguments takes longer to compile than the functions.
+_PART_OPTIONS: Any = _OPTIONS | {"no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+
+
+class Kernel:
+    """Compiled function that Python and other kernels can call.
+
+    Attributes:
+        entry: numba's dispatcher for calls from Python.
+        part: numba's dispatcher for calls from other kernels.
+        py_func: the function itself.
+    """
+
+    def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
+        """Compile nothing yet; `options` are further options of numba."""
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self.entry = _with_cache(njit(**_OPTIONS, **options)(function), function)
+        self.part = njit(**_PART_OPTIONS, **options)(function)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function from Python."""
+        return self.entry(*arguments)
+
+    @property
+    def _numba_type_(self) -> Any:
+        """Type in kernels."""
+        return self.part._numba_type_
+
+
+def compiled(function: Function) -> Kernel:
     """Compile a function that creates no arrays, on its first call, and cache the machine code on disk.
 
     The kernel runs without the interpreter's lock.
@@ -56,41 +145,60 @@ def compiled(function: Function) -> Function:
     as long as a digest of the bytecode of the function, of every kernel that it calls and of their constants
     is unchanged. Without a writable cache folder every process compiles its kernels, with one `CacheWarning`.
     """
-    return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS)(function), function)
+    return Kernel(function, _NO_REFCOUNTS)
 
 
-def allocating(function: Function) -> Function:
+def allocating(function: Function) -> Kernel:
     """Compile a function that creates arrays; otherwise as `compiled`."""
-    return _with_cache(njit(**_OPTIONS)(function), function)
+    return Kernel(function, {})
 
 
 def kernel_only(function: Function) -> Function:
-    """Compile a function that only kernels call, without a wrapper for calls from Python.
-
-    The wrapper of a function with records of arrays as arguments takes longer to compile than the function.
-    """
-    return _with_cache(njit(**_OPTIONS, **_NO_REFCOUNTS, **_NO_WRAPPER)(function), function)
+    """Compile a function that only kernels call."""
+    part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS)(function)
+    return part
 
 
-def compiled_if(condition: Callable[..., bool], otherwise: float | None = None) -> Function:
-    """Return a decorator that compiles a function of four arguments, as `kernel_only`, where it is needed.
+# Functions that are chosen by types return no arrays, whose references they would have to count.
+overload_part: Function = functools.partial(overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS)
+"""Decorator `numba.extending.overload` for functions that only kernels call."""
+
+
+def is_given(kind: types.Type) -> bool:
+    """Return whether an argument with a numba type is not None."""
+    return not isinstance(kind, types.NoneType)
+
+
+def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
+    """Return a decorator that compiles a function, as `kernel_only`, where it is needed.
 
     Args:
         condition: decides on the numba type of the first argument. If false, the call is compiled to nothing.
-        otherwise: number that such a call returns.
+        otherwise: number, or tuple of numbers, that such a call returns.
     """
 
     def decorate(function: Function) -> Function:
-        kernel = kernel_only(function)
+        kernel: Any = kernel_only(function)
 
-        def call(a, b, c, d):  # type: ignore[no-untyped-def]
-            return kernel(a, b, c, d) if condition(typeof(a)) else otherwise
+        def call(*arguments: Any) -> None:
+            raise NotImplementedError(f"only kernels call {function.__name__}")
 
-        @overload(call, jit_options={"forceinline": True, **_NO_REFCOUNTS, **_NO_WRAPPER})
-        def choose(a, b, c, d):  # type: ignore[no-untyped-def]
-            if condition(a):
-                return lambda a, b, c, d: kernel(a, b, c, d)
-            return lambda a, b, c, d: otherwise
+        @type_callable(call)
+        def infer(context: Any) -> Function:
+            def result(*arguments: types.Type) -> types.Type:
+                if not condition(arguments[0]):
+                    return typeof(otherwise)
+                return context.resolve_function_type(kernel._numba_type_, arguments, {}).return_type
+
+            result.pysig = inspect.signature(function)  # type: ignore[attr-defined]  # names of the arguments
+            return result
+
+        @lower_builtin(call, types.VarArg(types.Any))
+        def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            if not condition(signature.args[0]):
+                return context.get_constant_generic(builder, signature.return_type, otherwise)
+            called = context.typing_context.resolve_function_type(kernel._numba_type_, signature.args, {})
+            return context.get_function(kernel._numba_type_, called)(builder, values)
 
         call.py_func = function  # type: ignore[attr-defined]  # for the digest of callers, and for Warp
         return call

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating
+from srs_twin.compute.compiled import allocating, compiled
 from srs_twin.live.pressure_table import PressureRates
 from srs_twin.plants.analytical import compliant_kernels, kernels
+from srs_twin.plants.analytical.compliant_kernels import CompliantModel, WorkArrays
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.pneumatics.chambers import free_bends
@@ -56,14 +57,14 @@ class MemberDynamics:
     def __init__(self, spec: RobotSpec) -> None:
         """Prepare the model of a robot."""
         self._spec, g, mu = spec, spec.geometry, spec.friction
-        solid = BodyParameters(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0)
+        solid = BodyParameters.of(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap)
         lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
         unit = spec.scale.time
         floor = floor_friction(
             "wheel", g.half_track, mu.mu_t, mu.mu_n, _SLIP_SPEED * unit, lean, drag=drag, unit=unit
         )
         self.mass: np.ndarray = solid.mass
-        self._model = solid, (spec.bending.stiffness, spec.bending.damping), floor
+        self._model = CompliantModel.of(solid, spec.bending.stiffness, spec.bending.damping, floor)
 
     def drive(
         self, valves: ValveInput, dt: float, step: float, pressure: np.ndarray, gain: np.ndarray,
@@ -124,40 +125,40 @@ class MemberDynamics:
         states[:, [kernels.STATE_X, kernels.STATE_Y, kernels.HEADING]] = pose
         bends = states[:, compliant_kernels.BENDS :][:, :n]
         bends[:] = bend
-        _set_momenta(states, velocity, self._model)
+        work = WorkArrays.of(n + 1, states.shape[1])
+        _set_momenta(states, velocity, self._model, work)
         free = self._spec.bending.stiffness * (bias + free_bends(self._spec, drive))
         moments = np.ascontiguousarray(free.transpose(2, 0, 1, 3))
-        complete = _advance(states, velocity, np.full(len(drive), h), moments, self._model)
+        complete = _advance(states, velocity, np.full(len(drive), h), moments, self._model, work)
         # A diverged member would also distort the ensemble mean, so it is reported as invalid.
         slow = np.abs(velocity[:, :3]).max(axis=1) <= _LARGEST_VELOCITY
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 
 
 @allocating
-def _advance(states, velocities, steps, moments, model):  # type: ignore[no-untyped-def]
+def _advance(states, velocities, steps, moments, model, work):  # type: ignore[no-untyped-def]
     """Advance bodies in place; return whether each made all steps."""
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
     seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
     for m in range(states.shape[0]):
         now = states[m], velocities[m]
-        complete[m] = compliant_kernels.advance(now, steps, moments[m], marks, model, seen) == steps.shape[0]
+        done = compliant_kernels.advance(now, steps, moments[m], marks, model, seen, work)
+        complete[m] = done == steps.shape[0]
     return complete
 
 
-@allocating
-def _set_momenta(states, velocities, model):  # type: ignore[no-untyped-def]
+@compiled
+def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-def]
     """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
-    n, size = model[0].mass.shape[0], velocities.shape[1]
-    segments, ahead = n - 1, compliant_kernels.BENDS
-    momentum, force, moment = np.empty(size), np.empty(size), np.zeros(segments)
-    work = compliant_kernels.work_arrays(n)
+    segments, ahead, momentum = work.bend.shape[0], compliant_kernels.BENDS, work.momentum
+    moment = work.bend  # any numbers: the moments of the air do not change the momenta
     for m in range(states.shape[0]):
         state, u = states[m], velocities[m]
         c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
         state[kernels.STATE_VX], state[kernels.STATE_VY] = c * u[0] - s * u[1], s * u[0] + c * u[1]
         bend = state[ahead : ahead + segments]
-        compliant_kernels.balance(bend, u, moment, 0.0, model, momentum, force, work)
+        compliant_kernels.balance(bend, u, moment, 0.0, model, model.floor, work)
         state[kernels.MOMENT] = momentum[2]
         for j in range(segments):
             state[ahead + segments + j] = momentum[3 + j]

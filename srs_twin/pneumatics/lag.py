@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled, kernel_only
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
@@ -227,8 +227,8 @@ class LagPneumatics(LagChambers):
         free = np.empty(self._segments)
         relaxation = self._kind, self._rate, self._asymptote, self._leak
         bending = self._tau_mode, self._gain, self.rest_bend, self._law
-        start = pressure, linear, free
-        drawn = _fill_trace(start, schedule, times, relaxation, bending, self._volume_law, trace)
+        start, factors = (pressure, linear, free), (np.empty_like(self._rate), np.empty_like(self._rate))
+        drawn = _fill_trace(start, schedule, times, relaxation, bending, self._volume_law, trace, factors)
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
         self._linear = linear
@@ -236,8 +236,8 @@ class LagPneumatics(LagChambers):
         return trace
 
 
-@allocating
-def _fill_trace(start, schedule, times, relaxation, bending, space, trace):  # type: ignore[no-untyped-def]
+@compiled
+def _fill_trace(start, schedule, times, relaxation, bending, space, trace, factors):  # type: ignore[no-untyped-def]
     """Fill a trace at `times`, advance to the end of a schedule, and return the amount of air drawn (J).
 
     Args:
@@ -251,11 +251,11 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace):  # t
             rad; a `BendLaw`.
         space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
         trace: out; its air is the amount drawn since the start, J.
+        factors: work arrays, shape (kinds, 3) each.
     """
-    (pressure, linear, bend), (span, starts, states) = start, schedule
+    (pressure, linear, bend), (span, starts, states), (decay, lag) = start, schedule, factors
     kinds, rates, asymptotes, leak = relaxation
     tau, gain, bias, law = bending
-    decay, lag = np.empty_like(rates), np.empty_like(rates)
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
         state, begin = states[run], starts[run]
@@ -388,13 +388,12 @@ def filling_content(state, plus, minus, bend, space, ambient):  # type: ignore[n
         space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
         ambient: ambient pressure, Pa; 0 for the content by gauge pressure.
     """
-    total = float(0.0)
-    if state[0] == 1:
-        size, _ = volume(space[0], space[1], bend, 0)
-        total += (plus + ambient) * size
-    if state[1] == 1:
-        size, _ = volume(space[0], space[1], bend, 1)
-        total += (minus + ambient) * size
+    total, pressure = float(0.0), float(plus)
+    for side in range(2):
+        if state[side] == 1:
+            size, _ = volume(space[0], space[1], bend, side)
+            total += (pressure + ambient) * size
+        pressure = float(minus)
     return total
 
 

@@ -86,9 +86,9 @@ def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 def warp_functions() -> dict[str, Any]:
     """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
-    friction_laws = [stick_slip.stick_slip_friction, stick_slip.skin_friction, stick_slip.rolling_friction]
-    functions = as_warp_functions([*friction_laws, chambers.volume, chambers._log_cosh])
-    chamber_laws = [chambers.apply_bend_law, lag.advance_segment, lag.filling_content]
+    laws: list[Any] = [stick_slip.stick_slip_friction, stick_slip.skin_friction, stick_slip.rolling_friction]
+    functions = as_warp_functions([*laws, chambers.volume, chambers._log_cosh])
+    chamber_laws: list[Any] = [chambers.apply_bend_law, lag.advance_segment, lag.filling_content]
     functions = as_warp_functions(chamber_laws, **functions)
     linear_algebra = [
         friction_solve._factor,

@@ -40,7 +40,7 @@ def test_second_kernel_loads_the_cache_of_the_first(kernel):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert (kernel(1, 2), again(1, 2)) == (3, 3)
-    assert (again.stats.cache_hits.total(), again.stats.cache_misses.total()) == (1, 0)
+    assert (again.entry.stats.cache_hits.total(), again.entry.stats.cache_misses.total()) == (1, 0)
 
 
 def raise_full(*_):
@@ -73,7 +73,7 @@ def foreign(folder):
 )
 def test_cache_folder_that_others_can_write_is_not_used(kernel, place, change, reason, tmp_path):
     """The pickle in the folder would create a file."""
-    cache = kernel._cache
+    cache = kernel.entry._cache
     folder, index = Path(cache.cache_path), Path(cache._cache_file._index_path)
     folder.mkdir(exist_ok=True)
     index.write_bytes(b"cposix\nsystem\n(S'touch " + os.fsencode(tmp_path / "executed") + b"'\ntR.")
@@ -89,7 +89,7 @@ def test_cache_folder_that_others_can_write_is_not_used(kernel, place, change, r
 
 
 def test_private_folder_in_a_sticky_folder_is_used(kernel, tmp_path):
-    Path(kernel._cache.cache_path).parent.chmod(0o1777)
+    Path(kernel.entry._cache.cache_path).parent.chmod(0o1777)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert kernel(1, 2) == 3
@@ -98,7 +98,7 @@ def test_private_folder_in_a_sticky_folder_is_used(kernel, tmp_path):
 
 @pytest.mark.parametrize("damage", [Path.mkdir, Path.touch, lambda path: path.write_bytes(b"junk")])
 def test_unreadable_index_disables_the_cache(kernel, damage):
-    index = Path(kernel._cache._cache_file._index_path)
+    index = Path(kernel.entry._cache._cache_file._index_path)
     index.parent.mkdir(exist_ok=True)
     damage(index)
     with pytest.warns(CacheWarning, match=WARNING) as warned:
@@ -108,14 +108,14 @@ def test_unreadable_index_disables_the_cache(kernel, damage):
 
 def test_index_that_names_a_removed_function_is_replaced(kernel):
     """Kernels that took a friction law as an argument name it; the law may be gone after an edit."""
-    index = Path(kernel._cache._cache_file._index_path)
+    index = Path(kernel.entry._cache._cache_file._index_path)
     index.parent.mkdir(exist_ok=True)
     index.write_bytes(pickle.dumps(numba.__version__) + b"csrs_twin.robot.friction\nremoved\n.")
     again = compiled(add)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert (kernel(1, 2), again(1, 2)) == (3, 3)
-    assert again.stats.cache_hits.total() == 1
+    assert again.entry.stats.cache_hits.total() == 1
 
 
 LAW = """
@@ -132,7 +132,7 @@ from srs_twin.compute.compiled import compiled
 @compiled
 def twice(x):
     return law(x) + law(x)
-print(twice(1.0), twice.stats.cache_hits.total())
+print(twice(1.0), twice.entry.stats.cache_hits.total())
 """
 
 

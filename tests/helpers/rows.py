@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.compute.compiled import compiled
+from srs_twin.plants.analytical.compliant_kernels import CompliantModel
 from srs_twin.plants.analytical.floor import FloorFriction, connector_friction
 from srs_twin.plants.analytical.kinematics import (
     COS,
@@ -87,14 +88,14 @@ def _centre(mass, rows, rates):  # type: ignore[no-untyped-def]
                 rates[i, axis, k] -= mean_rate
 
 
-def newtons_matrix(q: np.ndarray, u: np.ndarray, a: float, model: tuple) -> np.ndarray:
+def newtons_matrix(q: np.ndarray, u: np.ndarray, a: float, model: CompliantModel) -> np.ndarray:
     """Return Newton's matrix of a stage of `compliant_kernels` as a sum over the rows of all connectors."""
-    solid, (stiffness, damping), floor = model
+    solid, floor, springs = model.solid, model.floor, a * model.damping + a * a * model.stiffness
     n, size = len(solid.mass), len(u)
     body, rows, rates = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
     pose_body(q, u[3:], solid, body)
     fill_rows(body, q, u, solid, rows, rates)
-    matrix = np.diag(np.repeat([0.0, a * damping + a * a * stiffness], [3, size - 3]))
+    matrix = np.diag(np.append(np.zeros(3), springs))
     for row, rate, mass, inertia in zip(rows, rates, solid.mass, solid.inertia, strict=True):
         own = np.diag([mass, mass, inertia]) - a * slopes(row @ u, mass, floor)
         odd = a * mass * row[:2].T @ rate

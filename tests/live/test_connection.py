@@ -14,7 +14,7 @@ from srs_twin.plants.analytical.kinematics import BodyParameters
 def connection(robot="gen4"):
     spec = load_robot(robot)
     g = spec.geometry
-    mass = BodyParameters(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap, 0.0).mass
+    mass = BodyParameters.of(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap).mass
     return LocalConnection(spec, mass)
 
 

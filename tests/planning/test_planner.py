@@ -339,8 +339,8 @@ from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 def kernels():
     modules = [m for name, m in sorted(sys.modules.items()) if name.startswith("srs_twin.planning.")]
     return {
-        (m.__name__, name): len(f.signatures)
-        for m in modules for name, f in vars(m).items() if hasattr(f, "signatures")
+        (m.__name__, name): len(f.entry.signatures)
+        for m in modules for name, f in vars(m).items() if hasattr(f, "entry")
     }
 
 planner._compile()

@@ -12,6 +12,7 @@ from snakes import chain, robot, vented
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, rollout
 from srs_twin.plants.analytical import compliant_kernels, kernels
+from srs_twin.plants.analytical.compliant_kernels import CompliantModel, WorkArrays
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.robot.friction import LAWS
@@ -39,30 +40,29 @@ class Body:
 
     @property
     def solid(self) -> BodyParameters:
-        return BodyParameters(self.mass, self.inertia, LENGTH, GAP, 0.0)
+        return BodyParameters.of(self.mass, self.inertia, LENGTH, GAP)
 
     @property
     def floor(self) -> FloorFriction:
         return floor_friction(self.law, self.track, self.mu_t, self.mu_n, SLIP)
 
     @property
-    def model(self) -> tuple[BodyParameters, tuple[float, float], FloorFriction]:
-        return self.solid, (self.stiffness, self.damping), self.floor
+    def model(self) -> CompliantModel:
+        return CompliantModel.of(self.solid, self.stiffness, self.damping, self.floor)
 
     def balance(self, q, u, moment) -> tuple[np.ndarray, np.ndarray]:
         """Return the kernel's momenta and their rates."""
-        momentum, force = np.empty((2, len(u)))
-        work = compliant_kernels.work_arrays(len(self.mass))
-        compliant_kernels.balance(q, u, moment, 0.0, self.model, momentum, force, work)
-        return momentum, force
+        work = WorkArrays.of(len(self.mass))
+        compliant_kernels.balance(q, u, moment, 0.0, self.model, self.floor, work)
+        return work.momentum, work.force
 
     def newton(self, q, u, a, residual) -> np.ndarray:
         """Return the kernel's Newton step."""
-        momentum, force, step = np.empty((3, len(u)))
-        room = compliant_kernels.work_arrays(len(self.mass))
-        compliant_kernels.balance(q, u, np.zeros_like(q), a, self.model, momentum, force, room)
-        compliant_kernels.solve(a, self.model, residual, step, room)
-        return step
+        work = WorkArrays.of(len(self.mass))
+        compliant_kernels.balance(q, u, np.zeros_like(q), a, self.model, self.floor, work)
+        work.residual[:] = residual
+        compliant_kernels.solve(a, self.model, work)
+        return work.step
 
     def advance(self, moments, duration: float, step: float, start=None) -> np.ndarray:
         """Return the kernel's states after every step; `moments` maps times to moments."""
@@ -79,8 +79,9 @@ class Body:
             state[3:5], state[5], state[first + segments :] = u[:2], momentum[2], momentum[3:]
         states, marks = np.empty((count, len(state))), np.arange(1, count + 1)
         seen = states, np.empty((count, len(u)))
+        work = WorkArrays.of(len(self.mass), len(state))
         done = compliant_kernels.advance(
-            (state, u), np.full(count, step), stage_moments, marks, self.model, seen
+            (state, u), np.full(count, step), stage_moments, marks, self.model, seen, work
         )
         assert done == count
         return states

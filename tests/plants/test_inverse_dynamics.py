@@ -61,7 +61,7 @@ def test_recursive_inverse_dynamics_equals_the_dense_sum(seed, connectors, law, 
     random = np.random.default_rng(seed)
     mass = random.uniform(0.01, 0.1, connectors)
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
-    solid = BodyParameters(mass, inertia, 0.037, 0.018, frozen)
+    solid = BodyParameters.of(mass, inertia, 0.037, 0.018, frozen)
     floor = floor_friction(law, random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
     samples, segments = 3, connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))

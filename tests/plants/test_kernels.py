@@ -68,7 +68,7 @@ def run(
     state, slope = np.zeros((2, kernels.STATES))
     state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
-    solid = BodyParameters(mass, np.zeros_like(mass), swim.length, swim.gap, 0.0)
+    solid = BodyParameters.of(mass, np.zeros_like(mass), swim.length, swim.gap)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
     now, seen = (
@@ -206,7 +206,7 @@ def draw(seed: int, connectors: int) -> tuple[BodyParameters, np.ndarray, np.nda
     g = np.random.default_rng(seed)
     mass, own = g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors)
     bend, rate = g.normal(size=(2, connectors - 1))
-    return BodyParameters(mass, own, 0.04, 0.02, 0.0), bend, rate
+    return BodyParameters.of(mass, own, 0.04, 0.02), bend, rate
 
 
 def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarray:
@@ -281,7 +281,7 @@ def test_posed_rates_match_finite_differences():
 def test_mean_heading_is_zero_for_a_coil_of_several_turns():
     """With 1 rad in each of 40 segments, the head is 20 rad, three turns, ahead of the mean heading."""
     bend = np.ones(40)
-    solid = BodyParameters(np.full(41, 0.03), np.zeros(41), 0.04, 0.02, 0.0)
+    solid = BodyParameters.of(np.full(41, 0.03), np.zeros(41), 0.04, 0.02)
     body, phi = posed(solid, bend, 0 * bend), relative_headings(bend)
     assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
     assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)

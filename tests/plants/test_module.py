@@ -188,7 +188,7 @@ def test_analytical_torque_satisfies_lagranges_equation():
     from srs_twin.pneumatics import Trace
 
     mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
-    solid = BodyParameters(mass, inertia, 0.07, 0.004, 0.0)
+    solid = BodyParameters.of(mass, inertia, 0.07, 0.004)
 
     def places(q):
         """Return positions and headings of the connectors by integration along the arcs."""

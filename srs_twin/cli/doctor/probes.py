@@ -119,7 +119,7 @@ def kernels() -> str | ProbeResult:
     arguments = (2e5, 1.5e5, 0.3)
     if not all(map(math.isclose, kernel(*arguments), kernel.py_func(*arguments))):
         return ProbeResult("broken", "numba's machine code and Python give different results")
-    cache = kernel._cache.cache_path
+    cache = kernel.entry._cache.cache_path
     if cache is None:
         remedy = "export NUMBA_CACHE_DIR=/tmp/numba (any writable folder) avoids that"
         return f"numba's machine code works, but is compiled again at every start; {remedy}"

@@ -346,7 +346,7 @@ class AnalyticalSnake(PneumaticPlant):
         cells = self._divide()
         frozen = 1.0 if self._model == "simplified" else 0.0
         inertia = self._connector_inertia(cells.mass)
-        solid, floor = BodyParameters(cells.mass, inertia, cells.length, cells.gap, frozen), self._floor
+        solid, floor = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen), self._floor
         if isinstance(cells, Cells):
             # The floor has the drag on one connector; along a divided body it acts in smaller parts.
             drag = self._floor.drag * self.spec.geometry.connectors / len(cells.mass)
@@ -411,36 +411,30 @@ class AnalyticalSnake(PneumaticPlant):
             return self._body.observe(time, motion, trace, sensed)
         cells, solid = self._body.cells, self._body.solid
         count, n = len(time), len(solid.mass)
-        position, theta, force = np.empty((count, n, 2)), np.empty((count, n)), np.empty((count, n, 2))
-        energy = np.empty(count)
-        wheels = self._floor._replace(drag=0.0)
-        kernels.observe(motion, solid, wheels, position, theta, force, energy)
+        wheels, bends = self._floor._replace(drag=0.0), (motion.bend, motion.bend_rate)
+        seen = kernels.observe(motion.states, motion.velocities, bends, solid, wheels)
         divided, bend = isinstance(cells, Cells), cells.total(motion.bend)
         obstacles = np.zeros((count, self.spec.geometry.connectors, 2))
         if isinstance(cells, Cells) and self.touches:
             obstacles = cells.obstacle_force(motion.states[:, kernels.STATES : -1].reshape(count, n, 2))
-        position, theta, force = (
-            cells.at_connectors(position),
-            cells.at_connectors(theta),
-            cells.on_connectors(force),
-        )
+        theta = cells.at_connectors(seen.theta)
         return SnakeState(
             time=time,
             com=motion.states[:, kernels.STATE_X : kernels.STATE_Y + 1],
             com_velocity=motion.states[:, kernels.STATE_VX : kernels.STATE_VY + 1],
             heading=theta.mean(axis=1) if divided else motion.states[:, kernels.HEADING],
-            position=position,
+            position=cells.at_connectors(seen.position),
             theta=theta,
             bend=bend,
             bend_rate=cells.total(motion.bend_rate),
             pressure=trace.pressure,
             valves=trace.valves,
             sensed=self.sensor.read(bend, time, self.seed),
-            contact_force=force,
+            contact_force=cells.on_connectors(seen.force),
             obstacle_force=obstacles,
             torque=motion.torque,
             work=motion.states[:, kernels.ENERGY_LOSS]
-            + (0.0 if self.touches else energy + self._body.stored(motion.bend)),
+            + (0.0 if self.touches else seen.energy + self._body.stored(motion.bend)),
             internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),

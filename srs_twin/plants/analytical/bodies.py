@@ -329,9 +329,9 @@ class CompliantBends(Body):
         self._bends = len(solid.mass) - 1
         super().__init__(solid, floor, cells, self._bends)
         bending = spec.bending
-        spring = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
+        springs = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
         self.obstacles = obstacles
-        self._model = (solid, spring, floor) if obstacles is None else (solid, spring, floor, obstacles)
+        self._model = compliant_kernels.CompliantModel.of(solid, *springs, floor, obstacles)
         self._momenta = slice(
             compliant_kernels.BENDS + self._bends, compliant_kernels.BENDS + 2 * self._bends
         )
@@ -339,6 +339,7 @@ class CompliantBends(Body):
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]
+        self._work = compliant_kernels.WorkArrays.of(self._bends + 1, self._shapes[0])
         self._spec, self._bias = spec, spec.modules.array("bias")
 
     def reset(self, pose: Pose) -> None:
@@ -356,12 +357,10 @@ class CompliantBends(Body):
         super().place(velocity, bend, rate)
         bend, rate = self.cells.split(bend), self.cells.split(rate)
         self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = bend, rate
-        momentum, force = np.empty((2, len(self.velocity)))
-        model, work = self._model[:3], compliant_kernels.work_arrays(len(self.solid.mass))
-        compliant_kernels.balance(
-            bend, self.velocity, np.zeros(self._bends), 0.0, model, momentum, force, work
-        )
-        self.state[self._momenta] = momentum[3:]
+        model, work = self._model._replace(obstacles=None), self._work
+        air = np.zeros(self._bends)
+        compliant_kernels.balance(bend, self.velocity, air, 0.0, model, model.floor, work)
+        self.state[self._momenta] = work.momentum[3:]
 
     @property
     def _contact_loads(self) -> np.ndarray:
@@ -383,7 +382,9 @@ class CompliantBends(Body):
         # The moment of the air is the same in all cells of a segment.
         each = self._bends // trace.bend.shape[-1]
         moments = np.repeat(self._air_moments(trace)[1:], each, axis=-1).reshape(len(steps), 2, -1)
-        done: int = compliant_kernels.advance(now, steps, moments, sample_steps, self._model, samples)
+        done: int = compliant_kernels.advance(
+            now, steps, moments, sample_steps, self._model, samples, self._work
+        )
         if self.obstacles is not None:
             self._average_forces(samples[0][:, self._impulses], sample_steps <= done)
         return done, *samples
@@ -405,7 +406,7 @@ class CompliantBends(Body):
     def stored(self, bend: np.ndarray) -> float | np.ndarray:
         """See `Body.stored`."""
         relative = bend - self.cells.split(self.cells.total(bend))
-        energy: np.ndarray = (np.ravel(self._model[1][0]) * relative**2).sum(axis=-1) / 2
+        energy: np.ndarray = (self._model.stiffness * relative**2).sum(axis=-1) / 2
         return energy
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:

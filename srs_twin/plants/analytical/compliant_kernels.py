@@ -36,13 +36,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 
-from srs_twin.compute.compiled import allocating, compiled, kernel_only
+from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.plants.analytical.floor import (
+    FloorFriction,
     connector_friction,
-    has_no_potential,
     slopes_of_force,
     with_reduced_slip_speed,
 )
@@ -66,22 +64,19 @@ from srs_twin.plants.analytical.kinematics import (
     SPIN,
     VX,
     VY,
+    BodyParameters,
     X,
     Y,
     chord_terms,
-    entry,
-    mean_pitch,
     pose_body,
 )
 from srs_twin.plants.analytical.obstacles import (
-    OBSTACLES,
+    Obstacles,
     add_contacts,
-    begin_evaluation,
-    begin_step,
-    end_stage,
-    touches,
+    fill_rates,
+    find_near,
+    set_pose,
     update_loads,
-    with_floor,
 )
 from srs_twin.robot.spec import GRAVITY
 
@@ -95,6 +90,41 @@ _MOST_PASSES = 10  # largest number of updates of the normal forces that frictio
 _LOAD_TOLERANCE = 1e-4  # tolerance of these normal forces over the weight, 1
 _MARGIN = SPEED_LIMIT / 10  # speed at which the search for near obstacles leaves room, m/s
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
+
+
+class CompliantModel(NamedTuple):
+    """Constants of the kernels.
+
+    Attributes:
+        solid: body.
+        segments: number of segments.
+        stiffness: k of each cell, shape (cells,), N·m/rad; an undivided segment is one cell.
+        damping: c of each cell, shape (cells,), N·m·s/rad.
+        floor: floor.
+        obstacles: obstacles that the body can touch, or None.
+    """
+
+    solid: BodyParameters
+    segments: int
+    stiffness: np.ndarray
+    damping: np.ndarray
+    floor: FloorFriction
+    obstacles: Obstacles | None
+
+    @classmethod
+    def of(
+        cls,
+        solid: BodyParameters,
+        stiffness: float | np.ndarray,
+        damping: float | np.ndarray,
+        floor: FloorFriction,
+        obstacles: Obstacles | None = None,
+    ) -> CompliantModel:
+        """Return the model; springs are numbers or have the shape (segments, cells per segment)."""
+        cells = len(solid.mass) - 1
+        segments = cells if np.ndim(stiffness) == 0 else np.shape(stiffness)[0]
+        k, c = (np.full(cells, np.ravel(value), dtype=float) for value in (stiffness, damping))
+        return cls(solid, segments, k, c, floor, obstacles)
 
 
 @kernel_only
@@ -153,125 +183,43 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         load[3], load[4], load[5] = t * c - n * s, t * s + n * c, m
         power -= t * along + n * across + m * spin
         fx, fy, moment = fx + load[3], fy + load[4], moment + x * load[4] - y * load[3] + m
-        on_x_t, on_x_n, on_y_t, on_y_n = tt * c - tn * s, tn * c - nn * s, tt * s + tn * c, tn * s + nn * c
-        load[6], load[7] = mass - a * (on_x_t * c - on_x_n * s), -a * (on_x_t * s + on_x_n * c)
-        load[8], load[9] = -a * (tm * c - nm * s), mass - a * (on_y_t * s + on_y_n * c)
-        load[10], load[11] = -a * (tm * s + nm * c), solid.inertia[i] - a * mm
-        load[12], load[13], load[14] = load[7], load[8], load[10]
-        if has_no_potential(floor):
-            xx, xy, yx, yy = slopes_of_force(tt, tn, nt, nn, c, s)
-            load[6], load[7], load[12], load[9] = mass - a * xx, -a * xy, -a * yx, mass - a * yy
-            load[13], load[14] = -a * (tm * c - mn * s), -a * (tm * s + mn * c)
+        xx, xy, yx, yy = slopes_of_force(tt, tn, nt, nn, c, s)
+        load[6], load[7], load[12], load[9] = mass - a * xx, -a * xy, -a * yx, mass - a * yy
+        load[8], load[10], load[11] = (
+            -a * (tm * c - nm * s),
+            -a * (tm * s + nm * c),
+            solid.inertia[i] - a * mm,
+        )
+        load[13], load[14] = -a * (tm * c - mn * s), -a * (tm * s + mn * c)
     return fx, fy, moment, power
 
 
-def relative_power(damping, rates):  # type: ignore[no-untyped-def]
+@kernel_only
+def _relative_power(model, rates):  # type: ignore[no-untyped-def]
     r"""Return the power that the cells of all segments dissipate in their relative motion, W.
 
     Cells in series have the damping d_c, their segment 1/Σ 1/d_c. Of the power Σ d_c q̇_c² of the dampers, the
     net moment of the segment contains the part (Σ q̇_c)² / Σ 1/d_c (`plants.twin.internal_joints`).
 
     Args:
-        damping: d_c, shape (segments, cells per segment), N·m·s/rad; for undivided segments a number, or one
-            for each.
+        model: see `CompliantModel`.
         rates: bend rates of the cells, shape (cells,), rad/s.
     """
-    if np.ndim(damping) < 2:
-        return 0.0
-    rate = np.reshape(rates, damping.shape)
-    return float((damping * rate**2).sum() - (rate.sum(axis=1) ** 2 / (1 / damping).sum(axis=1)).sum())
-
-
-@overload(relative_power)
-def _compile_relative_power(damping, rates):  # type: ignore[no-untyped-def]
-    """Compile `relative_power` with loops; undivided segments have no relative motion."""
-    if not isinstance(damping, types.Array) or damping.ndim == 1:
-        return lambda damping, rates: 0.0
-
-    def sum_over_segments(damping, rates):  # type: ignore[no-untyped-def]
-        power = 0.0
-        segments, cells = damping.shape
-        for j in range(segments):
-            rate = inverse = 0.0
-            for c in range(cells):
-                cell_rate = rates[j * cells + c]
-                power += damping[j, c] * cell_rate * cell_rate
-                rate += cell_rate
-                inverse += 1 / damping[j, c]
-            power -= rate * rate / inverse
+    cells, power = rates.shape[0] // model.segments, 0.0
+    if cells == 1:
         return power
-
-    return sum_over_segments
-
-
-def energy_rate(model, moment, q, rates, loss):  # type: ignore[no-untyped-def]
-    r"""Return the rate of the energy column: the given loss, or among obstacles the power of the torques, W.
-
-    The work of the torques is the energy of the body plus the integral of the losses. During impacts, this
-    integral misses what the implicit method dissipates: it evaluates the stiff normal forces at the end of a
-    stage, when the body has almost stopped. The torques are smooth, so their power, Σ T_j q̇_j with
-    T = τ − k q − c q̇ of a whole segment, is integrated instead.
-
-    Args:
-        model: see `balance`.
-        moment: moment of the air on each cell, shape (cells,), N·m.
-        q: bends of the cells, shape (cells,), rad.
-        rates: their rates, shape (cells,), rad/s.
-        loss: power that friction dissipates, and cells in their relative motion, W.
-    """
-    return _torque_power(model[1], moment, q, rates) if len(model) > OBSTACLES else loss
-
-
-@overload(energy_rate, jit_options={"forceinline": True})
-def _compile_energy_rate(model, moment, q, rates, loss):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda model, moment, q, rates, loss: _torque_power(model[1], moment, q, rates)
-    return lambda model, moment, q, rates, loss: loss
-
-
-@compiled
-def _torque_power(springs, moment, q, rates):  # type: ignore[no-untyped-def]
-    """Return the power of the torques of all segments, W; arguments as in `energy_rate`."""
-    stiffness, damping = springs
-    segments, cells = stiffness.shape
-    power = 0.0
-    for j in range(segments):
-        bend = rate = flexibility = fluidity = 0.0
-        for c in range(cells):
-            bend += q[j * cells + c]
-            rate += rates[j * cells + c]
-            flexibility += 1 / stiffness[j, c]
-            fluidity += 1 / damping[j, c]
-        power += (moment[j * cells] - bend / flexibility - rate / fluidity) * rate
+    for j in range(model.segments):
+        rate = inverse = 0.0
+        for c in range(j * cells, (j + 1) * cells):
+            power += model.damping[c] * rates[c] * rates[c]
+            rate += rates[c]
+            inverse += 1 / model.damping[c]
+        power -= rate * rate / inverse
     return power
 
 
-def fill_loads(body, u, a, model, loads):  # type: ignore[no-untyped-def]
-    """Evaluate `_fill_loads`, with the obstacles of a model that has them."""
-    if len(model) > OBSTACLES:
-        return _fill_all_loads(body, u, a, model[0], model[2], model[OBSTACLES], loads)
-    return _fill_loads(body, u, a, model[0], model[2], loads)
-
-
-@overload(fill_loads, jit_options={"forceinline": True})
-def _compile_fill_loads(body, u, a, model, loads):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda body, u, a, model, loads: _fill_all_loads(
-            body, u, a, model[0], model[2], model[OBSTACLES], loads
-        )
-    return lambda body, u, a, model, loads: _fill_loads(body, u, a, model[0], model[2], loads)
-
-
 @compiled
-def _fill_all_loads(body, u, a, solid, floor, obstacles, loads):  # type: ignore[no-untyped-def]
-    """Evaluate `_fill_loads` with the forces of obstacles."""
-    fx, fy, moment, power = _fill_loads(body, u, a, solid, floor, loads)
-    x, y, m, loss = add_contacts(body, u, a, obstacles, loads)
-    return fx + x, fy + y, moment + m, power + loss
-
-
-@compiled
-def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-untyped-def]
+def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def]
     """Evaluate momenta and forces of Lagrange's equations in the frame of the mean heading.
 
     Args:
@@ -280,22 +228,21 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
             (3 + segments,).
         moment: moment of the air on each segment, shape (segments,), N·m.
         a: γ h for `solve`, s.
-        model: body; stiffness k (N·m/rad) and damping c (N·m·s/rad), numbers, one for each segment, or,
-            for cells, shape (segments, cells per segment); floor; in a world with obstacles also an
-            `Obstacles` with the pose of the body.
-        momentum: out, p, shape (3 + segments,).
-        force: out, dp/dt, shape (3 + segments,).
-        work: from `work_arrays`; on return the input of `solve`.
+        model: a `CompliantModel`, its obstacles with the pose of the body.
+        floor: the floor.
+        work: out, momenta and forces, and the input of `solve`.
 
     Returns:
         Power that friction dissipates, and cells in their relative motion, W.
     """
-    solid, (stiffness, damping) = model[0], model[1]
-    body, links, loads, _, _ = work
-    n, weight = solid.mass.shape[0], solid.mass.sum()
+    solid, body, links, loads = model.solid, work.body, work.links, work.loads
+    momentum, force = work.momentum, work.force
+    n, weight = solid.mass.shape[0], solid.weight
     inertia, h = pose_body(q, u[3:], solid, body)
     _fill_propagation(body, q, u, solid, links)
-    fx, fy, floor_moment, power = fill_loads(body, u, a, model, loads)
+    fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
+    x, y, m, loss = add_contacts(model.obstacles, body, u, a, loads)
+    fx, fy, floor_moment, power = fx + x, fy + y, floor_moment + m, power + loss
     momentum[0], momentum[1], momentum[2] = weight * u[0], weight * u[1], inertia * u[2] + h
     force[0], force[1], force[2] = fx, fy, floor_moment
     # Sums over all connectors behind a segment, about the connector at its front end.
@@ -307,10 +254,10 @@ def balance(q, u, moment, a, model, momentum, force, work):  # type: ignore[no-u
         x, y, m = x + load[3] - mass_share * fx, y + load[4] - mass_share * fy, m + load[5]
         momentum[3 + j] = link[4] * px + link[5] * py - pm + share * momentum[2]
         force[3 + j] = link[4] * x + link[5] * y - m + link[6] * px + link[7] * py + share * floor_moment
-        force[3 + j] += moment[j] - entry(stiffness, j) * q[j] - entry(damping, j) * u[3 + j]
+        force[3 + j] += moment[j] - model.stiffness[j] * q[j] - model.damping[j] * u[3 + j]
         pm += link[0] * px + link[1] * py
         m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
-    return power + relative_power(damping, u[3:])
+    return power + _relative_power(model, u[3:])
 
 
 @kernel_only
@@ -335,19 +282,17 @@ def _add_connector(matrix, load, mass, weight, share, a, residual):  # type: ign
 
 
 @compiled
-def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
+def solve(a, model, work):  # type: ignore[no-untyped-def]
     """Solve Newton's linear system at the point of the preceding `balance`.
 
     Args:
         a: γ h, positive, s.
         model: as in `balance`.
-        residual: shape (3 + segments,).
-        step: out, solution, shape (3 + segments,).
-        work: as filled by `balance`.
+        work: as filled by `balance`, with the residual; its `step` is the solution.
     """
-    solid, (stiffness, damping) = model[0], model[1]
-    _, links, loads, pivots, matrix = work
-    n, weight = solid.mass.shape[0], solid.mass.sum()
+    solid, links, loads, pivots, matrix = model.solid, work.links, work.loads, work.pivots, work.matrix
+    residual, step = work.residual, work.step
+    n, weight = solid.mass.shape[0], solid.weight
     for i in range(7):
         for k in range(8):
             matrix[i, k] = 0.0
@@ -360,7 +305,7 @@ def solve(a, model, residual, step, work):  # type: ignore[no-untyped-def]
             pivot[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
             pivot[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
         pivot[7] += residual[3 + j]
-        bend_stiffness = a * entry(damping, j) + a * a * entry(stiffness, j)
+        bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
         stiff = (
             bend_stiffness
             + link[4] * pivot[0]
@@ -410,7 +355,7 @@ def _eliminate(matrix):  # type: ignore[no-untyped-def]
 
 
 class WorkArrays(NamedTuple):
-    """Work arrays of `balance` and `solve`.
+    """Work arrays for N connectors.
 
     Attributes:
         body: posed body, shape (ROWS, N).
@@ -419,6 +364,15 @@ class WorkArrays(NamedTuple):
         pivots: eliminated rows of the bends, with the right side last, shape (segments, 8).
         matrix: Newton's matrix of the body part behind a connector, for velocity (2), spin, rate of the
             velocity (2) and the multipliers (2), with the right side last, shape (7, 8).
+        bend: bends at a stage, shape (segments,).
+        momentum: p, shape (3 + segments,).
+        force: dp/dt, same shape.
+        residual: residual of a stage, same shape.
+        step: Newton's step, same shape.
+        last: velocities before a stage, same shape.
+        drift: rates of change of the velocities between stages, same shape.
+        rate: rates of the state at a stage, shape (state,).
+        known: known part of a stage, shape (state,).
     """
 
     body: np.ndarray
@@ -426,22 +380,25 @@ class WorkArrays(NamedTuple):
     loads: np.ndarray
     pivots: np.ndarray
     matrix: np.ndarray
+    bend: np.ndarray
+    momentum: np.ndarray
+    force: np.ndarray
+    residual: np.ndarray
+    step: np.ndarray
+    last: np.ndarray
+    drift: np.ndarray
+    rate: np.ndarray
+    known: np.ndarray
 
-
-@allocating
-def work_arrays(n):  # type: ignore[no-untyped-def]
-    """Return the work arrays of `balance` and `solve` for n connectors."""
-    return WorkArrays(
-        np.empty((ROWS, n)),
-        np.empty((n - 1, 8)),
-        np.empty((n, 15)),
-        np.empty((n - 1, 8)),
-        np.empty((7, 8)),
-    )
+    @classmethod
+    def of(cls, n: int, states: int = 0) -> WorkArrays:
+        """Return arrays for n connectors and a number of states (0 for `balance`)."""
+        shapes: list[tuple[int, ...]] = [(ROWS, n), (n - 1, 8), (n, 15), (n - 1, 8), (7, 8), (n - 1,)]
+        return cls(*map(np.zeros, [*shapes, *[(n + 2,)] * 6, (states,), (states,)]))
 
 
 @kernel_only
-def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore[no-untyped-def]  # noqa: D417
+def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
     """Fill the residual p(u) − p_known − a dp/dt in the frame of the mean heading.
 
     Args:
@@ -450,9 +407,9 @@ def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore
         u: velocities, shape (3 + segments,).
         weight: total mass, kg.
         floor: the floor.
-        momentum, force: as filled by `balance`.
-        out: out, shape (3 + segments,).
+        work: as filled by `balance`.
     """
+    momentum, force, out = work.momentum, work.force, work.residual
     heading = known[HEADING] + a * u[2]
     c, s = math.cos(heading), math.sin(heading)
     size = u.shape[0]
@@ -467,11 +424,12 @@ def _residual(known, a, u, weight, floor, momentum, force, out):  # type: ignore
 
 
 @kernel_only
-def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
+def _stage(known, a, moment, model, floor, u, k, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success."""
-    momentum, force, posed, q, residual, step = work
-    segments, size = moment.shape[0], u.shape[0]
-    floor, weight = model[2], model[0].mass.sum()
+    force, q, residual, step = work.force, work.bend, work.residual, work.step
+    segments, size, weight, obstacles = moment.shape[0], u.shape[0], model.solid.weight, model.obstacles
+    for j in range(size):
+        step[j] = 0.0
     step_share = 0.0  # fraction of the latest Newton step that has been made
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
@@ -480,9 +438,9 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = known[BENDS + j] + a * u[3 + j]
-        begin_evaluation(model, known, a, u)
-        power = balance(q, u, moment, a, model, momentum, force, posed)
-        _residual(known, a, u, weight, floor, momentum, force, residual)
+        set_pose(obstacles, known, a, u)
+        power = balance(q, u, moment, a, model, floor, work)
+        _residual(known, a, u, weight, floor, work)
         slope_after = 0.0
         for j in range(size):
             slope_after += residual[j] * step[j]
@@ -493,14 +451,14 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
                 u[j] += (step_share - back) * step[j]
             step_share = back
             continue
-        solve(a, model, residual, step, posed)
+        solve(a, model, work)
         slope_before, step_share, longest = 0.0, 1.0, 0.0
         for j in range(size):
             u[j] -= step[j]
             slope_before += residual[j] * step[j]
             longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
         if longest < tolerance:
-            if passes < _MOST_PASSES and update_loads(model, _LOAD_TOLERANCE * weight * GRAVITY):
+            if passes < _MOST_PASSES and update_loads(obstacles, _LOAD_TOLERANCE * weight * GRAVITY):
                 passes += 1
                 for j in range(size):
                     step[j] = 0.0
@@ -508,8 +466,6 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
                 continue
             converged = True
             break
-    for j in range(size):
-        step[j] = 0.0
     heading = known[HEADING] + a * u[2]
     c, s = math.cos(heading), math.sin(heading)
     k[STATE_X] = u[0] * c - u[1] * s
@@ -517,23 +473,15 @@ def _stage(known, a, moment, model, u, k, work):  # type: ignore[no-untyped-def]
     k[STATE_VX] = (force[0] * c - force[1] * s) / weight + floor.pull_x
     k[STATE_VY] = (force[0] * s + force[1] * c) / weight + floor.pull_y
     power -= weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
-    k[HEADING], k[MOMENT], k[ENERGY_LOSS] = u[2], force[2], energy_rate(model, moment, q, u[3:], power)
+    k[HEADING], k[MOMENT], k[ENERGY_LOSS] = u[2], force[2], power
     for j in range(segments):
         k[BENDS + j], k[BENDS + segments + j] = u[3 + j], force[3 + j]
-    end_stage(model, k)
+    fill_rates(obstacles, model, moment, q, u[3:], k)
     return converged
 
 
-@kernel_only
-def _extrapolate(u, rate, time, last):  # type: ignore[no-untyped-def]
-    """Copy u to `last`, and add rate · time to u."""
-    for j in range(u.shape[0]):
-        last[j] = u[j]
-        u[j] += rate[j] * time
-
-
-@allocating
-def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-untyped-def]  # noqa: D417
+@compiled
+def advance(now, steps, moments, marks, model, samples, work):  # type: ignore[no-untyped-def]
     """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
@@ -543,38 +491,36 @@ def advance(now, steps, moments, marks, model, samples):  # type: ignore[no-unty
         steps: lengths of the steps, shape (steps,), s.
         moments: moments of the air at the two stages of each step, shape (steps, 2, segments), N·m.
         marks: number of steps before each sample, ascending, shape (samples,).
-        model: as in `balance`.
-        seen: out, states and velocities at the samples, shapes (samples, …).
+        model: a `CompliantModel`.
+        samples: out, states and velocities at the samples, shapes (samples, …).
+        work: a `WorkArrays`.
     """
     (state, u), (states, velocities) = now, samples
-    solid, floor = model[0], model[2]
-    reach = mean_pitch(solid) / 2
-    n, size = solid.mass.shape[0], u.shape[0]
-    work = np.empty(size), np.empty(size), work_arrays(n), np.empty(n - 1), np.empty(size), np.zeros(size)
-    k1, k2, known = np.empty_like(state), np.empty_like(state), np.empty_like(state)
-    last, drift = u.copy(), np.zeros(size)
+    solid, rate, known, last, drift = model.solid, work.rate, work.known, work.last, work.drift
+    reach, n, size = solid.pitch / 2, solid.mass.shape[0], u.shape[0]
+    for j in range(size):
+        drift[j] = 0.0
     mark = 0
     for i in range(steps.shape[0]):
         h = steps[i]
-        a = GAMMA * h
-        fastest = abs(u[0]) + abs(u[1])
+        a, fastest, fine = GAMMA * h, abs(u[0]) + abs(u[1]), True
         for j in range(2, size):
             fastest = max(fastest, reach * abs(u[j]))
-        model = with_floor(model, with_reduced_slip_speed(floor, fastest))
-        begin_step(model, state, 2 * reach * n + _MARGIN * h)
-        # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
-        _extrapolate(u, drift, a, last)
-        fine = _stage(state, a, moments[i, 0], model, u, k1, work)
-        for j in range(state.shape[0]):
-            known[j] = state[j] + (1 - GAMMA) * h * k1[j]
-        for j in range(size):
-            drift[j] = (u[j] - last[j]) / a
-        _extrapolate(u, drift, h - a, last)
-        fine &= _stage(known, a, moments[i, 1], model, u, k2, work)
-        for j in range(state.shape[0]):
-            state[j] = known[j] + a * k2[j]
-        for j in range(size):
-            drift[j] = (u[j] - last[j]) / (h - a)
+        floor = with_reduced_slip_speed(model.floor, fastest)
+        find_near(model.obstacles, state, 2 * reach * n + _MARGIN * h)
+        copy(state, known)
+        for stage in range(2):
+            # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
+            lead, rest = (a, h - a) if stage == 0 else (h - a, a)
+            for j in range(size):
+                last[j] = u[j]
+                u[j] += drift[j] * lead
+            fine &= _stage(known, a, moments[i, stage], model, floor, u, rate, work)
+            for j in range(state.shape[0]):
+                known[j] += rest * rate[j]
+            for j in range(size):
+                drift[j] = (u[j] - last[j]) / lead
+        copy(known, state)
         # A NaN fails every comparison.
         if not (fine and abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT):
             return i

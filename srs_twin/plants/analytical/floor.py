@@ -30,9 +30,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled, kernel_only, overload_part
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot import friction
 from srs_twin.robot.friction import LAWS
@@ -256,7 +255,7 @@ def slopes_of_force(tt, tn, nt, nn, c, s):  # type: ignore[no-untyped-def]
     return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
 
 
-@overload(connector_friction, jit_options={"forceinline": True})
+@overload_part(connector_friction)
 def _compile_connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Compile `connector_friction` for the case of a floor's type, without a branch."""
     contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
@@ -352,7 +351,7 @@ def forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-
     return function(body, mass, forth, aside, yaw, floor)
 
 
-@overload(forces_and_slopes, jit_options={"forceinline": True})
+@overload_part(forces_and_slopes)
 def _compile_forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
     """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
     case = floor.types[floor.fields.index("case")].count

@@ -37,12 +37,26 @@ This is Eq. 11 solved for T with a cost linear in the number of segments.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, kernel_only
-from srs_twin.plants.analytical.floor import fill_forces, forces_and_slopes
-from srs_twin.plants.analytical.kinematics import COS, ROWS, SIN, SPIN, VX, VY, X, Y, chord_terms, pose_body
+from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.plants.analytical.floor import FloorFriction, fill_forces, forces_and_slopes
+from srs_twin.plants.analytical.kinematics import (
+    COS,
+    ROWS,
+    SIN,
+    SPIN,
+    VX,
+    VY,
+    BodyParameters,
+    X,
+    Y,
+    chord_terms,
+    pose_body,
+)
+from srs_twin.pneumatics import Trace
 
 # Columns of the array of chords.
 _SLOPE = 0  # L' e, two columns, m/rad
@@ -50,8 +64,12 @@ _SPAN = 2  # L e, two columns, m
 _CHORD_COLUMNS = 4
 
 
-@allocating
-def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyped-def]
+def inverse_dynamics(
+    velocities: np.ndarray,
+    trace: Trace,
+    model: tuple[BodyParameters, FloorFriction, bool],
+    torque: np.ndarray,
+) -> None:
     """Fill the net moments of the segments for prescribed bends.
 
     Args:
@@ -61,15 +79,21 @@ def inverse_dynamics(velocities, trace, model, torque):  # type: ignore[no-untyp
         model: body, floor, and whether the friction moment acts.
         torque: out, shape (samples, segments), N·m.
     """
+    n = len(model[0].mass)
+    work = np.zeros((ROWS, n)), np.zeros((n, 3)), np.zeros((n - 1, _CHORD_COLUMNS)), np.zeros((n, 3))
+    bends = trace.bend, trace.bend_rate, trace.bend_acceleration
+    _inverse_dynamics(velocities, bends, model, torque, work)
+
+
+@compiled
+def _inverse_dynamics(velocities, bends, model, torque, work):  # type: ignore[no-untyped-def]
+    """Fill the moments, see `inverse_dynamics`."""
+    (q, rates, accelerations), (body, friction, chords, load) = bends, work
     solid, floor, friction_moment = model
-    bends, rates, accelerations = trace.bend, trace.bend_rate, trace.bend_acceleration
-    n = solid.mass.shape[0]
-    body, friction = np.empty((ROWS, n)), np.empty((n, 3))
-    chords, load = np.empty((n - 1, _CHORD_COLUMNS)), np.empty((n, 3))
-    for k in range(bends.shape[0]):
-        inertia, _ = pose_body(bends[k], rates[k], solid, body)
+    for k in range(q.shape[0]):
+        inertia, _ = pose_body(q[k], rates[k], solid, body)
         fill_forces(body, solid.mass, velocities[k], floor, friction)
-        _fill_accelerations(body, bends[k], rates[k], accelerations[k], velocities[k, 2], solid, chords, load)
+        _fill_accelerations(body, q[k], rates[k], accelerations[k], velocities[k, 2], solid, chords, load)
         remainder = _balance_loads(body, inertia, solid, friction_moment, friction, load)
         _sum_moments(chords, load, remainder, torque[k])
 
@@ -240,7 +264,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
         Whether Newton's method converged.
     """
     solid, floor, friction_moment = model
-    weight, acts = solid.mass.sum(), 1.0 if friction_moment else 0.0
+    weight, acts = solid.weight, 1.0 if friction_moment else 0.0
     inertia, moment = pose_body(q, rate, solid, body)
     known_x, known_y = known[STATE_VX] + a * floor.pull_x, known[STATE_VY] + a * floor.pull_y
     known_moment = known[MOMENT]
@@ -293,7 +317,7 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
 
 
 @kernel_only
-def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type: ignore[no-untyped-def]  # noqa: D417
+def step(state, h, bends, rates, model, u, drift, k, after, body):  # type: ignore[no-untyped-def]
     """Make one step of SDIRK2.
 
     Args:
@@ -304,62 +328,89 @@ def step(state, h, bends, rates, model, u, drift, k1, k2, after, body):  # type:
         model: body, floor, and whether the friction moment acts.
         u: in place, velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,).
         drift: in place, rate of change of u for the first guesses of Newton's method, shape (3,).
-        k1, k2: out, rates of the state at the stages, shape (STATES,).
+        k: out, rates of the state at the stages, shape (2, STATES).
         after: out, state at the end, shape (STATES,).
         body: work array, shape (ROWS, N).
 
     Returns:
         Whether both stages converged.
     """
-    a, between = GAMMA * h, (1 - GAMMA) * h
-    known, begun = after, state[HEADING]
-    c, s = math.cos(begun), math.sin(begun)
-    # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
-    x, y, z = u[0], u[1], u[2]
-    for j in range(3):
-        u[j] += drift[j] * a
-    first = _stage(state, a, bends[0], rates[0], (c, s, 0.0), model, u, k1, body)
-    for j in range(STATES):
-        known[j] = state[j] + between * k1[j]
-    drift[0], drift[1], drift[2] = (u[0] - x) / a, (u[1] - y) / a, (u[2] - z) / a
-    x, y, z = u[0], u[1], u[2]
-    for j in range(3):
-        u[j] += drift[j] * between
-    second = _stage(known, a, bends[1], rates[1], (c, s, between * k1[HEADING]), model, u, k2, body)
-    for j in range(STATES):
-        after[j] = known[j] + a * k2[j]
-    drift[0], drift[1], drift[2] = (u[0] - x) / between, (u[1] - y) / between, (u[2] - z) / between
-    return first and second
+    a, between, solved, turned = GAMMA * h, (1 - GAMMA) * h, True, 0.0
+    c, s = math.cos(state[HEADING]), math.sin(state[HEADING])
+    copy(state, after)
+    for stage in range(2):
+        # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
+        lead, rest = (a, between) if stage == 0 else (between, a)
+        x, y, z = u[0], u[1], u[2]
+        for j in range(3):
+            u[j] += drift[j] * lead
+        rate = k[stage]
+        solved &= _stage(after, a, bends[stage], rates[stage], (c, s, turned), model, u, rate, body)
+        for j in range(STATES):
+            after[j] += rest * rate[j]
+        drift[0], drift[1], drift[2] = (u[0] - x) / lead, (u[1] - y) / lead, (u[2] - z) / lead
+        turned = between * rate[HEADING]
+    return solved
 
 
-@allocating
-def observe(motion, solid, floor, position, theta, force, energy):  # type: ignore[no-untyped-def]
-    """Fill observable quantities of the states in the world frame.
+class Observation(NamedTuple):
+    """Observable quantities of several states in the world frame.
+
+    Attributes:
+        position: positions of the connectors, shape (samples, N, 2), m.
+        theta: headings of the connectors, shape (samples, N), rad.
+        force: force of the floor on the connectors, shape (samples, N, 2), N.
+        energy: kinetic energy, shape (samples,), J.
+    """
+
+    position: np.ndarray
+    theta: np.ndarray
+    force: np.ndarray
+    energy: np.ndarray
+
+
+def observe(
+    states: np.ndarray,
+    velocities: np.ndarray,
+    bends: tuple[np.ndarray, np.ndarray],
+    solid: BodyParameters,
+    floor: FloorFriction,
+) -> Observation:
+    """Return the observable quantities.
 
     Args:
-        motion: a `Motion`.
+        states: shape (samples, STATES or more).
+        velocities: velocity of the centre of mass in the mean-heading frame (m/s) and yaw rate (rad/s), shape
+            (samples, 3 or more).
+        bends: bends (rad) and bend rates (rad/s), shape (samples, segments).
         solid: the body.
         floor: the floor.
-        position: out, positions of the connectors, shape (samples, N, 2), m.
-        theta: out, headings of the connectors, shape (samples, N), rad.
-        force: out, force of the floor on the connectors, shape (samples, N, 2), N.
-        energy: out, kinetic energy, shape (samples,), J.
     """
-    states, velocities, bends, rates, _ = motion
-    n = solid.mass.shape[0]
-    body, friction = np.empty((ROWS, n)), np.empty((n, 3))
+    count, n = len(states), len(solid.mass)
+    out = Observation(*map(np.zeros, [(count, n, 2), (count, n), (count, n, 2), (count,)]))
+    # Contiguous arrays have one type, so that the kernel is compiled once for all models.
+    angles, rates = map(np.ascontiguousarray, bends)
+    _observe(states, velocities, (angles, rates), solid, floor, out, (np.zeros((ROWS, n)), np.zeros((n, 3))))
+    return out
+
+
+@compiled
+def _observe(states, velocities, bends, solid, floor, out, work):  # type: ignore[no-untyped-def]
+    """Fill the observable quantities, see `observe`."""
+    (angles, rates), (body, friction), n = bends, work, solid.mass.shape[0]
+    position, theta, force, energy = out.position, out.theta, out.force, out.energy
     for k in range(states.shape[0]):
         u = velocities[k]
-        pose_body(bends[k], rates[k], solid, body)
+        pose_body(angles[k], rates[k], solid, body)
         fill_forces(body, solid.mass, u, floor, friction)
         heading = states[k, HEADING]
         c, s = math.cos(heading), math.sin(heading)
         angle = heading
         for j in range(n - 1):
-            angle += (n - 1 - j) / n * bends[k, j]
+            angle += (n - 1 - j) / n * angles[k, j]
         energy[k] = 0.0
         for i in range(n):
-            angle -= bends[k, i - 1] if i > 0 else 0.0
+            angle -= angles[k, i - 1] if i > 0 else 0.0
             theta[k, i] = angle
             x, y = body[X, i], body[Y, i]
             position[k, i, 0] = states[k, STATE_X] + c * x - s * y

@@ -10,8 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import types
-from numba.extending import overload
 
 from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.robot import geometry
@@ -37,42 +35,33 @@ class BodyParameters(NamedTuple):
         mass: masses of the connectors, shape (N,), kg.
         inertia: moments of inertia of the connectors about their centres, shape (N,), kg·m²; 0 for point
             masses.
-        length: l, m; one number for all segments, or one for each, shape (segments,).
+        length: l of each segment, shape (segments,), m.
         gap: L_o, m.
         frozen: 1 keeps all chords at l + L_o (model `simplified`), 0 shortens them with the bend.
+        weight: M, kg.
+        pitch: mean distance between the connectors of the straight body, m.
     """
 
     mass: np.ndarray
     inertia: np.ndarray
-    length: float | np.ndarray
+    length: np.ndarray
     gap: float
     frozen: float
+    weight: float
+    pitch: float
 
-
-def entry(value, j):  # type: ignore[no-untyped-def]
-    """Return entry j of an array, counted through its rows, or a number that is the same for all j."""
-    return value if np.ndim(value) == 0 else value.flat[j]
-
-
-@overload(entry, jit_options={"forceinline": True})
-def _compile_entry(value, j):  # type: ignore[no-untyped-def]
-    """Compile `entry` without a branch, so that a number stays a constant of the loop."""
-    if not isinstance(value, types.Array):
-        return lambda value, j: value
-    return (lambda value, j: value[j]) if value.ndim == 1 else (lambda value, j: value.flat[j])
-
-
-def mean_pitch(solid):  # type: ignore[no-untyped-def]
-    """Return the mean distance between the connectors of a straight body, m."""
-    return np.mean(solid.length) + solid.gap
-
-
-@overload(mean_pitch, jit_options={"forceinline": True})
-def _compile_mean_pitch(solid):  # type: ignore[no-untyped-def]
-    """Compile `mean_pitch` without a branch."""
-    if isinstance(solid.types[solid.fields.index("length")], types.Array):
-        return lambda solid: solid.length.sum() / solid.length.shape[0] + solid.gap
-    return lambda solid: solid.length + solid.gap
+    @classmethod
+    def of(
+        cls,
+        mass: np.ndarray,
+        inertia: np.ndarray,
+        length: float | np.ndarray,
+        gap: float,
+        frozen: float = 0.0,
+    ) -> BodyParameters:
+        """Return the constants; `length` may be one number for all segments."""
+        lengths = np.full(len(mass) - 1, length)
+        return cls(mass, inertia, lengths, gap, frozen, float(mass.sum()), float(lengths.mean()) + gap)
 
 
 @kernel_only
@@ -84,7 +73,7 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
         solid: the body.
         j: segment, from 0 at the head.
     """
-    half_turn, length = _half_turn(q), entry(solid.length, j)
+    half_turn, length = _half_turn(q), solid.length[j]
     span, slope, curvature = _spans(half_turn, length, solid.gap)
     varying = 1.0 - solid.frozen
     return (

@@ -32,10 +32,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
-from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.compute.compiled import compiled_if, is_given, kernel_only
 from srs_twin.plants.analytical.cells import Undivided
+from srs_twin.plants.analytical.kernels import ENERGY_LOSS
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, World
@@ -118,8 +118,8 @@ def _shapes(world: World) -> Iterator[tuple[float, ...]]:
             yield *begin, *end, WALL_M
 
 
-@compiled
-def find_near(state, obstacles, reach):  # type: ignore[no-untyped-def]
+@compiled_if(is_given)
+def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
     """List the obstacles within `reach` (m) of the centre of mass, before a step."""
     shape, near = obstacles.shape, obstacles.near
     near[0] = 0
@@ -134,8 +134,8 @@ def find_near(state, obstacles, reach):  # type: ignore[no-untyped-def]
             near[near[0]] = k
 
 
-@compiled
-def set_pose(known, a, u, obstacles):  # type: ignore[no-untyped-def]
+@compiled_if(is_given)
+def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
     """Store the pose at the end of a stage with the known part `known` and the velocities u."""
     heading = known[2] + a * u[2]
     c, s = math.cos(heading), math.sin(heading)
@@ -173,15 +173,15 @@ def _closest(px, py, ux, uy, lowest, highest, ax, ay, bx, by):  # type: ignore[n
     return min(max(place, lowest), highest), along
 
 
-@compiled
-def add_contacts(body, u, a, obstacles, loads):  # type: ignore[no-untyped-def]
+@compiled_if(is_given, otherwise=(0.0, 0.0, 0.0, 0.0))
+def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
     """Add the forces of near obstacles and their slopes to the loads of the points.
 
     Args:
+        obstacles: an `Obstacles` with the pose of the body; its forces are filled.
         body: posed body, shape (ROWS, points).
         u: velocities, shape (3 + cells,).
         a: γ h, s.
-        obstacles: an `Obstacles` with the pose of the body; its forces are filled.
         loads: in place, see `compliant_kernels._fill_loads`.
 
     Returns:
@@ -252,65 +252,8 @@ def _add_load(load, nx, ny, lx, ly, a, normal, tangential, n_n, t_t):  # type: i
     load[10], load[14] = load[10] - ym, load[14] - ym
 
 
-# The model of the kernels has a fourth entry only in a world with obstacles. Kernels for other worlds are
-# compiled without the functions below, so that their results do not depend on them.
-OBSTACLES = 3  # index of the obstacles in the model
-
-
-def touches(model):  # type: ignore[no-untyped-def]
-    """Return whether the numba type of a model contains obstacles."""
-    return len(model.types) > OBSTACLES
-
-
-def with_floor(model, floor):  # type: ignore[no-untyped-def]
-    """Return the model on another floor."""
-    return (model[0], model[1], floor, *model[OBSTACLES:])
-
-
-@overload(with_floor, jit_options={"forceinline": True})
-def _compile_with_floor(model, floor):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda model, floor: (model[0], model[1], floor, model[OBSTACLES])
-    return lambda model, floor: (model[0], model[1], floor)
-
-
-def begin_step(model, state, reach):  # type: ignore[no-untyped-def]
-    """Find the obstacles near the body before a step."""
-    if len(model) > OBSTACLES:
-        find_near(state, model[OBSTACLES], reach)
-
-
-@overload(begin_step, jit_options={"forceinline": True})
-def _compile_begin_step(model, state, reach):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda model, state, reach: find_near(state, model[OBSTACLES], reach)
-    return lambda model, state, reach: None
-
-
-def begin_evaluation(model, known, a, u):  # type: ignore[no-untyped-def]
-    """Store the pose of the body before the forces are evaluated."""
-    if len(model) > OBSTACLES:
-        set_pose(known, a, u, model[OBSTACLES])
-
-
-@overload(begin_evaluation, jit_options={"forceinline": True})
-def _compile_begin_evaluation(model, known, a, u):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda model, known, a, u: set_pose(known, a, u, model[OBSTACLES])
-    return lambda model, known, a, u: None
-
-
-@compiled
-def _copy_rates(obstacles, k):  # type: ignore[no-untyped-def]
-    count = obstacles.force.shape[0]
-    first = k.shape[0] - 1 - 2 * count
-    for i in range(count):
-        k[first + 2 * i], k[first + 2 * i + 1] = obstacles.force[i, 0], obstacles.force[i, 1]
-    k[k.shape[0] - 1] = 1.0
-
-
-@compiled
-def _update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
+@compiled_if(is_given, otherwise=False)
+def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
     """Set the loads of friction to the latest normal forces; return whether one changed by `scale` (N)."""
     o, changed = obstacles, False
     for index in range(1, o.near[0] + 1):
@@ -321,26 +264,36 @@ def _update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
     return changed
 
 
-def update_loads(model, scale):  # type: ignore[no-untyped-def]
-    """Evaluate `_update_loads`; return False without obstacles."""
-    return len(model) > OBSTACLES and _update_loads(model[OBSTACLES], scale)
+@compiled_if(is_given)
+def fill_rates(obstacles, model, moment, q, rates, k):  # type: ignore[no-untyped-def]
+    r"""Fill the rates of the impulses on each point and of the time, and replace that of the energy column.
 
+    The work of the torques is the energy of the body plus the integral of the losses. During impacts, this
+    integral misses what the implicit method dissipates: it evaluates the stiff normal forces at the end of a
+    stage, when the body has almost stopped. The torques are smooth, so their power, Σ T_j q̇_j with
+    T = τ − k q − c q̇ of a whole segment, is integrated instead.
 
-@overload(update_loads, jit_options={"forceinline": True})
-def _compile_update_loads(model, scale):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda model, scale: _update_loads(model[OBSTACLES], scale)
-    return lambda model, scale: False
-
-
-def end_stage(model, k):  # type: ignore[no-untyped-def]
-    """Fill the rates of the last entries of the state: impulses of the obstacles on each point, and time."""
-    if len(model) > OBSTACLES:
-        _copy_rates(model[OBSTACLES], k)
-
-
-@overload(end_stage, jit_options={"forceinline": True})
-def _compile_end_stage(model, k):  # type: ignore[no-untyped-def]
-    if touches(model):
-        return lambda model, k: _copy_rates(model[OBSTACLES], k)
-    return lambda model, k: None
+    Args:
+        obstacles: with the forces of the stage.
+        model: a `compliant_kernels.CompliantModel`.
+        moment: moment of the air on each cell, shape (cells,), N·m.
+        q: bends of the cells, shape (cells,), rad.
+        rates: their rates, shape (cells,), rad/s.
+        k: out, rates of the state.
+    """
+    count = obstacles.force.shape[0]
+    first = k.shape[0] - 1 - 2 * count
+    for i in range(count):
+        k[first + 2 * i], k[first + 2 * i + 1] = obstacles.force[i, 0], obstacles.force[i, 1]
+    k[k.shape[0] - 1] = 1.0
+    cells = q.shape[0] // model.segments
+    power = 0.0
+    for j in range(model.segments):
+        bend = rate = flexibility = fluidity = 0.0
+        for c in range(j * cells, (j + 1) * cells):
+            bend += q[c]
+            rate += rates[c]
+            flexibility += 1 / model.stiffness[c]
+            fluidity += 1 / model.damping[c]
+        power += (moment[j * cells] - bend / flexibility - rate / fluidity) * rate
+    k[ENERGY_LOSS] = power

@@ -24,11 +24,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import allocating, compiled, kernel_only
-from srs_twin.plants.analytical.floor import with_reduced_slip_speed
+from srs_twin.compute.compiled import compiled, kernel_only
+from srs_twin.plants.analytical.floor import FloorFriction, with_reduced_slip_speed
 from srs_twin.plants.analytical.kernels import (
     GAMMA,
     MOMENT,
@@ -39,7 +40,8 @@ from srs_twin.plants.analytical.kernels import (
     copy,
     step,
 )
-from srs_twin.plants.analytical.kinematics import ROWS, mean_pitch
+from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters
+from srs_twin.pneumatics import Trace
 
 
 @dataclass(frozen=True)
@@ -167,8 +169,41 @@ def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
     return h * math.sqrt(x * x + y * y + moment * moment)
 
 
-@allocating
-def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignore[no-untyped-def]  # noqa: D417
+class StepArrays(NamedTuple):
+    """Work arrays of `advance` for N connectors.
+
+    Attributes:
+        body: posed body, shape (ROWS, N).
+        rates: rates of the state at the stages, shape (2, STATES).
+        after: state after a substep, shape (STATES,).
+        drift: rates of change of the velocities, and those after a substep, shape (2, 3).
+        guess: velocities after a substep, shape (3,).
+        bends: bends and bend rates at the stages of a substep, shape (2, 2, segments).
+    """
+
+    body: np.ndarray
+    rates: np.ndarray
+    after: np.ndarray
+    drift: np.ndarray
+    guess: np.ndarray
+    bends: np.ndarray
+
+    @classmethod
+    def of(cls, n: int) -> StepArrays:
+        """Return the arrays for n connectors."""
+        shapes = [(ROWS, n), (2, STATES), (STATES,), (2, 3), (3,), (2, 2, n - 1)]
+        return cls(*map(np.zeros, shapes))
+
+
+def advance(
+    now: tuple[np.ndarray, ...],
+    steps: np.ndarray,
+    trace: Trace,
+    marks: np.ndarray,
+    model: tuple[BodyParameters, FloorFriction, bool],
+    tolerance: float,
+    samples: tuple[np.ndarray, np.ndarray],
+) -> tuple[int, int]:
     """Advance a body in place over given steps.
 
     Args:
@@ -177,24 +212,28 @@ def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignor
         steps: lengths of the steps, shape (steps,), s.
         trace: trace of the chambers at the start and the two stages of each step, 1 + 2 steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
-        model: a `BodyParameters`, a `FloorFriction`, and whether the friction moment acts.
+        model: body, floor, and whether the friction moment acts.
         tolerance: largest allowed η, m/s.
-        seen: out, states and velocities at the samples, shapes (samples, STATES) and (samples, 3).
+        samples: out, states and velocities at the samples, shapes (samples, STATES) and (samples, 3).
 
     Returns:
         The number of completed steps, which is smaller than requested after a failure, and the number of
         substeps including repeated ones.
     """
+    bends, work = (trace.bend, trace.bend_rate), StepArrays.of(len(model[0].mass))
+    done, substeps = _advance(now, steps, bends, marks, model, tolerance, samples, work)
+    return done, substeps
+
+
+@compiled
+def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type: ignore[no-untyped-def]
+    """Advance a body, see `advance`; `free` are the bends and bend rates of the trace."""
     (state, slope, u), (states, velocities) = now, samples
-    (solid, floor, friction_moment), bends, rates = model, trace.bend, trace.bend_rate
-    reach = mean_pitch(solid) / 2
-    n = solid.mass.shape[0]
-    body = np.empty((ROWS, n))
-    weight = solid.mass.sum()
-    arm = mean_pitch(solid) * math.sqrt((n * n - 1) / 12)
-    k1, k2, after = np.empty(STATES), np.empty(STATES), np.empty(STATES)
-    drift, guess, pace = np.zeros(3), np.empty(3), np.empty(3)
-    mid_bends, mid_rates = np.empty((2, n - 1)), np.empty((2, n - 1))
+    (solid, floor, friction_moment), (bends, rates) = model, free
+    body, k, after, guess = work.body, work.rates, work.after, work.guess
+    drift, pace, mid_bends, mid_rates = work.drift[0], work.drift[1], work.bends[0], work.bends[1]
+    reach, n = solid.pitch / 2, solid.mass.shape[0]
+    arm = solid.pitch * math.sqrt((n * n - 1) / 12)
     mark = substeps = 0
     for i in range(steps.shape[0]):
         step_bends, step_rates = bends[2 * i : 2 * i + 3], rates[2 * i : 2 * i + 3]
@@ -210,13 +249,13 @@ def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignor
             if size == MAX_SUBSTEPS:
                 stage_bends, stage_rates = step_bends[1:], step_rates[1:]
             else:
-                for k, share in ((0, GAMMA), (1, 1.0)):
-                    at = (done + share * size) / MAX_SUBSTEPS
-                    bend_within(at, steps[i], step_bends, step_rates, mid_bends[k], mid_rates[k])
+                for stage in range(2):
+                    at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
+                    bend_within(at, steps[i], step_bends, step_rates, mid_bends[stage], mid_rates[stage])
                 stage_bends, stage_rates = mid_bends, mid_rates
-            solved = step(state, h, stage_bends, stage_rates, model, guess, pace, k1, k2, after, body)
+            solved = step(state, h, stage_bends, stage_rates, model, guess, pace, k, after, body)
             substeps += 1
-            eta = _step_error(h, slope, k1, k2, weight, arm)
+            eta = _step_error(h, slope, k[0], k[1], solid.weight, arm)
             if size > 1 and not (solved and eta < tolerance):
                 size = max(size // (2 if eta < _QUARTER_ABOVE * tolerance else 4), 1)
                 continue
@@ -224,7 +263,7 @@ def advance(now, steps, trace, marks, model, tolerance, samples):  # type: ignor
             if not (solved and abs(after[STATE_VX]) < SPEED_LIMIT and abs(after[STATE_VY]) < SPEED_LIMIT):
                 return i, substeps
             copy(after, state)
-            copy(k2, slope)
+            copy(k[1], slope)
             copy(guess, u)
             copy(pace, drift)
             done += size
