@@ -129,6 +129,7 @@ def test_restored_run_continues_bit_for_bit(case, tmp_path):
     assert controller.events() == wheel.events()
 
 
+@pytest.mark.slow
 @settings(max_examples=12)
 @given(before=st.integers(0, 300), data=st.data())
 def test_state_can_be_restored_twice_at_any_time(before, data):

@@ -98,6 +98,7 @@ def elastica(spec: RobotSpec, distance: float) -> tuple[float, float]:
     return force, sag
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stiffness", [0.4, 0.1])
 def test_compliant_model_bends_over_posts_like_an_elastica(stiffness):
     spec = beam(stiffness)
@@ -110,6 +111,7 @@ def test_compliant_model_bends_over_posts_like_an_elastica(stiffness):
     assert np.abs(total[1]) / 2 == pytest.approx(force * math.cos(state.bend[0]), rel=0.03)
 
 
+@pytest.mark.slow
 def test_error_of_cells_falls_with_their_square():
     spec = beam(0.1)
     _, sag = elastica(spec, 0.045)
@@ -147,6 +149,7 @@ def test_body_slides_along_posts_under_coulomb_friction(make, slope):
     assert state.com_velocity[0] == pytest.approx(expected * duration, rel=0.03, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_collision_conserves_moment_about_a_smooth_post_and_loses_energy(friction):
     spec = chain((0.03, 0.05, 0.02, 0.04), mu_t=0.0, mu_n=0.0)
@@ -175,6 +178,7 @@ def test_collision_conserves_moment_about_a_smooth_post_and_loses_energy(frictio
         assert moments == pytest.approx([moments[0]] * len(moments), abs=2e-3 * abs(moments[0]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [compliant, twin])
 def test_work_among_pegs_is_that_of_the_torques(make):
     # Impacts take much of it, in a step or two, with a velocity that changes within the step.
@@ -195,6 +199,7 @@ def test_body_does_not_pass_through_walls():
     assert 0.19 < front < 0.2
 
 
+@pytest.mark.slow
 def test_mirrored_gait_among_mirrored_pegs_is_the_mirror_image():
     spec = robot("gen2")
     pegs = Circle(0.24, 0.03, POST), Circle(0.32, -0.04, POST)

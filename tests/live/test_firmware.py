@@ -296,6 +296,7 @@ def obeys(rig):
     until(lambda: rig.robot.filling)
 
 
+@pytest.mark.slow
 @needs_broker
 def test_chambers_vent_in_time_after_kills_and_a_stall_of_the_link(rig):
     rig.controller.kill()

@@ -89,6 +89,7 @@ def until_refused(link, wanted):
         time.sleep(0.001)
 
 
+@pytest.mark.slow
 def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
     from paho.mqtt import client as mqtt
 

@@ -351,6 +351,7 @@ def test_a_robot_is_vented_while_its_estimate_is_old(watched):
     assert sessions.STALE_S < told["lag_s"] < sessions.TOO_SLOW_S
 
 
+@pytest.mark.slow
 def test_a_machine_that_is_too_slow_ends_the_steering_and_says_so(watched):
     found, wire = session()
     slowed(found, sessions.TOO_SLOW_S + 0.1, range(10, 1000))
@@ -361,6 +362,7 @@ def test_a_machine_that_is_too_slow_ends_the_steering_and_says_so(watched):
     assert told["overruns"] >= 1
 
 
+@pytest.mark.slow
 def test_ticks_that_take_too_long_are_warned_of_once():
     found, _ = session()
     slowed(found, 0.03, range(1, 1000))

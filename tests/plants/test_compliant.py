@@ -191,6 +191,7 @@ def test_linear_cost_solve_equals_dense_solve(connectors, law):
         assert step == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_long_chain_conserves_momentum_and_energy_balance():
     """48 segments without external forces: only dampers take energy from a swinging chain."""
     g, n = np.random.default_rng(3), 49
@@ -272,6 +273,7 @@ def mean_speed(run: Trajectory) -> float:
     return float(np.hypot(*(run.com[-1] - run.com[100]))) / (run["time"][-1] - 1.0)
 
 
+@pytest.mark.slow
 def test_stiff_compliant_bends_equal_prescribed_bends():
     """The difference is of order 1/k: external forces deflect a spring by their moment over k."""
     spec = robot(mu_t=1.0, mu_n=15.0)

@@ -30,6 +30,7 @@ def twin_with(*objects: MovableObject, robot: RobotSpec = GEN2, **world: object)
     return TwinSnake(robot, world=World(objects=objects, **world))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", [CYLINDER, BOX])
 @pytest.mark.parametrize("velocity", [(0.3, 0.0), (-0.1, 0.2)])
 def test_sliding_object_stops_after_the_distance_of_coulomb_friction(item, velocity):
@@ -45,6 +46,7 @@ def test_sliding_object_stops_after_the_distance_of_coulomb_friction(item, veloc
     assert abs(moved[2]) < 1e-9
 
 
+@pytest.mark.slow
 def test_spinning_cylinder_is_braked_by_the_moment_of_a_uniform_pressure():
     twin, spin = twin_with(CYLINDER), 20.0
     twin.physics.data.qvel[-1] = spin
@@ -55,6 +57,7 @@ def test_spinning_cylinder_is_braked_by_the_moment_of_a_uniform_pressure():
     assert twin.physics.data.qvel[-1] == pytest.approx(spin - braking * twin.tick, abs=5e-4 * spin)
 
 
+@pytest.mark.slow
 def test_object_at_rest_on_a_slope_stays_until_the_friction_angle():
     from srs_twin.robot.world import Floor
 
@@ -69,6 +72,7 @@ def test_object_at_rest_on_a_slope_stays_until_the_friction_angle():
         assert moved == pytest.approx(gained if slides else 0.0, abs=1.1e-3 * 0.2 if slides else 1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", [CYLINDER, BOX])
 def test_collision_conserves_momentum(item):
     """Without friction on the floor, momentum and angular momentum pass from the object to the snake."""
@@ -96,6 +100,7 @@ def test_collision_conserves_momentum(item):
     np.testing.assert_allclose(momenta(), before, atol=0.01 * np.abs(before).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", [CYLINDER, BOX])
 def test_work_of_the_torques_is_the_energy_that_object_and_floor_receive(item):
     item = replace(item, x=0.2, y=0.01)
@@ -106,6 +111,7 @@ def test_work_of_the_torques_is_the_energy_that_object_and_floor_receive(item):
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", [CYLINDER, BOX])
 def test_wall_stops_an_object_that_the_snake_pushes(item):
     item = replace(item, x=0.19, y=0.0, heading=0.0)
@@ -118,6 +124,7 @@ def test_wall_stops_an_object_that_the_snake_pushes(item):
     assert reach.max() > 0.24, "it must have been pushed"
 
 
+@pytest.mark.slow
 def test_mirrored_push_gives_the_mirrored_motion():
     results = []
     for sign in (1, -1):
@@ -131,6 +138,7 @@ def test_mirrored_push_gives_the_mirrored_motion():
     assert abs(results[0][0] - 0.17) > 0.005
 
 
+@pytest.mark.slow
 def test_saved_state_continues_with_the_same_bits():
     gait, item = Gait(2.0), replace(CYLINDER, x=0.17, y=0.01)
     first, second = twin_with(item), twin_with(item)
@@ -148,6 +156,7 @@ def test_saved_state_continues_with_the_same_bits():
     assert state.qpos.tobytes() == continued.qpos.tobytes()
 
 
+@pytest.mark.slow
 def test_contacts_with_an_immovable_object_are_those_with_an_obstacle():
     """Two code paths of friction: hulls on obstacles, and pairs of hulls and objects."""
     heavy = MovableObject((0.03,), 1000.0, 10.0, 0.2, 0.035)
@@ -159,6 +168,7 @@ def test_contacts_with_an_immovable_object_are_those_with_an_obstacle():
     np.testing.assert_allclose(runs[0].com, runs[1].com, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_curled_body_touches_itself():
     """Without floor friction the contacts are internal forces: shorter steps move the body less."""
     chain = replace(

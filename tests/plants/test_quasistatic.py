@@ -66,6 +66,7 @@ def posed(seed):
     return state, constants, work
 
 
+@pytest.mark.slow
 def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
     state, constants, work = posed(0)
     kernels.pose(state, constants, work)
@@ -107,6 +108,7 @@ def test_a_segment_bent_in_one_plane_is_an_arc():
     assert behind == pytest.approx([-along, 0.0, up], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_cantilever_sags_as_the_elastica():
     segments, stiffness = 8, 0.5
     spec = short(segments, stiffness=stiffness, pitch_stiffness=stiffness, roll_stiffness=stiffness)
@@ -129,6 +131,7 @@ def test_a_cantilever_sags_as_the_elastica():
     assert (state.height[0] - state.height[-1]) / length == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
 def test_loads_balance_the_weight_and_its_moment(sidewinder):
     snake, run = sidewinder
     body = snake._body
@@ -145,6 +148,7 @@ def test_loads_balance_the_weight_and_its_moment(sidewinder):
         assert abs(arm @ (loads - weight)) < weight.sum() * (lever + 1e-3 * radius)
 
 
+@pytest.mark.slow
 def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
     snake, run = sidewinder
     body = snake._body
@@ -159,6 +163,7 @@ def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
     assert (losses > 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_slower_gait_of_slower_chambers_has_the_same_path(sidewinder):
     slow = replace(SPEC.actuator, tau_fill=2 * SPEC.actuator.tau_fill, tau_vent=2 * SPEC.actuator.tau_vent)
     _, run = crawl(replace(SPEC, actuator=slow), frequency=0.25, periods=2.0, step=0.02)
@@ -166,6 +171,7 @@ def test_a_slower_gait_of_slower_chambers_has_the_same_path(sidewinder):
     assert np.linalg.norm(moved - expected) < 0.02 * np.linalg.norm(expected)
 
 
+@pytest.mark.slow
 def test_a_turned_start_turns_the_path_and_a_mirrored_gait_mirrors_it():
     _, run = crawl()
     _, turned = crawl(pose=(0.3, -0.2, 1.0))
@@ -176,6 +182,7 @@ def test_a_turned_start_turns_the_path_and_a_mirrored_gait_mirrors_it():
     assert mirrored.com * [1, -1] == pytest.approx(run.com, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_a_planar_gait_moves_as_the_compliant_planar_model():
     spec = replace(SPEC, friction=replace(SPEC.friction, mu_t=0.1, mu_back=0.1))
     snake = AnalyticalSnake(spec, model="quasistatic", timestep=0.01)
@@ -189,11 +196,13 @@ def test_a_planar_gait_moves_as_the_compliant_planar_model():
     assert abs(run.stack("z") - SPEC.geometry.com_height).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_half_the_step_hardly_changes_the_path():
     coarse, fine = (crawl(step=step)[1].com[-1] for step in (0.02, 0.01))
     assert np.linalg.norm(coarse - fine) < 1e-3 * np.linalg.norm(fine)
 
 
+@pytest.mark.slow
 def test_a_saved_state_continues_with_the_same_bits():
     gait, first = Gait(0.5, pitch=SIDEWINDING), AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
     gait.reset(SPEC, first.tick)
@@ -209,6 +218,7 @@ def test_a_saved_state_continues_with_the_same_bits():
     )
 
 
+@pytest.mark.slow
 def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counted():
     spec = replace(SPEC, actuator=replace(SPEC.actuator, tau_fill=0.5, tau_vent=0.5))
     snake = AnalyticalSnake(spec, model="quasistatic", timestep=0.01)
@@ -220,6 +230,7 @@ def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counte
     assert snake.jumps >= 1 and abs(state.height - SPEC.geometry.com_height).min() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_step_that_cannot_be_made_short_enough_ends_the_run():
     snake = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
     snake._body._constants = snake._body._constants._replace(longest_move=1e-12)

@@ -47,6 +47,7 @@ def test_joints_follow_a_critically_damped_response_under_load(write):
             assert plant.step(valves).bend == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_plants_agree_on_a_gait_of_a_wheeled_rigid_snake(write):
     spec = load_robot(write())
     model = AnalyticalSnake(spec, friction="wheel", load="momentary", inertia="connector")

@@ -98,6 +98,7 @@ def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
             assert [values[2 + k], values[4 + k]] == pytest.approx(list(slopes), rel=1e-4, abs=1e-3)
 
 
+@pytest.mark.slow
 @LAWS
 @pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
 def test_mirrored_gait_makes_the_mirrored_path(law, plant):
@@ -108,16 +109,19 @@ def test_mirrored_gait_makes_the_mirrored_path(law, plant):
     assert left["theta_1"][-1] == pytest.approx(-right["theta_1"][-1], abs=100 * tolerance)
 
 
+@pytest.mark.slow
 def test_isotropic_skin_hardly_moves():
     speed = wave_speed(continuous_snake(0.1, 0.1, 0.1, segments=16))
     assert speed < 0.02 * wave_speed(continuous_snake(0.1, 0.1, 1.0, segments=16))
 
 
+@pytest.mark.slow
 def test_distance_per_period_does_not_depend_on_the_rate():
     spec = continuous_snake(0.11, 0.14, 0.19, segments=16)
     assert wave_speed(spec, 120.0) == pytest.approx(wave_speed(spec, 60.0), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_wave_of_curvature_has_the_speed_of_published_theory():
     """Hu et al. 2009; benchmarks/skin.py has further cases and an independent solver."""
     assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(0.1255, rel=0.01)
@@ -125,6 +129,7 @@ def test_wave_of_curvature_has_the_speed_of_published_theory():
     assert other == pytest.approx(1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05)
 
 
+@pytest.mark.slow
 def test_backward_friction_brakes_only_backward_slip():
     """A straight body that slides along itself stops after v²/(2 μ g) with the μ of that direction."""
     for v, mu in ((0.3, 0.1), (-0.3, 0.14)):
@@ -135,6 +140,7 @@ def test_backward_friction_brakes_only_backward_slip():
             assert abs(run[-1]) == pytest.approx(v * v / (2 * mu * 9.81), rel=0.02)
 
 
+@pytest.mark.slow
 @LAWS
 def test_results_converge_with_the_contact_points(law):
     few, more, most = (
@@ -150,6 +156,7 @@ def test_results_of_the_twin_converge_with_the_contact_points():
     assert few == pytest.approx(most, rel=0.01)
 
 
+@pytest.mark.slow
 @LAWS
 def test_twin_agrees_with_the_compliant_model(law):
     spec = with_skin(law=law, points=12)
@@ -159,6 +166,7 @@ def test_twin_agrees_with_the_compliant_model(law):
     assert distance[1] == pytest.approx(distance[0], rel=0.03)
 
 
+@pytest.mark.slow
 def test_work_of_compliant_cells_is_the_integral_of_the_torque_power():
     """The cells dissipate an eighth of the work in motion that leaves the bends of the segments unchanged."""
     step = 1e-3
@@ -172,6 +180,7 @@ def test_work_of_compliant_cells_is_the_integral_of_the_torque_power():
     assert np.abs(h.work - expected).max() < 0.005 * h.work[-1]
 
 
+@pytest.mark.slow
 def test_floor_carries_the_weight_evenly():
     twin = TwinSnake(SPEC)
     run = [twin.step(np.full((SPEC.segments, 2), -1)) for _ in range(5)]
@@ -182,6 +191,7 @@ def test_floor_carries_the_weight_evenly():
     assert run[-1].contact_force.shape == (SPEC.geometry.connectors, 2)
 
 
+@pytest.mark.slow
 def test_saved_state_continues_bit_for_bit():
     for plant in (AnalyticalSnake(SPEC, model="compliant"), TwinSnake(SPEC)):
         valves = np.tile([1, -1], (SPEC.segments, 1))
