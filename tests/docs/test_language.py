@@ -15,7 +15,13 @@ MOST = 0.015
 """Largest share of suspicious sentences in a room; false alarms make about one per cent."""
 
 
-@pytest.mark.parametrize("room", rooms())
+@pytest.mark.parametrize(
+    "room",
+    [
+        pytest.param(room, marks=pytest.mark.slow) if room in ("tests", "benchmarks") else room
+        for room in rooms()
+    ],
+)
 def test_few_sentences_are_suspicious(room):
     paths = rooms()[room]
     found = [

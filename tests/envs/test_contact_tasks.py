@@ -68,6 +68,7 @@ def test_baseline_succeeds_and_resting_does_not(name, ending):
         assert DRAG_M + 1 <= score.reward <= DRAG_M + 1.1
 
 
+@pytest.mark.slow
 def test_grip_fills_the_chambers_of_one_side_of_the_tail():
     env = SnakeEnv("Grasp")
     for sign in (1, -1):
@@ -80,6 +81,7 @@ def test_grip_fills_the_chambers_of_one_side_of_the_tail():
         assert (pressure[:-HOLD] < 1.0).all()
 
 
+@pytest.mark.slow
 def test_object_is_observed_at_its_place_and_lost_when_far():
     env = SnakeEnv("Grasp")
     observation, info = env.reset(seed=2)

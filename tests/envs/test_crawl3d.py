@@ -13,6 +13,7 @@ from srs_twin.envs import make_task
 from srs_twin.envs.gymnasium import SnakeEnv
 
 
+@pytest.mark.slow
 def test_constant_action_equals_a_rollout_of_the_sidewinding_gait():
     env = SnakeEnv("Crawl3D", limit_s=1.0)
     _, info = env.reset(seed=3)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from absl.testing import absltest
 from dm_env import test_utils
+from test_gymnasium import MARKED_TASKS
 
 from srs_twin.envs import TASKS, dm
 from srs_twin.envs.gymnasium import SnakeEnv
@@ -32,6 +33,7 @@ class TestModule(_Mixin, absltest.TestCase):
     task = "Module"
 
 
+@pytest.mark.slow
 class TestCrawl3D(_Mixin, absltest.TestCase):
     task = "Crawl3D"
 
@@ -50,7 +52,7 @@ def test_every_task_is_tested_by_the_mixin():
     assert {case.task for case in _Mixin.__subclasses__()} == set(TASKS)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_dm_env_and_gymnasium_give_equal_values(task):
     env, twin = SnakeEnv(task, limit_s=0.3), dm.load(task, seed=7, limit_s=0.3)
     env.action_space.seed(0)

@@ -28,9 +28,10 @@ from srs_twin.plants.base import SnakeState
 from srs_twin.robot.world import Bounds
 
 MARKED_TASKS = [
-    pytest.param(task, marks=pytest.mark.slow) if task in ("Grasp", "Pegs") else task for task in TASKS
+    pytest.param(task, marks=pytest.mark.slow) if task in ("Grasp", "Pegs", "Crawl3D") else task
+    for task in TASKS
 ]
-"""All tasks; those with many contacts are slow."""
+"""All tasks; those with kernels of their own are slow."""
 
 SHORT = {"limit_s": 0.3}
 """Three steps of a snake, six of a module."""
@@ -56,7 +57,7 @@ def equal_bits(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_gymnasium_checker_passes_without_warnings(task):
     env = gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0", disable_env_checker=True).unwrapped
     with warnings.catch_warnings():
@@ -64,7 +65,7 @@ def test_gymnasium_checker_passes_without_warnings(task):
         check_env(env, skip_render_check=True)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_actions_from_minus_1_to_1_equal_physical_actions(task):
     with pytest.warns(DeprecationWarning, match="action_range='physical' ends with release"):
         physical = SnakeEnv(task, action_range="physical")
@@ -83,7 +84,7 @@ def test_actions_from_minus_1_to_1_equal_physical_actions(task):
     assert env.task.to_physical(env.task.from_physical(values)) == pytest.approx(values.tolist(), rel=1e-6)
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_same_seed_gives_the_same_episode_after_other_episodes(task):
     fresh, used = SnakeEnv(task), SnakeEnv(task)
     first = play(fresh, 5, 3)
@@ -105,7 +106,7 @@ def test_constant_action_equals_a_rollout_of_the_gait():
     assert np.hypot(info["com_x_m"], info["com_y_m"]) > 0.1
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_observations_depend_only_on_sensors_and_camera(task):
     """Observations stay the same if all other entries of the state are NaN."""
 
@@ -199,7 +200,7 @@ def test_time_limit_truncates_the_episode():
     assert ends == [(False, False), (False, False), (False, True)]
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", MARKED_TASKS)
 def test_divergence_terminates_with_the_previous_observation(task):
     episode = make_task(task).begin(np.random.default_rng(0))
     action = [1.0 for _ in make_task(task).actions]

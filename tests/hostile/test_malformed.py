@@ -18,7 +18,10 @@ from srs_twin.errors import InputFileError
 from srs_twin.io.documents import parse_yaml
 
 # Large files that take seconds to write and to reject.
-LARGE = {"metadata of 100 MB", "metadata of 40 MB", "3 GB in a small file", "110,000 column chunks"}
+LARGE = {
+    "metadata of 100 MB", "metadata of 40 MB", "3 GB in a small file", "110,000 column chunks", "300 MB",
+    "200,000,000 rows", "200 MB of junk", "200 MB of junk after the header", "200 MB without a line end",
+}  # fmt: skip
 
 
 def cases() -> Iterator[Any]:

@@ -92,6 +92,7 @@ def kill():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [pytest.param(interrupt, marks=pytest.mark.slow), kill])
 @pytest.mark.parametrize(
     "pair",
