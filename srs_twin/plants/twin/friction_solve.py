@@ -47,6 +47,7 @@ from srs_twin.plants.twin.object_contacts import (
     add_object_slopes,
     apply_object_friction,
     couple_objects,
+    dot,
     locate_objects,
 )
 from srs_twin.plants.twin.stick_slip import rolling_friction, skin_friction, stick_slip_friction
@@ -346,12 +347,6 @@ def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
             out[i] += matrix[k] * x[sparsity.column[k]]
             out[sparsity.column[k]] += matrix[k] * x[i]
         out[i] += matrix[last] * x[i]
-
-
-@kernel_only
-def dot(a, b):  # type: ignore[no-untyped-def]
-    """Return the product of two spatial vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
 @kernel_only

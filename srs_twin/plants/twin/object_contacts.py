@@ -152,7 +152,8 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 
 
 @kernel_only
-def _dot(a, b):  # type: ignore[no-untyped-def]
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two spatial vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
 
 
@@ -176,8 +177,8 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
             i = o.hull_dof[w] if side == 0 else o.object_dof[w]
             along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
             while i >= 0:
-                moment = o.force[w, 0] * _dot(along, engine.cdof[i])
-                engine.qfrc_applied[i] += moment + o.force[w, 1] * _dot(across, engine.cdof[i])
+                moment = o.force[w, 0] * dot(along, engine.cdof[i])
+                engine.qfrc_applied[i] += moment + o.force[w, 1] * dot(across, engine.cdof[i])
                 i = sparsity.parent[i]
 
 
@@ -220,8 +221,8 @@ def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
         if i >= 0:
             middle, step, change = work.mid_motion[i], work.step_motion[i], work.motion[i]
             along, across, shift = o.jacobian[w, side, 0], o.jacobian[w, side, 1], theta - 0.5
-            u_t += _dot(along, middle) + shift * _dot(along, step) + theta * _dot(along, change)
-            u_n += _dot(across, middle) + shift * _dot(across, step) + theta * _dot(across, change)
+            u_t += dot(along, middle) + shift * dot(along, step) + theta * dot(along, change)
+            u_n += dot(across, middle) + shift * dot(across, step) + theta * dot(across, change)
     return u_t, u_n
 
 
@@ -265,11 +266,11 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
                         work.slope[i, a, b] += t * along[b] + n * across[b]
         hull, own = o.jacobian[w, 0], o.jacobian[w, 1]
         for dof in range(o.object_dof[w] - 2, o.object_dof[w] + 1):
-            s_t, s_n = _dot(own[0], engine.cdof[dof]), _dot(own[1], engine.cdof[dof])
+            s_t, s_n = dot(own[0], engine.cdof[dof]), dot(own[1], engine.cdof[dof])
             t, n, i = tt * s_t + tn * s_n, tn * s_t + nn * s_n, o.hull_dof[w]
             while i >= 0:
                 cdof = engine.cdof[i]
-                o.coupling[dof - o.first, i] += t * _dot(hull[0], cdof) + n * _dot(hull[1], cdof)
+                o.coupling[dof - o.first, i] += t * dot(hull[0], cdof) + n * dot(hull[1], cdof)
                 i = sparsity.parent[i]
 
 
@@ -333,5 +334,5 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
             for side in range(2):
                 i = o.hull_dof[w] if side == 0 else o.object_dof[w]
                 away = o.jacobian[w, side, 2]
-                power -= o.load[w] * (_dot(away, work.mid_motion[i]) + 0.5 * _dot(away, work.motion[i]))
+                power -= o.load[w] * (dot(away, work.mid_motion[i]) + 0.5 * dot(away, work.motion[i]))
     return power
