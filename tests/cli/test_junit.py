@@ -179,6 +179,7 @@ def test_expectations_of_omitted_plants_are_not_test_cases(tmp_path):
     assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
+@pytest.mark.slow
 @given(st.text(min_size=1), st.text(min_size=1))
 def test_any_text_is_valid_xml(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"

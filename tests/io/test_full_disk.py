@@ -94,7 +94,7 @@ def full_at(monkeypatch):
         monkeypatch.setattr(Path, "write_text", write_text)
         monkeypatch.setattr(Trajectory, "to_parquet", lambda run, path: write(path, b"columns"))
         for picture in ("html.report.write_report", "rerun.recording.write_recording"):
-            monkeypatch.setattr(f"srs_twin.viewing.{picture}", lambda path, **_: write(path, b"picture"))
+            monkeypatch.setattr(f"srs_twin.viewing.{picture}", lambda path, *_, **__: write(path, b"picture"))
         return written
 
     return fake

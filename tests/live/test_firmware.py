@@ -322,7 +322,10 @@ def test_chambers_vent_in_time_after_kills_and_a_stall_of_the_link(rig):
 
 
 @needs_broker
-@pytest.mark.parametrize("how", ["kill", "hang", "error"])
+@pytest.mark.parametrize(
+    "how",
+    ["kill", pytest.param("hang", marks=pytest.mark.slow), pytest.param("error", marks=pytest.mark.slow)],
+)
 def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after_an_error(rig, how):
     with MqttLink(NAME, SEGMENTS, port=rig.port, kinds=(STATUS,)) as link:
         time.sleep(0.3)

@@ -44,7 +44,10 @@ def chambers_of(spec, **settings):
     return OrificePneumatics(spec, supply_pa=spec.supply.nominal, **settings)
 
 
-@pytest.mark.parametrize("name", ["gen2", "gen3", "gen4"])
+@pytest.mark.parametrize(
+    "name",
+    ["gen2", pytest.param("gen3", marks=pytest.mark.slow), pytest.param("gen4", marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("half", [13, 17, 33])
 def test_leak_is_detected_within_one_stroke(name, half):
     spec = robot(name)

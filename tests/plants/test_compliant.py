@@ -21,6 +21,9 @@ from srs_twin.robot.spec import Mass
 
 LENGTH, GAP, SLIP = 0.037, 0.018, 0.02
 
+MARKED_LAWS = [pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow]) for law in LAWS]
+"""Laws of friction; those whose kernels no other quick test compiles are slow."""
+
 
 compliant = partial(AnalyticalSnake, model="compliant")
 
@@ -164,7 +167,7 @@ def test_power_is_balanced(seed):
     assert slope_at_zero(energy, 1e-4) == pytest.approx(power, abs=1e-9 * scale)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", MARKED_LAWS)
 def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
     body, q, u, moment = draw(7, law=law, mu_t=0.05, mu_n=0.5)
 
@@ -180,7 +183,7 @@ def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
     assert missed(1e-2) / missed(1e-3) == pytest.approx(100, rel=0.3)
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", MARKED_LAWS)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9, 65])
 def test_linear_cost_solve_equals_dense_solve(connectors, law):
     body, q, u, residual = draw(connectors, connectors, law=law)
@@ -241,6 +244,7 @@ def test_time_integration_has_second_order():
     assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx([2, 2], abs=0.2)
 
 
+@pytest.mark.slow
 def test_frictionless_momentum_is_exact_and_energy_of_second_order():
     """Momentum and moment of momentum are exact to rounding; the energy error is of second order."""
     g = np.random.default_rng(5)

@@ -82,7 +82,10 @@ def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
     return (spec.mass.array()[:, None] * velocity**2).sum(axis=(1, 2)) / 2
 
 
-@pytest.mark.parametrize("law", [pytest.param("axis", marks=pytest.mark.slow), "wheel", "ellipse"])
+@pytest.mark.parametrize(
+    "law",
+    [pytest.param("axis", marks=pytest.mark.slow), "wheel", pytest.param("ellipse", marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"])
 def test_friction_only_dissipates(options, law):
     """Work minus kinetic energy never decreases."""

@@ -26,6 +26,9 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 
 GRAVITY = 9.81
 
+MARKED_LAWS = [pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow]) for law in LAWS]
+"""Laws of friction; those whose kernels no other quick test compiles are slow."""
+
 
 @dataclass(frozen=True)
 class Swim:
@@ -216,7 +219,7 @@ def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarr
     return body
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", MARKED_LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
 def test_floor_force_slopes_match_finite_differences(law, track):
     solid, bend, rate = draw(2, 4)
@@ -245,7 +248,7 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     assert power == pytest.approx(-contact_power, rel=1e-12) and power > 0
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", MARKED_LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
 def test_floor_evaluates_the_named_law(law, track):
     """A law without a kernel must not select another law."""
