@@ -225,6 +225,8 @@ def printed(row):
 def test_one_test_command_everywhere():
     assert "uv run --group dev pytest" in README.commands
     assert "uv run --group dev pytest" in (ROOT / ".ci/run").read_text("utf-8")
+    plain = [(page.name, line) for page in PAGES for line in page.commands if "uv run pytest" in line]
+    assert plain == [], "without its group pytest is not installed"
 
 
 def test_failing_script_is_detected(tmp_path):

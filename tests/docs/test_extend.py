@@ -15,7 +15,9 @@ from conftest import ROOT
 from pages import Page
 
 PAGE = Page(ROOT / "docs/extend.md")
-ADDED = ("A friction law", "A metric", "A file format")
+ADDED = ("A friction law", "A metric", "A file format", "A command")
+OMITTED = "…"
+"""Entries of a line that the page leaves out: whatever the file has there."""
 
 LAW = """
 import numpy as np
@@ -35,13 +37,6 @@ plants = {"analytical": {"friction": "blend"}, "twin": {"friction": "blend"}}
 gait = {"kind": "gait", "frequency_hz": 2.0}
 scenario = parse_scenario({"robot": "gen2", "duration_s": 1.0, "controller": gait, "plants": plants})
 assert scenario.build_plant("analytical").friction == scenario.build_plant("twin").contact.law == "blend"
-
-from types import SimpleNamespace
-from srs_twin.plants.twin.friction_solve import _friction_law
-from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
-contact = SimpleNamespace(wheels=1, law=LAWS_ON_LOADS.index("blend"), coefficients=(0.1, 0.5, 1e-6, 0.0, 0.1))
-sliding = _friction_law.py_func(contact, 0, 0.2, -0.3, 0.3, (0.0, 0.0, 0.0), 0.0, 1e-3)[:2]
-assert np.allclose(sliding, law(0.2, -0.3, 0.3, 0.1, 0.5, 1e-6)[:2], rtol=1e-4)
 """
 
 
@@ -63,7 +58,7 @@ def edits(section: str) -> list[tuple[str, list[str]]]:
 def edited(text: str, lines: list[str]) -> str:
     """Return a file after the edits of a diff, whose context lines and removed lines it must contain."""
     result = text.splitlines()
-    cursor = 0
+    cursor, omitted = 0, OMITTED
     for index, line in enumerate(lines):
         if line.startswith("@@"):
             cursor = len(result) if line.endswith("end of the file") else 0
@@ -74,10 +69,13 @@ def edited(text: str, lines: list[str]) -> str:
             if cursor == 0 and result:
                 following = next(each[1:] for each in lines[index:] if not each.startswith("+"))
                 cursor = result.index(following)
-            result.insert(cursor, content)
+            result.insert(cursor, content.replace(OMITTED, omitted))
             cursor += 1
         else:
-            at = result.index(content, cursor)
+            pattern = re.escape(content).replace(OMITTED, "(.*)")
+            at = next(k for k in range(cursor, len(result)) if re.fullmatch(pattern, result[k]))
+            if OMITTED in content:
+                omitted = re.fullmatch(pattern, result[at])[1]
             cursor = at + (mark == " ")
             if mark == "-":
                 del result[at]
@@ -105,20 +103,33 @@ def extended(tmp_path_factory):
             path = folder / name
             path.write_text(edited(path.read_text("utf-8") if path.exists() else "", lines), "utf-8")
 
-    def run(*words: str) -> str:
+    def run(*words: str, code: int = 0) -> str:
         done = subprocess.run(
             [sys.executable, *words],
             cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        assert done.returncode == code, done.stderr
+        return done.stdout or done.stderr
 
     return run
+
+
+def test_diffs_apply_after_other_additions():
+    lines = ['-Law = Literal["axis", …]', '+Law = Literal["axis", …, "blend"]']
+    assert edited('Law = Literal["axis", "mine"]\n', lines) == 'Law = Literal["axis", "mine", "blend"]\n'
 
 
 @pytest.mark.slow
 def test_law_of_the_page_has_its_slopes_and_is_accepted_by_both_plants(extended):
     extended("-c", LAW)
+
+
+@pytest.mark.slow
+def test_law_of_the_page_passes_the_tests_that_the_page_names(extended):
+    (command,) = (line for line in PAGE.commands if "pytest tests/robot" in line)
+    files = [word for word in command.split() if word.startswith("tests/")]
+    output = extended("-m", "pytest", "-n", "0", "-rps", "-k", "blend", *(str(ROOT / name) for name in files))
+    assert [name for name in files if name not in output] == [], "each file tests every law"
 
 
 def test_metric_of_the_page_is_listed_measured_and_shown(extended):
@@ -160,3 +171,14 @@ sys.exit(main(["inspect", sys.argv[1], "--json"]))
 """
     (found,) = json.loads(extended("-c", code, str(take)))
     assert found["format"] == "Tagged TSV" and found["content"] == "markers"
+
+
+@pytest.mark.slow
+def test_command_of_the_page_prints_the_length_or_one_message(extended):
+    start = "import sys; from srs_twin.cli import main; sys.exit(main(sys.argv[1:]))"
+    metres = float(extended("-c", start, "plan-length", "follow_fig57").removesuffix(" m\n"))
+    millimetres = float(extended("-c", start, "plan-length", "follow_fig57", "--mm").removesuffix(" mm\n"))
+    assert millimetres == pytest.approx(1000 * metres, abs=1)
+    assert "In mm instead of m." in extended("-c", start, "plan-length", "--help")
+    refused = extended("-c", start, "plan-length", "gen2_straight", code=2)
+    assert refused.startswith("gen2_straight: there is no planner section") and refused.count("\n") == 1
