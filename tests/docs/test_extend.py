@@ -91,6 +91,14 @@ def test_diffs_apply_to_the_files(name, lines):
         assert all(line.startswith("+") for line in lines), f"{name} does not exist"
 
 
+def test_tests_that_the_page_names_exist():
+    named = set(re.findall(r"`(test_\w+)`", PAGE.prose))
+    defined = set(
+        re.findall(r"^def (test_\w+)", (ROOT / "tests/comparison/test_metrics.py").read_text("utf-8"), re.M)
+    )
+    assert named and named <= defined
+
+
 @pytest.fixture(scope="module")
 def extended(tmp_path_factory):
     """Return a function that runs Python code with a copy of the package that has the page's additions."""

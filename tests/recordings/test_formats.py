@@ -6,6 +6,7 @@ import gzip
 import io
 import json
 import random
+import re
 import sys
 import tempfile
 import time
@@ -24,9 +25,9 @@ from synthetic_takes import Take, write_motive
 
 from srs_twin import InputError
 from srs_twin.recordings.formats import FORMATS, bags, identify, read_markers, read_topics, topics
-from srs_twin.recordings.formats.base import Unstated
+from srs_twin.recordings.formats.base import Unstated, marker_table
 from srs_twin.recordings.inspection import inspect_file
-from srs_twin.recordings.recorded_file import read_bytes
+from srs_twin.recordings.recorded_file import RecordedFile, read_bytes
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap
 
@@ -516,7 +517,7 @@ def test_signals_are_not_decoded_for_positions(tmp_path):
 
 
 def damaged(content, seed):
-    """Yield 50 damaged copies of a file."""
+    """Yield 56 damaged copies of a file."""
     rng = random.Random(seed)
     text = b"\0" not in content
     yield from (content[: rng.randrange(1, len(content))] for _ in range(20))
@@ -534,7 +535,7 @@ def damaged(content, seed):
             else content.replace(b"POINT", b"POINS").replace(b"zstd", new * 4)
         )
     if text:
-        separator = b"\t" if b"\t" in lines[-2] else b","
+        separator = b"\t" if b"\t" in content else b","
         yield b"\n".join(separator.join(reversed(line.split(separator))) for line in lines)
         yield b"\n".join(separator.join(line.split(separator)[1:]) for line in lines)
     else:
@@ -543,10 +544,16 @@ def damaged(content, seed):
     yield b""
     yield b"\n".join(line for line in lines if not line[:1].isdigit()) if text else content[:512]
     yield content[: len(content) // 3] + content
+    # A name is missing or another one, and a number is text, infinite or missing.
+    names = set(re.findall(rb'"\w+"', content) or re.findall(rb"[A-Za-z_]{2,}", content)) if text else ()
+    numbers = set(re.findall(rb"\d+\.?\d*", content)) if text else ()
+    for old, changes in ((names, (b"", b'"other"', b"null")), (numbers, (b'"text"', b"1e999", b"null"))):
+        for new in changes:
+            yield content.replace(rng.choice(sorted(old)), new, 1) if old else content
 
 
 def refusals(folder, kind, seed):
-    """Read 50 damaged copies; return how many were refused, each in one line that names the file."""
+    """Read 56 damaged copies; return how many were refused, each in one line that names the file."""
     refused = 0
     made = FILES[kind]() if kind in FILES else mcap_file(CompressionType.NONE, checked=False)
     for number, content in enumerate(damaged(made, seed)):
@@ -560,7 +567,7 @@ def refusals(folder, kind, seed):
             shape = found.points.shape
             assert shape[:2] == (len(found.time), len(found.labels)) and len(found.time), number
         assert time.perf_counter() - began < 10, number
-    assert number == 49
+    assert number == 55
     return refused
 
 
@@ -632,6 +639,15 @@ def test_a_missing_column_is_reported_at_the_header(tmp_path):
         read_markers(written(tmp_path, f"{names}\n{rows}".encode(), "m.csv"))
     whole = names.replace("a_y", "a_y,a_z") + "\n" + rows.replace("2,3", "2,0,3")
     assert read_markers(written(tmp_path, whole.encode(), "m.csv")).points.shape == (2, 2, 3)
+
+
+def test_a_recording_without_frames_is_refused():
+    """A parser that finds none must not be followed by an error of the inspection."""
+    file = RecordedFile("take.data", b"{}")
+    with pytest.raises(
+        InputError, match=r"^take\.data: the recording has no frames; record or export it again$"
+    ):
+        marker_table(file, "JSON", np.zeros(0), np.zeros((0, 1, 3)), ["head"], [])
 
 
 def test_missing_files_are_reported(tmp_path):

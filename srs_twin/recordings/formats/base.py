@@ -271,7 +271,12 @@ def marker_table(
         notes: notes on the file.
         unit: unit of all lengths, or of those of each marker.
         **more: attributes of `MarkerTable`.
+
+    Raises:
+        InputError: there are no frames.
     """
+    if not len(time):
+        raise file.error("the recording has no frames; record or export it again")
     units = [unit] if isinstance(unit, str) else unit
     converted = ", ".join(sorted({*units} - {"m"}))
     if converted:
