@@ -62,6 +62,7 @@ def test_doctests_of_the_timing_helpers(script):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_speed_benchmark_compares_equal_motions_and_hides_private_names(tmp_path):
     """The bare `mj_step` loop ends where the rollout ends; a missing PyElastica is reported."""
     out = tmp_path / "speed.json"
@@ -88,6 +89,7 @@ def test_twins_stepped_together_equal_single_twins_to_the_bit(threads):
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_environments_and_batched_rollouts_travel_the_same_distance():
     done = run_benchmark("environments.py", "--check")
     assert done.returncode == 0, done.stderr

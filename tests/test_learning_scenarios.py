@@ -138,6 +138,7 @@ def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
     assert np.isnan(again["sensed_1"]).all() and again.events[-1].kind == "fault"
 
 
+@pytest.mark.slow
 def test_the_picture_shows_what_was_measured(stopped):
     figure = learning_plot(stopped.trajectories)
     panels = figure.get_axes()

@@ -313,6 +313,7 @@ def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
     assert gone(int(place.read_text()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "status", "detail"),
     [

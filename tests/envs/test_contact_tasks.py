@@ -33,6 +33,7 @@ def test_observed_posts_are_the_nearest_ones():
     assert not any(name.startswith(("goal", "obstacle")) for name in values)
 
 
+@pytest.mark.slow
 def test_posts_leave_room_for_the_snake_at_the_start():
     for seed in range(20):
         episode = make_task("Pegs", limit_s=0.1).begin(np.random.default_rng(seed))

@@ -40,6 +40,7 @@ def sample_actions(env: Any, count: int) -> list[np.ndarray]:
     return [env.action_space.sample() for _ in range(count)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", MARKED_TASKS)
 @pytest.mark.parametrize("when", ["before the first reset", "during an episode"])
 def test_copies_of_gymnasium_environments_give_the_same_episodes(task, when):

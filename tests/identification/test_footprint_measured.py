@@ -166,6 +166,7 @@ def measured(
     return measure_transient(run, crawl.geometry, crawl.period, change, (paths[0], paths[1]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("before", "after"), [(-3.0, 3.0), (0.0, 2.0), (2.0, 0.0), (1.0, -1.0)])
 def test_a_delayed_turn_is_recovered(before, after):
     crawl, change = late(before, after)

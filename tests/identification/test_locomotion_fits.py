@@ -151,6 +151,7 @@ def test_validation_runs_do_not_influence_the_fit():
         fit_locomotion(fitted, SPEC, names, model=COMPLETE, validation=fitted[:1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("layout", "head"), [("pair", "snake:1a"), ("head", None)])
 def test_the_gap_is_recovered_from_markers(tmp_path, layout, head):
     """Markers are reconstructed with a gap that is 4 mm off, then with the fitted one."""

@@ -164,6 +164,7 @@ def test_two_sets_in_one_folder_are_independent(tmp_path):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", first_by_default(1, [["schema"], ["--version"], ["--help"]]))
 @pytest.mark.parametrize("buffered", first_by_default(1, ["", "1"]))
 def test_full_disk_behind_stdout_is_an_input_error(words, buffered, tmp_path):

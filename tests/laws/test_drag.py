@@ -24,7 +24,11 @@ def dragged(spec: RobotSpec, drag: float = DRAG, **changes: float) -> RobotSpec:
     ("plant", "rolls"),
     [
         (lambda spec: AnalyticalSnake(spec, friction="wheel"), 0.0),
-        (lambda spec: AnalyticalSnake(spec, model="compliant", friction="ellipse"), 0.0),
+        pytest.param(
+            lambda spec: AnalyticalSnake(spec, model="compliant", friction="ellipse"),
+            0.0,
+            marks=pytest.mark.slow,
+        ),
         (lambda spec: TwinSnake(spec, contact=LoadedContact(slip_speed=1e-4)), SPIN_MASS),
         (lambda spec: TwinSnake(spec, contact=PreloadedContact(slip_speed=1e-4)), SPIN_MASS),
         (lambda spec: TwinSnake(spec, contact=PreloadedContact("skid", slip_speed=1e-4)), 0.0),

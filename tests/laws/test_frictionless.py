@@ -63,6 +63,7 @@ def test_moment_of_momentum_of_recorded_positions_is_conserved(name):
     assert moment[50:] == pytest.approx(np.full(len(moment) - 50, begun), abs=1e-6 * scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spec", [EVEN, UNEVEN], ids=["even", "uneven"])
 @pytest.mark.parametrize("smooth", [False, True], ids=["gait", "smooth"])
 def test_twin_momentum_drift_is_of_first_order(spec, smooth):

@@ -66,6 +66,7 @@ def test_bits_are_independent_of_the_blas_kernel():
     assert all(len(result) == 1 for result in digests.values())
 
 
+@pytest.mark.slow
 def test_long_twin_is_independent_of_blas_threads():
     dampers = []
     for threads in (1, 2):

@@ -32,6 +32,7 @@ FAR = [1 / 16, 16.0]
 NEAR = [pytest.param(s, marks=pytest.mark.slow) for s in (1 / 4, 4.0)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", FAR + NEAR)
 @pytest.mark.parametrize("name", PLANTS)
 def test_default_settings_scale_with_the_robot(name, s):

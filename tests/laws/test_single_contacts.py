@@ -137,7 +137,7 @@ def test_plants_and_elastica_agree_on_force_and_deflection(stiffness):
 
 
 @pytest.mark.parametrize("slope", [0.3, 0.7])
-@pytest.mark.parametrize("make", [compliant, twin])
+@pytest.mark.parametrize("make", [pytest.param(compliant, marks=pytest.mark.slow), twin])
 def test_body_slides_along_posts_under_coulomb_friction(make, slope):
     # Gravity presses with cos φ and pulls along with sin φ: the body moves if tan φ > μ.
     friction, spec = 0.5, beam(20.0, masses=(0.1, 0.1, 0.1))

@@ -88,6 +88,7 @@ def test_loaded_wheels_stop_along_and_across(speed):
     assert across == pytest.approx([0, -(speed**2) / (2 * MU_N * GRAVITY)], rel=1e-4, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_wheels_stopping_within_a_step_get_no_lateral_impulse():
     """By symmetry, the lateral impulse is 0.
 

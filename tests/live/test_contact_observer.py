@@ -57,6 +57,7 @@ def observed(force, place, *, gains=1.0, lost=0.0, scale=1.0):
     return results
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", [0.3, 1.1, 2.0, 3.2])
 @pytest.mark.parametrize("force", [-0.6, 0.6])
 def test_force_and_place_of_a_contact_are_recovered_in_spite_of_wrong_gains(place, force):

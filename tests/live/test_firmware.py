@@ -344,6 +344,7 @@ def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after
     assert said[:2] == ["stopped" if how == "error" else LOST, "running"]
 
 
+@pytest.mark.slow
 @needs_broker
 def test_the_shadow_reads_its_messages_and_garbage_does_not_stop_it(rig):
     from paho.mqtt import client as mqtt
@@ -373,6 +374,7 @@ def test_the_shadow_reads_its_messages_and_garbage_does_not_stop_it(rig):
     assert rig.robot.resets == []
 
 
+@pytest.mark.slow
 @needs_broker
 def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
     """Four commands per tick leave no backlog."""

@@ -142,6 +142,7 @@ def test_results_that_cannot_be_written_do_not_keep_the_robot_from_being_vented(
     was_made_safe(wire)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sent", [1e11, -1e11, 5e9])
 def test_a_time_that_no_clock_shows_ends_nothing(tmp_path, sent):
     found, wire = session(tmp_path / "lab")
@@ -268,7 +269,7 @@ def test_a_stop_is_obeyed_within_one_tick(by):
     assert told["seconds"] < 0.9
 
 
-@pytest.mark.parametrize("by", ["key", "topic"])
+@pytest.mark.parametrize("by", ["key", pytest.param("topic", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("word", ["pause", "vent"])
 def test_pause_keeps_the_valves_and_vent_vents_until_go(word, by):
     found, wire, at, told = obeyed(word, by)

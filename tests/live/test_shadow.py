@@ -139,6 +139,7 @@ def test_commands_that_wait_already_bend_the_estimate():
     assert (bends[1] > bends[0] + 0.02).all()
 
 
+@pytest.mark.slow
 def test_silence_is_said_and_survived():
     run = Run(2, 4.0)
     n = load_robot(run.robot).segments

@@ -72,6 +72,7 @@ def test_clear_worlds_have_the_plan_without_touch():
         assert leaning.length <= clear.length + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sign", [1, -1])
 def test_touches_are_where_sampled_edges_overlap(sign):
     """The overlaps agree with a straight path next to one post, whose geometry is known."""

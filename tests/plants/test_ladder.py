@@ -61,6 +61,7 @@ def test_simplified_equals_complete_to_second_order_in_the_bends():
     assert ladder(0.8, "viscous", SMOOTH)[0] > 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
 def test_simplified_torques_equal_complete_for_small_bends(law):
     found = np.array([ladder(a, law, {}) for a in (0.2, 0.05)])
@@ -97,6 +98,7 @@ def phase(spec: RobotSpec, wave: Wave, times: np.ndarray, *, frozen: bool, inert
     return solve_ivp(turning, (start, times[-1]), [0.0], t_eval=times, rtol=1e-10, atol=1e-12).y[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
     """The floor moves the centre of mass only; the bends alone rotate the body."""

@@ -40,7 +40,9 @@ def on_slope(plant: str, direction: str, share: float):
 
 
 @pytest.mark.parametrize("direction", MU)
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize(
+    "plant", [pytest.param(name, marks=[pytest.mark.slow] if name == "compliant" else []) for name in PLANTS]
+)
 def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
     assert abs(on_slope(plant, direction, 0.5)[1]) < 1e-6
     assert abs(on_slope(plant, direction, 0.995)[1]) < 2e-4  # just below the friction angle

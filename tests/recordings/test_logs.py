@@ -109,6 +109,7 @@ def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
     assert np.abs(np.stack([there[f"bend_{j}"] for j in range(1, 5)], -1) - true.stack("bend")).max() < 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("up", MAPS)
 @pytest.mark.parametrize("unit", first_by_default(1, ["mm", "cm", "m", "in", "ft"]))
 def test_axes_and_units_do_not_change_the_motion(tmp_path, up, unit):

@@ -58,6 +58,7 @@ def test_markers_are_assigned_by_a_map(tmp_path):
     assert "1 markers ignored according to the map" in found.summary.corrections
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
 @pytest.mark.parametrize("share", first_by_default(1, [0.25, 0.0]))
 def test_segments_that_stretch_are_measured(tmp_path, layout, share):

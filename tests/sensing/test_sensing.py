@@ -321,6 +321,7 @@ def test_distant_cylinder_is_a_dipole():
     assert (ratios[1] - 1) / (ratios[0] - 1) == pytest.approx(1 / 16, rel=0.2)
 
 
+@pytest.mark.slow
 def test_sensor_study_prints_and_plots(tmp_path):
     picture = tmp_path / "sensor.png"
     done = run_benchmark("sensor.py", "--out", str(picture))

@@ -205,6 +205,7 @@ def test_help_and_window_name_all_keys(srs_twin, tmp_path):
         assert key in text and key in shown, key
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("display", "words"),
     [

@@ -132,6 +132,7 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
         assert (values == schedule.states[at]).all()
 
 
+@pytest.mark.slow
 def test_device_controls_equal_linear_pressures():
     """The bends of these segments saturate; at equal pressures the bend law has its slope at rest."""
     from srs_twin.warp.kernels import (
@@ -219,6 +220,7 @@ def test_obstacle_contact_agrees_with_the_cpu_engine():
     assert force[0] > 0.5 and force[1] == pytest.approx(force[0], rel=0.01)
 
 
+@pytest.mark.slow
 def test_partial_reset_empties_the_chambers_of_chosen_worlds():
     batch = TwinBatch([GEN2] * 2, **ON)
     batch.arrays()["pressure"].fill_(48e3)
@@ -236,6 +238,7 @@ def displaced(place, steps=60):
     return [state.com - state.com[0] for state in batch.follow(steps * 1e-3 * 4, 4)], batch
 
 
+@pytest.mark.slow
 def test_distant_start_moves_like_one_at_the_origin():
     place = (2000.0, -700.0)
     (far, near), batch = displaced(place)
