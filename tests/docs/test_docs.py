@@ -261,6 +261,7 @@ def test_errata_that_the_project_names_are_listed():
     assert named and named <= set(range(1, 30))
 
 
+@pytest.mark.slow
 def test_known_misses_name_an_existing_section():
     reasons = {each.known for name in shipped_names("scenario") for each in load_scenario(name).expect}
     for reason in reasons - {None}:
@@ -269,6 +270,7 @@ def test_known_misses_name_an_existing_section():
         assert named[2] in BY_PATH[ROOT / named[1]].anchors, reason
 
 
+@pytest.mark.slow
 def test_pages_count_the_shipped_scenarios_and_their_known_misses():
     numbers = "no one two three four five six seven eight nine ten eleven twelve".split()
     text = " ".join((ROOT / "docs/ci.md").read_text("utf-8").split())

@@ -15,13 +15,8 @@ MOST = 0.015
 """Largest share of suspicious sentences in a room; false alarms make about one per cent."""
 
 
-@pytest.mark.parametrize(
-    "room",
-    [
-        pytest.param(room, marks=pytest.mark.slow) if room in ("tests", "benchmarks") else room
-        for room in rooms()
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("room", rooms())
 def test_few_sentences_are_suspicious(room):
     paths = rooms()[room]
     found = [

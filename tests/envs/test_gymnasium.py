@@ -271,6 +271,7 @@ def test_invalid_settings_are_refused_at_construction(task, settings, words):
         SnakeEnv(task, **settings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_vector_environment_equals_single_environments(task):
     """The reference is Gymnasium's SyncVectorEnv, over ends and resets of episodes."""

@@ -102,6 +102,7 @@ def read_generated(parser: Parser, kind: str, path: Path, **options: Any) -> Non
     check()
 
 
+@pytest.mark.slow
 @each_parser
 def test_sample_of_generated_files_is_read_or_rejected(parser: Parser, tmp_path: Path):
     for kind in EXAMPLES:

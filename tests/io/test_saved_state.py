@@ -370,6 +370,7 @@ def test_impossible_initial_state_is_rejected():
         AnalyticalSnake(load_robot("gen4_module"), base="clamped").place(physical(1, 0)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module", "Crawl3D"])
 def test_episode_continues_bit_for_bit_from_a_saved_state(task):
     gymnasium = pytest.importorskip("gymnasium")

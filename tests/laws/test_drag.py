@@ -71,6 +71,7 @@ def test_drag_differs_from_mu_t_with_two_contacts():
     assert abs(ends[0] - ends[1]) > 0.02 * abs(ends[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
 def test_drag_slows_twin_and_compliant_model_equally(contact):
     def way(plant: AnalyticalSnake | TwinSnake) -> float:

@@ -27,6 +27,7 @@ def valves(plant: Plant) -> np.ndarray:
     return np.full((plant.spec.segments, 2), -1, dtype=np.int8)
 
 
+@pytest.mark.slow
 @ALL
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse", "viscous"])
 def test_bending_analytical_snake_conserves_momentum(options, law):

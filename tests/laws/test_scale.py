@@ -40,6 +40,7 @@ def test_default_settings_scale_with_the_robot(name, s):
     assert np.abs(found).max() < (1e-6 if name.startswith("twin") else 1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", [0.05, 20.0])
 @pytest.mark.parametrize("name", PLANTS)
 def test_explicit_settings_admit_every_scale(name, s):

@@ -190,6 +190,7 @@ def test_work_among_pegs_is_that_of_the_torques(make):
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
 
 
+@pytest.mark.slow
 def test_body_does_not_pass_through_walls():
     spec = robot("gen2")
     wall = Polygon(((0.2, -0.5), (0.21, -0.5), (0.21, 0.5), (0.2, 0.5)))

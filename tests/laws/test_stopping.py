@@ -142,6 +142,7 @@ def test_skids_stop_along_and_across(speed, heading):
     assert across == pytest.approx([0, speed**2 / (2 * MU_N * GRAVITY)], rel=0.02, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degrees", [10, 30, 60, 80])
 def test_both_plants_stop_at_an_angle_as_a_sliding_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))

@@ -31,6 +31,7 @@ def distance(run):
     return math.hypot(*(run.com[-1] - run.com[-51]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("winding", "within"), [(0.4, 0.003), (0.8, 0.004)])
 def test_a_serpenoid_without_slip_advances_by_the_mean_cosine_of_its_heading(winding, within):
     """Hirose: λ J₀(α) per period. The slip at a ratio of 10,000 and 32 segments cause the rest."""

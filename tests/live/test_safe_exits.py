@@ -341,6 +341,7 @@ def watched(monkeypatch, patient):
     monkeypatch.setattr(sessions, "TOO_SLOW_S", 5 * TOO_SLOW_S)
 
 
+@pytest.mark.slow
 def test_a_robot_is_vented_while_its_estimate_is_old(watched):
     found, wire = session()
     slowed(found, sessions.STALE_S + 0.1, range(10, 12))

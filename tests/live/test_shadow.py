@@ -88,6 +88,7 @@ def test_a_fault_is_named(kind):
     assert not done["others"], done
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "run",
     [

@@ -139,6 +139,7 @@ def test_lumped_inertia_is_that_of_the_dissertation(inertia):
     assert min(np.abs(other - h.heading).max() for other in others) > 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
 @pytest.mark.parametrize(
     "options", [{}, {"inertia": "lumped"}, {"model": "simplified"},

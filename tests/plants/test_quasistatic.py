@@ -85,6 +85,7 @@ def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
         assert (places[0] - places[1]) / 2e-6 == pytest.approx(motion[:, :, row], abs=1e-7)
 
 
+@pytest.mark.slow
 def test_bends_and_twist_are_the_rotation_between_connectors():
     state, constants, work = posed(1)
     kernels.pose(state, constants, work)
@@ -94,6 +95,7 @@ def test_bends_and_twist_are_the_rotation_between_connectors():
     assert relative == pytest.approx(turns, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_segment_bent_in_one_plane_is_an_arc():
     state, constants, work = posed(2)
     bend = 1.1

@@ -26,6 +26,9 @@ PLANTS = {
         SPEC, model="compliant", friction="wheel", load="momentary", **given
     ),
 }
+MARKED_PLANTS = [
+    pytest.param(name, marks=[pytest.mark.slow] if name == "compliant" else []) for name in PLANTS
+]
 AIRLESS = HoldValves("vent", "vent")
 
 
@@ -40,16 +43,14 @@ def on_slope(plant: str, direction: str, share: float):
 
 
 @pytest.mark.parametrize("direction", MU)
-@pytest.mark.parametrize(
-    "plant", [pytest.param(name, marks=[pytest.mark.slow] if name == "compliant" else []) for name in PLANTS]
-)
+@pytest.mark.parametrize("plant", MARKED_PLANTS)
 def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
     assert abs(on_slope(plant, direction, 0.5)[1]) < 1e-6
     assert abs(on_slope(plant, direction, 0.995)[1]) < 2e-4  # just below the friction angle
 
 
 @pytest.mark.parametrize("direction", MU)
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("plant", MARKED_PLANTS)
 def test_slide_beyond_the_friction_angle_follows_coulomb(plant, direction):
     assert on_slope(plant, direction, 1.005)[1] > 1e-3
     path, _, run = on_slope(plant, direction, 1.2)

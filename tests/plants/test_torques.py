@@ -81,6 +81,7 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
     return track * (right[0] - left[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["complete", "compliant"])
 @pytest.mark.parametrize(
     ("law", "mu", "inertia"),

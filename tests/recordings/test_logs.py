@@ -49,6 +49,7 @@ def test_motion_without_noise_is_recovered(tmp_path, layout, most):
     near(found.trajectory.com, motion().com, 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_error_of_the_motion_is_that_of_the_noise(tmp_path, layout):
     """0.2 mm over 20 mm is 14 mrad per heading; over segments of 55 mm it is less, but accumulates."""
@@ -81,6 +82,7 @@ def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, s
     assert place[measured].max() < 8 * NOISE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
     """The markers are in another order on every frame, and some are hidden."""
