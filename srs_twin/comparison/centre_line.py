@@ -124,9 +124,9 @@ def hull_lines(trajectory: Trajectory) -> np.ndarray:
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     """Return the largest overlap of two parts of a planar body, m; 0 below a quarter of its width.
 
-    Only the twin in a world with objects has contacts of the body with itself. Parts count that are at least
-    twice the width apart along the body. Up to 200 samples are searched, those in which the headings of the
-    body span more than π; other bodies cannot touch themselves.
+    Only the twin in a world with objects has contacts of the body with itself. Compared are points whose
+    distance along the body is over twice its width, in at most 200 of the samples in which the headings of
+    the body span more than π; other bodies cannot touch themselves.
     """
     curled = np.flatnonzero(np.ptp(trajectory.stack("theta"), axis=1) > np.pi)
     if trajectory.has("z") or not len(curled):

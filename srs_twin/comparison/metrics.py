@@ -174,10 +174,7 @@ _STRAIGHT_RAD_S = 0.05
 _ZERO_RATE = 5e-5
 """Rate that is shown as 0, m/s or rad/s."""
 _PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/agreement.md#presets)."
-_OVERLAP = (
-    "Parts of the body overlap by up to {:.0f} mm ({}): contacts of the body with itself are not simulated "
-    "(docs/objects.md#limits)."
-)
+_OVERLAP = "Parts of the body overlap by up to {:.0f} mm ({}), as no robot can (docs/objects.md#limits)."
 _COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
 """Explanation of the cause that headlines name most often."""
 _MIN_CAUSE_RATIO = 0.25

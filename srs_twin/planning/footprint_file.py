@@ -36,7 +36,7 @@ Share = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
-"""Excursion that represents a run that did not arrive, m."""
+"""Excursion entered for runs that do not arrive, m."""
 
 Rows = Field(min_length=3, max_length=101)
 Offsets = Record[Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]]

@@ -100,7 +100,7 @@ class Accumulators(NamedTuple):
 
 
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
-"""Options of the kernels. Each has a module of its own, as its constants depend on the batch."""
+"""Options of the kernels. Each is compiled separately, because its constants depend on the batch."""
 
 Kernels = dict[str, Any]
 """Kernels by name."""

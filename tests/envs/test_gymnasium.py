@@ -31,7 +31,7 @@ MARKED_TASKS = [
     pytest.param(task, marks=pytest.mark.slow) if task in ("Grasp", "Pegs", "Crawl3D") else task
     for task in TASKS
 ]
-"""All tasks; those with kernels of their own are slow."""
+"""All tasks; those that need additional kernels are slow."""
 
 SHORT = {"limit_s": 0.3}
 """Three steps of a snake, six of a module."""

@@ -23,7 +23,7 @@ from srs_twin.plants.twin.internal_joints import InternalJoints, bend_joints
 from srs_twin.plants.twin.mjcf.model import scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
 from srs_twin.plants.twin.mjcf.surroundings import hulls as hull_names
-from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names
+from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names, place_of
 from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import equivalent_linear_pressure, free_extensions, vector_bends
@@ -249,7 +249,7 @@ class SnakePhysics(dm.Physics, Stateful):
         # connector j, the rear half for connector j + 1.
         self._hull_shares = np.zeros((spec.geometry.connectors, len(hulls)))
         for k, hull in enumerate(hulls):
-            segment, number = map(int, hull.split("_")[1:])
+            segment, number = place_of(hull)
             count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
             share = np.clip(count / 2 - number, 0.0, 1.0)
             self._hull_shares[segment - 1, k], self._hull_shares[segment, k] = share, 1 - share

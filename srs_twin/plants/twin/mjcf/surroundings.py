@@ -192,18 +192,20 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, wor
 
 
 def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Let hulls touch each other, without friction, if more than a body width is between their segments."""
+    """Add frictionless contacts between hulls whose segments are more than a body width apart."""
     hull = mj.find_default("hull").geom
     default = mj.add_default("self_contact", mj.default)
     default.pair.condim, default.pair.solref, default.pair.solimp = 1, hull.solref, hull.solimp
     for first, second in combinations(hulls(mj), 2):
-        between = abs(_segment(first) - _segment(second)) - 1
+        between = abs(place_of(first)[0] - place_of(second)[0]) - 1
         if between * spec.geometry.pitch > spec.geometry.width:
             mj.add_pair(default, name=f"{first}_{second}", geomname1=first, geomname2=second)
 
 
-def _segment(hull: str) -> int:
-    return int(hull.split("_")[1])
+def place_of(hull: str) -> tuple[int, int]:
+    """Return the segment of a hull and its number in the segment, both from 1."""
+    _, segment, number = hull.split("_")
+    return int(segment), int(number)
 
 
 def _add_object(
