@@ -12,7 +12,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from ruamel.yaml import YAML
+import yaml
 
 ROOT = Path(__file__).parents[1]
 
@@ -22,7 +22,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--only", default="", help="only faults whose name contains one of these words")
     only = parser.parse_args().only
-    listed = YAML(typ="safe").load(ROOT / "benchmarks/faults.yaml")
+    listed = yaml.safe_load((ROOT / "benchmarks/faults.yaml").read_text("utf-8"))
     faults = [fault for fault in listed if only in fault["name"]]
     with tempfile.TemporaryDirectory() as folder:
         copy = copied_to(Path(folder) / "copy")

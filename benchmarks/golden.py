@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
-from ruamel.yaml import YAML
+import yaml
 
 from srs_twin import plan
 from srs_twin.scenario.provenance import arithmetic
@@ -90,7 +90,8 @@ def fits(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
             str(folder / f"{kind}.yaml"),
             cwd=HERE.parent,
         )
-        yield kind, _digest(_without(YAML(typ="safe").load(folder / f"{kind}.yaml"), ("command", *_WALL)))
+        fit = yaml.safe_load((folder / f"{kind}.yaml").read_text("utf-8"))
+        yield kind, _digest(_without(fit, ("command", *_WALL)))
 
 
 def plans(folder: Path, *_: str) -> Iterator[tuple[str, str]]:

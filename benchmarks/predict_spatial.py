@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 from drawn_robots import PREDICTIONS, ROBOTS, ROOT, draw, model_errors, motion, with_values
-from ruamel.yaml import YAML
 
 from srs_twin import Gait
 from srs_twin.control.gait import PitchWave
@@ -122,7 +122,7 @@ def main() -> None:
     options = parser.parse_args()
     rows: list[dict[str, Any]] = []
     errors = model_errors(options.robots, options.seed)
-    earlier = YAML(typ="safe").load(options.runs)["robots"] if options.runs else None
+    earlier = yaml.safe_load(options.runs.read_text("utf-8"))["robots"] if options.runs else None
     for k, (file, facts) in enumerate(draw_robots(options.robots, options.seed)):
         speeds = fastest(file.spec()) if earlier is None else {n: earlier[k][n] for n in NAMES}
         rows.append({**facts, "model_error": round(float(errors[k]), 3), **speeds})

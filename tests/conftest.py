@@ -28,7 +28,7 @@ settings.load_profile("srs_twin")
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-ENDINGS = (signal.SIGINT, signal.SIGTERM)
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
 

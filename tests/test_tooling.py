@@ -10,8 +10,8 @@ import tomllib
 from functools import cache
 
 import pytest
+import yaml
 from conftest import ROOT
-from ruamel.yaml import YAML
 
 pytestmark = pytest.mark.fast
 
@@ -20,8 +20,8 @@ RUN, NIGHTLY = ((ROOT / ".ci" / name).read_text("utf-8") for name in ("run", "ni
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
 
 
-def yaml(name):
-    return YAML(typ="safe", pure=True).load(ROOT / name)
+def read_yaml(name):
+    return yaml.safe_load((ROOT / name).read_text("utf-8"))
 
 
 def recipes():
@@ -31,7 +31,7 @@ def recipes():
 
 
 def hooks():
-    return [hook["entry"] for repo in yaml(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
+    return [hook["entry"] for repo in read_yaml(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
 
 
 def scripts():
@@ -103,7 +103,7 @@ def test_nightly_studies_have_time_limits():
 
 
 def test_workflow_runs_the_ci_scripts():
-    workflow = yaml(".github/workflows/ci.yml")
+    workflow = read_yaml(".github/workflows/ci.yml")
     assert workflow["permissions"] == {"contents": "read"}
     jobs = workflow["jobs"].values()
     run = {step["run"]: job["if"] for job in jobs for step in job["steps"] if "run" in step}
@@ -115,7 +115,7 @@ def test_workflow_runs_the_ci_scripts():
 
 
 def test_every_fault_fits_the_code_and_names_tests_that_exist():
-    for fault in yaml("benchmarks/faults.yaml"):
+    for fault in read_yaml("benchmarks/faults.yaml"):
         assert (ROOT / fault["file"]).read_text("utf-8").count(fault["old"]) == 1, fault["name"]
         for test in fault["tests"].split():
             file, _, name = test.partition("::")

@@ -108,7 +108,7 @@ def shadow(
     """
     from threadpoolctl import threadpool_limits
 
-    from srs_twin.io.files import check_output_folder, make_folder
+    from srs_twin.io.files import check_output_folder, make_folder, require_file
     from srs_twin.live.session import KEPT
     from srs_twin.robot.file import load_robot
 
@@ -118,6 +118,8 @@ def shadow(
         lab = lab.with_setup(setup, context)
     if lab.robot is None:
         raise InputError("which robot? Give ROBOT, or a file with --setup")
+    if mcap is not None:
+        require_file(mcap)
     if out is not None:
         check_output_folder(out, KEPT)
     threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine

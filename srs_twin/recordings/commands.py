@@ -206,6 +206,7 @@ def export(
         out: File to write. [default: RUN/twin.csv, RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
+    from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import check_output_folder, display_path, write_text
 
     chosen = [name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted]
@@ -234,10 +235,7 @@ def export(
     elif kind == "npz":
         exporting.write_npz(path, runs[first])
     else:
-        from ruamel.yaml import YAML
-
         exporting.write_mcap(path, runs)
-        with beside[0].open("w", encoding="utf-8") as file:
-            YAML(typ="safe").dump(exporting.recording_map(first, runs[first]), file)
+        write_text(beside[0], dump_yaml(exporting.recording_map(first, runs[first])))
         write_text(beside[1], json.dumps(exporting.foxglove_layout(runs), indent=2) + "\n")
     say(f"wrote {', '.join(display_path(target) for target in (path, *beside))}", quiet=quiet)

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from conftest import ROOT
-from ruamel.yaml import YAML
 from typer.exceptions import TyperException
 
 from srs_twin.cli import main
@@ -32,11 +32,11 @@ FENCES = {
 
 
 def workflow(name):
-    return YAML(typ="safe", pure=True).load(FENCES["yaml", name])
+    return yaml.safe_load(FENCES["yaml", name])
 
 
-ACTION = YAML(typ="safe", pure=True).load(ROOT / ".github/actions/rollouts/action.yml")
-TEMPLATE = YAML(typ="safe", pure=True).load(ROOT / "ci/gitlab.yml")[".srs_twin_rollouts"]
+ACTION = yaml.safe_load((ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8"))
+TEMPLATE = yaml.safe_load((ROOT / "ci/gitlab.yml").read_text("utf-8"))[".srs_twin_rollouts"]
 
 
 def github_steps():
@@ -168,7 +168,7 @@ def test_no_workflow_pastes_an_expression_into_a_shell():
             elif isinstance(each, dict | list):
                 yield from scripts(each)
 
-    found = [text for path in files for text in scripts(YAML(typ="safe", pure=True).load(path))]
+    found = [text for path in files for text in scripts(yaml.safe_load(path.read_text("utf-8")))]
     assert len(found) >= 5
     assert not [text for text in found if "${{" in text]
 

@@ -10,13 +10,14 @@ import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 from conftest import ROOT
 from pages import PAGES, Page, words_of
-from ruamel.yaml import YAML
 from typer.exceptions import TyperException
 
 from srs_twin import load_robot, load_scenario
 from srs_twin.cli.app import command
+from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import shipped_names
 from srs_twin.live.setup_file import load_setup
 from srs_twin.recordings.recording_map import read_map
@@ -144,20 +145,18 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
         # A footprint that a command of the page measures; loading a scenario needs any.
         for name in re.findall(r"calibrate footprint .* --out \. --name (\w+)", each.text):
             shutil.copy(ROOT / "calibration/footprints/gen2_gait.yaml", tmp_path / f"{name}.yaml")
-    yaml = YAML(typ="safe", pure=True)
-    document = yaml.load(block.text.replace("{…}", "{}"))
+    document = yaml.safe_load(block.text.replace("{…}", "{}"))
     if block.mark == "map":
         found = read_map(document)
         assert found.markers or found.bodies
         return
     path = tmp_path / "printed.yaml"
     if block.mark.startswith("over "):
-        base = yaml.load((ROOT / block.mark.removeprefix("over ")).read_text("utf-8"))
+        base = yaml.safe_load((ROOT / block.mark.removeprefix("over ")).read_text("utf-8"))
     else:
         base = {} if set(document) >= {"robot", "controller"} or not set(document) <= SCENARIO else FRAGMENT
     printed = {**base, **document}
-    with path.open("w", encoding="utf-8") as file:
-        yaml.dump(printed, file)
+    path.write_text(dump_yaml(printed), "utf-8")
     loaders = {
         "vary": load_sweep,
         "geometry": load_robot,

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import as_in_a_process
 from malformed_scenarios import SCENARIO
 
 from srs_twin.cli import main
@@ -160,7 +161,7 @@ def tree(folder: Path) -> dict[bytes, bytes | None]:
 def rejection(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """Run a command that must exit with code 2, and return its message."""
     before = tree(Path.cwd())
-    with pytest.raises(SystemExit) as exit_:
+    with as_in_a_process(), pytest.raises(SystemExit) as exit_:
         main(list(arguments))
     output, message = capsys.readouterr()
     assert (exit_.value.code, output) == (2, ""), message

@@ -164,7 +164,7 @@ def test_all_rejected_features_are_reported_at_once():
     ("text", "message"),
     [
         ("a: 1\n---\nb: 2\n", "f.yaml:2:1: a second document begins here; a file may contain one"),
-        ("%YAML 1.1\n---\na: 1\n", "f.yaml:2:1: YAML directives are not allowed"),
+        ("%YAML 1.1\n---\na: 1\n", "f.yaml:1:1: YAML directives are not allowed"),
         ("a: 1\n\tb: 2\n", "f.yaml:2:1: not YAML: .*spaces, not tabs"),
         ("a: 'x\n", "f.yaml:2:1: not YAML: while scanning a quoted scalar: found unexpected end"),
         ("a: b: c\n", "f.yaml:1:5: not YAML: mapping values are not allowed here"),

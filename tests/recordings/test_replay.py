@@ -6,9 +6,9 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from conftest import ROOT
 from recorded import SPEC
-from ruamel.yaml import YAML
 from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, load_scenario, rollout
@@ -272,7 +272,7 @@ def test_replay_command(tmp_path, srs_twin):
 
     # The scenario in the folder is the same replay; a missed limit determines the exit code.
     resolved = run / "scenario.resolved.yaml"
-    document = YAML(typ="safe").load(resolved)
+    document = yaml.safe_load(resolved.read_text("utf-8"))
     assert document["controller"] == {"kind": "replay"} and document["recording"]["longest_gap_s"] == 0.3
     again = load_scenario(resolved)
     assert again.name == "walk_check" and again.robot == load_robot("gen2")

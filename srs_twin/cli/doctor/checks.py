@@ -98,7 +98,7 @@ _LISTED_PACKAGES = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow"
 # takes as long to import as all other packages together.
 _MODULES = {
     "rerun-sdk": "rerun_bindings",
-    "ruamel-yaml": "ruamel.yaml",
+    "pyyaml": "yaml",
     "backports-zstd": "backports.zstd",
     "pillow": "PIL",
 }
