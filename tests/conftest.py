@@ -24,6 +24,9 @@ ROOT = Path(__file__).parents[1]
 settings.register_profile("srs_twin", deadline=None, print_blob=True)
 settings.load_profile("srs_twin")
 
+# Each of the two workers has one core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Tests start hundreds of commands, which would compile the package again without stored bytecode.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False

@@ -42,7 +42,7 @@ def shortest_path(start: Pose, x: float, y: float, heading: float | None, radius
         heading: heading at the end, rad; None: any.
         radius: turning radius, m.
     """
-    path = dubins_path(*start, x, y, heading or 0.0, heading is None, radius)
+    path = dubins_path(*start, *Pose(x, y, heading or 0.0), heading is None, float(radius))
     return [(turn / radius, length) for turn, length in zip(path[:3], path[3:], strict=True)]
 
 

@@ -35,8 +35,8 @@ class Pose:
     heading: float
 
     def __iter__(self) -> Iterator[float]:
-        """Yield x, y and heading."""
-        return iter((self.x, self.y, self.heading))
+        """Yield x, y and heading as floats: integers would have kernels compiled once more."""
+        return iter((float(self.x), float(self.y), float(self.heading)))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Gait that yields to contact: its laws from sensor readings alone."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -15,17 +16,21 @@ from srs_twin.robot.world import Circle, World
 SNAKE = load_robot("skin_example")
 FULL = SNAKE.supply.nominal
 SEGMENTS = SNAKE.segments
-STATE = AnalyticalSnake(SNAKE).state
+
+
+@functools.cache
+def initial_state():
+    return AnalyticalSnake(SNAKE).state
 
 
 def at(time, pressure, sensed):
     """Return a state with true fields of NaN."""
     nothing = {
-        name: np.full_like(np.asarray(getattr(STATE, name), dtype=float), math.nan)
+        name: np.full_like(np.asarray(getattr(initial_state(), name), dtype=float), math.nan)
         for name in ("com", "com_velocity", "position", "theta", "bend", "bend_rate", "contact_force",
                      "obstacle_force", "torque", "work")
     }  # fmt: skip
-    return replace(STATE, time=time, heading=math.nan, pressure=pressure, sensed=sensed, **nothing)
+    return replace(initial_state(), time=time, heading=math.nan, pressure=pressure, sensed=sensed, **nothing)
 
 
 def wave(time):

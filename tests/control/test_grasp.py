@@ -1,5 +1,6 @@
 """Whole-body grasp: phases of the controller, and the statics of the wrap on the twin."""
 
+import functools
 import math
 from dataclasses import replace
 
@@ -18,13 +19,19 @@ CHAIN = replace(
     geometry=replace(GEN2.geometry, connectors=9),
     mass=replace(GEN2.mass, connectors=GEN2.mass.connectors[:1] * 9),
 )
-STATE = TwinSnake(CHAIN).state
+
+
+@functools.cache
+def initial_state():
+    return TwinSnake(CHAIN).state
 
 
 def at(time: float, sensed: float, **changes: object):
     """Return a state with true fields of NaN."""
     nothing = np.full(8, math.nan)
-    return replace(STATE, time=time, sensed=np.full(8, sensed), bend=nothing, bend_rate=nothing, **changes)
+    return replace(
+        initial_state(), time=time, sensed=np.full(8, sensed), bend=nothing, bend_rate=nothing, **changes
+    )
 
 
 def stepped(grasp: Grasp, bend: float, seconds: float) -> Phase:

@@ -48,7 +48,9 @@ def test_explicit_settings_admit_every_scale(name, s):
 
 
 @pytest.mark.parametrize("s", [0.05, 20.0])
-@pytest.mark.parametrize("name", ["complete, wheel, momentary", "twin, loaded, wheel"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("complete, wheel, momentary", marks=pytest.mark.slow), "twin, loaded, wheel"]
+)
 def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     """The settings differ by 12 % from those that scale."""
     assert np.abs(deviations(name, SPEC, s, (), reference(name, ()))).max() < 5e-3
@@ -59,8 +61,8 @@ def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     ("name", "settings"),
     [
         ("simplified, axis", ("slip_speed", "tolerance")),
-        ("complete, wheel, momentary", ("slip_speed", "tolerance")),
-        ("compliant, ellipse", ("slip_speed",)),
+        pytest.param("complete, wheel, momentary", ("slip_speed", "tolerance"), marks=pytest.mark.slow),
+        pytest.param("compliant, ellipse", ("slip_speed",), marks=pytest.mark.slow),
         ("twin, loaded, wheel", ("slip_speed",)),
         ("twin, loaded, ellipse", ("slip_speed",)),
     ],

@@ -211,6 +211,7 @@ def test_mirrored_gait_among_mirrored_pegs_is_the_mirror_image():
     assert np.abs(left["heading"][-1]) > 0.01
 
 
+@pytest.mark.slow
 def test_cells_do_not_change_a_free_snake():
     # A post far away: the divided body then bends like the undivided one, up to the chord between its wheels.
     spec = robot("gen2")

@@ -61,6 +61,7 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
     assert moved == pytest.approx(own, abs=2e-3 * np.abs(own).max())
 
 
+@pytest.mark.slow
 def test_coulomb_friction_without_inertia_does_not_depend_on_the_rate():
     spec = continuous_snake(0.1, 0.1, 0.3, segments=16)
     slow, fast = (

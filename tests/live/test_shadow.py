@@ -216,6 +216,7 @@ def test_a_robot_is_steered_to_the_goal(fault):
     assert done["clearance_m"] > 0
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_lost_is_vented():
     run = Run(5, 9.0, robot="gen2", frequency=2.0, cameras_s=4.0, loss=0.0)
     done = steered((run, "follow_orifice"))

@@ -350,7 +350,7 @@ body = load_footprint("gen4_ilc")
 square = Polygon(((1.4, -0.3), (1.6, -0.3), (1.6, 0.1), (1.4, 0.1)))
 for world in (World(), World((Circle(0.7, 0.05, 0.1),), Bounds((-1.0, 4.0), (-2.0, 2.0)), None, (square,))):
     for heading in (None, 0.3):
-        found = plan(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, heading, 0.05), world, body))
+        found = plan(Problem(Pose(0, 0, 0), Goal(3, 0, heading, 0.05), world, body))
         assert found.found
 print([name for name, count in kernels().items() if count != before.get(name, 0)])
 """

@@ -54,9 +54,9 @@ def power(h: SnakeState) -> np.ndarray:
 @pytest.mark.parametrize(
     ("law", "mu"),
     [
-        ("viscous", {"mu_t": 1.0, "mu_n": 15.0}),
+        pytest.param("viscous", {"mu_t": 1.0, "mu_n": 15.0}, marks=pytest.mark.slow),
         pytest.param("axis", {}, marks=pytest.mark.slow),
-        pytest.param("wheel", {}, marks=pytest.mark.slow),
+        ("wheel", {}),
     ],
 )
 def test_work_is_the_integral_of_the_torque_power(options, law, mu):

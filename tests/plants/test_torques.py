@@ -138,11 +138,19 @@ def apart(
 
 
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
-@pytest.mark.parametrize(("law", "mu"), [("viscous", SMOOTH), ("axis", {}), ("wheel", {})])
+@pytest.mark.parametrize(
+    ("law", "mu"),
+    [
+        pytest.param("viscous", SMOOTH, marks=pytest.mark.slow),
+        pytest.param("axis", {}, marks=pytest.mark.slow),
+        ("wheel", {}),
+    ],
+)
 def test_stiff_springs_exert_the_inverse_dynamics_torques(law, mu, inertia):
     assert apart(law, mu, inertia, (320.0,))[0] < 0.02
 
 
+@pytest.mark.slow
 def test_spring_torques_converge_with_stiffness():
     soft, middle, stiff = apart("viscous", SMOOTH, "point", (20.0, 80.0, 320.0))
     assert np.log([soft / middle, middle / stiff]) / np.log(4) == pytest.approx([1, 1], abs=0.2)
