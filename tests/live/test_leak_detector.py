@@ -48,7 +48,9 @@ def chambers_of(spec, **settings):
     "name",
     ["gen2", pytest.param("gen3", marks=pytest.mark.slow), pytest.param("gen4", marks=pytest.mark.slow)],
 )
-@pytest.mark.parametrize("half", [13, 17, 33])
+@pytest.mark.parametrize(
+    "half", [pytest.param(13, marks=pytest.mark.slow), 17, pytest.param(33, marks=pytest.mark.slow)]
+)
 def test_leak_is_detected_within_one_stroke(name, half):
     spec = robot(name)
     for rate, variant in ((0.0, SOUND), (2.0, SLOW), (8.0, FAST)):
