@@ -171,6 +171,7 @@ def test_every_entry_of_the_registry_loads():
             assert extensions.load(entry) is not None
 
 
+@pytest.mark.slow
 def test_the_picture_of_the_rooms_is_what_the_imports_draw(root, tmp_path):
     program = root / "docs" / "rooms.py"
     code = f"import runpy, pathlib; d = runpy.run_path({str(program)!r}); "

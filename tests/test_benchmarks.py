@@ -51,6 +51,7 @@ def test_lsoda_error_decreases_with_its_tolerance():
     assert good < 0.1 * rough < 1e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("script", ["timing", "scaling"])
 def test_doctests_of_the_timing_helpers(script):
     done = subprocess.run(

@@ -181,6 +181,7 @@ def real() -> Trajectory:
     return rollout(snake, ILC(1.0, 0.3, target=0.7), 14.0)
 
 
+@pytest.mark.slow
 def test_mirroring_swaps_the_sides(real):
     columns = dict(real.columns)
     for name in ("duty", "target"):

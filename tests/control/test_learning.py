@@ -170,6 +170,7 @@ def test_any_readings_keep_duties_within_0_and_1(rows, target, offset, hold, on_
         assert all(np.shape(each) in ((), (SEGMENTS,)) for each in signals.values())
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(
     arrays(float, (30, SEGMENTS), elements=st.floats(-1.0, 1.0)),

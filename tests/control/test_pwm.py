@@ -33,6 +33,7 @@ def openings(filling: np.ndarray) -> np.ndarray:
     return (filling & ~closed_before).sum(axis=0)
 
 
+@pytest.mark.slow
 @some
 @given(arrays(float, (20, 2), elements=duties), st.sampled_from([13.0, 50.0, 60.0, 61.7, 240.0]))
 def test_duty_is_exact_over_many_periods(duty, carrier):

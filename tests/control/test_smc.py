@@ -366,6 +366,7 @@ def test_direct_controller_settles_faster_and_only_iterative_overshoots():
     assert iterative["overshoot_rel"] > 0.03 and iterative["settling_5_s"] > direct["settling_5_s"]
 
 
+@pytest.mark.slow
 def test_direct_controller_has_more_amplitude_and_less_lag_at_6_hz():
     """Fig. 43 to 45: 15 % more, 0.5 rad less, at most 0.5 rad, 67 against 349 openings."""
     direct, iterative = (followed(kind, Sine(34.3 * DEGREE, 6.0), 4.0) for kind in BOTH)
@@ -374,6 +375,7 @@ def test_direct_controller_has_more_amplitude_and_less_lag_at_6_hz():
     assert iterative["inlet_openings"] >= 3.5 * direct["inlet_openings"]
 
 
+@pytest.mark.slow
 def test_direct_controller_opens_its_valves_less_often_at_2_hz():
     """Fig. 46: 26 against 213 openings."""
     direct, iterative = (followed(kind, Square(34.3 * DEGREE, 2.0), 4.0) for kind in BOTH)

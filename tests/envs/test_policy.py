@@ -55,6 +55,7 @@ def test_layers_must_fit_together(tmp_path):
         load_policy(tmp_path / "gone.npz")
 
 
+@pytest.mark.slow
 def test_the_shipped_policy_reaches_goals():
     task = make_task("GoTo")
     act = load_policy("goto").bind(task)

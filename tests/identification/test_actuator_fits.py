@@ -164,6 +164,7 @@ def test_the_actuator_of_a_benched_plant_is_recovered():
         assert fit[name].value == pytest.approx(value, rel=1e-3), name
 
 
+@pytest.mark.slow
 def test_a_recording_with_another_clock_is_fitted(tmp_path: Path):
     """Free bends of `complete` with noise and an estimated clock offset recover the actuator."""
     truth = motion(3.0)
@@ -220,6 +221,7 @@ def test_intervals_from_static_tables_cover_the_truth():
     assert min(hits.values()) >= 24, hits
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_never_reached_has_no_number():
     fit = fit_static([table(1e9, noise=0.01, most=40e3)], MODULE)
     assert fit["actuator.bend_limit_rad"].value is None

@@ -70,6 +70,7 @@ def test_the_shipped_width_is_what_its_command_finds():
         assert (item.measured["left_m"], item.measured["right_m"]) == table[item.name]
 
 
+@pytest.mark.slow
 def test_the_page_shows_the_edges_of_the_shipped_width():
     done = run_benchmark("table8_width.py", "--show")
     assert done.returncode == 0, done.stderr

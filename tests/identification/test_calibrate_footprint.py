@@ -162,6 +162,7 @@ def test_arrays_are_written_row_by_row_and_read_back():
     assert parse_yaml(text, "text").data == data == parse_yaml(dump_yaml(data), "text").data
 
 
+@pytest.mark.slow
 def test_a_footprint_with_transients_is_read_back_from_its_file(tmp_path):
     drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
     planned = footprint_study(drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1)

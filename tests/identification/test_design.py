@@ -16,6 +16,7 @@ from srs_twin.identification.friction import Pulls, fit_pulls
 SPEC = load_robot("gen2")
 
 
+@pytest.mark.slow
 def test_predicted_intervals_agree_with_the_scatter_of_fits():
     fit = choose_experiments(SPEC, {}, {"friction.mu_n": 0.04})
     assert [experiment.description for experiment in fit.chosen][0].startswith("10 pulls across")
@@ -42,6 +43,7 @@ def test_walks_do_not_separate_mass_from_stiffness():
         assert fit[1, 1] > 1e-2 * fit[2, 2]
 
 
+@pytest.mark.slow
 def test_a_load_separates_drag_from_wheel_inertia():
     known = {"friction.mu_t": (0.043, 0.01), "friction.drag_n": (0.0, 0.03)}
     fit = choose_experiments(SPEC, known, {"friction.mu_t": 0.06})

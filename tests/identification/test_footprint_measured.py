@@ -279,6 +279,7 @@ def test_finer_time_steps_of_the_twin_give_the_same_footprint(turning):
         assert [getattr(path, name) for path in (turning, half)] == pytest.approx([finest] * 2, rel=within)
 
 
+@pytest.mark.slow
 def test_right_and_left_turns_of_the_twin_are_mirror_images(turning):
     other = twin(-0.3, phase=math.pi)
     assert other.speed == pytest.approx(turning.speed, rel=1e-4)

@@ -133,6 +133,7 @@ def test_wheel_inertia_is_separated_from_friction():
     assert with_spin / without == pytest.approx(1 + spin_share(SPEC), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_intervals_from_coasting_cover_the_truth():
     """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
     hits = np.zeros(2)

@@ -132,6 +132,7 @@ def test_modules_are_recovered_from_bend_logs(tmp_path):
     assert total >= 51
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "truth"),
     [pytest.param(TRUE_CHAIN, OF_CHAIN, marks=pytest.mark.slow), (TRUE_MODULE, OF_MODULE)],

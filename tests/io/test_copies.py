@@ -96,6 +96,7 @@ def test_copied_physics_steps_and_contacts_alone_are_rejected():
             method(twin.physics.stepper)
 
 
+@pytest.mark.slow
 def test_copied_batch_continues_bit_for_bit():
     gen2 = load_robot("gen2")
     rough = replace(gen2, friction=replace(gen2.friction, mu_t=0.2))

@@ -221,6 +221,7 @@ def test_cells_do_not_change_a_free_snake():
     assert divided.com[-1] == pytest.approx(whole.com[-1], rel=0.02)
 
 
+@pytest.mark.slow
 def test_obstacles_do_not_matter_without_touch():
     spec = robot("gen2")
     near = World((Circle(0.2, 0.0, POST),))

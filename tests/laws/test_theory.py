@@ -71,6 +71,7 @@ def test_coulomb_friction_without_inertia_does_not_depend_on_the_rate():
     assert slow > 0.2 and fast == pytest.approx(slow, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_model_on_skin_that_fails_in_its_first_step_is_reported():
     spec = continuous_snake(0.1, 0.1, 1e3)
     wave = CurvatureWave(spec, amplitude=0.8 * math.pi, period=PERIOD, waves=2)

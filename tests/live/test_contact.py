@@ -16,6 +16,7 @@ GEN2 = load_robot("gen2")
 N, PERIOD = GEN2.segments, 25
 
 
+@pytest.mark.slow
 def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fits_at_first():
     rng, contact, commands = np.random.default_rng(1), LiveContact(GEN2), CommandPeriod()
     first = None

@@ -74,6 +74,7 @@ def test_force_and_place_of_a_contact_are_recovered_in_spite_of_wrong_gains(plac
     assert last.place_interval[0] <= place * PITCH <= last.place_interval[1]
 
 
+@pytest.mark.slow
 def test_estimates_scale_with_the_robot():
     """A robot of four times the size has two times the times, and 64 times the forces."""
     last, large = observed(0.6, 2.2)[-1], observed(0.6, 2.2, scale=4.0)[-1]

@@ -34,6 +34,7 @@ def walked(seconds, fault=lambda time, readings: readings, supply=lambda time: 1
     return detector, readings, bend
 
 
+@pytest.mark.slow
 def test_poor_sensors_are_corrected_and_are_no_fault():
     detector, readings, bend = walked(15.0)
     assert detector.named == {}
@@ -53,6 +54,7 @@ def test_drift_of_a_poor_sensor_is_a_fault():
     assert detector.named == {2: "drifting_sensor"}
 
 
+@pytest.mark.slow
 def test_half_of_the_supply_is_reported_without_pressures():
     detector, *_ = walked(8.5, supply=lambda time: 1.0 if time < 6.0 else 0.5)
     assert detector.named == {0: "starved"}

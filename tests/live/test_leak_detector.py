@@ -65,6 +65,7 @@ def test_leak_is_detected_within_one_stroke(name, half):
         assert (others.argmax(axis=1) == SOUND).all()
 
 
+@pytest.mark.slow
 def test_unknown_chamber_volumes_are_learnt():
     said = robot("gen4")
     other = replace(

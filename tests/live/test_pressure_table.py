@@ -33,6 +33,7 @@ def followed(deviation, seconds=30.0, half=15, late=0.007):
     return rates, np.array(off)
 
 
+@pytest.mark.slow
 def test_inrush_after_switching_is_learnt():
     rates, off = followed(lambda age, opens: (2 * opens - 1) * 400e3 if age < 0.04 else 0.0)
     late = np.sqrt(np.mean(off[-300:] ** 2))

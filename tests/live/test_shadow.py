@@ -111,6 +111,7 @@ def test_estimates_are_for_now_and_their_intervals_hold(rate):
     assert 0.9 < np.mean(np.abs(error) < 1.96 * sd) < 0.99
 
 
+@pytest.mark.slow
 def test_measurements_beyond_50_hz_are_left_out(monkeypatch):
     spec = load_robot("gen4")
     shadow, used = Shadow(spec, members=8), []

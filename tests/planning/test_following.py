@@ -252,6 +252,7 @@ def camera_frames(seed, rate=30.0):
     return found
 
 
+@pytest.mark.slow
 def test_frames_come_at_their_rate_and_repeat_for_a_seed():
     taken = [each for each in camera_frames(1) if each is not None]
     assert len(taken) == pytest.approx(100 * 30, abs=1)

@@ -295,6 +295,7 @@ def test_stiff_compliant_bends_equal_prescribed_bends():
     assert speeds[-1] < 0.005 and speeds[-1] < speeds[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["axis", "wheel"])
 def test_stiff_compliant_model_has_the_speed_of_complete(law):
     spec, options = robot(), {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}

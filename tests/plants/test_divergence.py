@@ -136,6 +136,7 @@ def assert_kept(error: DivergedError, until: float) -> None:
         assert (np.abs(column) < LARGEST_PLAUSIBLE).all(), name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [

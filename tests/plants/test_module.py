@@ -347,6 +347,7 @@ def test_sensor_drift_biases_the_bend():
 # Reports and metrics
 
 
+@pytest.mark.slow
 def test_report_shows_reference_tracking(tmp_path):
     from srs_twin.cli.table import rows
     from srs_twin.experiment import run_scenario

@@ -24,6 +24,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
     path, finished = tmp_path / "run.mcap", load_run(run)
     write_mcap(path, finished.trajectories)

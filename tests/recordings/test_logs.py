@@ -132,6 +132,7 @@ def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
     near(mirrored["y_1"], -right["y_1"], 1e-9)
 
 
+@pytest.mark.slow
 @settings(max_examples=3)
 @given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.sampled_from(LAYOUTS))
 def test_motion_does_not_depend_on_the_world_frame(tmp_path_factory, x, y, turn, layout):

@@ -150,6 +150,7 @@ def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
     assert len(parts) == len(told["over_time"]["time_s"]) == 50
 
 
+@pytest.mark.slow
 def test_sweep_and_run_agree_on_recorded_pressures(perfect):
     """Rows contain the differences from the measured robot, but no costs, which are unknown."""
     recording = {
@@ -234,6 +235,7 @@ def test_a_measured_metric_needs_a_recording():
         })  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
 def test_resolved_scenario_does_not_depend_on_the_folder(perfect, log, monkeypatch, tmp_path):
     monkeypatch.chdir(perfect)
@@ -298,6 +300,7 @@ def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_
     assert first["pneumatic_power_w"] is None and first["valve_switches"] is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -188,6 +188,7 @@ def test_scenario_in_a_map_plans_runs_and_detects_changes(tmp_path, monkeypatch)
     assert (tmp_path / "runs/room_run/metrics.json").stat().st_mtime_ns > first
 
 
+@pytest.mark.slow
 def test_plan_among_ten_thousand_cells(tmp_path):
     """A wall of a thousand pillars has a gap; distances are computed for near obstacles only."""
     grey = np.full((400, 600), 254)

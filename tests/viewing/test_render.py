@@ -224,6 +224,7 @@ def test_stage_restores_recorded_positions(runs, opengl_here):
             assert (x, y) == pytest.approx((twin[f"x_{i}"][row], twin[f"y_{i}"][row]), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_contacts_of_a_spatial_snake_are_marked_up_to_the_time_of_the_picture(tmp_path):
     scenario = shortened("spatial_sidewinding", 1.0)
     run_scenario(scenario, tmp_path / "run", plants=["twin"])
@@ -243,6 +244,7 @@ def test_contacts_of_a_spatial_snake_are_marked_up_to_the_time_of_the_picture(tm
     assert counts[0] < counts[1] < counts[2] < 0.8 * run.stack("load").size
 
 
+@pytest.mark.slow
 def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, opengl_here, tmp_path):
     """The orange body is where the other plant was; the boxes below are there with room for them alone."""
     run = load_run(runs / "gen2_straight")
@@ -402,6 +404,7 @@ def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
     assert np.abs(ours - theirs).mean() < 3.0
 
 
+@pytest.mark.slow
 def test_unclosed_canvas_is_freed_silently_at_exit(opengl_here):
     program = (
         "import mujoco\n"

@@ -56,6 +56,7 @@ def test_settings_without_a_run_give_a_warning(tmp_path):
     assert sweep.warnings == ("beside: no run has supply.pressure_kpa 54",)
 
 
+@pytest.mark.slow
 def test_published_values_do_not_change_the_rows(tmp_path):
     """Values are added, edited and removed; the rows stay the same, and no run is repeated."""
     plain, edited = SMALL + LINE, SMALL + LINE + GIVEN.replace("0.2", "0.3")

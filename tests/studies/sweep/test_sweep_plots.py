@@ -302,6 +302,7 @@ def test_a_single_value_is_stated_and_shown():
 numbers = st.one_of(st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -1.0, 1e300, 1e-300]))
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(
     rows=st.lists(
