@@ -111,7 +111,7 @@ def written_and_read(state: SavedState, tmp_path: Path) -> SavedState:
     return SavedState.read(tmp_path / "state.npz")
 
 
-@pytest.mark.parametrize("case", first_by_default(15, map(pytest.param, thirds(cases()))), ids="-".join)
+@pytest.mark.parametrize("case", first_by_default(10, map(pytest.param, thirds(cases()))), ids="-".join)
 def test_restored_run_continues_bit_for_bit(case, tmp_path):
     asked = scenario(*case)
     rng = np.random.default_rng(sum(map(ord, "".join(case))))

@@ -37,10 +37,10 @@ def test_matched_plants_have_equal_yaw_rate(f):
     ("gap", "f", "kilopascals", "offset"),
     [
         (0.0, 1.0, 41, 0.0),
-        (0.0, 2.0, 55, 0.0),
-        (0.018, 1.5, 41, 0.0),
+        pytest.param(0.0, 2.0, 55, 0.0, marks=pytest.mark.slow),
+        pytest.param(0.018, 1.5, 41, 0.0, marks=pytest.mark.slow),
         (0.018, 2.0, 48, 0.2),
-        (0.018, 1.0, 55, 0.2),
+        pytest.param(0.018, 1.0, 55, 0.2, marks=pytest.mark.slow),
     ],
 )
 def test_matched_plants_on_skids_have_equal_speed(gap, f, kilopascals, offset):
