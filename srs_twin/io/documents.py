@@ -224,8 +224,11 @@ def parse_yaml(text: str, name: str) -> Document:
     try:
         reader.read()
     except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark or error.context_mark
-        problem = ": ".join(filter(None, (error.context, error.problem)))
+        mark, begin = error.problem_mark or error.context_mark, error.context_mark
+        context = error.context or ""
+        if begin and begin.line < mark.line:
+            context += f" that begins in line {begin.line + 1}"
+        problem = ": ".join(filter(None, (context, error.problem)))
         if "'\\t'" in problem:
             problem += "; YAML is indented with spaces, not tabs"
         reader.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")

@@ -53,10 +53,10 @@ MAX_TRACED_NODES = 3000
 def make_target(goal: Goal, footprint: Footprint) -> Target:
     """Return the kernels' form of a goal."""
     right, left = footprint.tightest
-    pose = Pose(goal.x, goal.y, goal.heading or 0.0)
+    x, y, heading = Pose(goal.x, goal.y, goal.heading or 0.0)
     tolerances = float(goal.radius), float(goal.heading_tolerance)
     radii = (1 - _BOUND_SLACK) / max(right, left), 1 / min(right, left)
-    return Target(*pose, goal.heading is None, *tolerances, *radii)
+    return Target(x, y, heading, goal.heading is None, *tolerances, *radii)
 
 
 class SearchTree:
