@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from snakes import robot
 
-from srs_twin import Gait, Trajectory, TwinSnake, load_scenario, rollout
+from srs_twin import Gait, LoadedContact, Trajectory, TwinSnake, load_scenario, rollout
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, World
 
 ROUND = World((Circle(0.25, 0.02, 0.06), Circle(0.2, -0.25, 0.05)))
@@ -56,10 +56,10 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
 
 @pytest.mark.slow
 @met
-@pytest.mark.parametrize("wheels", ["rolling", "skid"])
-def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, wheels):
+@pytest.mark.parametrize("law", ["wheel", "ellipse"])
+def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, law):
     """Newton's law of the whole snake with recorded forces and positions."""
-    twin = TwinSnake(robot(), supply_pa=48e3, world=WORLDS[name], wheels=wheels)
+    twin = TwinSnake(robot(), supply_pa=48e3, world=WORLDS[name], contact=LoadedContact(law))
     gait, mass = Gait(2.0), twin.spec.mass.total
     gait.reset(twin.spec, twin.tick)
     history = twin.play(gait.script(3.0), 1500)
