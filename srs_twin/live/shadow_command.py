@@ -119,7 +119,7 @@ def shadow(
     if lab.robot is None:
         raise InputError("which robot? Give ROBOT, or a file with --setup")
     if mcap is not None:
-        require_file(mcap)
+        require_file(mcap, suffix=".mcap")  # before compiling
     if out is not None:
         check_output_folder(out, KEPT)
     threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine

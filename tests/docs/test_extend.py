@@ -18,7 +18,7 @@ from pages import Page
 PAGE = Page(ROOT / "docs/extend.md")
 ADDED = ("A friction law", "A metric", "A file format", "A command")
 OMITTED = "…"
-"""Entries of a line that the page leaves out: whatever the file has there."""
+"""Entries of a line that the page leaves out; it stands for any text in the file."""
 
 LAW = """
 import numpy as np

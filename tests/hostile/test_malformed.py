@@ -29,7 +29,7 @@ def cases() -> Iterator[Any]:
     seen = set(LARGE)
     for parser in PARSERS:
         for k, malformed in enumerate(parser.all_malformed):
-            # Each model file is checked in a process of its own.
+            # The check of a model file starts a process, which takes 0.1 s.
             slow = malformed.name in seen or (parser.name == "mjcf" and k % 3 > 0)
             marks = [pytest.mark.slow] if slow else []
             seen.add(malformed.name)
