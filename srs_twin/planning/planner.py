@@ -27,6 +27,7 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.planning.best_first import best_first
 from srs_twin.planning.collision import Checker, obstacle_shapes
 from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.infeasibility import COARSE, prove_unreachable
 from srs_twin.planning.path import Segment, path_from_arcs, path_steps
 from srs_twin.planning.problem import Plan, Problem, Settings, check_problem
 from srs_twin.planning.reference_planners import greedy, rrt_connect
@@ -121,13 +122,15 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 def _compile() -> None:
     """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
     # A problem with obstacles in the way and a transient, because a straight path would not compile all
-    # kernels.
+    # kernels. It is solved without a proof that the goal is unreachable, so begin one.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
     change = Transient(-0.3, 0.3, left=0.01, right=0.01, length=0.05)
     body = replace(Footprint.box(0.06, 0.0, speed=0.1, curvature=2.0), transients=(change,))
-    best_first(Problem(Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05), world, body), Settings())
+    start, goal = Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05)
+    best_first(Problem(start, goal, world, body), Settings())
+    prove_unreachable(start, goal, body, Checker(world, body).grid, COARSE._replace(max_cells=1))
 
 
 def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple[Segment, ...]:

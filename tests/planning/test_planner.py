@@ -349,9 +349,8 @@ assert any(before.values())
 body = load_footprint("gen4_ilc")
 square = Polygon(((1.4, -0.3), (1.6, -0.3), (1.6, 0.1), (1.4, 0.1)))
 for world in (World(), World((Circle(0.7, 0.05, 0.1),), Bounds((-1.0, 4.0), (-2.0, 2.0)), None, (square,))):
-    for heading in (None, 0.3):
-        found = plan(Problem(Pose(0, 0, 0), Goal(3, 0, heading, 0.05), world, body))
-        assert found.found
+    for goal in (Goal(3, 0, None, 0.05), Goal(3, 0, 0.3, 0.05), Goal(2, 0, 0.3, 0.05)):  # integers as well
+        assert plan(Problem(Pose(0, 0, 0), goal, world, body)).found
 print([name for name, count in kernels().items() if count != before.get(name, 0)])
 """
 
