@@ -1,68 +1,57 @@
 """Digital twin of the WPI soft robotic snake: a MuJoCo twin and an analytical model under the same valves."""
 
-from __future__ import annotations
+from typing import TYPE_CHECKING
 
-import importlib
-import sys
-from types import ModuleType
+from srs_twin.extensions import lazy
 
 __version__ = "0.1.0"
 
-# Public name → module that defines it. Names are imported on first use, so that importing the package is
-# fast.
-_HOME = {
-    "AnalyticalSnake": "srs_twin.plants.analytical",
-    "TwinSnake": "srs_twin.plants.twin.snake",
-    "LoadedContact": "srs_twin.plants.twin.mjcf.numerics",
-    "PreloadedContact": "srs_twin.plants.twin.mjcf.numerics",
-    "Numerics": "srs_twin.plants.twin.mjcf.numerics",
-    "TwinBatch": "srs_twin.plants.twin.batch",
-    "Plant": "srs_twin.plants.base",
-    "SnakeState": "srs_twin.plants.base",
-    "SavedState": "srs_twin.io.saved_state",
-    "Controller": "srs_twin.control.base",
-    "Gait": "srs_twin.control.gait",
-    "rollout": "srs_twin.rollout",
-    "Job": "srs_twin.rollout",
-    "run_many": "srs_twin.rollout",
-    "run_batch": "srs_twin.rollout",
-    "run_scripts": "srs_twin.rollout",
-    "Trajectory": "srs_twin.trajectory",
-    "Event": "srs_twin.trajectory",
-    "compare": "srs_twin.experiment",
-    "Comparison": "srs_twin.comparison.compare",
-    "plan": "srs_twin.planning.planner",
-    "Plan": "srs_twin.planning.problem",
-    "Problem": "srs_twin.planning.problem",
-    "RobotSpec": "srs_twin.robot.spec",
-    "load_robot": "srs_twin.robot.file",
-    "Scenario": "srs_twin.scenario.scenario",
-    "load_scenario": "srs_twin.scenario.loading",
-    "SrsError": "srs_twin.errors",
-    "InputError": "srs_twin.errors",
-    "DivergedError": "srs_twin.errors",
-}
+if TYPE_CHECKING:
+    from srs_twin.comparison.compare import Comparison as Comparison
+    from srs_twin.control.base import Controller as Controller
+    from srs_twin.control.gait import Gait as Gait
+    from srs_twin.errors import DivergedError as DivergedError
+    from srs_twin.errors import InputError as InputError
+    from srs_twin.errors import SrsError as SrsError
+    from srs_twin.experiment import compare as compare
+    from srs_twin.io.saved_state import SavedState as SavedState
+    from srs_twin.planning.planner import plan as plan
+    from srs_twin.planning.problem import Plan as Plan
+    from srs_twin.planning.problem import Problem as Problem
+    from srs_twin.plants.analytical import AnalyticalSnake as AnalyticalSnake
+    from srs_twin.plants.base import Plant as Plant
+    from srs_twin.plants.base import SnakeState as SnakeState
+    from srs_twin.plants.twin.batch import TwinBatch as TwinBatch
+    from srs_twin.plants.twin.mjcf.numerics import (
+        LoadedContact as LoadedContact,
+    )
+    from srs_twin.plants.twin.mjcf.numerics import (
+        Numerics as Numerics,
+    )
+    from srs_twin.plants.twin.mjcf.numerics import (
+        PreloadedContact as PreloadedContact,
+    )
+    from srs_twin.plants.twin.snake import TwinSnake as TwinSnake
+    from srs_twin.robot.file import load_robot as load_robot
+    from srs_twin.robot.spec import RobotSpec as RobotSpec
+    from srs_twin.rollout import (
+        Job as Job,
+    )
+    from srs_twin.rollout import (
+        rollout as rollout,
+    )
+    from srs_twin.rollout import (
+        run_batch as run_batch,
+    )
+    from srs_twin.rollout import (
+        run_many as run_many,
+    )
+    from srs_twin.rollout import (
+        run_scripts as run_scripts,
+    )
+    from srs_twin.scenario.loading import load_scenario as load_scenario
+    from srs_twin.scenario.scenario import Scenario as Scenario
+    from srs_twin.trajectory import Event as Event
+    from srs_twin.trajectory import Trajectory as Trajectory
 
-__all__ = ["__version__", *_HOME]
-
-
-def __getattr__(name: str) -> object:
-    if name not in _HOME:
-        raise AttributeError(f"module 'srs_twin' has no attribute '{name}'")
-    return getattr(importlib.import_module(_HOME[name]), name)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
-
-
-class _Package(ModuleType):
-    """Module class that keeps public names from being shadowed: `rollout` is the function of rollout.py."""
-
-    def __setattr__(self, name: str, value: object) -> None:
-        if isinstance(value, ModuleType) and _HOME.get(name) == value.__name__:
-            value = getattr(value, name)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
+lazy(__name__)

@@ -6,10 +6,14 @@ that are not installed are ignored.
 
 from __future__ import annotations
 
+import ast
+import inspect
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
+from types import ModuleType
 from typing import Any
 
 COMMANDS = {
@@ -116,16 +120,43 @@ def _has_package(name: str) -> bool:
     return find_spec(name) is not None
 
 
-def lazy(entries: Mapping[str, str]) -> Callable[[str], object]:
-    """Return a module-level ``__getattr__`` that imports names when they are used.
+class _LazyPackage(ModuleType):
+    """Package that imports its public names when they are used; they hide submodules of the same name."""
 
-    Args:
-        entries: name → ``module:object``.
+    _homes: dict[str, str | None]
+    """Public name → module that defines it."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._homes:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        return load(f"{self._homes[name]}:{name}")
+
+    def __dir__(self) -> list[str]:
+        return sorted(self.__all__)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        # Python sets a submodule as an attribute of its package after the import.
+        if isinstance(value, ModuleType) and name in self._homes:
+            value = getattr(value, name)
+        super().__setattr__(name, value)
+
+    def __reduce__(self) -> tuple[Callable[[str], ModuleType], tuple[str]]:
+        return import_module, (self.__name__,)
+
+
+def lazy(package: str) -> None:
+    """Make a package import its public names when they are used.
+
+    Its source imports them below ``TYPE_CHECKING`` as themselves (``from module import name as name``), where
+    type checkers and editors find them. This function reads the source, so that each name stands there once.
     """
-
-    def get(name: str) -> Any:
-        if name not in entries:
-            raise AttributeError(f"no attribute {name!r}")
-        return load(entries[name])
-
-    return get
+    module = sys.modules[package]
+    homes = {
+        alias.asname: node.module
+        for node in ast.walk(ast.parse(inspect.getsource(module)))
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if alias.asname
+    }
+    vars(module).update(__all__=list(homes), _homes=homes)
+    module.__class__ = _LazyPackage

@@ -7,16 +7,17 @@ path exists, and `guidance` leads a tree around obstacles and through narrow pas
 `steering` follow a plan by the offset of a gait.
 """
 
+from typing import TYPE_CHECKING
+
 from srs_twin.extensions import lazy
 
-__getattr__ = lazy(
-    {
-        "Footprint": "srs_twin.planning.footprint:Footprint",
-        "Outcome": "srs_twin.planning.problem:Outcome",
-        "Primitives": "srs_twin.planning.arcs:Primitives",
-        "Problem": "srs_twin.planning.problem:Problem",
-        "Segment": "srs_twin.planning.path:Segment",
-        "Settings": "srs_twin.planning.problem:Settings",
-        "load_footprint": "srs_twin.planning.footprint_file:load_footprint",
-    }
-)
+if TYPE_CHECKING:
+    from srs_twin.planning.arcs import Primitives as Primitives
+    from srs_twin.planning.footprint import Footprint as Footprint
+    from srs_twin.planning.footprint_file import load_footprint as load_footprint
+    from srs_twin.planning.path import Segment as Segment
+    from srs_twin.planning.problem import Outcome as Outcome
+    from srs_twin.planning.problem import Problem as Problem
+    from srs_twin.planning.problem import Settings as Settings
+
+lazy(__name__)

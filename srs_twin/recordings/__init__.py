@@ -1,11 +1,12 @@
 """Recordings of robots as trajectories: file formats, body shape from markers, logs, and clocks."""
 
+from typing import TYPE_CHECKING
+
 from srs_twin.extensions import lazy
 
-__getattr__ = lazy(
-    {
-        "join": "srs_twin.recordings.signals.clock:join",
-        "read_motion": "srs_twin.recordings.recording:read_motion",
-        "read_valves": "srs_twin.recordings.signals.logs:read_valves",
-    }
-)
+if TYPE_CHECKING:
+    from srs_twin.recordings.recording import read_motion as read_motion
+    from srs_twin.recordings.signals.clock import join as join
+    from srs_twin.recordings.signals.logs import read_valves as read_valves
+
+lazy(__name__)

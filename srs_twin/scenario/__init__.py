@@ -1,13 +1,20 @@
 """Scenarios: experiments that are read from files, checked, and built into plants and controllers."""
 
+from typing import TYPE_CHECKING
+
 from srs_twin.extensions import lazy
 
-__getattr__ = lazy(
-    {
-        "Expectation": "srs_twin.scenario.expectation:Expectation",
-        "Scenario": "srs_twin.scenario.scenario:Scenario",
-        "load_scenario": "srs_twin.scenario.loading:load_scenario",
-        "parse_scenario": "srs_twin.scenario.loading:parse_scenario",
-        "scenario_json_schema": "srs_twin.scenario.loading:scenario_json_schema",
-    }
-)
+if TYPE_CHECKING:
+    from srs_twin.scenario.expectation import Expectation as Expectation
+    from srs_twin.scenario.loading import (
+        load_scenario as load_scenario,
+    )
+    from srs_twin.scenario.loading import (
+        parse_scenario as parse_scenario,
+    )
+    from srs_twin.scenario.loading import (
+        scenario_json_schema as scenario_json_schema,
+    )
+    from srs_twin.scenario.scenario import Scenario as Scenario
+
+lazy(__name__)

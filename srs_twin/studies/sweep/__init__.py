@@ -1,10 +1,11 @@
 """Sweeps: runs of a scenario over many values of its fields, stored row by row so that they can resume."""
 
+from typing import TYPE_CHECKING
+
 from srs_twin.extensions import lazy
 
-__getattr__ = lazy(
-    {
-        "load_sweep": "srs_twin.studies.sweep.loading:load_sweep",
-        "open_sweep": "srs_twin.studies.sweep.execution:open_sweep",
-    }
-)
+if TYPE_CHECKING:
+    from srs_twin.studies.sweep.execution import open_sweep as open_sweep
+    from srs_twin.studies.sweep.loading import load_sweep as load_sweep
+
+lazy(__name__)
