@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError
 from srs_twin.extensions import PAGES, load
 from srs_twin.io.untrusted import read_table
@@ -85,12 +86,12 @@ class Trajectory(HtmlResult):
             times.
     """
 
-    columns: Mapping[str, np.ndarray]
+    columns: Mapping[str, Array]
     units: Mapping[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
-    def __getitem__(self, name: str) -> np.ndarray:
+    def __getitem__(self, name: str) -> Array:
         """Return one column, shape (samples,)."""
         return self.columns[name]
 
@@ -99,27 +100,27 @@ class Trajectory(HtmlResult):
         return len(self.time)
 
     @property
-    def time(self) -> np.ndarray:
+    def time(self) -> Array:
         """Sample times, shape (samples,), s."""
         return self.columns["time"]
 
     @property
-    def com(self) -> np.ndarray:
+    def com(self) -> Array:
         """Centre of mass in the world, shape (samples, 2), m."""
         return np.stack([self["com_x"], self["com_y"]], axis=-1)
 
     @property
-    def position(self) -> np.ndarray:
+    def position(self) -> Array:
         """Connector positions in the world, head first, shape (samples, N, 2), m."""
         return np.stack([self.stack("x"), self.stack("y")], axis=-1)
 
-    def stack(self, name: str) -> np.ndarray:
+    def stack(self, name: str) -> Array:
         """Return numbered columns as one array: ``stack("bend")`` has shape (samples, segments).
 
         Raises:
             KeyError: there is no column ``<name>_1``.
         """
-        arrays: list[np.ndarray] = []
+        arrays: list[Array] = []
         while (column := self.columns.get(f"{name}_{len(arrays) + 1}")) is not None:
             arrays.append(column)
         if not arrays:
@@ -207,7 +208,7 @@ def _check_schema(schema: Any) -> None:
             raise TypeError(f"column {column.name} holds {column.type}, not float64")
 
 
-def _to_array(name: str, column: Any) -> np.ndarray:
+def _to_array(name: str, column: Any) -> Array:
     """Return a Parquet column as an array.
 
     Raises:

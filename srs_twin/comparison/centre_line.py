@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from srs_twin.comparison.sampling import segment_lengths
+from srs_twin.compute.arrays import Array
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.geometry import chord
 from srs_twin.robot.spec import Geometry
@@ -22,7 +23,7 @@ _MAX_SAMPLES = 200
 """Largest number of samples in which overlaps are searched."""
 
 
-def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> np.ndarray:
+def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
     """Return the centre line of every segment, front first.
 
     The points are the front connector, the arc with both ends, and the rear connector. The twin bends in a
@@ -53,7 +54,7 @@ def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8)
     return line + weight * (rear[:, :, None] - end)
 
 
-def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> np.ndarray:
+def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
     """Return points on both sides of the body, half its width from the centre line.
 
     Args:
@@ -72,7 +73,7 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -
     return offset_to_sides(lines, headings, geometry.width / 2).reshape(len(lines), -1, 2)
 
 
-def offset_to_sides(points: np.ndarray, heading: np.ndarray, half_width: float) -> np.ndarray:
+def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
     """Return points offset to the left, followed by the same points offset to the right.
 
     Args:
@@ -87,7 +88,7 @@ def offset_to_sides(points: np.ndarray, heading: np.ndarray, half_width: float) 
     return np.concatenate([points + offset, points - offset], axis=-2)
 
 
-def hull_lines(trajectory: Trajectory) -> np.ndarray:
+def hull_lines(trajectory: Trajectory) -> Array:
     r"""Return the axes of the collision capsules, half the width of the body inside its hull.
 
     The twin has a collision capsule between every two adjacent hinges (`mjcf.surroundings`). This line
@@ -144,5 +145,5 @@ def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     return largest if largest >= _MIN_OVERLAP * geometry.width else 0.0
 
 
-def _unit(angle: np.ndarray) -> np.ndarray:
+def _unit(angle: Array) -> Array:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)

@@ -145,7 +145,7 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     """Return the times of the reference that the candidate covers."""
     first, last = candidate.time[0] - _TIME_ROUNDING_S, candidate.time[-1] + _TIME_ROUNDING_S
-    common = reference.time[(reference.time >= first) & (reference.time <= last)]
+    common: np.ndarray = reference.time[(reference.time >= first) & (reference.time <= last)]
     if len(common) == 0:
         spans = [f"{label(t)} covers {t.time[0]:g} to {t.time[-1]:g} s" for t in (reference, candidate)]
         raise InputError(f"{spans[0]}, {spans[1]}: no time in common, nothing to compare")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.comparison.sampling import interpolant, meanings_of, positive_number, units_of
+from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
@@ -121,7 +122,7 @@ class GaitWindow:
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
 
-    def running_mean(self, trajectory: Trajectory, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def running_mean(self, trajectory: Trajectory, values: Array) -> tuple[Array, Array]:
         """Return the running mean of a signal over one period, and its rate.
 
         Args:
@@ -137,12 +138,13 @@ class GaitWindow:
         end = begin + self.period
         return (integral(end) - integral(begin)) / self.period, (signal(end) - signal(begin)) / self.period
 
-    def mean(self, trajectory: Trajectory, values: np.ndarray) -> np.ndarray:
+    def mean(self, trajectory: Trajectory, values: Array) -> Array:
         """Return the mean over the window of a signal with samples of shape (samples, …), shape (…)."""
         integral = interpolant(trajectory, values).antiderivative()
-        return (integral(self.end) - integral(self.start)) / (self.end - self.start)
+        mean: Array = (integral(self.end) - integral(self.start)) / (self.end - self.start)
+        return mean
 
-    def amplitude(self, trajectory: Trajectory, values: np.ndarray) -> np.ndarray:
+    def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
         """Return half the range of a signal in each period, averaged over the window.
 
         Args:
@@ -154,7 +156,8 @@ class GaitWindow:
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(self.periods, self.times_per_period, *values.shape[1:])
-        return 0.5 * np.ptp(by_period, axis=1).mean(axis=0)
+        amplitude: Array = 0.5 * np.ptp(by_period, axis=1).mean(axis=0)
+        return amplitude
 
 
 def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
@@ -169,7 +172,7 @@ MIN_TRAVEL_BODY_LENGTHS = 1e-3
 """Distance per gait period, in body lengths, below which a snake has no path."""
 
 
-def displacement_per_period(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
+def displacement_per_period(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
     """Return the chord (m, negative for backward motion) and the turn (rad) of each period.
 
     Both are means over all periods that begin within one period. A single phase would count the lateral
@@ -181,7 +184,7 @@ def displacement_per_period(trajectory: Trajectory, window: GaitWindow) -> tuple
     return chords.reshape(shape).mean(axis=1), window.period * turn_rate.reshape(shape).mean(axis=1)
 
 
-def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, np.ndarray]:
+def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
     """Return the speed along the period-averaged path and the rate of the period-mean heading over time.
 
     The speed (m/s) is negative if the mean motion is against the heading. The rate (rad/s) is positive to the
@@ -337,9 +340,7 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     return metrics
 
 
-def spatial_differences(
-    reference: Trajectory, candidate: Trajectory, time: np.ndarray
-) -> dict[str, float | None]:
+def spatial_differences(reference: Trajectory, candidate: Trajectory, time: Array) -> dict[str, float | None]:
     """Compare two runs of a spatial snake; planar ones have none of these differences.
 
     - ``travel_speed_rel``: (candidate − reference) / reference.

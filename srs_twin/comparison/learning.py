@@ -21,6 +21,7 @@ from srs_twin.comparison.gait import (
     turning_radius,
 )
 from srs_twin.comparison.sampling import body_length, label, meanings_of, positive_number, units_of
+from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -39,12 +40,12 @@ class PeriodAmplitudes:
         duty: duty in the middle of the period, same shape.
     """
 
-    amplitude: np.ndarray
-    target: np.ndarray
-    duty: np.ndarray
+    amplitude: Array
+    target: Array
+    duty: Array
 
     @property
-    def error(self) -> np.ndarray:
+    def error(self) -> Array:
         """Target minus amplitude, shape (K, segments, 2), rad."""
         return self.target - self.amplitude
 
@@ -76,7 +77,7 @@ class PeriodAmplitudes:
         return result
 
 
-def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, np.ndarray]:
+def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Array]:
     """Return the gait period (s) and the start of the first fill of each chamber, shape (segments, 2), s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
@@ -103,9 +104,9 @@ class PathFit:
         direction: unit vector of the heading in the middle of the path, or along the line, shape (2,).
     """
 
-    centre: np.ndarray
+    centre: Array
     radius: float | None
-    direction: np.ndarray
+    direction: Array
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory, window: GaitWindow) -> PathFit | None:
@@ -134,11 +135,11 @@ class PathFit:
         left = direction[0] * centre[1] - direction[1] * centre[0]
         return cls(centroid + length * centre, radius if left > 0 else -radius, direction)
 
-    def right_offset(self, points: np.ndarray) -> np.ndarray:
+    def right_offset(self, points: Array) -> Array:
         """Return the distance of points, shape (…, 2), to the right of the path, shape (…), m."""
         offset = points - self.centre
         if self.radius is None:
-            side: np.ndarray = self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
+            side: Array = self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
             return side
         outward = np.hypot(offset[..., 0], offset[..., 1]) - abs(self.radius)
         return outward if self.radius > 0 else -outward
@@ -265,7 +266,7 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
     if not working.any():
         return {}
     error, target = np.abs(by_period.error[:, working[0]]), by_period.target[:, working[0]]
-    converged = (error <= CONVERGENCE_TOLERANCE * target).all(axis=1)
+    converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
     # Periods are numbered from 1, and convergence begins after the last period outside the tolerance.
     first = int(outside[-1]) + 2 if len(outside) else 1
@@ -338,7 +339,7 @@ def _curvature_change(before: float | None, after: float | None) -> dict[str, fl
     return {"path_bend_before_per_m": first, "path_bend_per_m": last, "path_bend_left_rel": ratio}
 
 
-def _turn_by_period(trajectory: Trajectory, period: float) -> np.ndarray:
+def _turn_by_period(trajectory: Trajectory, period: float) -> Array:
     """Return the turn of the body in each whole period of a run, rad."""
     duration = trajectory.time[-1] - trajectory.time[0]
     whole = int(math.floor(duration / period + _PERIOD_ROUNDING))
@@ -346,7 +347,7 @@ def _turn_by_period(trajectory: Trajectory, period: float) -> np.ndarray:
     return np.diff(np.interp(starts, trajectory.time, trajectory["heading"]))
 
 
-def _nested_lists(values: np.ndarray) -> list[object]:
+def _nested_lists(values: Array) -> list[object]:
     """Return nested lists, with None in place of NaN."""
     if values.ndim > 1:
         return [_nested_lists(row) for row in values]

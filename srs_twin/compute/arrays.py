@@ -10,9 +10,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
 from srs_twin.errors import InputError
+
+Array = NDArray[np.float64]
+"""Array of floating-point numbers."""
 
 LARGEST_PLAUSIBLE = 1e9
 """Largest plausible magnitude of any quantity in SI units; pressures of a snake reach 1e7 Pa, and positions
@@ -96,4 +100,5 @@ def concatenate_records(records: Sequence[Record]) -> Record:
         return records[0]
     kind: Any = type(records[0])
     names = kind._fields if issubclass(kind, tuple) else [field.name for field in fields(kind)]
-    return kind(*(np.concatenate([getattr(record, name) for record in records]) for name in names))
+    whole: Record = kind(*(np.concatenate([getattr(record, name) for record in records]) for name in names))
+    return whole

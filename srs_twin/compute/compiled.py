@@ -102,7 +102,7 @@ class _PartCompiler(Compiler):
 
     def __init__(self, typing_context: Any, target_context: Any, _: Any, *rest: Any) -> None:
         library = _PartLibrary(target_context.codegen(), "part")
-        super().__init__(typing_context, target_context, library, *rest)
+        super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
 
 
 # A wrapper for functions with records of arrays as arguments takes longer to compile than the functions.
@@ -186,20 +186,21 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
         @type_callable(call)
         def infer(context: Any) -> Function:
             def result(*arguments: types.Type) -> types.Type:
-                if not condition(arguments[0]):
-                    return typeof(otherwise)
-                return context.resolve_function_type(kernel._numba_type_, arguments, {}).return_type
+                kind: types.Type = typeof(otherwise)
+                if condition(arguments[0]):
+                    kind = context.resolve_function_type(kernel._numba_type_, arguments, {}).return_type
+                return kind
 
             result.pysig = inspect.signature(function)  # type: ignore[attr-defined]  # names of the arguments
             return result
 
-        @lower_builtin(call, types.VarArg(types.Any))
         def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             if not condition(signature.args[0]):
                 return context.get_constant_generic(builder, signature.return_type, otherwise)
             called = context.typing_context.resolve_function_type(kernel._numba_type_, signature.args, {})
             return context.get_function(kernel._numba_type_, called)(builder, values)
 
+        lower_builtin(call, types.VarArg(types.Any))(lower)
         call.py_func = function  # type: ignore[attr-defined]  # for the digest of callers, and for Warp
         return call
 
@@ -231,7 +232,7 @@ class _Cache(FunctionCache):
         if (reason := _why_unsafe(Path(self._cache_path))) is not None:
             _warn(reason, "that only you can write to")
             self.disable()
-        overload = super().load_overload(sig, target_context)
+        overload = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]  # numba has no types
         if overload is None and _notices:
             _notices.pop()()
         return overload

@@ -179,7 +179,8 @@ class ILC(Controller):
             self._learn(time)
             self._set_commands()
         pulses = self._pulses.step(self._command)
-        return np.minimum(self._gait.valves_at(time), pulses)
+        valves: np.ndarray = np.minimum(self._gait.valves_at(time), pulses)
+        return valves
 
     def signals(self) -> dict[str, Any]:
         """Return duties, targets, latest amplitudes and offset; unknown values are NaN."""

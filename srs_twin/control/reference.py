@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from srs_twin.compute.arrays import check_positive
+from srs_twin.compute.arrays import Array, check_positive
 from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]
@@ -31,10 +31,10 @@ class Reference(ABC):
         """Largest magnitude of the reference, rad."""
 
     @abstractmethod
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """Return the bend at a time (s), rad."""
 
-    def rate(self, time: ArrayLike) -> np.ndarray:
+    def rate(self, time: ArrayLike) -> Array:
         """Return the rate of change at a time (s), rad/s; 0 at jumps."""
         return np.zeros_like(np.asarray(time, dtype=float))[()]
 
@@ -89,7 +89,7 @@ class Constant(Reference):
         """See `Reference.peak`."""
         return abs(self.bend)
 
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         return np.full_like(np.asarray(time, dtype=float), self.bend)[()]
 
@@ -117,10 +117,11 @@ class Staircase(Reference):
         """See `Reference.peak`."""
         return max(map(abs, self.bends))
 
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         number = np.floor(np.asarray(time) / self.hold + _ROUNDING).astype(int)
-        return np.asarray(self.bends)[np.clip(number, 0, len(self.bends) - 1)]
+        bends: Array = np.asarray(self.bends)[np.clip(number, 0, len(self.bends) - 1)]
+        return bends
 
 
 @dataclass(frozen=True)
@@ -142,7 +143,7 @@ class Step(Reference):
         """See `Reference.peak`."""
         return max(abs(self.before), abs(self.bend))
 
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         return np.where(np.asarray(time) > self.time - _ROUNDING, self.bend, self.before)[()]
 
@@ -164,7 +165,7 @@ class _Periodic(Reference):
         """See `Reference.peak`."""
         return abs(self.offset) + self.amplitude
 
-    def _angle(self, time: ArrayLike) -> np.ndarray:
+    def _angle(self, time: ArrayLike) -> Array:
         return 2 * math.pi * self.frequency * np.asarray(time, dtype=float) + self.phase
 
 
@@ -179,11 +180,11 @@ class Sine(_Periodic):
         offset: rad.
     """
 
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         return self.offset + self.amplitude * np.sin(self._angle(time))
 
-    def rate(self, time: ArrayLike) -> np.ndarray:
+    def rate(self, time: ArrayLike) -> Array:
         """See `Reference.rate`."""
         return 2 * math.pi * self.frequency * self.amplitude * np.cos(self._angle(time))
 
@@ -199,7 +200,7 @@ class Square(_Periodic):
         offset: rad.
     """
 
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         fraction = (self._angle(time) / (2 * math.pi) + _ROUNDING) % 1.0
         return self.offset + np.where(fraction < 0.5, self.amplitude, -self.amplitude)[()]
@@ -222,11 +223,11 @@ class ClippedReference(Reference):
         """See `Reference.peak`."""
         return min(self.unclipped.peak, self.limit)
 
-    def value(self, time: ArrayLike) -> np.ndarray:
+    def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         return np.clip(self.unclipped.value(time), -self.limit, self.limit)
 
-    def rate(self, time: ArrayLike) -> np.ndarray:
+    def rate(self, time: ArrayLike) -> Array:
         """See `Reference.rate`."""
         return np.where(self.is_clipped(time), 0.0, self.unclipped.rate(time))[()]
 

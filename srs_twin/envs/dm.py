@@ -6,16 +6,16 @@ from collections import OrderedDict
 from typing import Any
 
 import numpy as np
+from dm_control import mujoco as dm_mujoco
 from dm_control.rl import control
 from dm_env import specs
 
 from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, lower_bounds, upper_bounds
 from srs_twin.envs.tasks import make_task
 from srs_twin.io.saved_state import DeepCopied
-from srs_twin.plants.twin.physics import dm as dm_mujoco
 
 
-class EpisodePhysics(DeepCopied, control.Physics):
+class EpisodePhysics(DeepCopied, control.Physics):  # type: ignore[misc]  # dm_control has no types
     """Episodes of a task as a dm_control physics; one physics step is one step of the task.
 
     Attributes:
@@ -63,7 +63,7 @@ class EpisodePhysics(DeepCopied, control.Physics):
         return self._task.step_s
 
 
-class DmTask(control.Task):
+class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
     """Adapter from a task to dm_control's task interface."""
 
     def __init__(self, task: Task) -> None:
@@ -105,7 +105,7 @@ class DmTask(control.Task):
         return 1.0 if physics.result.truncated else None
 
 
-class SnakeEnvironment(DeepCopied, control.Environment):
+class SnakeEnvironment(DeepCopied, control.Environment):  # type: ignore[misc]  # dm_control has no types
     """dm_env environment whose copies are deep copies."""
 
 

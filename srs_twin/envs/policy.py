@@ -64,7 +64,8 @@ class NetworkPolicy:
         for weights, biases in self.layers[:-1]:
             values = np.tanh(weights @ values + biases)
         weights, biases = self.layers[-1]
-        return np.clip(weights @ values + biases, -1.0, 1.0).astype(np.float32)
+        action: np.ndarray = np.clip(weights @ values + biases, -1.0, 1.0).astype(np.float32)
+        return action
 
     def bind(self, task: Task) -> Callable[[np.ndarray], np.ndarray]:
         """Return a function from the observations of a task to actions.

@@ -411,8 +411,9 @@ class Episode(Stateful, ABC):
         """Return the observation, float32, clipped to its bounds."""
         low, high = self._bounds
         measured = self._task.select(self._measure())
-        self._last_observation: np.ndarray = np.minimum(np.maximum(measured, low), high)
-        return self._last_observation
+        observation: np.ndarray = np.minimum(np.maximum(measured, low), high)
+        self._last_observation = observation
+        return observation
 
     @abstractmethod
     def _valves(self, action: list[float]) -> np.ndarray:

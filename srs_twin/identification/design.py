@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.compute.arrays import Array
 from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.identification.parameters import free_parameters, with_values
@@ -73,8 +74,8 @@ class CandidateExperiment:
 
     description: str
     minutes: float
-    predict: Callable[[RobotSpec], np.ndarray]
-    noise: Callable[[np.ndarray], np.ndarray]
+    predict: Callable[[RobotSpec], Array]
+    noise: Callable[[Array], Array]
 
 
 def candidates(spec: RobotSpec) -> Iterator[CandidateExperiment]:
@@ -85,18 +86,18 @@ def candidates(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     yield from _gait_runs(spec)
 
 
-def _constant_noise(std: float) -> Callable[[np.ndarray], np.ndarray]:
+def _constant_noise(std: float) -> Callable[[Array], Array]:
     return lambda predicted: np.full(len(predicted), std)
 
 
-def _relative_noise(share: float) -> Callable[[np.ndarray], np.ndarray]:
+def _relative_noise(share: float) -> Callable[[Array], Array]:
     return lambda predicted: share * np.maximum(np.abs(predicted), 1e-6)
 
 
 def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield measurements of lengths and masses."""
 
-    def lengths(robot: RobotSpec) -> np.ndarray:
+    def lengths(robot: RobotSpec) -> Array:
         return np.array([robot.geometry.segment_length, robot.geometry.rigid_gap, robot.geometry.half_track])
 
     yield CandidateExperiment(
@@ -113,10 +114,10 @@ def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     for load in (0.0, 2.0 * spec.mass.total):
         words = f" with {1000 * load:.0f} g on it" if load else ""
 
-        def along(robot: RobotSpec, load: float = load) -> np.ndarray:
+        def along(robot: RobotSpec, load: float = load) -> Array:
             return np.array([robot.friction.mu_t * (robot.mass.total + load) * GRAVITY + robot.friction.drag])
 
-        def across(robot: RobotSpec, load: float = load) -> np.ndarray:
+        def across(robot: RobotSpec, load: float = load) -> Array:
             return np.array([robot.friction.mu_n * (robot.mass.total + load) * GRAVITY])
 
         noise = _relative_noise(PULL_SHARE)
@@ -129,7 +130,7 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     supply = spec.supply.nominal
     levels = np.linspace(0.2, 1.0, 5) * supply
 
-    def static(robot: RobotSpec) -> np.ndarray:
+    def static(robot: RobotSpec) -> Array:
         pressure = np.zeros((len(levels), robot.segments, 2))
         pressure[:, 0, 0] = levels
         return air_bend(robot, pressure)[:, 0]
@@ -139,7 +140,7 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         20, static, _constant_noise(BEND_STD_RAD),
     )  # fmt: skip
 
-    def steps(robot: RobotSpec) -> np.ndarray:
+    def steps(robot: RobotSpec) -> Array:
         chambers, bends = LagPneumatics(robot, supply_pa=supply), []
         for state in (1, -1):
             valves = np.full((robot.segments, 2), -1)
@@ -161,7 +162,7 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield gait runs at several frequencies and offsets."""
     supply = spec.supply.nominal
 
-    def noise(predicted: np.ndarray) -> np.ndarray:
+    def noise(predicted: Array) -> Array:
         std = np.maximum(RUN_DISCREPANCY * np.abs(predicted), 1e-4)
         bends = slice(1, 1 + spec.segments)
         std[bends] = np.hypot(BEND_STD_RAD, RUN_DISCREPANCY * predicted[bends])
@@ -169,7 +170,7 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 
     for frequency, offset in ((1.0, 0.0), (1.5, 0.0), (2.0, 0.0), (1.0, 0.3), (2.0, 0.3)):
 
-        def run(robot: RobotSpec, frequency: float = frequency, offset: float = offset) -> np.ndarray:
+        def run(robot: RobotSpec, frequency: float = frequency, offset: float = offset) -> Array:
             snake = AnalyticalSnake(robot, model="compliant", friction="wheel", supply_pa=supply)
             metrics = plant_metrics(rollout(snake, Gait(frequency, offset=offset), 6.0))
             observed = [metrics["com_speed_m_s"], *metrics["bend_amplitude_rad"]]
@@ -252,12 +253,12 @@ def choose_experiments(
     goals = np.array(list(targets.values()))
     units = np.array([1.0 if values[name] else zero_scale for name in targets])
 
-    def widths(matrix: np.ndarray) -> np.ndarray:
+    def widths(matrix: Array) -> Array:
         return np.asarray(1.96 * np.sqrt(np.diag(np.linalg.inv(matrix))[rows]) * units)
 
     before = widths(information)
     chosen: list[int] = []
-    after: list[np.ndarray] = []
+    after: list[Array] = []
     current = before
     while (current > goals).any():
         too_wide = current > goals
@@ -290,8 +291,8 @@ def _information(
     spec: RobotSpec,
     names: Sequence[str],
     values: Mapping[str, float],
-    scale: np.ndarray,
-) -> np.ndarray:
+    scale: Array,
+) -> Array:
     """Return the information JᵀR⁻¹J of an experiment by central differences, one-sided at 0."""
     predicted = experiment.predict(spec)
     columns = []

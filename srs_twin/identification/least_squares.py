@@ -37,6 +37,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import (
     FitEstimate,
@@ -120,7 +121,7 @@ class SearchResult:
         converged: whether the search converged.
     """
 
-    z: np.ndarray
+    z: Array
     cost: float
     converged: bool
 
@@ -152,15 +153,15 @@ class Search:
         if not np.isfinite(weighted).all():
             raise InputError("residuals are not finite at the start of the search; check the data")
 
-    def values(self, z: np.ndarray) -> dict[str, float]:
+    def values(self, z: Array) -> dict[str, float]:
         """Return the parameter values at z, by name."""
         return {unknown.name: unknown.value(float(at)) for unknown, at in zip(self.unknowns, z, strict=True)}
 
-    def residuals(self, z: np.ndarray) -> tuple[Residual, ...]:
+    def residuals(self, z: Array) -> tuple[Residual, ...]:
         """Return all residuals at z; runs the model."""
         return tuple(self._residuals(self.values(z)))
 
-    def weighted(self, z: np.ndarray, only: ResidualFilter | None = None) -> np.ndarray:
+    def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
         """Return the weighted residuals of the fitted data, shape (samples,), optionally filtered.
 
         Raises:
@@ -175,7 +176,7 @@ class Search:
             raise _SearchStoppedError
         return weighted if only is None else _weighted([residual for residual in fitted if only(residual)])
 
-    def _record_run(self, z: np.ndarray, weighted: np.ndarray) -> None:
+    def _record_run(self, z: Array, weighted: Array) -> None:
         """Count a model run, keep the best point, and report the progress."""
         self._runs_left -= 1
         cost = 0.5 * float(weighted @ weighted)
@@ -187,7 +188,7 @@ class Search:
             self._smallest_rms = min(self._smallest_rms, rms)
             self._watch(self._runs, self._smallest_rms)
 
-    def jacobian(self, z: np.ndarray, h: float, only: ResidualFilter | None = None) -> np.ndarray:
+    def jacobian(self, z: Array, h: float, only: ResidualFilter | None = None) -> Array:
         """Return the Jacobian by central differences of step h, one-sided at bounds, shape (samples, n)."""
         columns = []
         for i in range(len(z)):
@@ -196,7 +197,7 @@ class Search:
             columns.append((self.weighted(up, only) - self.weighted(down, only)) / (up[i] - down[i]))
         return np.stack(columns, axis=1)
 
-    def jacobian_and_error(self, z: np.ndarray, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    def jacobian_and_error(self, z: Array, noise: float) -> tuple[Array, Array]:
         """Return the Jacobian and an estimate of its error, shape (samples, n) each.
 
         Args:
@@ -214,12 +215,12 @@ class Search:
         # of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
-    def bias(self, z: np.ndarray, refit: Refit) -> np.ndarray:
+    def bias(self, z: Array, refit: Refit) -> Array:
         """Return the bias b(z): the result of a search in simulated data minus z, shape (n,)."""
         values = refit(self.values(z))
         return np.array([unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]) - z
 
-    def run(self, start: np.ndarray) -> SearchResult:
+    def run(self, start: Array) -> SearchResult:
         """Search from a start, with the first stage if there is one; if stopped, return the best point."""
         options = self._options
         self._best = SearchResult(start, np.inf, False)
@@ -234,11 +235,11 @@ class Search:
         finally:
             self._is_searching = False
 
-    def start_cost(self, z: np.ndarray) -> float:
+    def start_cost(self, z: Array) -> float:
         """Return the sum of squares by which starts are ranked, that of the first stage if there is one."""
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
-    def _minimize_with_kinks(self, start: np.ndarray) -> SearchResult:
+    def _minimize_with_kinks(self, start: Array) -> SearchResult:
         """Minimise with all residuals; a coarse step, then a fine one, leaves local minima at kinks."""
         fine, coarse = self._options.step, self._options.coarse_step
         end = self._minimize(start, fine)
@@ -251,7 +252,7 @@ class Search:
                 break
         return end
 
-    def _minimize(self, start: np.ndarray, step: float, only: ResidualFilter | None = None) -> SearchResult:
+    def _minimize(self, start: Array, step: float, only: ResidualFilter | None = None) -> SearchResult:
         from scipy import optimize  # the import takes 0.5 s, so only fits pay for it
 
         # Add one observation per parameter at its start, so that parameters without effect on the filtered
@@ -274,12 +275,12 @@ class _SearchStoppedError(Exception):
     """The search has used up its model runs or reached its target RMS."""
 
 
-def _weighted(residuals: Sequence[Residual]) -> np.ndarray:
+def _weighted(residuals: Sequence[Residual]) -> Array:
     weighted = [residual.values / residual.scale for residual in residuals]
     return np.concatenate(weighted) if weighted else np.zeros(0)
 
 
-def select_starts(search: Search, count: int) -> list[np.ndarray]:
+def select_starts(search: Search, count: int) -> list[Array]:
     """Return the first start and the best of many points drawn about it, at a minimum distance."""
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
@@ -385,9 +386,7 @@ def _count_samples(residuals: Sequence[Residual], unknowns: int) -> tuple[int, f
     return samples, independent, max(independent - unknowns, 1.0)
 
 
-def _iterate_bias(
-    search: Search, z: np.ndarray, refit: Refit, errors: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _iterate_bias(search: Search, z: Array, refit: Refit, errors: Array) -> tuple[Array, Array]:
     """Return the bias of an estimate and its change in the last iteration, shape (n,) each.
 
     Args:
@@ -409,7 +408,7 @@ _MAX_REFITS = 5
 """Largest number of fits to data of the reference; the bias of gait fits converges within three to five."""
 
 
-def _spread_of_minima(best: SearchResult, ends: Sequence[SearchResult], limit: float) -> np.ndarray:
+def _spread_of_minima(best: SearchResult, ends: Sequence[SearchResult], limit: float) -> Array:
     """Return the largest distance in z, per parameter, to a minimum that fits as well as the best.
 
     Args:

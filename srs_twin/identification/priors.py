@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.sourced import Uncertain
@@ -44,7 +45,7 @@ class Prior:
     bounds: tuple[float, float]
     source: str
 
-    def quantile(self, probabilities: np.ndarray) -> np.ndarray:
+    def quantile(self, probabilities: Array) -> Array:
         """Return the values of the parameter at cumulative probabilities."""
         prior = self.uncertain
         if prior.low is not None and prior.high is not None:
@@ -57,7 +58,7 @@ class Prior:
         ends = (np.array(self.bounds) - self.value) / prior.sd
         return np.asarray(self.value + prior.sd * _truncated_normal(ends, probabilities))
 
-    def cdf(self, values: np.ndarray) -> np.ndarray:
+    def cdf(self, values: Array) -> Array:
         """Return the cumulative probabilities of values, interpolated; 0 or 1 outside the distribution."""
         table = np.linspace(0.0, 1.0, 4001)
         return np.interp(values, self.quantile(table), table)
@@ -67,7 +68,7 @@ class Prior:
         return replace(self, value=value, uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}))
 
 
-def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
+def _truncated_normal(ends: Array, probabilities: Array) -> Array:
     """Return quantiles of the standard normal distribution truncated at two ends."""
     low, high = ndtr(ends)
     inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
@@ -84,7 +85,7 @@ class Priors:
     """
 
     parameters: tuple[Prior, ...]
-    correlation: np.ndarray
+    correlation: Array
 
     @classmethod
     def from_robot(cls, robot: RobotFile, *, without: Collection[str] = ()) -> Priors:
@@ -135,7 +136,7 @@ class Priors:
         """Whether no two parameters are correlated."""
         return bool((self.correlation == np.eye(len(self.parameters))).all())
 
-    def quantile(self, probabilities: np.ndarray) -> np.ndarray:
+    def quantile(self, probabilities: Array) -> Array:
         """Return the parameters for independent uniform probabilities u, shape (…, d)."""
         inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
         normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T

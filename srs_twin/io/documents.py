@@ -249,7 +249,7 @@ def dump_yaml(data: object, *, compact: bool = False) -> str:
         data: dicts, lists, text, numbers, true, false, None.
         compact: write lists and dicts that contain only numbers in one line.
     """
-    return yaml.dump(
+    text: str = yaml.dump(
         data,
         Dumper=_CompactDumper if compact else _Dumper,
         default_flow_style=False,
@@ -257,6 +257,7 @@ def dump_yaml(data: object, *, compact: bool = False) -> str:
         width=150 if compact else 110,  # wide enough for a row of a compact list
         sort_keys=False,
     )
+    return text
 
 
 def format_path(loc: Loc) -> str:
@@ -390,7 +391,7 @@ class _Reader:
         self.document.refused.add(self.last)
 
 
-class _Dumper(yaml.CSafeDumper):
+class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
     """Writer of text that quotes and escapes unusual characters: plain U+0085 would be read as a blank."""
 
 

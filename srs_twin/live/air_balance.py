@@ -298,7 +298,8 @@ class LeakDetector(Stateful):
     def _continues(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
         """Return whether the valve of a chamber has been open since the last pressure."""
         since = time - self._time
-        return ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
+        opened: np.ndarray = ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
+        return opened
 
     def _advance(
         self, time: float, filling: np.ndarray, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray,

@@ -130,7 +130,7 @@ class EnsembleFilter:
         self._modules = np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3))
         self._masks = self._localisation()
         self.rates = PressureRates(n, spec.supply.nominal, error.pressure)
-        self._frame_noise = {name: getattr(self.noise, name) for name in _LEAST_NOISE}
+        self._frame_noise: dict[str, float] = {name: getattr(self.noise, name) for name in _LEAST_NOISE}
         connection = LocalConnection(spec, self._dynamics.mass)
         self.odometry = Odometry(connection, self._of("bend"), self._rng)
         self._restart()

@@ -202,12 +202,13 @@ class MqttLink(Link):
         super().__init__()
         try:
             from paho.mqtt import client as mqtt
+            from paho.mqtt.enums import CallbackAPIVersion
         except ImportError as error:
             raise InputError("MQTT needs paho-mqtt: pip install 'srs-twin[live]'") from error
         self._robot, self._topics = robot, {topic(robot, k): k for k in kinds}
         self._shape = {"segments": segments, "chambers": chambers}
         self.connected, self._answered, self._why = False, threading.Event(), ""
-        self._client = client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        self._client = client = mqtt.Client(CallbackAPIVersion.VERSION2)
         client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
         client.on_message = self._on_message
         client.reconnect_delay_set(1, 2)

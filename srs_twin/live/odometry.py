@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 from srs_twin.io.saved_state import Stateful
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
@@ -57,7 +58,7 @@ class LocalConnection(Stateful):
 
     state_attributes = ("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
 
-    def __init__(self, spec: RobotSpec, mass: np.ndarray) -> None:
+    def __init__(self, spec: RobotSpec, mass: Array) -> None:
         """Begin with W = 0.
 
         Args:
@@ -68,11 +69,11 @@ class LocalConnection(Stateful):
         self._spec, self._mass = spec, mass
         self._powers = [np.array(list(combinations_with_replacement(range(n), power))) for power in (1, 2, 3)]
         count = n * (1 + sum(map(len, self._powers)))
-        self.weights: np.ndarray = np.zeros((count, 3))
+        self.weights: Array = np.zeros((count, 3))
         self._gram, self._sums = np.zeros((count, count)), np.zeros((count, 3))
         self._noise, self._scatter = _NOISE_RAD**2, np.square(_SCATTER)
         self._frames, self._block = 0, np.zeros(3)
-        self._root: np.ndarray = np.eye(count) * PRIOR / _NOISE_RAD
+        self._root: Array = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
         """Return a copy for another thread, which cannot learn."""
@@ -82,17 +83,18 @@ class LocalConnection(Stateful):
             setattr(made, name, getattr(self, name))
         return made
 
-    def features(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    def features(self, before: Array, after: Array) -> Array:
         """Return φ ⊗ dq for a change of the bends (rad), shape (rows of W,)."""
         return np.outer(self._features((before + after) / 2), after - before).ravel()
 
-    def matrix(self, bends: np.ndarray) -> np.ndarray:
+    def matrix(self, bends: Array) -> Array:
         """Return A: forward, lateral (m/rad), turning (rad/rad), shape (3, segments)."""
         features = self._features(bends)
         learnt = self.weights.reshape(len(features), self._spec.segments, 3)
-        return self.kinematic_matrix(bends) + np.einsum("k,kjc->cj", features, learnt)
+        matrix: Array = self.kinematic_matrix(bends) + np.einsum("k,kjc->cj", features, learnt)
+        return matrix
 
-    def kinematic_matrix(self, bends: np.ndarray) -> np.ndarray:
+    def kinematic_matrix(self, bends: Array) -> Array:
         """Return A_w, as `matrix`."""
         g, mu, n = self._spec.geometry, self._spec.friction, self._spec.segments
         shapes = body_shape(
@@ -109,7 +111,7 @@ class LocalConnection(Stateful):
         own = np.einsum("kic,jic->kij", directions, moves).reshape(-1, n)
         return np.asarray(-np.linalg.lstsq(body, own, rcond=None)[0])
 
-    def sample_model_error(self, features: np.ndarray, draws: np.ndarray) -> np.ndarray:
+    def sample_model_error(self, features: Array, draws: Array) -> Array:
         """Return displacements due to the uncertainty of W, shape (members, 3).
 
         Args:
@@ -122,7 +124,7 @@ class LocalConnection(Stateful):
         factor = min(max(sd, least), most) / max(sd, 1e-12)
         return np.asarray(factor * np.sqrt(self._scatter) * np.einsum("f,rfc->rc", spread, draws))
 
-    def learn(self, features: np.ndarray, residual: np.ndarray) -> None:
+    def learn(self, features: Array, residual: Array) -> None:
         """Learn from a displacement between frames (m, m, rad) less A_w dq."""
         self._gram *= 1 - 1 / _FORGETTING_FRAMES
         self._sums *= 1 - 1 / _FORGETTING_FRAMES
@@ -146,13 +148,13 @@ class LocalConnection(Stateful):
         if self._frames >= _BLOCK:
             self._normal()
 
-    def _normal(self) -> np.ndarray:
+    def _normal(self) -> Array:
         """Return the matrix of the normal equations with the prior; keep the root of its inverse."""
-        gram: np.ndarray = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
+        gram: Array = self._gram + self._noise / PRIOR**2 * np.eye(len(self._gram))
         self._root = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).T)
         return gram
 
-    def _features(self, bends: np.ndarray) -> np.ndarray:
+    def _features(self, bends: Array) -> Array:
         bends = np.tanh(bends / _SATURATION_RAD)
         return np.concatenate([[1.0], *(bends[index].prod(axis=1) for index in self._powers)])
 
@@ -174,7 +176,7 @@ class Odometry:
         twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
     """
 
-    def __init__(self, connection: LocalConnection, bends: np.ndarray, rng: np.random.Generator) -> None:
+    def __init__(self, connection: LocalConnection, bends: Array, rng: np.random.Generator) -> None:
         """Create an odometry at the bends of the members, shape (members, segments), rad."""
         self.connection, self.twist = connection, np.zeros(3)
         self._features = np.zeros(len(connection.weights))
@@ -190,7 +192,7 @@ class Odometry:
         self._elapsed += dt
         self._frame_age += dt
 
-    def apply(self, pose: np.ndarray, bends: np.ndarray) -> None:
+    def apply(self, pose: Array, bends: Array) -> None:
         """Move the bodies by the change of the bends since the last call.
 
         Args:
@@ -212,7 +214,7 @@ class Odometry:
         self._features = self._features + features
         self._bends, self._elapsed = bends.copy(), 0.0
 
-    def learn(self, pose: np.ndarray, bend: np.ndarray, poses: np.ndarray, bends: np.ndarray) -> None:
+    def learn(self, pose: Array, bend: Array, poses: Array, bends: Array) -> None:
         """Fit the connection to a frame.
 
         Args:
@@ -237,12 +239,12 @@ class Odometry:
         """Exclude the motion since the last frame from the fit of the connection."""
         self._frame_age = math.inf
 
-    def restart(self, bends: np.ndarray) -> None:
+    def restart(self, bends: Array) -> None:
         """Continue from other bends (rad) without motion."""
         self._bends = bends.copy()
         self.interrupt()
 
-    def forecaster(self, before: np.ndarray, bends: np.ndarray) -> Odometry:
+    def forecaster(self, before: Array, bends: Array) -> Odometry:
         """Return the odometry of the first members for predictions, in which each follows its own bends.
 
         Args:

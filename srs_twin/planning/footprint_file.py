@@ -106,7 +106,7 @@ class ConditionsFile(StrictModel):
     def excess_difficulty(self, other: ConditionsFile) -> float:
         """Return the sum of the relative differences to conditions that these cover."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
-        return sum((own - covered) / own for own, covered in pairs if own > covered)
+        return float(sum((own - covered) / own for own, covered in pairs if own > covered))
 
 
 SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")

@@ -190,7 +190,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
 def _motion_validator(base: Any) -> Any:
     """Return the class of the motion validator; its base class needs the optional library."""
 
-    class Validator(base.MotionValidator):
+    class Validator(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
         def __init__(self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float) -> None:
             super().__init__(info)
             self.moves, self.grid, self.radius = moves, grid, radius

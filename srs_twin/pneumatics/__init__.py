@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
 
 from srs_twin.errors import UnknownNameError
 from srs_twin.pneumatics.base import Pneumatics as Pneumatics
@@ -14,10 +14,10 @@ from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS
 from srs_twin.pneumatics.valves import Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
 
-SPATIAL_KINDS: dict[str, Any] = {"lag": SpatialLagPneumatics}
+SPATIAL_KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": SpatialLagPneumatics}
 """Kinds for a robot whose segments bend in two directions."""
 
-KINDS = {"lag": LagPneumatics, "orifice": OrificePneumatics}
+KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": LagPneumatics, "orifice": OrificePneumatics}
 
 
 def make_pneumatics(

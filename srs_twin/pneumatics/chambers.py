@@ -33,6 +33,7 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
+from srs_twin.compute.arrays import Array
 from srs_twin.compute.compiled import compiled, kernel_only
 from srs_twin.errors import InputError
 from srs_twin.robot.spec import RobotSpec
@@ -108,7 +109,7 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
     return y * root, slope * rise, bow * rise * rise + slope * curve
 
 
-def invert_bend_law(bends: np.ndarray, law: BendLaw) -> np.ndarray:
+def invert_bend_law(bends: Array, law: BendLaw) -> Array:
     """Return the linear bends x with φ(x) equal to the given bends, rad.
 
     Raises:
@@ -128,7 +129,7 @@ def invert_bend_law(bends: np.ndarray, law: BendLaw) -> np.ndarray:
     return np.array(linear).reshape(np.shape(bends))
 
 
-def check_pressure(pressure: np.ndarray, largest: float) -> np.ndarray:
+def check_pressure(pressure: Array, largest: float) -> Array:
     """Return gauge pressures (Pa) after checking that chambers can have them.
 
     Raises:
@@ -143,12 +144,12 @@ def check_pressure(pressure: np.ndarray, largest: float) -> np.ndarray:
     return np.maximum(pressure, 0.0)
 
 
-def chamber_gains(spec: RobotSpec) -> np.ndarray:
+def chamber_gains(spec: RobotSpec) -> Array:
     """Return the gain of each chamber, positive, shape (segments, 2), rad/Pa."""
     return spec.actuator.gain * spec.modules.array("gain")
 
 
-def air_bend(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+def air_bend(spec: RobotSpec, pressure: Array) -> Array:
     """Return φ(x), the free bends without the rest bends, rad.
 
     Args:
@@ -161,7 +162,7 @@ def air_bend(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     return free_bends(spec, _linear_bend(spec, pressure))
 
 
-def vector_bends(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
     """Return φ(|x|) x/|x|, the free bends of a spatial robot without the rest bends, rad.
 
     Args:
@@ -177,7 +178,7 @@ def vector_bends(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     return np.asarray(linear * free_bends(spec, safe) / safe)
 
 
-def free_extensions(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
     r"""Return the free extensions of the segments of a spatial robot, m.
 
     Chambers of equal section pull with forces that are proportional to their pressures. With C chambers and
@@ -195,7 +196,7 @@ def free_extensions(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
     return np.asarray(spec.actuator.extension * pressure.mean(axis=-1))
 
 
-def equivalent_linear_pressure(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
     """Return the pressures that give the same bends under a linear law, for MuJoCo's linear actuators.
 
     Args:
@@ -217,13 +218,13 @@ def largest_bend(spec: RobotSpec, supply_pa: float) -> float:
     return float(free_bends(spec, np.array(spec.actuator.gain * supply_pa)))
 
 
-def _linear_bend(spec: RobotSpec, pressure: np.ndarray) -> np.ndarray:
+def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
     signed = chamber_gains(spec) * [1.0, -1.0]
-    bends: np.ndarray = (signed * pressure).sum(axis=-1)
+    bends: Array = (signed * pressure).sum(axis=-1)
     return bends
 
 
-def free_bends(spec: RobotSpec, linear: np.ndarray) -> np.ndarray:
+def free_bends(spec: RobotSpec, linear: Array) -> Array:
     """Return φ(x) of linear bends x, rad, with the shape of x; a linear law returns x itself."""
     limit, share, d, w = bend_law(spec)
     y = linear

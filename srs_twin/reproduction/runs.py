@@ -64,7 +64,7 @@ class ReproductionJob:
         if self.experiment is None:
             return math.inf
         base = self.experiment.base
-        return float(base["duration_s"]) / base["plants"].get("twin", {}).get("timestep_s", 0.001)
+        return float(base["duration_s"] / base["plants"].get("twin", {}).get("timestep_s", 0.001))
 
 
 @cache

@@ -227,7 +227,8 @@ def outcomes_document(rows: Sequence[JudgedClaim], *, digits: int | None = None)
         digits: number of significant digits; None: all.
     """
     outcomes = {row.claim.id: row.outcomes for row in rows}
-    return _OUTCOMES.dump_python(outcomes, mode="json", context={"digits": digits})
+    document: dict[str, object] = _OUTCOMES.dump_python(outcomes, mode="json", context={"digits": digits})
+    return document
 
 
 def judge(

@@ -13,10 +13,16 @@ Algorithms 1 and 2 of Section 3.4.1, which compute curvature and shape from mark
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 
-def half_angle_terms(bend):  # type: ignore[no-untyped-def]  # noqa: D417
+Number = TypeVar("Number", float, Array)
+
+
+def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
 
     It uses a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or cancellation, which
@@ -45,7 +51,9 @@ def half_angle_terms(bend):  # type: ignore[no-untyped-def]  # noqa: D417
     return 1 - p * b, x * arc, arc, x * (a - b) / 2, (b - a) / 2 - arc / 4
 
 
-def chord_from_half_angle(terms, length, gap):  # type: ignore[no-untyped-def]  # noqa: D417
+def chord_from_half_angle(
+    terms: tuple[Number, ...], length: float, gap: float
+) -> tuple[Number, Number, Number]:
     """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from the result of `half_angle_terms`.
 
     Args:
@@ -61,7 +69,7 @@ def chord_from_half_angle(terms, length, gap):  # type: ignore[no-untyped-def]  
     )
 
 
-def chord_derivatives(bend, length, gap):  # type: ignore[no-untyped-def]
+def chord_derivatives(bend: Number, length: float, gap: float) -> tuple[Number, Number, Number]:
     """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) for the bend q, rad.
 
     Args:
@@ -72,19 +80,19 @@ def chord_derivatives(bend, length, gap):  # type: ignore[no-untyped-def]
     return chord_from_half_angle(half_angle_terms(bend), length, gap)
 
 
-def chord(bend: np.ndarray, length: float, gap: float) -> np.ndarray:
+def chord(bend: Array, length: float, gap: float) -> Array:
     """Return the distance between the connectors of a segment, m. Arguments as in `chord_derivatives`."""
-    distance: np.ndarray = chord_derivatives(bend, length, gap)[0]
-    return distance
+    return chord_derivatives(bend, length, gap)[0]
 
 
-def relative_headings(bend: np.ndarray) -> np.ndarray:
+def relative_headings(bend: Array) -> Array:
     """Return the connector headings about their mean, shape (…, N), rad, from bends (…, N − 1)."""
     from_head = np.concatenate([np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1)
-    return from_head - from_head.mean(axis=-1, keepdims=True)
+    from_head -= from_head.mean(axis=-1, keepdims=True)
+    return from_head
 
 
-def body_shape(bend: np.ndarray, mass: np.ndarray, length: float, gap: float) -> np.ndarray:
+def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
     """Return connector positions about the centre of mass at zero mean heading, shape (…, N, 2), m.
 
     Args:
@@ -98,10 +106,11 @@ def body_shape(bend: np.ndarray, mass: np.ndarray, length: float, gap: float) ->
     links = chord(bend, length, gap)[..., None] * np.stack([np.cos(direction), np.sin(direction)], -1)
     position = np.concatenate([np.zeros_like(links[..., :1, :]), -np.cumsum(links, axis=-2)], axis=-2)
     centre = np.einsum("i,...ij->...j", mass / mass.sum(), position)
-    return position - centre[..., None, :]
+    position -= centre[..., None, :]
+    return position
 
 
-def pair_heading(rear: np.ndarray, front: np.ndarray) -> np.ndarray:
+def pair_heading(rear: Array, front: Array) -> Array:
     """Return the direction from one marker to another, shape (…), rad (Algorithm 1 with atan2, E10).
 
     Args:
@@ -112,7 +121,7 @@ def pair_heading(rear: np.ndarray, front: np.ndarray) -> np.ndarray:
     return np.asarray(np.arctan2(difference[..., 1], difference[..., 0]))
 
 
-def measured_bend(front: np.ndarray, rear: np.ndarray) -> np.ndarray:
+def measured_bend(front: Array, rear: Array) -> Array:
     """Return the bends q = θ_A − θ_B in [−π, π) from measured headings (Algorithm 1, E9).
 
     Divided by the length l of the segment, the bend is the curvature κ.
@@ -124,7 +133,7 @@ def measured_bend(front: np.ndarray, rear: np.ndarray) -> np.ndarray:
     return np.asarray((front - rear + np.pi) % (2 * np.pi) - np.pi)
 
 
-def arc_between(front: np.ndarray, rear: np.ndarray, curvature: np.ndarray, points: int = 21) -> np.ndarray:
+def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -> Array:
     r"""Return points on the arc of a given curvature between two ends (Algorithm 2 with E10 and E23).
 
     With the distance d of the ends and the direction α from the rear end to the front end,
@@ -151,7 +160,5 @@ def arc_between(front: np.ndarray, rear: np.ndarray, curvature: np.ndarray, poin
     s = np.linspace(0.0, 1.0, points)
     angle = pair_heading(rear, front)[..., None] + half * (1 - s)
     along = distance[..., None] * s * np.sinc(half * s / np.pi) / np.sinc(half / np.pi)
-    arc: np.ndarray = front[..., None, :] - along[..., None] * np.stack(
-        [np.cos(angle), np.sin(angle)], axis=-1
-    )
+    arc: Array = front[..., None, :] - along[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return arc

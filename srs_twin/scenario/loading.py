@@ -174,10 +174,11 @@ def _resolved_or_raw(data: Any, products: Mapping[str, object]) -> dict[str, Any
         data: plain data before the changes.
         products: products of the sections of the modified scenario.
     """
-    document = Document("", data if isinstance(data, dict) else {})
-    file, (robot, _) = validate(ScenarioFile, document, document.data), _robot(document)
+    plain = data if isinstance(data, dict) else {}
+    document = Document("", plain)
+    file, (robot, _) = validate(ScenarioFile, document, plain), _robot(document)
     if file is None or robot is None:
-        return document.data
+        return plain
     file = file.scaled_to(robot.scale)
     available = {name: products.get(name) for name in file.sections()}
     layout: str = file.valves.layout or (*file.controller.layouts(available), "")[0]

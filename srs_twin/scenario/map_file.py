@@ -97,10 +97,13 @@ class MapFile(StrictModel):
             colour, whole = colour + alpha, 4 * white
         levels = np.arange(whole + 1)
         above = (levels if self.negate else whole - levels) / whole - self.free_thresh
-        if self.mode == "trinary":
-            return (above >= 0)[colour]
-        wall = (200 * above > self.occupied_thresh - self.free_thresh)[colour]  # not rounded to 0 %
-        return wall if alpha is None else wall | (alpha < white)
+        occupied = above >= 0
+        if self.mode != "trinary":
+            occupied = 200 * above > self.occupied_thresh - self.free_thresh  # not rounded to 0 %
+        wall: np.ndarray = occupied[colour]
+        if self.mode != "trinary" and alpha is not None:
+            wall |= alpha < white
+        return wall
 
 
 def read_map(path: Path) -> tuple[Polygon, ...]:
@@ -266,7 +269,8 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
 
     def has_equal(shift: int) -> np.ndarray:
         at = np.minimum(np.searchsorted(begin, begin + shift), len(begin) - 1)
-        return (begin[at] == begin + shift) & (end[at] == end + shift)
+        equal: np.ndarray = (begin[at] == begin + shift) & (end[at] == end + shift)
+        return equal
 
     first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
     if len(first) > MAX_RECTANGLES:
@@ -277,4 +281,6 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     # Rectangles with the same columns do not overlap: sorted starts and ends belong together.
     first, last = (x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last))
     left, bottom = begin[first] % width, begin[first] // width
-    return np.transpose([left, bottom, end[first] % width, begin[last] // width + 1]).tolist()
+    corners = np.transpose([left, bottom, end[first] % width, begin[last] // width + 1])
+    rectangles: list[list[int]] = corners.tolist()
+    return rectangles

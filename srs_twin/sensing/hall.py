@@ -56,6 +56,7 @@ from functools import cached_property
 
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError, UnknownNameError
 
 STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
@@ -65,7 +66,7 @@ ROUNDING_BEND_RAD = 0.15
 """q_c, the bend at which a rectangular chamber has become nearly round, rad. Estimate (8.6°)."""
 
 
-def strip_bend(bend: np.ndarray, chamber: str) -> np.ndarray:
+def strip_bend(bend: Array, chamber: str) -> Array:
     """Return the bend q_s of the strip, rad.
 
     Args:
@@ -75,7 +76,7 @@ def strip_bend(bend: np.ndarray, chamber: str) -> np.ndarray:
     factor = STRIP_PRESSURE_FACTOR[chamber]
     if factor == 0.0:
         return bend
-    bend_of_strip: np.ndarray = bend - factor * ROUNDING_BEND_RAD * np.tanh(bend / ROUNDING_BEND_RAD)
+    bend_of_strip: Array = bend - factor * ROUNDING_BEND_RAD * np.tanh(bend / ROUNDING_BEND_RAD)
     return bend_of_strip
 
 
@@ -149,7 +150,7 @@ class Strip:
                 )
 
 
-def dipole(x: np.ndarray, y: np.ndarray, m_x: float, m_y: float) -> tuple[np.ndarray, np.ndarray]:
+def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
     """Return the components B_x and B_y (T) of a dipole's field in the plane of its moment.
 
     Args:
@@ -164,7 +165,7 @@ def dipole(x: np.ndarray, y: np.ndarray, m_x: float, m_y: float) -> tuple[np.nda
     return _MU0_4PI * (along * x - m_x) / cube, _MU0_4PI * (along * y - m_y) / cube
 
 
-def element_place(bend: np.ndarray | float, strip: Strip) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Array]:
     """Return the position (x, y) of the element relative to the magnet (m), and its angle θ (rad).
 
     Arguments as in `field`.
@@ -178,7 +179,7 @@ def element_place(bend: np.ndarray | float, strip: Strip) -> tuple[np.ndarray, n
     return x, y, theta
 
 
-def field(bend: np.ndarray | float, strip: Strip) -> np.ndarray:
+def field(bend: Array | float, strip: Strip) -> Array:
     """Return the field component normal to the element, B_n, T.
 
     Args:
@@ -189,7 +190,7 @@ def field(bend: np.ndarray | float, strip: Strip) -> np.ndarray:
     x, y, theta = element_place(bend, strip)
     m_x, m_y = (0.0, strip.moment) if strip.orientation == "up" else (strip.moment, 0.0)
     b_x, b_y = dipole(x, y, m_x, m_y)
-    normal: np.ndarray = b_y * np.cos(theta) - b_x * np.sin(theta)
+    normal: Array = b_y * np.cos(theta) - b_x * np.sin(theta)
     return normal
 
 
@@ -281,14 +282,14 @@ class HallSensor:
         return 0.0 if self.bits is None else (high - low) / 2**self.bits
 
     @cached_property
-    def _field_at_rest(self) -> np.ndarray:
+    def _field_at_rest(self) -> Array:
         return field(0.0, self.strip)
 
-    def field_change(self, bend: np.ndarray | float) -> np.ndarray:
+    def field_change(self, bend: Array | float) -> Array:
         """Return B_n − B_n(0) at bends (rad, any shape), T."""
         return field(bend, self.strip) - self._field_at_rest
 
-    def voltage(self, bend: np.ndarray | float, noise: np.ndarray | float = 0.0) -> np.ndarray:
+    def voltage(self, bend: Array | float, noise: Array | float = 0.0) -> Array:
         """Return the voltage that the controller reads, V.
 
         Args:
@@ -303,13 +304,13 @@ class HallSensor:
         if self.bits is None:
             return _within(output, low, high)
         code = _within(np.floor((output - low) / self.step), 0, 2**self.bits - 1)
-        voltage: np.ndarray = low + (code + 0.5) * self.step
+        voltage: Array = low + (code + 0.5) * self.step
         return voltage
 
 
-def _within(values: np.ndarray, low: float, high: float) -> np.ndarray:
+def _within(values: Array, low: float, high: float) -> Array:
     """Return the values clipped to a range, three times as fast as `np.clip`; NaN stays NaN."""
-    clipped: np.ndarray = np.minimum(np.maximum(values, low), high)
+    clipped: Array = np.minimum(np.maximum(values, low), high)
     return clipped
 
 
@@ -347,12 +348,12 @@ class Calibration:
     worst_error: float
     monotonic: bool
 
-    def angle(self, voltage: np.ndarray | float) -> np.ndarray:
+    def angle(self, voltage: Array | float) -> Array:
         """Return the bends for voltages (V, any shape), rad; the line continues beyond the span."""
         return self.slope * np.asarray(voltage) + self.intercept
 
 
-def fit_line(voltage: np.ndarray, angle: np.ndarray) -> Calibration:
+def fit_line(voltage: Array, angle: Array) -> Calibration:
     """Fit a line to measured pairs of voltage and angle.
 
     Args:

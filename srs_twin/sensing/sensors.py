@@ -100,7 +100,8 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
     slot = np.rint(time / SLOT).astype(np.int64)
     if slot.size == 1:
         number, place = divmod(slot.item(), _BLOCK)
-        return _block(int(seed) % 2**64, number, segments)[place].reshape(*slot.shape, segments)
+        numbers: np.ndarray = _block(int(seed) % 2**64, number, segments)[place]
+        return numbers.reshape(*slot.shape, segments)
     return _normal_numbers(int(seed) % 2**64, slot, segments)
 
 
@@ -127,7 +128,8 @@ def _splitmix(word: np.ndarray) -> np.ndarray:
     """Return the output of SplitMix64 for a state; each output bit depends on every bit of the state."""
     word = (word ^ (word >> np.uint64(30))) * _FIRST
     word = (word ^ (word >> np.uint64(27))) * _SECOND
-    return word ^ (word >> np.uint64(31))
+    mixed: np.ndarray = word ^ (word >> np.uint64(31))
+    return mixed
 
 
 @dataclass(frozen=True)

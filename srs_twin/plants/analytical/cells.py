@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import Geometry, RobotSpec
 
 _RIGID_RATIO = 1e6
@@ -33,8 +34,8 @@ class Division(NamedTuple):
         share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid gap.
     """
 
-    length: np.ndarray
-    share: np.ndarray
+    length: Array
+    share: Array
 
     @classmethod
     def of(cls, geometry: Geometry, points: int) -> Division:
@@ -59,12 +60,12 @@ class Undivided:
         inverse_share: 1/s_c, shape (segments, cells per segment) for divided segments, 1.
     """
 
-    inverse_share: float | np.ndarray = 1.0
+    inverse_share: float | Array = 1.0
 
     def __init__(self, spec: RobotSpec) -> None:
         self.spec = spec
         self.mass = spec.mass.array()
-        self.length: float | np.ndarray = spec.geometry.segment_length
+        self.length: float | Array = spec.geometry.segment_length
         self.gap = spec.geometry.rigid_gap
 
     @property
@@ -73,19 +74,19 @@ class Undivided:
         pitch = self.spec.geometry.pitch
         return pitch * float(np.arange(len(self.mass)) @ self.mass) / float(self.mass.sum())
 
-    def split(self, bend: np.ndarray) -> np.ndarray:
+    def split(self, bend: Array) -> Array:
         """Return the bends of all cells, shape (…, cells), from those of the segments, (…, segments)."""
         return bend
 
-    def total(self, bend: np.ndarray) -> np.ndarray:
+    def total(self, bend: Array) -> Array:
         """Return the bends of the segments, shape (…, segments), from those of the cells, (…, cells)."""
         return bend
 
-    def moments(self, torque: np.ndarray) -> np.ndarray:
+    def moments(self, torque: Array) -> Array:
         """Return the moments of the segments, (…, segments), from those of cells with prescribed bends."""
         return torque
 
-    def lead(self, bend: np.ndarray) -> float:
+    def lead(self, bend: Array) -> float:
         """Return the mean heading over all points, relative to that over the connectors, rad.
 
         Args:
@@ -93,11 +94,11 @@ class Undivided:
         """
         return 0.0
 
-    def at_connectors(self, values: np.ndarray) -> np.ndarray:
+    def at_connectors(self, values: Array) -> Array:
         """Return the values at the connectors, shape (samples, N, …), from those at all points."""
         return values
 
-    def on_connectors(self, force: np.ndarray) -> np.ndarray:
+    def on_connectors(self, force: Array) -> Array:
         """Return the forces on the connectors, shape (samples, N, 2), from those at all points."""
         return force
 
@@ -109,7 +110,7 @@ class Cells(Undivided):
         points_per_segment: number of cells of each segment.
     """
 
-    def __init__(self, spec: RobotSpec, cells: Division, mass: np.ndarray) -> None:
+    def __init__(self, spec: RobotSpec, cells: Division, mass: Array) -> None:
         """Divide all segments.
 
         Args:
@@ -131,34 +132,36 @@ class Cells(Undivided):
         """See `Undivided.com_behind_head`."""
         return float(self._behind_head @ self.mass) / float(self.mass.sum())
 
-    def split(self, bend: np.ndarray) -> np.ndarray:
+    def split(self, bend: Array) -> Array:
         """See `Undivided.split`."""
         cells = bend[..., None] * self._share
         return cells.reshape(*bend.shape[:-1], bend.shape[-1] * len(self._share))
 
-    def total(self, bend: np.ndarray) -> np.ndarray:
+    def total(self, bend: Array) -> Array:
         """See `Undivided.total`."""
-        total: np.ndarray = bend.reshape(*bend.shape[:-1], self._segments, len(self._share)).sum(axis=-1)
+        total: Array = bend.reshape(*bend.shape[:-1], self._segments, len(self._share)).sum(axis=-1)
         return total
 
-    def moments(self, torque: np.ndarray) -> np.ndarray:
+    def moments(self, torque: Array) -> Array:
         """See `Undivided.moments`."""
         return torque.reshape(*torque.shape[:-1], self._segments, len(self._share)) @ self._share
 
-    def lead(self, bend: np.ndarray) -> float:
+    def lead(self, bend: Array) -> float:
         """See `Undivided.lead`."""
         heading = np.append(0.0, -np.cumsum(bend))
         return float(heading.mean() - heading[:: len(self._share)].mean())
 
-    def at_connectors(self, values: np.ndarray) -> np.ndarray:
+    def at_connectors(self, values: Array) -> Array:
         """See `Undivided.at_connectors`."""
         return values[:, :: len(self._share)]
 
-    def on_connectors(self, force: np.ndarray) -> np.ndarray:
+    def on_connectors(self, force: Array) -> Array:
         """See `Undivided.on_connectors`."""
-        return np.einsum("ik,skc->sic", self.spec.connector_weights(self._behind_head), force)
+        shares = self.spec.connector_weights(self._behind_head)
+        shared: Array = np.einsum("ik,skc->sic", shares, force)
+        return shared
 
-    def obstacle_force(self, force: np.ndarray) -> np.ndarray:
+    def obstacle_force(self, force: Array) -> Array:
         """Return the forces on each connector and the adjoining halves of its segments.
 
         Args:
@@ -167,7 +170,8 @@ class Cells(Undivided):
         stations = self._behind_head / self.spec.geometry.pitch
         distance = np.abs(np.arange(self.spec.geometry.connectors)[:, None] - stations)
         weights = np.clip(0.5 + (0.5 - distance) / _MIDDLE, 0.0, 1.0)
-        return np.einsum("ik,skc->sic", weights, force)
+        shared: Array = np.einsum("ik,skc->sic", weights, force)
+        return shared
 
 
 _MIDDLE = 1e-6

@@ -27,7 +27,7 @@ do not depend on them.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -211,7 +211,7 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     )
 
 
-def connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+def connector_friction(along, across, spin, weight, floor) -> Any:  # type: ignore[no-untyped-def]
     """Return force and moment of a connector's contacts, and their slopes.
 
     Friction is the gradient of a potential, so that the slopes are symmetric, except under the law `cosine`.
@@ -345,7 +345,7 @@ def _symmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-
     return force, (xx, xy, xz, yy, yz, zz, xy, xz, yz), power
 
 
-def forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
+def forces_and_slopes(body, mass, forth, aside, yaw, floor) -> Any:  # type: ignore[no-untyped-def]
     """Return the results of `floor_forces`, with the slopes yx, zx, zy of any law after the others."""
     function = _unsymmetric_forces if has_no_potential(floor) else _symmetric_forces
     return function(body, mass, forth, aside, yaw, floor)

@@ -224,7 +224,9 @@ class QuasistaticArcs(Body):
         self.state[kinematics.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
     def _headings(self) -> np.ndarray:
-        return np.arctan2(self._work.frame[:, 1, 0], self._work.frame[:, 0, 0])
+        frame: np.ndarray = self._work.frame
+        headings: np.ndarray = np.arctan2(frame[:, 1, 0], frame[:, 0, 0])
+        return headings
 
     def _com(self) -> np.ndarray:
         return self._mean(self._work.point)

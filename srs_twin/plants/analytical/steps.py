@@ -82,7 +82,8 @@ class Steps:
     @cached_property
     def lengths(self) -> np.ndarray:
         """Lengths of the steps, shape (steps,), s."""
-        return self.ends - self._starts
+        lengths: np.ndarray = self.ends - self._starts
+        return lengths
 
     @cached_property
     def stage_times(self) -> np.ndarray:

@@ -124,7 +124,7 @@ _SNAKE = 1  # body that carries the whole snake; objects are other trees
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION  # with the warm start, so that steps continue bit for bit
 
 
-class SnakePhysics(dm.Physics, Stateful):
+class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control has no types
     """dm_control physics of a snake; `step` advances the chambers, then the bodies.
 
     The control is a valve command, whose slots divide the next `step` equally.
@@ -281,7 +281,8 @@ class SnakePhysics(dm.Physics, Stateful):
 
     def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on connectors, shape (…, N, 3), from those on hulls, (…, hulls, 3)."""
-        return np.einsum("ih,...hk->...ik", self._hull_shares, hull_force)
+        force: np.ndarray = np.einsum("ih,...hk->...ik", self._hull_shares, hull_force)
+        return force
 
     def _addresses(self, names: list[str]) -> np.ndarray:
         """Return the addresses of the three components of each sensor, shape (sensors, 3)."""
@@ -537,20 +538,22 @@ class SnakePhysics(dm.Physics, Stateful):
         """Return values per component and segment, shape (…, rows), with the shape of the bends."""
         if not self._spec.is_spatial:
             return rows
-        return rows.reshape(*rows.shape[:-1], 2, self._spec.segments).swapaxes(-1, -2)
+        pairs: np.ndarray = rows.reshape(*rows.shape[:-1], 2, self._spec.segments)
+        return pairs.swapaxes(-1, -2)
 
     def connector_positions(self) -> np.ndarray:
         """Return the positions of the connectors, head first, shape (N, 3), m."""
-        return self.data.xpos[self._connectors].copy()
+        return np.array(self.data.xpos[self._connectors])
 
     def connector_headings(self) -> np.ndarray:
         """Return the connectors' headings, shape (N,), wrapped to (−π, π], rad."""
         frame = self.data.xmat[self._connectors]
-        return np.arctan2(frame[:, 3], frame[:, 0])
+        headings: np.ndarray = np.arctan2(frame[:, 3], frame[:, 0])
+        return headings
 
     def center_of_mass(self) -> np.ndarray:
         """Return the snake's centre of mass, shape (3,), m."""
-        return self.data.subtree_com[_SNAKE].copy()
+        return np.array(self.data.subtree_com[_SNAKE])
 
     def floor_forces(self) -> np.ndarray:
         """Return the floor's mean force on each wheel over the last `step`, without the preload.

@@ -360,7 +360,8 @@ class TwinSnake(PneumaticPlant):
         """Return the forces on the connectors, (samples, N, …), from those on axles or contact points."""
         if self.spec.skin is not None:
             places = np.array([patch.place for patch in patches(self.spec, self._settings)])
-            return np.einsum("ik,skc->sic", self.spec.connector_weights(places), force)
+            shared: np.ndarray = np.einsum("ik,skc->sic", self.spec.connector_weights(places), force)
+            return shared
         # The second axle of a tail comes last and belongs to the last connector.
         connectors = np.arange(self.spec.geometry.connectors)
         total: np.ndarray = np.add.reduceat(force, connectors, axis=1)

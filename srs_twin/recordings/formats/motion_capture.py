@@ -332,7 +332,7 @@ class C3d(Format):
         with decoding(file, self.name):
             import c3d
 
-            class Reader(c3d.Reader):
+            class Reader(c3d.Reader):  # type: ignore[misc]  # c3d has no types
                 """Reader that accepts files whose header and parameters differ in unused values."""
 
                 def _check_metadata(self) -> None:

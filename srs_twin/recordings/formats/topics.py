@@ -311,7 +311,8 @@ def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:
 
 def _nearest(own: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the index of the element of `own` that is nearest to each time."""
-    return np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)
+    index: np.ndarray = np.rint(np.interp(time, own, np.arange(len(own)))).astype(int)
+    return index
 
 
 def _has_rotation(poses: np.ndarray) -> np.ndarray:

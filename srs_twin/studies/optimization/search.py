@@ -305,7 +305,9 @@ class _Search:
         if violations.size:
             scale = np.maximum(np.nanstd(reference_violations, axis=0), 1e-12)
             value = value + _FAILURE_PENALTY_SD * np.maximum(violations / scale, 0.0).sum(axis=1)
-        return np.where(np.isnan(value), _FAILURE_PENALTY_SD * (1 + np.nanmax(np.append(value, 0.0))), value)
+        worst = np.nanmax(np.append(value, 0.0))
+        cost: np.ndarray = np.where(np.isnan(value), _FAILURE_PENALTY_SD * (1 + worst), value)
+        return cost
 
     def _outputs(self, runs: Sequence[Run]) -> np.ndarray:
         """Return costs and constraint violations of runs, shape (runs, outputs)."""

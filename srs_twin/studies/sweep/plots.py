@@ -246,7 +246,8 @@ class Points:
     @property
     def known(self) -> np.ndarray:
         """Whether a point has a value, shape (points,)."""
-        return np.isfinite(self.z)
+        known: np.ndarray = np.isfinite(self.z)
+        return known
 
     @property
     def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import bootstrap
 
+from srs_twin.compute.arrays import Array
 from srs_twin.scenario.expectation import IntervalVerdict, interval_verdict
 from srs_twin.studies.uncertainty.surrogates import predict_high_fidelity
 
@@ -53,9 +54,9 @@ class SobolIndices:
         half_width: half the 95 % interval of both, shape (2, d).
     """
 
-    first: np.ndarray
-    total: np.ndarray
-    half_width: np.ndarray
+    first: Array
+    total: Array
+    half_width: Array
 
     def ranks(self) -> list[tuple[int, int]]:
         """Return the best and the worst possible rank of each parameter as a cause.
@@ -98,10 +99,10 @@ class MetricUncertainty:
     value: float
     half_timestep: float
     at_medians: float
-    samples: np.ndarray
+    samples: Array
     runs: int
-    sampling: np.ndarray
-    surrogate: np.ndarray
+    sampling: Array
+    surrogate: Array
     indices: SobolIndices | None = None
     published: float | None = None
 
@@ -121,7 +122,7 @@ class MetricUncertainty:
         return float(np.nanmedian(self.samples))
 
     @property
-    def errors(self) -> np.ndarray:
+    def errors(self) -> Array:
         """Standard errors of the ends of the 50 and 95 % intervals, shape (4,)."""
         return np.hypot(self.sampling, self.surrogate)
 
@@ -155,7 +156,7 @@ class MetricUncertainty:
         return row | {"published": self.published, "verdict": None if verdict is None else verdict.value}
 
 
-def sampling_errors(samples: np.ndarray) -> np.ndarray:
+def sampling_errors(samples: Array) -> Array:
     """Return the standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,)."""
     known = samples[np.isfinite(samples)]
     result = bootstrap(
@@ -169,7 +170,7 @@ def sampling_errors(samples: np.ndarray) -> np.ndarray:
     return np.asarray(result.standard_error)
 
 
-def predict_twin(shares: np.ndarray, low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Return the twin's metric at all samples, and the standard errors of interval ends by the surrogate.
 
     Args:

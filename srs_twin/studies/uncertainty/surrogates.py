@@ -27,6 +27,8 @@ import scipy.linalg
 import scipy.optimize
 from scipy.special import eval_legendre
 
+from srs_twin.compute.arrays import Array
+
 _MAX_DEGREE = 10
 """Largest degree of a chaos expansion."""
 
@@ -83,17 +85,17 @@ class PolynomialChaos:
     """
 
     terms: np.ndarray
-    coefficients: np.ndarray
-    unexplained: np.ndarray
-    residuals: np.ndarray
-    index_std: np.ndarray
+    coefficients: Array
+    unexplained: Array
+    residuals: Array
+    index_std: Array
 
     @classmethod
-    def fit(cls, shares: np.ndarray, results: np.ndarray, *, seed: int = 0) -> PolynomialChaos:
+    def fit(cls, shares: Array, results: Array, *, seed: int = 0) -> PolynomialChaos:
         """Fit results, shape (samples, results), to inputs u, shape (samples, d)."""
         count, variables = shares.shape
         variance = np.maximum(results.var(axis=0), 1e-300)
-        best: tuple[float, np.ndarray, np.ndarray, np.ndarray] | None = None
+        best: tuple[float, Array, Array, Array] | None = None
         for degree in range(1, _MAX_DEGREE + 1):
             terms = _terms(variables, degree)
             if degree > 1 and len(terms) * _SAMPLES_PER_TERM > count:
@@ -116,22 +118,22 @@ class PolynomialChaos:
         unexplained = np.minimum((residuals**2).mean(axis=0) / variance, 1.0)
         return cls(terms, coefficients, unexplained, residuals, np.std(indices, axis=0))
 
-    def at(self, shares: np.ndarray) -> np.ndarray:
+    def at(self, shares: Array) -> Array:
         """Return the predicted results at inputs u, shape (…, results)."""
         return np.asarray(_design_matrix(shares, self.terms) @ self.coefficients)
 
     @cached_property
-    def indices(self) -> np.ndarray:
+    def indices(self) -> Array:
         """Sobol's first-order and total indices, shape (2, d, results)."""
         return _indices(self.terms, self.coefficients)
 
     @property
-    def index_half_width(self) -> np.ndarray:
+    def index_half_width(self) -> Array:
         """Half the 95 % interval of the indices, shape (2, d, results)."""
         return np.asarray(2 * self.index_std + self.unexplained)
 
 
-def _design_matrix(shares: np.ndarray, terms: np.ndarray) -> np.ndarray:
+def _design_matrix(shares: Array, terms: np.ndarray) -> Array:
     """Return each term at each sample, shape (samples, terms)."""
     orders = np.arange(terms.max(initial=0) + 1)
     polynomials = eval_legendre(orders, 2 * shares[..., None] - 1) * np.sqrt(2 * orders + 1)
@@ -141,7 +143,7 @@ def _design_matrix(shares: np.ndarray, terms: np.ndarray) -> np.ndarray:
     return design
 
 
-def _cross_validate(design: np.ndarray, results: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _cross_validate(design: Array, results: Array) -> tuple[Array, Array]:
     """Return least-squares coefficients and leave-one-out residuals."""
     basis, triangle = scipy.linalg.qr(design, mode="economic")
     coefficients = scipy.linalg.lstsq(triangle, basis.T @ results)[0]
@@ -149,12 +151,13 @@ def _cross_validate(design: np.ndarray, results: np.ndarray) -> tuple[np.ndarray
     return coefficients, (results - design @ coefficients) / (1 - leverage)[:, None]
 
 
-def _indices(terms: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+def _indices(terms: np.ndarray, coefficients: Array) -> Array:
     power, has_one_variable = coefficients**2, (terms > 0).sum(axis=1) == 1
     variance = np.maximum(power[1:].sum(axis=0), 1e-300)
     first = [power[has_one_variable & (terms[:, i] > 0)].sum(axis=0) for i in range(terms.shape[1])]
     total = [power[terms[:, i] > 0].sum(axis=0) for i in range(terms.shape[1])]
-    return np.array([first, total]) / variance
+    indices: Array = np.array([first, total]) / variance
+    return indices
 
 
 class GaussianProcess:
@@ -168,10 +171,10 @@ class GaussianProcess:
 
     def __init__(
         self,
-        x: np.ndarray,
-        y: np.ndarray,
+        x: Array,
+        y: Array,
         *,
-        log_hyperparameters: np.ndarray | None = None,
+        log_hyperparameters: Array | None = None,
     ) -> None:
         """Fit the process to samples.
 
@@ -196,27 +199,27 @@ class GaussianProcess:
         self._factor = scipy.linalg.cho_factor(self._covariance(self.log_hyperparameters), lower=True)
         self._weights = scipy.linalg.cho_solve(self._factor, y)
 
-    def at(self, x: np.ndarray) -> np.ndarray:
+    def at(self, x: Array) -> Array:
         """Return the mean at inputs."""
         return np.asarray(_kernel(self.log_hyperparameters, x, self._x) @ self._weights)
 
-    def covariance(self, x: np.ndarray) -> np.ndarray:
+    def covariance(self, x: Array) -> Array:
         """Return the covariance of the function at inputs, without noise."""
         cross = _kernel(self.log_hyperparameters, x, self._x)
         prior = _kernel(self.log_hyperparameters, x, x)
         return np.asarray(prior - cross @ scipy.linalg.cho_solve(self._factor, cross.T))
 
     @property
-    def leave_one_out_residuals(self) -> np.ndarray:
+    def leave_one_out_residuals(self) -> Array:
         """Difference of each sample from its prediction by the other samples, shape (samples,)."""
         inverse = scipy.linalg.cho_solve(self._factor, np.eye(len(self._y)))
         return np.asarray(self._weights / np.diag(inverse))
 
-    def _covariance(self, log_hyperparameters: np.ndarray) -> np.ndarray:
+    def _covariance(self, log_hyperparameters: Array) -> Array:
         kernel = _kernel(log_hyperparameters, self._x, self._x)
         return np.asarray(kernel + (np.exp(2 * log_hyperparameters[2]) + 1e-9) * np.eye(len(self._y)))
 
-    def _negative_log_posterior(self, log_hyperparameters: np.ndarray, centre: np.ndarray) -> float:
+    def _negative_log_posterior(self, log_hyperparameters: Array, centre: Array) -> float:
         """Return the negative logarithm of the posterior density, up to a constant."""
         try:
             factor = scipy.linalg.cholesky(self._covariance(log_hyperparameters), lower=True)
@@ -227,7 +230,7 @@ class GaussianProcess:
         return float(white @ white / 2 + np.log(np.diag(factor)).sum() + prior / 2)
 
 
-def _kernel(log_hyperparameters: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _kernel(log_hyperparameters: Array, x: Array, y: Array) -> Array:
     size, slope = np.exp(2 * log_hyperparameters[0]), np.exp(2 * log_hyperparameters[1])
     lengths = np.exp(log_hyperparameters[3:])
     distance = (((x[:, None] - y[None]) / lengths) ** 2).sum(axis=-1)
@@ -235,8 +238,8 @@ def _kernel(log_hyperparameters: np.ndarray, x: np.ndarray, y: np.ndarray) -> np
 
 
 def predict_high_fidelity(
-    shares: np.ndarray, low: np.ndarray, high: np.ndarray, log_hyperparameters: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+    shares: Array, low: Array, high: Array, log_hyperparameters: Array | None = None
+) -> tuple[Array, Array]:
     """Predict a high-fidelity result at all samples from the low-fidelity result and some high-fidelity runs.
 
     Args:

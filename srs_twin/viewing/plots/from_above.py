@@ -71,7 +71,8 @@ def strobe_times(trajectories: Mapping[str, Trajectory], geometry: Geometry) -> 
     spacing = _MIN_SPACING * geometry.body_length
     count = int(np.interp(end, run.time, distance) / spacing + 1e-6) + 1
     # Draw a snake that hardly moved only at the start and the end.
-    return np.linspace(float(run.time[0]), end, int(np.clip(count, 2, _MAX_BODIES))).tolist()
+    times = np.linspace(float(run.time[0]), end, int(np.clip(count, 2, _MAX_BODIES)))
+    return [float(time) for time in times]
 
 
 def samples_at(run: Trajectory, times: list[float]) -> list[Trajectory]:

@@ -9,12 +9,13 @@ import numpy as np
 from srs_twin.comparison.centre_line import centre_lines, offset_to_sides
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.tracking import sine_frequency
+from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
 
 
-def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> np.ndarray:
+def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
     """Return the centre line from head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
     # Without a rigid gap the ends of an arc coincide with the connectors; omit the duplicate points.
@@ -23,20 +24,20 @@ def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> np
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 
-def goal_ring(goal: Mapping[str, float]) -> np.ndarray:
+def goal_ring(goal: Mapping[str, float]) -> Array:
     """Return the circumference of a goal, shape (n, 2), m."""
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     return np.array([goal["x"], goal["y"]]) + goal["radius"] * circle
 
 
-def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
+def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
     """Return the wheel centres, left then right, shape (samples, N, 2, 2), m."""
     theta = trajectory.stack("theta")[..., None]
     return offset_to_sides(trajectory.position[:, :, None], theta, geometry.half_track)
 
 
-def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
+def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
     """Return the rotation of each wheel without slip, shape (samples, N, 2), rad, forward positive."""
     centres, theta = wheel_centres(trajectory, geometry), trajectory.stack("theta")
     mean_theta = (theta[1:] + theta[:-1]) / 2
@@ -45,7 +46,7 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> np.ndarray:
     return np.concatenate([np.zeros((1, *increments.shape[1:])), np.cumsum(increments, axis=0)])
 
 
-def pressure_difference(trajectory: Trajectory) -> np.ndarray:
+def pressure_difference(trajectory: Trajectory) -> Array:
     """Return p⁺ − p⁻ of each segment, shape (samples, segments), Pa; NaN if it was not recorded."""
     if not (trajectory.has("pressure_plus") and trajectory.has("pressure_minus")):
         return np.full_like(trajectory.stack("bend"), np.nan)
@@ -83,7 +84,7 @@ def reference_period(trajectory: Trajectory) -> float | None:
     return None if frequency is None else 1 / frequency
 
 
-def forward_speed(trajectory: Trajectory) -> np.ndarray:
+def forward_speed(trajectory: Trajectory) -> Array:
     """Return the velocity of the centre of mass along the heading, (samples,), m/s; 0 for a single sample."""
     if len(trajectory) < 2:
         return np.zeros(len(trajectory))
@@ -92,7 +93,7 @@ def forward_speed(trajectory: Trajectory) -> np.ndarray:
     return velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
 
 
-def period_speed(trajectory: Trajectory, period: float) -> tuple[np.ndarray, np.ndarray]:
+def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     """Return times, s, and the speed of the period-averaged path at these times, m/s.
 
     The speed is the displacement over one gait period centred at each time, divided by the period; it is

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
+import rerun_bindings as bindings
 from rerun.blueprint import Blueprint
 
 from srs_twin.errors import InputError
@@ -144,7 +145,7 @@ def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
     content: bytes = memory.drain_as_bytes()
     log.disconnect()
     # Without this call, Rerun keeps the threads and the memory of streams that are no longer referenced.
-    rr.bindings.flush_and_cleanup_orphaned_recordings()
+    bindings.flush_and_cleanup_orphaned_recordings()
     return content
 
 
@@ -161,7 +162,7 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     Rerun 0.41 does not close it: each recording of a process would leave two threads and 2 MB of memory.
     """
     carrier = rr.RecordingStream._from_native(
-        rr.bindings.new_blueprint(
+        bindings.new_blueprint(
             application_id=APPLICATION, make_default=False, make_thread_default=False, default_enabled=True
         )
     )
@@ -169,7 +170,7 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     blueprint._log_to_stream(carrier)
     content = carrier.memory_recording()
     # Make the layout active, not only the default, so that the viewer does not reuse that of another robot.
-    rr.bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
+    bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
 

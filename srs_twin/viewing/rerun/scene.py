@@ -117,7 +117,7 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
         return
     force = np.stack([run.stack("obstacle_force_x"), run.stack("obstacle_force_y")], axis=-1)
     touched = np.hypot(force[..., 0], force[..., 1]) > TOUCH_N
-    in_contact = touched.any(axis=1)
+    in_contact = np.any(touched, axis=1)
     if not in_contact.any():
         return
     # The viewer shows a row until the next one; the first sample after a contact removes the arrows.
@@ -344,7 +344,8 @@ def _along(steps: np.ndarray) -> np.ndarray:
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
     """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to a yaw angle."""
     s, c = np.sin(yaw / 2), np.cos(yaw / 2)
-    return (np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)).reshape(-1, 4).astype(np.float32)
+    turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)
+    return turns.reshape(-1, 4).astype(np.float32)
 
 
 def _packed(rgba: np.ndarray) -> np.ndarray:
