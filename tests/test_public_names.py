@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
 
+import jedi
 import pytest
 
 import srs_twin as srs
@@ -19,6 +21,15 @@ LAZY = [
     for path in sorted(PACKAGE.rglob("__init__.py"))
     if "\nlazy(" in path.read_text("utf-8")
 ]
+USER_SCRIPT = Path(__file__).parent / "helpers" / "user_script.py"
+MISTAKES = """
+import srs_twin as srs
+from srs_twin.planning import Fotprint  # type: ignore[attr-defined]
+
+srs.rolout()  # type: ignore[attr-defined]
+srs.load_robot(2)  # type: ignore[arg-type]
+srs.compare("gen2_straight").speed  # type: ignore[attr-defined]
+"""
 SPEED = """
 import srs_twin as srs
 
@@ -86,3 +97,55 @@ if __name__ == "__main__":
         print(pool.map(speed, [1.0, 1.5]) == [speed(1.0), speed(1.5)])
 """
     assert run_script(tmp_path, SPEED + pool) == "True\n"
+
+
+def test_type_checkers_understand_a_users_script_and_a_new_controller(srs_twin, tmp_path, request):
+    """Unused ignores are errors: mypy must find each mistake and nothing else."""
+    assert srs_twin("new", "controller", "wiggle", cwd=tmp_path).returncode == 0
+    (tmp_path / "mistakes.py").write_text(MISTAKES, "utf-8")
+    (tmp_path / USER_SCRIPT.name).write_bytes(USER_SCRIPT.read_bytes())
+    scripts = ("mistakes.py", USER_SCRIPT.name, "wiggle.py")
+    cache = request.config.cache.mkdir("mypy")
+    command = (sys.executable, "-m", "mypy", "--strict", "--cache-dir", cache, *scripts)
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout == "Success: no issues found in 3 source files\n", done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_users_script_runs(tmp_path):
+    run_script(tmp_path, USER_SCRIPT.read_text("utf-8"))
+
+
+def test_users_script_has_all_public_names():
+    assert {f"srs.{name}" for name in srs.__all__} <= set(
+        re.findall(r"srs\.\w+", USER_SCRIPT.read_text("utf-8"))
+    )
+
+
+BUILT = """
+import srs_twin as srs
+spec = srs.load_robot("gen2")
+twin = srs.TwinSnake(spec)
+run = srs.rollout(twin, srs.Gait(1.0), 1.0)
+"""
+
+
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ("srs.", srs.__all__),
+        ("run.", ["com", "time", "stack", "to_parquet"]),
+        ("twin.", ["step", "reset", "save", "spec"]),
+        ("spec.", ["geometry", "friction", "mass"]),
+        ("srs.compare('gen2_straight').", ["metrics", "shape_error"]),
+    ],
+)
+def test_editors_complete(line, names):
+    script = jedi.Script(BUILT + line)
+    assert set(names) <= {each.name for each in script.complete()}
+
+
+def test_editors_show_arguments():
+    (signature,) = jedi.Script(BUILT + "srs.rollout(").get_signatures()
+    assert [each.name for each in signature.params][:4] == ["plant", "controller", "duration", "pose"]
+    assert signature.to_string().endswith("-> Trajectory")
