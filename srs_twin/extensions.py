@@ -152,11 +152,11 @@ def lazy(package: str) -> None:
     """
     module = sys.modules[package]
     homes = {
-        alias.asname: node.module
+        alias.name: node.module
         for node in ast.walk(ast.parse(inspect.getsource(module)))
         if isinstance(node, ast.ImportFrom)
         for alias in node.names
-        if alias.asname
+        if alias.asname == alias.name
     }
     vars(module).update(__all__=list(homes), _homes=homes)
     module.__class__ = _LazyPackage

@@ -34,6 +34,7 @@ RESERVED = {
     "dm_control": {"plants", "viewing", "envs", "identification", "cli"},
     "gymnasium": {"envs"},
     "rerun": {"viewing"},
+    "rerun_bindings": {"viewing"},
     "ray": {"studies"},
     "warp": {"warp"},
     "mujoco_warp": {"warp"},
