@@ -64,12 +64,12 @@ def run(quick: bool) -> Result:
 
 def bare_loop(plant: TwinSnake, duration: float) -> tuple[Callable[[], None], mujoco.MjData]:
     """Return a loop over the controls of a rollout, and the MuJoCo data that it advances."""
-    model = plant.physics.model.ptr
+    model = plant.physics.model
     controls = step_controls(plant, duration)
     plant.reset()
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     start = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, plant.physics.data.ptr, start, kind)
+    mujoco.mj_getState(model, plant.physics.data, start, kind)
     data = mujoco.MjData(model)
     chambers = data.ctrl[: controls.shape[1]]
 

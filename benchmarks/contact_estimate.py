@@ -74,7 +74,7 @@ class Finger:
     """Force on a twin's body at a distance behind its first connector, normal to the body."""
 
     def __init__(self, twin: TwinSnake) -> None:
-        self._twin, model, g = twin, twin.physics.model.ptr, twin.spec.geometry
+        self._twin, model, g = twin, twin.physics.model, twin.spec.geometry
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_forward(model, data)
@@ -89,7 +89,7 @@ class Finger:
 
     def press(self, force: float, place: float) -> None:
         """Apply a force (N, to the left if positive) at a place (m) until the next call."""
-        data, k = self._twin.physics.data.ptr, int(np.searchsorted(self._edges, place))
+        data, k = self._twin.physics.data, int(np.searchsorted(self._edges, place))
         data.xfrc_applied[:] = 0.0
         body = self._bodies[k]
         frame = data.xmat[body].reshape(3, 3)

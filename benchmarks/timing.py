@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 ROUNDS = 5
-PACKAGES = ("srs-twin", "numpy", "scipy", "numba", "mujoco", "dm-control", "pyelastica")
+PACKAGES = ("srs-twin", "numpy", "scipy", "numba", "mujoco", "pyelastica")
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     """
     first = scenarios[0]
     twins = [scenario.build_plant("twin", contact=PreloadedContact()) for scenario in scenarios]
-    models = [twin.physics.model.ptr for twin in twins]
+    models = [twin.physics.model for twin in twins]
     engine = Batch(models[0], len(twins), threads)
     engine.set_models(models)
     scripts, recorders = [], []
@@ -47,7 +47,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         recorders.append(Recorder(twin, controller, scenario.record_hz, scenario.duration))
         recorders[-1].add(state)
         scripts.append(controller.script(scenario.duration))
-        mujoco.mj_getState(models[k], twin.physics.data.ptr, engine.state[k], _WHOLE)
+        mujoco.mj_getState(models[k], twin.physics.data, engine.state[k], _WHOLE)
     steps, samples = round(1 / twins[0].timestep), round(first.record_hz)
     times = 1.0 / samples * np.arange(1, samples + 1)
     for second in range(round(first.duration)):
@@ -61,7 +61,7 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
             controls[k, :, : flat.shape[1]] = flat
         out = engine.rollout(steps, controls, record=(_SEEN, "sensordata"))
         for k, twin in enumerate(twins):
-            mujoco.mj_setState(models[k], twin.physics.data.ptr, engine.state[k], _WHOLE)
+            mujoco.mj_setState(models[k], twin.physics.data, engine.state[k], _WHOLE)
             batch = twin.physics.evaluate(out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
             recorders[k].add(twin._chunk_history(second + times, trace, batch, steps // samples))

@@ -31,7 +31,7 @@ STEP = {name: i for i, name in enumerate(ORDER)}
 # Large or replaceable packages, and the only rooms that may import them.
 RESERVED = {
     "mujoco": {"plants", "warp", "viewing", "envs", "identification", "cli"},
-    "dm_control": {"plants", "viewing", "envs", "identification", "cli"},
+    "dm_control": {"envs"},
     "gymnasium": {"envs"},
     "rerun": {"viewing"},
     "rerun_bindings": {"viewing"},

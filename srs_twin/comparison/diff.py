@@ -121,13 +121,13 @@ class Difference:
         moved: changed values in the order of A, then values that only B has.
         same: number of values that count as equal.
         wheres: all scenarios, sweep points and rows, in order.
-        versions: package → versions of A and B, if they differ.
+        versions: package → versions of A and B, if both name the package and they differ.
     """
 
     moved: tuple[ChangedValue, ...]
     same: int
     wheres: tuple[str, ...]
-    versions: Mapping[str, tuple[str | None, str | None]]
+    versions: Mapping[str, tuple[str, str]]
 
     def document(self) -> dict[str, object]:
         """Return JSON values, in which numbers that JSON lacks are "NaN", "Infinity" and "-Infinity"."""
@@ -165,8 +165,8 @@ def diff(a: Results, b: Results, tolerances: Tolerances | None = None) -> Differ
             raise UnknownNameError("metric of a tolerance", name, known)
     pairs = [ChangedValue(*key, before.get(key), after.get(key)) for key in keys]
     moved = [pair for pair in pairs if not allowed.for_metric(pair.metric).allows(pair.a, pair.b)]
-    packages = dict.fromkeys((*a.versions, *b.versions))
-    versions = {name: (a.versions.get(name), b.versions.get(name)) for name in packages}
+    common = [name for name in a.versions if name in b.versions]
+    versions = {name: (a.versions[name], b.versions[name]) for name in common}
     return Difference(
         tuple(moved),
         len(keys) - len(moved),

@@ -6,13 +6,23 @@ from collections import OrderedDict
 from typing import Any
 
 import numpy as np
-from dm_control import mujoco as dm_mujoco
-from dm_control.rl import control
-from dm_env import specs
 
+from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, lower_bounds, upper_bounds
 from srs_twin.envs.tasks import make_task
+from srs_twin.errors import InputError
 from srs_twin.io.saved_state import DeepCopied
+from srs_twin.plants.twin.physics import SnakePhysics
+
+try:
+    from dm_control.rl import control
+    from dm_env import specs
+except ImportError as error:
+    raise InputError(
+        "srs_twin.envs.dm needs dm-control, which is not installed. Python 3.13 and later cannot install it, "
+        "because its dependency labmaze has no wheel for them. Use the same tasks through Gymnasium "
+        "(docs/environments.md), or Python 3.11 or 3.12 with `pip install dm-control`."
+    ) from error
 
 
 class EpisodePhysics(DeepCopied, control.Physics):  # type: ignore[misc]  # dm_control has no types
@@ -29,12 +39,24 @@ class EpisodePhysics(DeepCopied, control.Physics):  # type: ignore[misc]  # dm_c
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
         """Initialise with a task and the generator of its episodes."""
         self._task, self._rng = task, rng
+        self._renderer: EpisodeRenderer | None = None
 
     @property
-    def twin(self) -> dm_mujoco.Physics:
-        """Physics of the twin, with bodies, joints and `render`."""
+    def twin(self) -> SnakePhysics:
+        """Physics of the twin, with MuJoCo's model and data."""
         assert self.episode is not None, "reset first"
         return self.episode.twin.physics
+
+    def render(self, height: int = 240, width: int = 320) -> np.ndarray:
+        """Return an image of the episode, shape (height, width, 3), uint8.
+
+        Raises:
+            InputError: OpenGL cannot render without a display here.
+        """
+        assert self.episode is not None, "reset first"
+        if self._renderer is None or self._renderer.size != (width, height):
+            self._renderer = EpisodeRenderer(width, height)
+        return self._renderer.render(self.episode)
 
     def reset(self) -> None:
         """Start an episode."""

@@ -93,10 +93,6 @@ class Schedule(NamedTuple):
         """Return the times at which a valve changes its state, shape (runs − 1,), s."""
         return self.starts[1:]
 
-    def scaled_to(self, span: float) -> Schedule:
-        """Return the schedule with its times scaled to another span (s)."""
-        return Schedule(span, self.starts * (span / self.span), self.states)
-
     def slice(self, begin: float, end: float) -> Schedule:
         """Return the schedule from `begin` to `end` (s), with times from `begin`."""
         if begin == 0.0 and end == self.span and self.starts[-1] < end - _EVENT_TOLERANCE:

@@ -210,10 +210,10 @@ def contact_force(robot: str, frequency_hz: float, force_n: float, connector: fl
     gait.reset(twin.spec, twin.tick)
     observer = ContactObserver(twin.spec, twin.tick, round(1 / (frequency_hz * twin.tick)))
     state, k, best = twin.reset(), round(connector) - 1, (0.0, 0.0)
-    body = twin.physics.model.ptr.body(f"connector_{k + 1}").id
+    body = twin.physics.model.body(f"connector_{k + 1}").id
     while state.time < 12.6:
         heading, pressed = float(state.theta[k]), 12.0 <= state.time < 12.5
-        twin.physics.data.ptr.xfrc_applied[body, :2] = (
+        twin.physics.data.xfrc_applied[body, :2] = (
             np.array([-math.sin(heading), math.cos(heading)]) * force_n * pressed
         )
         valves = gait.step(state)

@@ -41,7 +41,7 @@ _IMPORT = re.compile(r"^\s*(?:from (srs_twin[\w.]*) import (\([^)]*\)|[^\n]*)|im
 @cache
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the packages that determine results, and `arithmetic`."""
-    packages = ("mujoco", "dm-control", "numpy", "scipy", "numba")
+    packages = ("mujoco", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
         **{name: metadata.version(name) for name in packages},

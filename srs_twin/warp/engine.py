@@ -70,7 +70,7 @@ class DeviceEngine:
         self._robots, self._robot_of_run, self._device = robots, robot_of_run, device
         self._worlds, self._segments = len(robot_of_run), robots[0].spec.segments
         self.loaded = isinstance(robots[0].contact, LoadedContact)
-        models = [twin.physics.model.ptr for twin in self._robots]
+        models = [twin.physics.model for twin in self._robots]
         raw = copy.copy(models[0])
         raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
         raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _MAX_ITERATIONS

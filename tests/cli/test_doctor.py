@@ -211,8 +211,8 @@ def test_requirements_are_compared_with_what_is_installed():
     assert list(found) == ["numpy", "mujoco", "no-such-thing", "pytest"]
     assert [bool(each.fault) for each in found.values()] == [False, True, True, False]
     assert found["pytest"].extra == "more"
-    some = checks.required_packages(["numpy", "dm-control>=1", "no-such-thing", "ray; extra == 'ray'"])
-    assert checks.modules(some) == ["numpy", "dm_control"]
+    some = checks.required_packages(["numpy", "mujoco-warp>=1", "no-such-thing", "ray; extra == 'ray'"])
+    assert checks.modules(some) == ["numpy", "mujoco_warp"]
 
 
 def test_extras_have_purpose_and_install_command():

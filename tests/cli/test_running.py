@@ -65,7 +65,7 @@ def test_metrics_follow_from_the_trajectories(compared):
     assert list(metrics) == keys
     assert (metrics["scenario"], metrics["robot"]) == ("short", "gen2")
     assert set(metrics["versions"]) == {
-        "srs_twin", "mujoco", "dm-control", "numpy", "scipy", "numba", "python", "arithmetic",
+        "srs_twin", "mujoco", "numpy", "scipy", "numba", "python", "arithmetic",
     }  # fmt: skip
     speeds = {}
     for plant in ("analytical", "twin"):

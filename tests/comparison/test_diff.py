@@ -127,7 +127,9 @@ def test_changed_verdict_is_a_difference(capsys, tmp_path):
     rows = [{"id": "row", "outcomes": {"twin": outcome}}]
     for name, verdict in (("a", "met"), ("b", "missed")):
         outcome["verdict"] = verdict
-        (tmp_path / f"{name}.json").write_text(json.dumps({"rows": rows, "versions": {"mujoco": name}}))
+        (tmp_path / f"{name}.json").write_text(
+            json.dumps({"rows": rows, "versions": {"mujoco": name, f"of {name}": "1"}})
+        )
     code, out, err = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
     assert code == 1 and "row, twin" in out and "missed" in out and "1 different, 1 equal" in out
     assert err == "different versions of mujoco: a → b\n"

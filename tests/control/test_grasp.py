@@ -98,7 +98,7 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     valves[4:, 0] = 1
     for _ in range(100):
         state = twin.step(valves)
-    model, data = twin.physics.model.ptr, twin.physics.data.ptr
+    model, data = twin.physics.model, twin.physics.data
 
     def pressed(hull: str) -> np.ndarray:
         """Return force and point of application of the object on a hull."""

@@ -10,11 +10,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from dm_environments import dm_environments
 from gymnasium.wrappers import TimeLimit
 from test_gymnasium import MARKED_TASKS, equal_bits
 
 from srs_twin import InputError
-from srs_twin.envs import dm
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
 from srs_twin.io.saved_state import SavedState
 
@@ -86,7 +86,7 @@ def test_copies_of_a_vector_environment_give_the_same_episodes():
 
 @pytest.mark.parametrize("task", ["Obstacles", "Module"])
 def test_copies_of_a_dm_env_give_the_same_episodes(task):
-    env = dm.load(task, seed=4, **SHORT)
+    env = dm_environments().load(task, seed=4, **SHORT)
     env.reset()
     spec, rng = env.action_spec(), np.random.default_rng(1)
     actions = [rng.uniform(spec.minimum, spec.maximum) for _ in range(2)]
@@ -212,7 +212,10 @@ ACTIONS = {
 
 @pytest.mark.parametrize("interface", ["gymnasium", "dm_env"])
 def test_refused_action_leaves_the_environment_unchanged(interface):
-    env, other = (SnakeEnv("GoTo") if interface == "gymnasium" else dm.load("GoTo", seed=3) for _ in range(2))
+    if interface == "gymnasium":
+        env, other = SnakeEnv("GoTo"), SnakeEnv("GoTo")
+    else:
+        env, other = (dm_environments().load("GoTo", seed=3) for _ in range(2))
     for environment in (env, other):
         environment.reset(seed=3) if interface == "gymnasium" else environment.reset()
     for name, action in ACTIONS.items():

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import dm_env
 import numpy as np
 import pytest
 from absl.testing import absltest
-from dm_env import test_utils
+from dm_environments import dm_environments
 from test_gymnasium import MARKED_TASKS
+from test_pictures import can_render
 
-from srs_twin.envs import TASKS, dm
+from srs_twin import InputError
+from srs_twin.envs import TASKS
 from srs_twin.envs.gymnasium import SnakeEnv
+
+dm = dm_environments()
+
+import dm_env  # noqa: E402
+from dm_env import test_utils  # noqa: E402
 
 
 class _Mixin(test_utils.EnvironmentTestMixin):
@@ -79,3 +85,17 @@ def test_goal_ends_an_episode_with_discount_0():
     assert timestep.step_type is dm_env.StepType.LAST and timestep.discount == 0.0
     assert physics.twin.bend_angles().shape == (4,)
     assert physics.time() == pytest.approx(0.1) and env.control_timestep() == pytest.approx(0.1)
+
+
+@pytest.mark.slow
+def test_images_are_those_of_gymnasium():
+    env, other = dm.load("GoTo", seed=3), SnakeEnv("GoTo", render_mode="rgb_array", width=160, height=120)
+    env.reset()
+    if not can_render():
+        with pytest.raises(InputError, match="OpenGL"):
+            env.physics.render()
+        return
+    other.reset(seed=3)
+    image, larger = env.physics.render(120, 160), env.physics.render()
+    assert (image == other.render()).all() and larger.shape == (240, 320, 3)
+    other.close()

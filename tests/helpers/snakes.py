@@ -87,4 +87,4 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
             if physics.stepper is not None:
                 physics.stepper.contact_state.rim_speed[2 * i - 2 + (side == "right")] = rolling
                 continue
-            physics.named.data.qvel[f"axle_{side}_{i}"] = rolling / g.wheel_radius
+            physics.data.joint(f"axle_{side}_{i}").qvel = rolling / g.wheel_radius

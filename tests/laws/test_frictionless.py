@@ -88,7 +88,7 @@ def drift(spec: RobotSpec, timestep: float, smooth: bool) -> tuple[float, float]
     data, seen = plant.physics.data, []
 
     def watch(state) -> None:
-        mujoco.mj_subtreeVel(plant.physics.model.ptr, data.ptr)
+        mujoco.mj_subtreeVel(plant.physics.model, data)
         seen.append((np.hypot(*data.subtree_linvel[0][:2]), abs(data.subtree_angmom[0][2])))
 
     rollout(plant, Gait(2.0), 0.6, observers=[watch])

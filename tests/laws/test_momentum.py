@@ -66,7 +66,7 @@ def _largest_momentum(timestep: float) -> tuple[float, float]:
     physics, seen = plant.physics, []
 
     def watch(state) -> None:
-        mujoco.mj_subtreeVel(physics.model.ptr, physics.data.ptr)
+        mujoco.mj_subtreeVel(physics.model, physics.data)
         momentum = SLIPPERY.mass.total * np.hypot(*physics.data.subtree_linvel[0][:2])
         seen.append((momentum, abs(physics.data.subtree_angmom[0][2])))
 

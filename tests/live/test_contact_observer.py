@@ -90,7 +90,7 @@ def test_pressed_twin_is_detected_with_force_and_place(chambers):
     twin, gait, force, place = TwinSnake(GEN2, pneumatics=chambers), Gait(2.0), 0.7, 2.0 * PITCH
     observer = ContactObserver(GEN2, SAMPLE_S, PERIOD)
     gait.reset(GEN2, twin.tick)
-    state, data = twin.reset(), twin.physics.data.ptr
+    state, data = twin.reset(), twin.physics.data
     rng = np.random.default_rng(1)
     connector = data.body("connector_3")
     for k in range(630):

@@ -37,7 +37,7 @@ def recorded(world: World) -> dict:
 
 def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
     """Return the smallest distance between the geoms of snake and obstacles for each qpos, m."""
-    model = twin.physics.model.ptr
+    model = twin.physics.model
     data = mujoco.MjData(model)
     names = [model.geom(k).name for k in range(model.ngeom)]
     hulls = [k for k, name in enumerate(names) if name.startswith("hull_")]
@@ -52,7 +52,7 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
 
 def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarray:
     """Draw poses anywhere among the obstacles, segments bent by up to 1.5 rad, shape (count, nq)."""
-    draw, model = np.random.default_rng(seed), twin.physics.model.ptr
+    draw, model = np.random.default_rng(seed), twin.physics.model
     found = np.tile(twin.physics.data.qpos, (count, 1))
     heading = draw.uniform(-np.pi, np.pi, count)
     found[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))

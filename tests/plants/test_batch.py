@@ -422,8 +422,8 @@ def test_reset_batch_repeats_the_run():
 
 def test_changing_the_model_of_one_twin_does_not_affect_others():
     one, other = TwinBatch([SPEC, SPEC], threads=1).twins
-    one.physics.model.ptr.opt.gravity[2] = 0.0
-    assert other.physics.model.ptr.opt.gravity[2] == TwinSnake(SPEC).physics.model.ptr.opt.gravity[2] < -9
+    one.physics.model.opt.gravity[2] = 0.0
+    assert other.physics.model.opt.gravity[2] == TwinSnake(SPEC).physics.model.opt.gravity[2] < -9
 
 
 @pytest.mark.parametrize("threads", [1, 2])

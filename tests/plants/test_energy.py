@@ -148,7 +148,7 @@ def against_each_other(plant: TwinSnake, qpos: np.ndarray, qvel: np.ndarray) -> 
     Hinges of stiffness 2k and damping 2c with a difference Δ of their angles store k Δ²/2 and dissipate c
     Δ̇².
     """
-    model, law = plant.physics.model.ptr, plant.spec.bending
+    model, law = plant.physics.model, plant.spec.bending
     pairs = [[model.joint(f"hinge_{j + 1}_{k}") for j in range(plant.spec.segments)] for k in (1, 2)]
     angle = np.diff([qpos[:, [item.qposadr[0] for item in row]] for row in pairs], axis=0)[0]
     rate = np.diff([qvel[:, [item.dofadr[0] for item in row]] for row in pairs], axis=0)[0]
@@ -182,7 +182,7 @@ def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
     """
     step = plant.timestep
     h = driven(plant, duration, 1 / step)
-    model = plant.physics.model.ptr
+    model = plant.physics.model
     qvel, inertia = np.zeros((len(h.time), model.nv)), np.zeros((model.nv, model.nv))
     for k in range(1, len(qvel)):
         mujoco.mj_differentiatePos(model, qvel[k], step, h.qpos[k - 1], h.qpos[k])
@@ -252,7 +252,7 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     times = plant.timestep * np.arange(round(duration / plant.timestep))
     controls = chambers.advance(gait.script(duration), times).pressure.reshape(len(times), -1)
     plant.reset()
-    model, data, kind = plant.physics.model.ptr, plant.physics.data.ptr, mujoco.mjtState.mjSTATE_INTEGRATION
+    model, data, kind = plant.physics.model, plant.physics.data, mujoco.mjtState.mjSTATE_INTEGRATION
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
     data = mujoco.MjData(model)

@@ -69,7 +69,7 @@ def test_a_robot_without_extension_has_the_same_model():
     plain = TwinSnake(replace(spec, actuator=replace(spec.actuator, extension=0.0)))
     longer = TwinSnake(spec)
     assert longer.physics.model.nv == plain.physics.model.nv + spec.segments
-    joints = [plain.physics.model.ptr.joint(j).name for j in range(plain.physics.model.njnt)]
+    joints = [plain.physics.model.joint(j).name for j in range(plain.physics.model.njnt)]
     assert not any("stretch" in name for name in joints)
 
 

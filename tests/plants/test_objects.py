@@ -78,7 +78,7 @@ def test_collision_conserves_momentum(item):
     """Without friction on the floor, momentum and angular momentum pass from the object to the snake."""
     item = replace(item, friction=0.0, x=0.03, y=0.08)
     twin = twin_with(item, robot=SLIPPERY)
-    data, model = twin.physics.data.ptr, twin.physics.model.ptr
+    data, model = twin.physics.data, twin.physics.model
     data.qvel[-2] = -0.5
 
     def momenta() -> np.ndarray:
@@ -235,7 +235,7 @@ def pulled_over_an_object(wrap: float, radius: float, hold_back: float = 1.0) ->
     on_arc = place[np.abs(edges - middle) < half]
     centre = np.linalg.lstsq(np.column_stack([2 * on_arc, np.ones(len(on_arc))]), (on_arc**2).sum(axis=1))[0]
     twin = wrapped(float(centre[0]), float(centre[1]))
-    data, model = twin.physics.data.ptr, twin.physics.model.ptr
+    data, model = twin.physics.data, twin.physics.model
     head, tail = model.body("connector_1").id, model.body(f"connector_{connectors}").id
     ahead, behind = data.xmat[head][[0, 3]].copy(), -data.xmat[tail][[0, 3]]
     start, vented, pulls = data.xpos[head][:2].copy(), np.full((connectors - 1, 2), -1, dtype=np.int8), []

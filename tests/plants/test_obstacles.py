@@ -33,7 +33,7 @@ def forces(run: Trajectory) -> np.ndarray:
 
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
     """Return the largest depth of the body in an obstacle, from the recorded positions, m."""
-    model = twin.physics.model.ptr
+    model = twin.physics.model
     data, result = mujoco.MjData(model), 0.0
     for k in range(0, len(run["time"]), 5):
         data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]

@@ -80,7 +80,7 @@ def test_contact_frames_turn_with_the_skids(heading):
     plant = twin()
     plant.reset(pose=(0.2, 0.1, heading))
     plant.step(vented(SPEC))
-    contacts = plant.physics.data.ptr.contact
+    contacts = plant.physics.data.contact
     assert len(contacts.frame) == 10
     for normal, along, across in contacts.frame.reshape(-1, 3, 3):
         assert normal == pytest.approx([0, 0, 1])

@@ -9,7 +9,7 @@ from scipy.integrate import solve_bvp
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
 from srs_twin.comparison.gait import spatial_metrics
 from srs_twin.control.gait import PitchWave
-from srs_twin.envs import dm
+from srs_twin.envs import make_task
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.live.shadow import Shadow
 from srs_twin.plants.twin.snake import TwinSnake
@@ -232,7 +232,7 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
         lambda: make_pneumatics("orifice", SPEC, supply_pa=SUPPLY, layout="3/2"),
         lambda: AnalyticalSnake(SPEC),
         lambda: Shadow(SPEC),
-        lambda: dm.load("GoTo", robot="spatial_example"),
+        lambda: make_task("GoTo", robot="spatial_example"),
     ):
         with pytest.raises(InputError, match="does not support the spatial robot spatial_example"):
             refused()

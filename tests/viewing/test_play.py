@@ -229,11 +229,11 @@ def test_unknown_robot_is_reported_first(srs_twin_process, tmp_path):
 def test_the_body_has_the_colours_of_its_pressures():
     snake = run(FakeWindow(20))
     physics = snake.twin.physics
-    skins = Skins(physics.model.ptr, SPEC.segments)
+    skins = Skins(physics.model, SPEC.segments)
     skins.show(snake.state.pressure, SPEC.supply.nominal)
     difference = snake.state.pressure[:, 0] - snake.state.pressure[:, 1]
     assert np.ptp(difference) > 0.1 * SPEC.supply.nominal
     wanted = pressure_colors(difference, SPEC.supply.nominal) / 255
     for geoms, color in zip(skins.geoms, wanted, strict=True):
-        assert geoms and np.allclose(physics.model.ptr.geom_rgba[geoms], color, atol=1e-6)
+        assert geoms and np.allclose(physics.model.geom_rgba[geoms], color, atol=1e-6)
     assert np.array_equal(pressure_colors(np.array([2.0, -3.0]), 2.0), pressure_colors(np.array([2.0, -2.0])))

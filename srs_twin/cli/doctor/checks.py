@@ -91,7 +91,7 @@ PURPOSES = {
 }
 """Purpose of each extra in pyproject.toml."""
 
-_LISTED_PACKAGES = ("mujoco", "dm-control", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
+_LISTED_PACKAGES = ("mujoco", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
 """Packages whose versions are printed; they affect results most."""
 
 # Modules whose names differ from their package. Of rerun-sdk only the bindings are imported: its Python part
@@ -156,7 +156,7 @@ def python_check(version: str, allowed: str) -> Check:
 
     Args:
         version: running version, e.g. "3.11.7".
-        allowed: `requires-python` of pyproject.toml, e.g. ">=3.11,<3.13".
+        allowed: `requires-python` of pyproject.toml, e.g. ">=3.11,<3.15".
     """
     from packaging.specifiers import SpecifierSet
 

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from dm_control import mujoco as dm
 from mujoco import rollout as mujoco_rollout
 
 from srs_twin.errors import InputError
@@ -124,18 +123,18 @@ _SNAKE = 1  # body that carries the whole snake; objects are other trees
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION  # with the warm start, so that steps continue bit for bit
 
 
-class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control has no types
-    """dm_control physics of a snake; `step` advances the chambers, then the bodies.
-
-    The control is a valve command, whose slots divide the next `step` equally.
+class SnakePhysics(Stateful):
+    """Bodies of a snake in MuJoCo, driven by its chambers, and the quantities read from them.
 
     Attributes:
+        model: compiled model; it belongs to this physics alone and may be changed.
+        data: present state of the bodies.
         free: whether the snake moves on a floor; otherwise its head is clamped.
         internal_joints: energy of joint motions that leave the bends unchanged.
         stepper: time steps under loaded contact; None under a preloaded contact or without a floor.
     """
 
-    state_attributes = ("_floor_force", "_last_force", "_schedule", "stepper")
+    state_attributes = ("_floor_force", "_last_force", "stepper")
 
     @classmethod
     def build(
@@ -159,30 +158,65 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         relevant = world if world and (world.is_solid or world.uneven) else None
         # A copy, so that changes of one twin's model do not affect other twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
-        return cls._from_scene(model, spec, settings, chambers, world or World())
+        return cls(model, spec, settings, chambers, world or World())
 
-    @classmethod
-    def _from_scene(
-        cls,
+    def __init__(
+        self,
         model: mujoco.MjModel,
         spec: RobotSpec,
         settings: ModelSettings,
         chambers: Pneumatics,
         world: World,
-    ) -> SnakePhysics:
-        """Return the physics of a compiled scene; the physics owns the model."""
-        physics: SnakePhysics = cls.from_model(dm.wrapper.MjModel(model))
-        physics._set_up(spec, settings, chambers, world)
-        return physics
+    ) -> None:
+        """Take over a compiled scene; the arguments are those of `build`."""
+        self.model, self.data = model, mujoco.MjData(model)
+        mujoco.mj_forward(model, self.data)
+        self._pneumatics, self._spec, self._settings, self._world = chambers, spec, settings, world
+        self.free, contact = settings.base == "free", settings.contact
+        self._static_load = static_loads(spec, settings, -model.opt.gravity[2])
+        self._preload = np.zeros_like(self._static_load)
+        if isinstance(contact, PreloadedContact) and self.free:
+            self._preload = preload_force(spec, contact)
+        self._connectors = [model.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
+        self._probe = mujoco.MjData(model)
+        self._start = np.empty((1, mujoco.mj_stateSize(model, _ROLLOUT_STATE)))
+        feet = treads(spec, settings) if self.free else []
+        # Sensor addresses of the left and right foot of each axle, shape (axles, 2, 3).
+        self._force_addresses = self._addresses([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
+        velocities = [] if settings.loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
+        self._foot_addresses = self._addresses(velocities).reshape(-1, 2, 3)
+        self._energy_address = model.sensor("kinetic_energy").adr[0]
+        count = spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
+        drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
+        self._drag_force, self._drag_velocity = (self._addresses(names)[:, 0] for names in drags)
+        self._set_up_hulls(spec)
+        self._set_up_objects()
+        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates. The rows
+        # of a spatial robot are all bends to the left, then all bends upwards.
+        kinds = bend_joints(spec)
+        rows = len(kinds) * spec.segments
+        self._angles, self._rates = np.zeros((rows, model.nq)), np.zeros((rows, model.nv))
+        for row in range(rows):
+            component, j = divmod(row, spec.segments)
+            for k in range(settings.hinges_per_segment):
+                hinge = model.joint(f"{kinds[component]}_{j + 1}_{k + 1}")
+                self._angles[row, hinge.qposadr[0]] = self._rates[row, hinge.dofadr[0]] = 1.0
+        self.internal_joints = InternalJoints(model, spec, settings)
+        self._no_force = np.zeros((*self._preload.shape, 3))
+        self._floor_force = self._last_force = self._no_force
+        air = chambers.stiffness * self._rates.T @ self._rates
+        self.stepper = None
+        if settings.loaded:
+            self.stepper = LoadedStepper(model, self.data, spec, settings, air, world.objects)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Copy the model and the state; the engine's data are created again, because they hold addresses."""
-        arguments = self.model.ptr, self._spec, self._settings, self._pneumatics, self._world
+        arguments = self.model, self._spec, self._settings, self._pneumatics, self._world
         # The model may have been changed since these constants were taken from it: copy them, too.
         kinds = np.ndarray | InternalJoints
         constants = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
         contact = None if self.stepper is None else self.stepper.constants
-        return type(self)._from_scene, arguments, (self.state_dict(), constants, contact)
+        return type(self), arguments, (self.state_dict(), constants, contact)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         memory, constants, contact = state
@@ -191,58 +225,8 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
             self.stepper.constants = contact
         self.load_state_dict(memory)
 
-    def copy(self, share_model: bool = False) -> SnakePhysics:
-        """Return a copy with its own chambers and model.
-
-        Raises:
-            InputError: `share_model` is true.
-        """
-        if share_model:
-            raise InputError("a copy of SnakePhysics cannot share its model; leave out share_model")
-        return copy.deepcopy(self)
-
-    def _set_up(self, spec: RobotSpec, settings: ModelSettings, pneumatics: Pneumatics, world: World) -> None:
-        raw = self.model.ptr
-        self._pneumatics, self._spec, self._settings, self._world = pneumatics, spec, settings, world
-        self.free, contact = settings.base == "free", settings.contact
-        self._static_load = static_loads(spec, settings, -raw.opt.gravity[2])
-        self._preload = np.zeros_like(self._static_load)
-        if isinstance(contact, PreloadedContact) and self.free:
-            self._preload = preload_force(spec, contact)
-        self._connectors = [raw.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
-        self._probe = mujoco.MjData(raw)
-        self._start = np.empty((1, mujoco.mj_stateSize(raw, _ROLLOUT_STATE)))
-        feet = treads(spec, settings) if self.free else []
-        # Sensor addresses of the left and right foot of each axle, shape (axles, 2, 3).
-        self._force_addresses = self._addresses([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
-        velocities = [] if settings.loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
-        self._foot_addresses = self._addresses(velocities).reshape(-1, 2, 3)
-        self._energy_address = raw.sensor("kinetic_energy").adr[0]
-        count = spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
-        drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
-        self._drag_force, self._drag_velocity = (self._addresses(names)[:, 0] for names in drags)
-        self._set_up_hulls(raw, spec)
-        self._set_up_objects(raw)
-        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates. The rows
-        # of a spatial robot are all bends to the left, then all bends upwards.
-        kinds = bend_joints(spec)
-        rows = len(kinds) * spec.segments
-        self._angles, self._rates = np.zeros((rows, raw.nq)), np.zeros((rows, raw.nv))
-        for row in range(rows):
-            component, j = divmod(row, spec.segments)
-            for k in range(settings.hinges_per_segment):
-                hinge = raw.joint(f"{kinds[component]}_{j + 1}_{k + 1}")
-                self._angles[row, hinge.qposadr[0]] = self._rates[row, hinge.dofadr[0]] = 1.0
-        self.internal_joints = InternalJoints(raw, spec, settings)
-        self._no_force = np.zeros((*self._preload.shape, 3))
-        self._floor_force = self._last_force = self._no_force
-        air = pneumatics.stiffness * self._rates.T @ self._rates
-        self.stepper = None
-        if settings.loaded:
-            self.stepper = LoadedStepper(raw, self.data.ptr, spec, settings, air, world.objects)
-
-    def _set_up_hulls(self, raw: mujoco.MjModel, spec: RobotSpec) -> None:
-        hulls = hull_names(raw)
+    def _set_up_hulls(self, spec: RobotSpec) -> None:
+        hulls = hull_names(self.model)
         self._hull_force = self._addresses([f"obstacle_force_{hull}" for hull in hulls])
         self._hull_velocity = self._addresses([f"velocity_{hull}" for hull in hulls])
         # Hulls 0…n of segment j are numbered from the head. The front half of the segment counts for
@@ -254,11 +238,11 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
             share = np.clip(count / 2 - number, 0.0, 1.0)
             self._hull_shares[segment - 1, k], self._hull_shares[segment, k] = share, 1 - share
 
-    def _set_up_objects(self, raw: mujoco.MjModel) -> None:
-        names, count = object_names(raw), len(hull_names(raw))
-        sensors = [object_force_sensor(name, hull) for name in names for hull in hull_names(raw)]
+    def _set_up_objects(self) -> None:
+        names, hulls = object_names(self.model), hull_names(self.model)
+        sensors = [object_force_sensor(name, hull) for name in names for hull in hulls]
         # Address of the force of each object on each hull, shape (objects, hulls, 3); its point follows.
-        self._object_force = self._addresses(sensors).reshape(len(names), count, 3)
+        self._object_force = self._addresses(sensors).reshape(len(names), len(hulls), 3)
 
     @property
     def sensor_addresses(self) -> SensorAddresses:
@@ -286,7 +270,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
 
     def _addresses(self, names: list[str]) -> np.ndarray:
         """Return the addresses of the three components of each sensor, shape (sensors, 3)."""
-        first = np.array([self.model.ptr.sensor(name).adr[0] for name in names], dtype=int)
+        first = np.array([self.model.sensor(name).adr[0] for name in names], dtype=int)
         return first[:, None] + np.arange(3)
 
     def lay_down(self, pose: Pose) -> None:
@@ -295,17 +279,17 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
         """
-        with self.reset_context():
-            hinges = self._angles.sum(axis=1, keepdims=True)
-            bias = np.zeros(len(hinges))
-            bias[: self._spec.segments] = self._spec.modules.array("bias")
-            rest_angles = (bias[:, None] * self._angles / hinges).sum(axis=0)
-            self.data.qpos[:] += rest_angles
-            if self.free:
-                self._move_to_pose(pose)
+        mujoco.mj_resetData(self.model, self.data)
+        hinges = self._angles.sum(axis=1, keepdims=True)
+        bias = np.zeros(len(hinges))
+        bias[: self._spec.segments] = self._spec.modules.array("bias")
+        rest_angles = (bias[:, None] * self._angles / hinges).sum(axis=0)
+        self.data.qpos[:] += rest_angles
+        if self.free:
+            self._move_to_pose(pose)
+        mujoco.mj_forward(self.model, self.data)
         self.refresh()
         self._pneumatics.reset()
-        self._schedule = self._pneumatics.schedule(self._pneumatics.valves, 1.0)
         self._floor_force, self._last_force = self._no_force.copy(), self._no_force
         if self.stepper is not None:
             self.stepper.reset()
@@ -330,7 +314,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         """
         if not self.free:
             raise InputError("a snake that is clamped at its head can only start at rest")
-        raw, data = self.model.ptr, self.data.ptr
+        data = self.data
         hinges = self._angles.sum(axis=1)
         data.qpos[:] += ((bend - self.bend_angles()) / hinges) @ self._angles
         data.qpos[3:7] = 1.0, 0.0, 0.0, 0.0
@@ -342,59 +326,46 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         self.refresh()
         data.qvel[:2] += velocity[:2] - data.subtree_linvel[_SNAKE][:2]
         self.refresh()
-        self._roll_wheels(raw, data)
+        self._roll_wheels()
         self.refresh()
 
-    def _roll_wheels(self, raw: mujoco.MjModel, data: mujoco.MjData) -> None:
+    def _roll_wheels(self) -> None:
         """Set the spin of the wheels to rolling without slip along their headings."""
+        model, data = self.model, self.data
         if self.stepper is not None:
             self.stepper.roll()
         for number in range(1, len(self._preload) + 1):
             for side in ("left", "right"):
-                joint = mujoco.mj_name2id(raw, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}")
+                joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}")
                 if joint < 0:
                     continue
-                wheel, axis, velocity = raw.jnt_bodyid[joint], data.xaxis[joint], np.empty(6)
-                mujoco.mj_objectVelocity(raw, data, mujoco.mjtObj.mjOBJ_BODY, wheel, velocity, 0)
+                wheel, axis, velocity = model.jnt_bodyid[joint], data.xaxis[joint], np.empty(6)
+                mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, wheel, velocity, 0)
                 ahead = np.cross(axis, [0.0, 0.0, 1.0])
                 spin = velocity[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
-                data.qvel[raw.jnt_dofadr[joint]] = spin
+                data.qvel[model.jnt_dofadr[joint]] = spin
 
     def state_dict(self) -> dict[str, object]:
         """Return the saved state; the engine's part is MuJoCo's integration state."""
-        engine = np.empty(mujoco.mj_stateSize(self.model.ptr, _SAVED_STATE))
-        mujoco.mj_getState(self.model.ptr, self.data.ptr, engine, _SAVED_STATE)
+        engine = np.empty(mujoco.mj_stateSize(self.model, _SAVED_STATE))
+        mujoco.mj_getState(self.model, self.data, engine, _SAVED_STATE)
         return super().state_dict() | {"engine": engine}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Restore a saved state."""
         super().load_state_dict(state)
-        mujoco.mj_setState(self.model.ptr, self.data.ptr, state["engine"], _SAVED_STATE)
+        mujoco.mj_setState(self.model, self.data, state["engine"], _SAVED_STATE)
         self.refresh()
 
     def _move_to_pose(self, pose: Pose) -> None:
         """Rotate and translate the snake to the centre of mass x, y (m) and mean heading (rad) of a pose."""
-        raw = self.data.ptr
-        self._update_kinematics(raw)
+        data = self.data
+        self._update_kinematics(data)
         angle = pose[2] - float(np.unwrap(self.connector_headings()).mean())
         yaw = np.array([np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
-        mujoco.mju_mulQuat(raw.qpos[3:7], yaw, raw.qpos[3:7].copy())
-        self._update_kinematics(raw)
-        self.data.qpos[:2] += pose[:2] - raw.subtree_com[_SNAKE][:2]
-
-    def set_control(self, control: np.ndarray) -> None:
-        """Command the valves for the next `step`.
-
-        Args:
-            control: valve states, shape (segments, 2) or (slots, segments, 2).
-        """
-        self._schedule = self._pneumatics.schedule(control, 1.0)
-
-    def step(self, nstep: int = 1) -> None:
-        """Advance chambers and bodies by `nstep` time steps."""
-        span = nstep * self.timestep()
-        with self.check_invalid_state():
-            self.run(self.advance_chambers(self._schedule.scaled_to(span), nstep).pressure)
+        mujoco.mju_mulQuat(data.qpos[3:7], yaw, data.qpos[3:7].copy())
+        self._update_kinematics(data)
+        data.qpos[:2] += pose[:2] - data.subtree_com[_SNAKE][:2]
 
     def advance_chambers(self, schedule: Schedule, steps: int) -> Trace:
         """Advance the chambers over a schedule; return them at the beginning of each step and at the end."""
@@ -466,7 +437,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
 
     def _run_engine(self, chamber_controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Run all steps in one call of the engine; return states and sensors as in `evaluate`."""
-        model, data, steps = self.model.ptr, self.data.ptr, len(chamber_controls)
+        model, data, steps = self.model, self.data, len(chamber_controls)
         controls = np.zeros((1, steps, model.nu))
         controls[0, :, : chamber_controls.shape[1]] = chamber_controls
         states, sensors = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
@@ -487,7 +458,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
 
     def refresh(self) -> None:
         """Recompute positions and velocities from the state; contacts stay those of the last step."""
-        self._update_kinematics(self.data.ptr)
+        self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
         """Return positions and velocities in given states; the present state stays unchanged.
@@ -512,7 +483,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         return Kinematics(qpos, com, velocity, positions, headings, bends, rates, turns)
 
     def _update_kinematics(self, data: mujoco.MjData) -> None:
-        model = self.model.ptr
+        model = self.model
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_comVel(model, data)
@@ -520,10 +491,10 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
 
     def kinetic_energy(self) -> float:
         """Return the bodies' kinetic energy, J."""
-        raw, data = self.model.ptr, self.data.ptr
-        mujoco.mj_crb(raw, data)
-        momentum = np.empty(raw.nv)
-        mujoco.mj_mulM(raw, data, momentum, data.qvel)
+        model, data = self.model, self.data
+        mujoco.mj_crb(model, data)
+        momentum = np.empty(model.nv)
+        mujoco.mj_mulM(model, data, momentum, data.qvel)
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
@@ -556,7 +527,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         return np.array(self.data.subtree_com[_SNAKE])
 
     def floor_forces(self) -> np.ndarray:
-        """Return the floor's mean force on each wheel over the last `step`, without the preload.
+        """Return the floor's mean force on each wheel over the last `run`, without the preload.
 
         Returns:
             World frame, shape (axles, 2, 3): axle, left and right wheel, x y z, N.
@@ -566,7 +537,7 @@ class SnakePhysics(dm.Physics, Stateful):  # type: ignore[misc]  # dm_control ha
         return force
 
     def wheel_loads(self) -> np.ndarray:
-        """Return the mean load of each wheel over the last `step`, shape (axles, 2), N.
+        """Return the mean load of each wheel over the last `run`, shape (axles, 2), N.
 
         A negative load means that the wheel would lift without the preload.
         """

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 from abc import abstractmethod
 from array import array
 from collections import Counter
@@ -41,7 +42,8 @@ _MAX_RATIO = 32
 """Largest ratio of unpacked to packed size of larger files; repetitive valve states in JSON reach 20."""
 _MAX_MESSAGES = 1 << 23
 """Largest number of messages: an hour of twenty topics at 100 Hz."""
-_UNPACKERS = {"lz4": ("lz4.frame", "LZ4Frame"), "zstd": ("backports.zstd", "Zstd"), "bz2": ("bz2", "BZ2")}
+_ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+_UNPACKERS = {"lz4": ("lz4.frame", "LZ4Frame"), "zstd": (_ZSTD, "Zstd"), "bz2": ("bz2", "BZ2")}
 """Compression → module, and name of its class without "Decompressor"."""
 
 

@@ -263,7 +263,7 @@ class MujocoWindow:
         from srs_twin.viewing.mujoco.stage import Skins, make_obstacles_translucent
 
         physics = snake.twin.physics
-        model, data = physics.model.ptr, physics.data.ptr
+        model, data = physics.model, physics.data
         try:
             self._viewer = mujoco.viewer.launch_passive(
                 model, data, key_callback=snake.press, show_left_ui=False, show_right_ui=False

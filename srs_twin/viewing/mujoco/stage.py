@@ -80,7 +80,7 @@ class Stage:
         if ghost is not None:
             self._ghost_line = body_line(ghost[1], scenario.robot.geometry, _GHOST_CHORDS)
         plant: Any = scenario.build_plant("twin")
-        self.model = plant.physics.model.ptr
+        self.model = plant.physics.model
         self.data = mujoco.MjData(self.model)
         self._qpos = run.stack("qpos")
         if self._qpos.shape[1] != self.model.nq:

@@ -1,0 +1,95 @@
+"""Images of episodes, as `srs-twin render` draws them; no display is needed.
+
+They show the twin coloured by pressure, its obstacles, and its goal as a ring.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from srs_twin.envs.task import Episode
+
+_GOAL_LINE = 0.003
+"""Half width of the goal's ring divided by the camera distance."""
+
+_ELEVATION_DEG = -65.0
+"""Elevation of the camera."""
+
+_BODY_LENGTHS = 4.0
+"""Smallest camera distance in body lengths."""
+
+_GOAL_DISTANCES = 1.7
+"""Smallest camera distance as a multiple of the distance from snake to goal, so that both are visible."""
+
+
+class EpisodeRenderer:
+    """Renderer of episodes; OpenGL is initialised with the first image.
+
+    Attributes:
+        size: width and height of the images, pixels.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        """Initialise with the image size in pixels."""
+        self.size = width, height
+        self._canvas: Any = None
+        self._model: mujoco.MjModel | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return EpisodeRenderer, self.size  # a copy creates its own OpenGL context
+
+    def render(self, episode: Episode) -> np.ndarray:
+        """Return an image of the current state, shape (height, width, 3), uint8.
+
+        Raises:
+            InputError: OpenGL cannot render without a display here.
+        """
+        from srs_twin.viewing.mujoco.canvas import Canvas
+        from srs_twin.viewing.mujoco.stage import Skins
+
+        physics = episode.twin.physics
+        model, data = physics.model, physics.data
+        if model is not self._model:
+            self.close()
+            self._canvas, self._model = Canvas(model, *self.size), model
+            self._skins = Skins(model, episode.twin.spec.segments)
+        self._skins.show(episode.state.pressure, episode.twin.spec.supply.nominal)
+        mujoco.mj_camlight(model, data)
+        camera = _camera(episode)
+        image: np.ndarray = self._canvas.draw(
+            data, camera, lambda scene: _add_goal(scene, episode, camera.distance)
+        )
+        return image
+
+    def close(self) -> None:
+        """Release the OpenGL context."""
+        if self._canvas is not None:
+            self._canvas.__exit__(None, None, None)
+            self._canvas = self._model = None
+
+
+def _camera(episode: Episode) -> mujoco.MjvCamera:
+    """Return a camera that looks down on the snake and its goal from a distance at which both are visible."""
+    camera, target = mujoco.MjvCamera(), episode.twin.physics.center_of_mass()
+    camera.elevation, camera.azimuth = _ELEVATION_DEG, 90.0
+    camera.distance = _BODY_LENGTHS * episode.twin.spec.geometry.body_length
+    if episode.goal is not None:
+        to_goal = np.array([episode.goal.x, episode.goal.y]) - target[:2]
+        target[:2] += to_goal / 2
+        camera.distance = max(camera.distance, _GOAL_DISTANCES * float(np.hypot(*to_goal)))
+    camera.lookat = target
+    return camera
+
+
+def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
+    """Draw the edge of the goal on the floor, with a width for a camera distance in m."""
+    from srs_twin.planning.pictures import goal_ring
+    from srs_twin.viewing.mujoco.stage import add_line
+    from srs_twin.viewing.plots.style import GOAL_COLOR
+
+    if episode.goal is not None:
+        ring = goal_ring({key: getattr(episode.goal, key) for key in ("x", "y", "radius")})
+        add_line(scene, ring, GOAL_COLOR, _GOAL_LINE * distance)
