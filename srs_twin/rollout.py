@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from srs_twin.compute.claims import claim
 from srs_twin.compute.workers import IsCancelled, Workers
 from srs_twin.control.base import Controller
 from srs_twin.errors import (
@@ -114,25 +115,26 @@ def rollout(
         )
     if not controller.spatial:
         plant.spec.require_planar(f"controller '{controller.kind}'")
-    state = plant.reset(pose=pose, seed=seed) if begin is None else begin(plant, seed)
-    controller.reset(plant.spec, plant.tick, seed=seed)
-    if resume is not None:
-        state = plant.restore(resume[0])
-        controller.restore(resume[1])
-    recorder.add(state)
-    observers, start = tuple(observers), float(state.time)
-    script = None if until is not None or observers else controller.script(start + ticks * plant.tick)
-    if script is not None and start:
-        script = script.slice(start, start + ticks * plant.tick)
-    try:
-        if script is None or not _play_script(recorder, script, ticks, progress):
-            _step_ticks(recorder, state, ticks, until, observers, progress)
-    except DivergedError as error:
-        if error.history is not None and len(error.history.time):
-            recorder.add(error.history)
-        error.trajectory = recorder.trajectory()
-        raise
-    return recorder.trajectory()
+    with claim(plant, controller):
+        state = plant.reset(pose=pose, seed=seed) if begin is None else begin(plant, seed)
+        controller.reset(plant.spec, plant.tick, seed=seed)
+        if resume is not None:
+            state = plant.restore(resume[0])
+            controller.restore(resume[1])
+        recorder.add(state)
+        observers, start = tuple(observers), float(state.time)
+        script = None if until is not None or observers else controller.script(start + ticks * plant.tick)
+        if script is not None and start:
+            script = script.slice(start, start + ticks * plant.tick)
+        try:
+            if script is None or not _play_script(recorder, script, ticks, progress):
+                _step_ticks(recorder, state, ticks, until, observers, progress)
+        except DivergedError as error:
+            if error.history is not None and len(error.history.time):
+                recorder.add(error.history)
+            error.trajectory = recorder.trajectory()
+            raise
+        return recorder.trajectory()
 
 
 def _play_script(
@@ -439,19 +441,20 @@ def run_batch(
         InputError: duration, tick and record_hz are not compatible, or invalid valve commands.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
-    controllers = [_PolicyController() for _ in batch.twins]
-    recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
-    samples, stride = recorders[0].samples, recorders[0].stride
-    for tick in range(1, ticks + 1):
-        histories = batch.advance(policy(batch.state), samples)
-        for recorder, history, error in zip(recorders, histories, batch.errors, strict=True):
-            if history is not None and (tick % stride == 0 or error is not None):
-                recorder.add(history)
-        if progress is not None:
-            progress(tick * batch.tick)
-        if all(batch.errors):
-            break
-    return _finish_batch(batch, recorders)
+    with claim(batch, *batch.twins):
+        controllers = [_PolicyController() for _ in batch.twins]
+        recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
+        samples, stride = recorders[0].samples, recorders[0].stride
+        for tick in range(1, ticks + 1):
+            histories = batch.advance(policy(batch.state), samples)
+            for recorder, history, error in zip(recorders, histories, batch.errors, strict=True):
+                if history is not None and (tick % stride == 0 or error is not None):
+                    recorder.add(history)
+            if progress is not None:
+                progress(tick * batch.tick)
+            if all(batch.errors):
+                break
+        return _finish_batch(batch, recorders)
 
 
 def _record_start(
@@ -509,29 +512,32 @@ def run_scripts(
     ticks = count_steps("duration", duration, "tick", batch.tick)
     if len(controllers) != len(batch.twins):
         raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
-    scripts = []
-    for twin, controller in zip(batch.twins, controllers, strict=True):
-        controller.reset(twin.spec, twin.tick, seed=seed)
-        script = controller.script(duration)
-        if script is None:
-            raise InputError(
-                f"controller '{controller.kind}' uses sensor readings; "
-                "run_scripts needs controllers with a script"
-            )
-        scripts.append(script)
-    recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
-    samples, stride = recorders[0].samples, recorders[0].stride
-    recorded = ticks - ticks % stride
-    chunk = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
-    for done in range(0, recorded, chunk):
-        count = min(chunk, recorded - done)
-        commands = [script.slice(done * batch.tick, (done + count) * batch.tick) for script in scripts]
-        for recorder, history in zip(recorders, batch.play(commands, count * samples // stride), strict=True):
-            if history is not None:
-                recorder.add(history)
-        if progress is not None:
-            progress((done + count) * batch.tick)
-    return _finish_batch(batch, recorders)
+    with claim(batch, *batch.twins, *controllers):
+        scripts = []
+        for twin, controller in zip(batch.twins, controllers, strict=True):
+            controller.reset(twin.spec, twin.tick, seed=seed)
+            script = controller.script(duration)
+            if script is None:
+                raise InputError(
+                    f"controller '{controller.kind}' uses sensor readings; "
+                    "run_scripts needs controllers with a script"
+                )
+            scripts.append(script)
+        recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
+        samples, stride = recorders[0].samples, recorders[0].stride
+        recorded = ticks - ticks % stride
+        chunk = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
+        for done in range(0, recorded, chunk):
+            count = min(chunk, recorded - done)
+            commands = [script.slice(done * batch.tick, (done + count) * batch.tick) for script in scripts]
+            for recorder, history in zip(
+                recorders, batch.play(commands, count * samples // stride), strict=True
+            ):
+                if history is not None:
+                    recorder.add(history)
+            if progress is not None:
+                progress((done + count) * batch.tick)
+        return _finish_batch(batch, recorders)
 
 
 def _check_not_shared(jobs: Sequence[Job]) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
+from srs_twin.compute.claims import Claimable
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule
 from srs_twin.robot.spec import RobotSpec
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 
-class Controller(Stateful, ABC):
+class Controller(Claimable, Stateful, ABC):
     """Function of sensor readings and poses that returns the valve commands of one control tick.
 
     Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`. They do not know

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from srs_twin.compute.claims import Claimable
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, lower_bounds, upper_bounds
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.twin.physics import SnakePhysics
 
 try:
@@ -25,7 +25,7 @@ except ImportError as error:
     ) from error
 
 
-class EpisodePhysics(DeepCopied, control.Physics):  # type: ignore[misc]  # dm_control has no types
+class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_control has no types
     """Episodes of a task as a dm_control physics; one physics step is one step of the task.
 
     Attributes:
@@ -127,7 +127,7 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         return 1.0 if physics.result.truncated else None
 
 
-class SnakeEnvironment(DeepCopied, control.Environment):  # type: ignore[misc]  # dm_control has no types
+class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  # dm_control has no types
     """dm_env environment whose copies are deep copies."""
 
 

@@ -19,6 +19,7 @@ from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector import SyncVectorEnv
 
+from srs_twin.compute.claims import Claimable
 from srs_twin.compute.workers import Workers
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import (
@@ -34,7 +35,7 @@ from srs_twin.envs.task import (
 )
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import EngineWarning, InputError, UnknownNameError, check_choice
-from srs_twin.io.saved_state import DeepCopied, SavedState
+from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
@@ -43,7 +44,7 @@ FPS = 10
 """Frame rate of the class metadata, 1/s; an instance has one frame per step."""
 
 
-class SnakeEnv(DeepCopied, gymnasium.Env[np.ndarray, np.ndarray]):
+class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment of a task, as made by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`.
 
     Actions and observations are float32 boxes with one number per signal of the task. The environment itself
@@ -197,7 +198,7 @@ def space_of(signals: Signals) -> spaces.Box:
     return spaces.Box(lower_bounds(signals), upper_bounds(signals), dtype=np.float32)
 
 
-class SnakeVectorEnv(DeepCopied, SyncVectorEnv[np.ndarray, np.ndarray]):
+class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     """Several environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
 
     An environment whose episode has ended starts the next one at the next step and ignores the action

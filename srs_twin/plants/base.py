@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from srs_twin.compute.arrays import LARGEST_PLAUSIBLE, concatenate_records, first_implausible, is_plausible
+from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
 from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
@@ -134,7 +135,7 @@ _SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 _STRETCH_DEPRECATED = "Plant.stretch is deprecated; use Plant.max_chunk_s"
 
 
-class Plant(Stateful, ABC):
+class Plant(Claimable, Stateful, ABC):
     """Abstract snake that follows valve commands.
 
     Attributes:

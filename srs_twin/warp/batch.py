@@ -14,6 +14,7 @@ from typing import Any, NoReturn, SupportsIndex
 import numpy as np
 import warp as wp
 
+from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
@@ -36,7 +37,7 @@ travels 0.1 mm per step of 1 ms, so that the error is 1 % of a step at 16 m, and
 """
 
 
-class WarpBatch:
+class WarpBatch(Claimable):
     """Many twins with the same number of connectors and the same tick on a device; used like `TwinBatch`.
 
     Attributes:
@@ -48,6 +49,8 @@ class WarpBatch:
         origins: origin of each run's device coordinates in the world, shape (runs, 2), m. Runs that start
             more than 16 m from the world's origin have their origin at the start, for single precision.
     """
+
+    claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
 
     origins: np.ndarray
     state: SnakeState

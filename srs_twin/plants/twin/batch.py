@@ -32,9 +32,9 @@ from typing import Any
 import numpy as np
 
 from srs_twin import extensions
+from srs_twin.compute.claims import Claimable
 from srs_twin.compute.workers import Workers
 from srs_twin.errors import DivergedError, InputError, check_choice
-from srs_twin.io.saved_state import DeepCopied
 from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
@@ -43,7 +43,7 @@ from srs_twin.robot.spec import RobotSpec
 ENGINES = ("cpu", "warp")
 
 
-class TwinBatch(DeepCopied):
+class TwinBatch(Claimable):
     """Many twins with the same number of connectors and the same tick, stepped in parallel by threads.
 
     Each run gives the same bits as a `TwinSnake` of its spec alone.
