@@ -115,7 +115,7 @@ def rollout(
         )
     if not controller.spatial:
         plant.spec.require_planar(f"controller '{controller.kind}'")
-    with claim(plant, controller):
+    with claim(plant), claim(controller):
         state = plant.reset(pose=pose, seed=seed) if begin is None else begin(plant, seed)
         controller.reset(plant.spec, plant.tick, seed=seed)
         if resume is not None:
@@ -441,7 +441,7 @@ def run_batch(
         InputError: duration, tick and record_hz are not compatible, or invalid valve commands.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
-    with claim(batch, *batch.twins):
+    with claim(batch):
         controllers = [_PolicyController() for _ in batch.twins]
         recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
         samples, stride = recorders[0].samples, recorders[0].stride
@@ -512,7 +512,7 @@ def run_scripts(
     ticks = count_steps("duration", duration, "tick", batch.tick)
     if len(controllers) != len(batch.twins):
         raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
-    with claim(batch, *batch.twins, *controllers):
+    with claim(batch):
         scripts = []
         for twin, controller in zip(batch.twins, controllers, strict=True):
             controller.reset(twin.spec, twin.tick, seed=seed)

@@ -31,7 +31,6 @@ from multiprocessing.process import BaseProcess
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 
-from srs_twin.compute.claims import CALLERS
 from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedError
 
 Argument = TypeVar("Argument")
@@ -92,13 +91,7 @@ class Workers:
                 progress(k + 1)
             return results
         end = count  # results of tasks with this or a higher number are not needed
-        callers = (threading.get_ident(), *CALLERS.get())
-
-        def run(k: int) -> Returned:
-            CALLERS.set(callers)
-            return task(k, lambda: k >= end)
-
-        futures = [self._pool.submit(run, k) for k in range(count)]
+        futures = [self._pool.submit(task, k, lambda k=k: k >= end) for k in range(count)]  # type: ignore[misc]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
                 if future.cancelled():

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.viewing.html import Picture, Table, notebook_output, picture, render
-from srs_twin.viewing.plots.style import finish, panels
+from srs_twin.viewing.plots.style import drawing, finish, panels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,6 +62,7 @@ def fit_page(fit: FitEstimate | FitFile) -> str:
     return notebook_output(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
 
 
+@drawing
 def residual_plot(residuals: Sequence[Residual]) -> Figure:
     """Return a plot with one panel per signal: residuals over samples, and the expected noise as a band.
 

@@ -158,6 +158,7 @@ def _quality(result: Plan) -> Quality:
 def _write(folder: Path, scenario: Scenario, result: Plan, values: Mapping[str, object]) -> None:
     """Write the plan and its values as a JSON document, and a picture."""
     from srs_twin.planning.pictures import plan_plot
+    from srs_twin.viewing.plots.style import save
 
     assert scenario.planner is not None, "checked by the command"
     problem = scenario.planner.problem
@@ -175,16 +176,17 @@ def _write(folder: Path, scenario: Scenario, result: Plan, values: Mapping[str, 
     }
     figure = plan_plot(problem, result.segments, f"{scenario.title}: {result.outcome.value}")
     (folder / PLAN).write_text(json.dumps(document, indent=2, allow_nan=False) + "\n", "utf-8")
-    figure.savefig(folder / PICTURE, format="png", dpi=150)
+    save(figure, folder / PICTURE, dpi=150)
 
 
 def _write_search(folder: Path, title: str, result: Plan) -> None:
     """Write a picture and a Rerun recording of the search."""
     from srs_twin.planning.pictures import search_plot, write_search
     from srs_twin.planning.search_tree import trace_search
+    from srs_twin.viewing.plots.style import save
 
     assert result.problem is not None, "set by plan()"
     trace = trace_search(result.trees, result.problem.world)
     figure = search_plot(result.problem, result.segments, trace)
-    figure.savefig(folder / SEARCH, format="png", dpi=150)
+    save(figure, folder / SEARCH, dpi=150)
     write_search(folder / RECORDING, result, trace, title)

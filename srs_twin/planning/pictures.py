@@ -20,7 +20,7 @@ from srs_twin.viewing.additions import FloorLine, FollowedSignal, RunPictures
 from srs_twin.viewing.html import Table, cell, notebook_output, picture
 from srs_twin.viewing.plots.from_above import draw_run, lines_plot, obstacle_patches, strobe_times
 from srs_twin.viewing.plots.signals import goal_ring
-from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, finish, panels, style_of
+from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, drawing, finish, panels, style_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -57,6 +57,7 @@ def segment_points(
     return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
 
 
+@drawing
 def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure | None:
     """Return a plot of the plan with the paths and bodies of the runs; None if no run follows a plan.
 
@@ -85,6 +86,7 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
     return figure
 
 
+@drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
     """Return a plot of a plan without runs.
 
@@ -98,6 +100,7 @@ def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figu
     return figure
 
 
+@drawing
 def search_plot(problem: Problem, segments: Sequence[Segment], trace: SearchTrace) -> Figure:
     """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)

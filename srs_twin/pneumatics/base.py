@@ -10,7 +10,6 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from srs_twin.compute.arrays import first_implausible, is_plausible
-from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, InputError, check_choice
 from srs_twin.io.saved_state import Stateful
 from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
@@ -51,7 +50,7 @@ class Trace(NamedTuple):
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
-class Pneumatics(Claimable, Stateful, ABC):
+class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the free bends of its segments.
 
     A subclass implements the physics in `_simulate`, which gets the valve states after the valve delay.

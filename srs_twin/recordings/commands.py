@@ -173,9 +173,10 @@ def inspect(
 
 def _save_picture(scene: Scene, path: Path) -> None:
     from srs_twin.recordings.inspection import markers_view
-    from srs_twin.viewing.plots.style import save
+    from srs_twin.viewing.plots.style import own_settings, save
 
-    save(markers_view(scene), path)
+    with own_settings():
+        save(markers_view(scene), path)
     say(f"picture in {path}")
 
 

@@ -36,7 +36,7 @@ from srs_twin.viewing.plots.runs import (
     speed_plot,
     tracking_plot,
 )
-from srs_twin.viewing.plots.style import finish, panels
+from srs_twin.viewing.plots.style import finish, own_settings, panels
 
 
 class FigureEntry(Section):
@@ -83,7 +83,8 @@ def draw_figures(entries: tuple[FigureEntry, ...], store: RunStore) -> Iterator[
     """Yield the figures whose runs are finished and have the data to draw."""
     for entry in entries:
         if all(store.row(job.key) is not None for job in figure_jobs((entry,), store)):
-            figure = DRAWINGS[entry.draw](store, entry)
+            with own_settings():
+                figure = DRAWINGS[entry.draw](store, entry)
             if figure is not None:
                 yield entry, figure
 

@@ -36,10 +36,8 @@ from srs_twin import (
     run_many,
 )
 from srs_twin.compute import claims
-from srs_twin.control.commands import ScheduledOffset
 from srs_twin.envs import dm
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
-from srs_twin.pneumatics import make_pneumatics
 from srs_twin.rollout import run_scripts
 
 SPEC = robot()
@@ -236,22 +234,6 @@ def test_controller_serves_one_rollout_at_a_time():
     rollout(Clock(), controller, 0.2)
 
 
-@pytest.mark.parametrize("part", ["pneumatics", "inner controller"])
-def test_parts_that_two_plants_or_controllers_share_serve_one_rollout_at_a_time(part):
-    pause, gait = Pause(), Gait(2.0)
-    chambers = make_pneumatics("lag", SPEC, supply_pa=SPEC.supply.nominal, layout="3/2")
-
-    def use(**options: Any) -> Any:
-        if part == "pneumatics":
-            return rollout(AnalyticalSnake(SPEC, pneumatics=chambers), Gait(2.0), 0.2, **options)
-        return rollout(AnalyticalSnake(SPEC), ScheduledOffset(gait, [(0.1, 0.2)]), 0.2, **options)
-
-    with pause.during(lambda: use(observers=[pause])):
-        with pytest.raises(InputError, match=f"this {'Lag' if part == 'pneumatics' else 'Gait'}"):
-            use()
-    use()
-
-
 def test_plant_from_a_function_of_two_jobs_is_refused_in_the_second():
     plant, pause = Clock(), Pause()
     released = threading.Timer(0.5, pause.left.set)
@@ -298,9 +280,12 @@ def test_interrupts_at_any_time_leave_no_claim(use):
     class Alarm(Exception):
         pass
 
+    def interrupt(*_):
+        raise Alarm
+
     plant, draw = Clock(), np.random.default_rng(0)
     plant.reset()
-    handler = signal.signal(signal.SIGALRM, lambda *_: raise_(Alarm()))
+    handler = signal.signal(signal.SIGALRM, interrupt)
     try:
         for _ in range(2000):
             with suppress(Alarm):
@@ -337,14 +322,12 @@ BATCH_USES: dict[str, Callable[[TwinBatch], Any]] = {
     "reset": lambda batch: batch.reset(),
     "run_batch": lambda batch: run_batch(batch, lambda state: state.valves, 0.04),
     "run_scripts": lambda batch: run_scripts(batch, [Gait(2.0), Gait(2.0)], 0.04),
-    "one twin": lambda batch: batch.twins[0].step(VALVES),
-    "rollout of one twin": lambda batch: rollout(batch.twins[1], Gait(2.0), 0.04),
 }
 
 
 @pytest.mark.parametrize("use", BATCH_USES)
 @pytest.mark.parametrize("run", ["run_batch", "run_scripts"])
-def test_runs_of_a_batch_claim_it_with_its_twins(run, use):
+def test_runs_of_a_batch_claim_it_until_they_end(run, use):
     batch, pause = batch_of_two(), Pause()
 
     def simulate(batch: TwinBatch, pause: Callable[..., None]) -> list[Any]:
@@ -360,7 +343,7 @@ def test_runs_of_a_batch_claim_it_with_its_twins(run, use):
     BATCH_USES[use](batch)
 
 
-@pytest.mark.parametrize("use", ["step", "play", "reset", "one twin"])
+@pytest.mark.parametrize("use", ["step", "play", "reset"])
 def test_methods_of_a_batch_claim_it_while_they_run(use, monkeypatch):
     batch, pause, simulate = batch_of_two(), Pause(), TwinSnake._simulate
     monkeypatch.setattr(TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1])

@@ -19,12 +19,13 @@ from srs_twin.studies.optimization.search import costs, excesses
 from srs_twin.studies.sweep.table import write_table
 from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
-from srs_twin.viewing.plots.style import save
+from srs_twin.viewing.plots.style import drawing, save
 
 CaptionedFigure = tuple[Figure, str]
 """Figure and its caption."""
 
 
+@drawing
 def draw_convergence(
     values: np.ndarray, feasible: np.ndarray, label: str, initial: float | None, *, maximize: bool
 ) -> CaptionedFigure:
@@ -52,6 +53,7 @@ def draw_convergence(
     return figure, "Convergence of the search: runs of the twin in order, and the best so far."
 
 
+@drawing
 def draw_front(
     values: np.ndarray, front: np.ndarray, labels: Sequence[str], initial: Sequence[float | None]
 ) -> CaptionedFigure:
@@ -71,6 +73,7 @@ def draw_front(
     return figure, "Both objectives. No design is better in both than a design of the front."
 
 
+@drawing
 def draw_parallel(
     shares: np.ndarray,
     ranks: np.ndarray,

@@ -27,7 +27,7 @@ from srs_twin.studies.sweep.points import Plot, Published
 from srs_twin.studies.sweep.table import COMPARISON, ColumnValues, SweepTable, group_means
 from srs_twin.studies.sweep.task import PLAN
 from srs_twin.viewing.plots.labels import field_label
-from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, side_by_side, style_of
+from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, side_by_side, style_of
 
 _MAX_LINES = 12
 """Largest number of values in a legend; more values get a colour bar."""
@@ -53,6 +53,7 @@ _MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markerfacecolo
 _MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
 
 
+@drawing
 def draw(plot: Plot, results: SweepTable, published: Published | None = None) -> Figure:
     """Return the figure of a plot.
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from srs_twin.viewing.plots.labels import field_label, metric_label
-from srs_twin.viewing.plots.style import PUBLISHED_COLOR, finish, style_of
+from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style_of
 
 _MAX_SWINGS = 10
 """Largest number of causes in the tornado chart."""
@@ -45,6 +45,7 @@ _WARNING_COLOR = "#b03030"
 _ERROR: dict[str, Any] = {"ecolor": "#333333", "elinewidth": 0.9, "capsize": 3, "fmt": "none"}
 
 
+@drawing
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     """Draw the target's intervals on each plant, and the effect of each uncertain quantity.
 

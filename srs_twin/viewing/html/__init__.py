@@ -90,10 +90,10 @@ def colored(text: str, color: str) -> Markup:
 def picture(figure: Figure, caption: str) -> Picture:
     """Return a figure as SVG; equal figures give equal bytes."""
     # The import is slow, and pages without figures do not need it.
-    import matplotlib
+    from srs_twin.viewing.plots.style import own_settings
 
     buffer = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}):
+    with own_settings():
         figure.savefig(buffer, format="svg", metadata={"Date": None})
     return image(buffer.getvalue(), "svg+xml", caption)
 

@@ -28,7 +28,7 @@ from srs_twin.viewing.mujoco.canvas import Canvas
 from srs_twin.viewing.mujoco.stage import Ghost, Stage
 from srs_twin.viewing.plots.from_above import strobe_times
 from srs_twin.viewing.plots.signals import gait_period
-from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES
+from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES, drawing
 
 AddFrame = Callable[[np.ndarray], None]
 
@@ -236,6 +236,7 @@ def _scene(scenario: Scenario, run: Trajectory, ghost: Ghost | None) -> tuple[St
     return stage, FollowCamera(run, length, bench=stage.bench, ghost=other)
 
 
+@drawing
 def write_png(path: Path, pixels: np.ndarray) -> None:
     """Write an image, shape (height, width, 3), bytes.
 
@@ -264,6 +265,7 @@ _MARGIN_LENGTHS = 0.35
 """Margin around bodies and obstacles, body lengths."""
 
 
+@drawing
 def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280) -> None:
     """Write the stroboscopic figure of a run as PNG.
 

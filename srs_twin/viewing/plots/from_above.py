@@ -16,7 +16,7 @@ from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line
-from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, finish, panels, style_of
+from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, drawing, finish, panels, style_of
 
 _MAX_BODIES = 6
 """Largest number of bodies in a plan view."""
@@ -25,6 +25,7 @@ _MIN_SPACING = 1.35
 """Distance between drawn bodies in body lengths, below which they overlap."""
 
 
+@drawing
 def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None) -> Figure:
     """Plot the paths of the centres of mass, with the bodies at a few equal times (after Fig. 36).
 
@@ -142,6 +143,7 @@ def bounds(
     return points.min(axis=0) - margin, points.max(axis=0) + margin
 
 
+@drawing
 def lines_plot(lines: Mapping[str, np.ndarray]) -> Figure:
     """Plot name → line on the floor, each of shape (k, 2), m."""
     figure, (axes,) = panels(3.0)

@@ -34,6 +34,7 @@ from srs_twin.viewing.plots.style import (
     REFERENCE,
     STYLES,
     Style,
+    drawing,
     finish,
     panels,
     set_title,
@@ -63,17 +64,20 @@ _MEASURED_SIGNALS = {
 }
 
 
+@drawing
 def bend_plot(trajectories: Runs) -> Figure:
     """Plot the bend of each segment over the last gait periods, or over a whole run without a gait."""
     return _by_segment(trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends")
 
 
+@drawing
 def pressure_plot(trajectories: Runs) -> Figure:
     """Plot p⁺ − p⁻ of each segment over the same time as `bend_plot`."""
     title = "Pressure differences $p^+ - p^-$ (kPa)"
     return _by_segment(trajectories, lambda run: 1e-3 * pressure_difference(run), "segment {}", title)
 
 
+@drawing
 def speed_plot(trajectories: Runs) -> Figure:
     """Plot the speed of the centre of mass along the heading, and its mean over a gait period (thick)."""
     figure, (axes,) = panels(3.0)
@@ -94,6 +98,7 @@ def speed_plot(trajectories: Runs) -> Figure:
     return figure
 
 
+@drawing
 def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
     """Plot the differences of shape and path over time, in mm and per cent of the body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
@@ -164,6 +169,7 @@ def _window(trajectories: Runs) -> tuple[float, float, str]:
     return last - _PERIODS_SHOWN * period, last, f" (last {_PERIODS_SHOWN} gait periods)"
 
 
+@drawing
 def learning_plot(trajectories: Runs) -> Figure:
     """Plot amplitudes with targets (left) and duties (right), one row per module for at most eight modules.
 
@@ -197,6 +203,7 @@ def learning_plot(trajectories: Runs) -> Figure:
     return figure
 
 
+@drawing
 def tracking_plot(trajectories: Runs) -> Figure:
     """Plot reference, bends and sensor readings of the first segment, and the valve state of each plant.
 
@@ -228,6 +235,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
     return figure
 
 
+@drawing
 def reading_plot(trajectories: Runs) -> Figure | None:
     """Plot sensor readings (dots) with their mean at each bend, and the mean error of the reading.
 
@@ -256,6 +264,7 @@ def reading_plot(trajectories: Runs) -> Figure | None:
     return figure
 
 
+@drawing
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
     """Plot the differences from the measured shape, path, heading and bends (RMS over segments).
 
@@ -289,6 +298,7 @@ _PANEL_GAP = 0.7
 """Height of the tick labels of a panel and the heading of the next one, inches."""
 
 
+@drawing
 def attribution_plot(attribution: Attribution) -> Figure:
     """Plot the contributions of the assumptions as bars, largest first, one panel per measure.
 
