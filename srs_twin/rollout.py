@@ -103,7 +103,8 @@ def rollout(
 
     Raises:
         InputError: duration, tick, time step and record_hz are not compatible; the controller cannot drive
-            this valve layout; or a saved state belongs to another plant or controller.
+            this valve layout; a saved state belongs to another plant or controller; or another thread uses
+            the plant or the controller.
         DivergedError: plant or controller diverged; its `trajectory` has the samples recorded before.
     """
     ticks = count_steps("duration", duration, "tick", plant.tick)

@@ -1,1 +1,1 @@
-"""Compiled kernels, array checks, threads and worker processes."""
+"""Compiled kernels, array checks, threads, worker processes, and claims by one thread."""
