@@ -86,8 +86,8 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
 
 def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None:
     """Draw the edge of the goal on the floor, with a width for a camera distance in m."""
-    from srs_twin.viewing.plots.signals import goal_ring
     from srs_twin.viewing.mujoco.stage import add_line
+    from srs_twin.viewing.plots.signals import goal_ring
     from srs_twin.viewing.plots.style import GOAL_COLOR
 
     if episode.goal is not None:
