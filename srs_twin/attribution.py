@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
+from srs_twin.comparison.contacts import contact_free_s
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
@@ -296,8 +297,9 @@ class PlantVariants:
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
 
     def twin(self, **options: Any) -> Plant:
-        """Build the twin with changed arguments."""
-        return self._scenario.build_plant("twin", **options)
+        """Build the twin with changed arguments, in a world without obstacles."""
+        free = replace(self._scenario.world, obstacles=(), polygons=(), objects=())
+        return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def stiff_twin(self) -> Plant:
         """Build the twin of the matched setting, whose bends are stiff."""
@@ -350,7 +352,8 @@ def explain(
     which gives the Shapley value of each switch (`contributions`). Then each approximation that only one
     plant makes is refined, and its effect is measured with all switches on. Contributions and remainder add
     up to the difference. Long runs under a controller that reads the state are attributed over a window from
-    their start (`Attribution.window_s`), to which the difference refers as well.
+    their start (`Attribution.window_s`), to which the difference refers as well. Runs with a contact are
+    attributed up to the first one, and the variants of the twin run without obstacles.
 
     Args:
         scenario: scenario of the run.
@@ -368,10 +371,8 @@ def explain(
     controller = scenario.build_controller()
     end = max(float(run.time[-1]) for run in trajectories.values())
     window = None if whole else _window(scenario, controller, end)
-    model, twin = (
-        trajectories[kind] if window is None else trajectories[kind].between(0.0, window)
-        for kind in ("analytical", "twin")
-    )
+    limit = min(math.inf if window is None else window, contact_free_s(trajectories.values()))
+    model, twin = (trajectories[kind].between(0.0, limit) for kind in ("analytical", "twin"))
     try:
         gap = gap_between(model, twin)
     except ValueError as error:
@@ -388,6 +389,7 @@ def explain(
     share = 1.0 if window is None else window / scenario.duration
     walls = {kind: share * wall for kind, wall in (wall_s or {}).items()}
     runs = _run_all(scenario, variants, sets, controller, window, progress, walls)
+    runs = {name: run.between(0.0, limit) for name, run in runs.items()}
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}
 
     shares = _shares(variants, runs, first, gap)
@@ -400,7 +402,7 @@ def explain(
         remainder=_to_floats(remainder),
         matched=_to_floats(gap_between(runs["matched"], runs["stiff twin"])),
         same=tuple(variants.same),
-        window_s=window,
+        window_s=None if math.isinf(limit) else limit,
     )
 
 
@@ -436,20 +438,22 @@ def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> di
         trajectories: trajectories of both plants, by plant name.
 
     Returns:
-        `name` of the assumption and its effects on `com_speed_m_s` and `yaw_rate_rad_s`; None if the run has
-        no gait, the model is compliant already, or the robot is spatial.
+        `name` of the assumption and its effects on `com_speed_m_s` and `yaw_rate_rad_s`, and `window_s` if
+        they refer to the time before a contact; None if the run has no gait then, the model is compliant
+        already, or the robot is spatial.
     """
     if scenario.robot.is_spatial:
         return None
-    variants, model = PlantVariants(scenario), plant_metrics(trajectories["analytical"])
+    end = contact_free_s(trajectories.values())
+    variants, model = PlantVariants(scenario), plant_metrics(trajectories["analytical"].between(0.0, end))
     differs = "compliance" in [switch.name for switch in variants.switches]
     if not differs or scenario.planner is not None or model["com_speed_m_s"] is None:
         return None
     on = frozenset(switch.name for switch in variants.first) | {"compliance"}
     run = rollout(variants.analytical(on), scenario.build_controller(), **scenario.timing)
-    compliant = plant_metrics(run)
+    compliant = plant_metrics(run.between(0.0, end))
     changes = {name: compliant[name] - model[name] for name in ("com_speed_m_s", "yaw_rate_rad_s")}
-    return {"name": "compliance", **changes}
+    return {"name": "compliance", **changes} | ({} if math.isinf(end) else {"window_s": end})
 
 
 def _builders(variants: PlantVariants, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:

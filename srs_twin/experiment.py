@@ -6,6 +6,7 @@ Data flow: scenario → plants → trajectories → metrics → comparison → f
 from __future__ import annotations
 
 import json
+import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -19,6 +20,7 @@ import numpy as np
 from srs_twin.comparison.centre_line import body_overlap
 from srs_twin.comparison.compare import Comparison, MeasuredDifference
 from srs_twin.comparison.compare import compare as difference
+from srs_twin.comparison.contacts import contact_events, contact_free_s, ignores_obstacles
 from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
@@ -147,7 +149,10 @@ class PreparedRun:
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
         attribution, failed_attributions = None, []
-        if explain is not None and not diverged:
+        # Too early a contact leaves no difference to explain, and the headline says so.
+        before = _before_contact(trajectories) or {"plants": {}}
+        starts = [plant["com_speed_m_s"] for plant in before["plants"].values()]
+        if explain is not None and not diverged and None not in starts:
             explaining = partial(progress, "attribution") if progress else None
             try:
                 attribution = explain(scenario, trajectories, progress=explaining, wall_s=walls)
@@ -198,6 +203,10 @@ class PreparedRun:
             "events": {k: _notable(t) for k, t in trajectories.items()},
             "changes": list(scenario.changes),
         }
+        if ignoring := [kind for kind, run in trajectories.items() if ignores_obstacles(run)]:
+            metrics["ignores_obstacles"] = ignoring
+        if comparison and (before := _before_contact(trajectories)):
+            metrics["before_contact"] = before
         geometries = {kind: plant.spec.geometry for kind, (plant, _) in self.pairs.items()}
         overlaps = {k: body_overlap(t, geometries[k]) for k, t in trajectories.items()}
         if any(overlaps.values()):
@@ -301,9 +310,21 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
-    """Return the faults of a run, and the reason if it ended early."""
+    """Return the faults of a run, its contacts, and the reason if it ended early."""
     faults = [event for event in trajectory.events if event.kind == "fault"]
-    return [asdict(event) for event in (*faults, *end_event(trajectory))]
+    return [asdict(event) for event in (*faults, *contact_events(trajectory), *end_event(trajectory))]
+
+
+def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
+    """Return speeds and yaw rates before the first contact (`end_s`); None without a contact.
+
+    They are None if too few whole gait periods precede it.
+    """
+    end, names = contact_free_s(runs.values()), ("com_speed_m_s", "yaw_rate_rad_s")
+    if math.isinf(end):
+        return None
+    metrics = {kind: plant_metrics(run.between(0.0, end)) for kind, run in runs.items()}
+    return {"end_s": end, "plants": {k: {name: row[name] for name in names} for k, row in metrics.items()}}
 
 
 def _percents(progress: Callable[[float], None] | None, duration: float) -> Callable[[float], None]:

@@ -46,6 +46,7 @@ from srs_twin.plants.base import (
     check_commands,
     check_plausible,
 )
+from srs_twin.plants.clearance import PENETRATION_M, TOUCHING_M, check_start, clearance
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
@@ -103,8 +104,8 @@ def rollout(
 
     Raises:
         InputError: duration, tick, time step and record_hz are not compatible; the controller cannot drive
-            this valve layout; a saved state belongs to another plant or controller; or another thread uses
-            the plant or the controller.
+            this valve layout; an obstacle overlaps the body at the start; a saved state belongs to another
+            plant or controller; or another thread uses the plant or the controller.
         DivergedError: plant or controller diverged; its `trajectory` has the samples recorded before.
     """
     ticks = count_steps("duration", duration, "tick", plant.tick)
@@ -122,6 +123,10 @@ def rollout(
         if resume is not None:
             state = plant.restore(resume[0])
             controller.restore(resume[1])
+        else:
+            # A start in the state of another run may be in contact.
+            soft = PENETRATION_M * plant.spec.scale.length
+            check_start(plant, state, TOUCHING_M if begin is None else soft)
         recorder.add(state)
         observers, start = tuple(observers), float(state.time)
         script = None if until is not None or observers else controller.script(start + ticks * plant.tick)
@@ -290,6 +295,8 @@ class Recorder:
             first = 3 * (k - self.plant.objects)
             for axis, name in enumerate(("x", "y", "heading")):
                 columns[f"object_{name}_{k + 1}"] = values_of("qpos")[:, first + axis]
+        if self.plant.world is not None and self.plant.world.is_solid:
+            columns["clearance"] = clearance(self.plant, states)
         counts = [count for count, _ in self._signals]
         for name in self._signals[0][1]:
             columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)
@@ -466,6 +473,7 @@ def _record_start(
     recorders = [Recorder(twin, controller, record_hz, duration) for twin, controller in pairs]
     resting = batch.reset(**start)
     for k, recorder in enumerate(recorders):
+        check_start(recorder.plant, resting.at(k))
         recorder.add(resting.at(k))
     return recorders
 

@@ -18,7 +18,7 @@ from srs_twin.io.untrusted import read_table
 
 _COLUMNS_OF_UNIT = {
     "s": "time",
-    "m": "com_x com_y x y z cross_track estimate_x estimate_y object_x object_y",
+    "m": "com_x com_y x y z clearance cross_track estimate_x estimate_y object_x object_y",
     "rad": "heading theta bend pitch sensed sensed_pitch heading_error estimate_heading object_heading"
     " reference error target_plus target_minus amplitude_plus amplitude_minus grip phase_step",
     "rad/s": "sigma rate",
@@ -72,7 +72,9 @@ class Trajectory(HtmlResult):
     Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``
     (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``, ``pressure_plus_1…``,
     ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the signals of the controller, for the twin
-    ``qpos_1…``, and in a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``.
+    ``qpos_1…``, and in a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``. In a
+    world with obstacles or objects, ``clearance`` is the distance of the body from the nearest one. A plant
+    that touches them also has ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
 
     A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``, ``torque_pitch_1…``, ``z_1…``,
     ``quaternion_w_1…`` to ``quaternion_z_1…`` and ``load_1…``, and for each chamber c ``pressure_c_1…`` and

@@ -19,9 +19,12 @@ from srs_twin.attribution import (
     _window,
     contributions,
     explain,
+    main_cause,
     subsets,
 )
 from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
+from srs_twin.comparison.contacts import contact_free_s, touches
+from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import processor_count
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.experiment import prepare
@@ -287,6 +290,69 @@ def test_run_without_attribution_is_rejected():
         explain(with_factor, both(with_factor))
     with pytest.raises(InputError, match=r"short: .*; at least three gait periods are needed"):
         explain(s, runs)
+
+
+def blocked(x):
+    """Return a scenario in which the twin runs into a post at x, m, and the model passes through it."""
+    gait = {"kind": "gait", "frequency_hz": 2.0}
+    return scenario(controller=gait, world={"obstacles": [{"x_m": x, "y_m": 0, "radius_m": 0.05}]})
+
+
+def test_main_cause_refers_to_the_time_before_the_contact():
+    s = blocked(0.45)
+    runs = both(s)
+    end, first = contact_free_s(runs.values()), touches(runs["twin"])[0].begin
+    assert end == pytest.approx(first - 0.01) and 1.5 <= end < s.duration
+    cause = main_cause(s, runs)
+    compliant = rollout(
+        PlantVariants(s).analytical(frozenset({"compliance"})), s.build_controller(), s.duration
+    )
+    before, after = (plant_metrics(run.between(0.0, end)) for run in (runs["analytical"], compliant))
+    assert cause["window_s"] == end
+    for name in ("com_speed_m_s", "yaw_rate_rad_s"):
+        assert cause[name] == pytest.approx(after[name] - before[name])
+    assert main_cause(s, {kind: run.between(0.0, 1.2) for kind, run in runs.items()}) is None
+
+
+def test_variants_of_the_twin_run_without_obstacles():
+    variants = PlantVariants(blocked(0.45))
+    assert not variants.twin().touches and not variants.stiff_twin().touches
+
+
+@pytest.mark.slow
+def test_attribution_adds_up_to_the_difference_before_the_contact():
+    s = blocked(0.45)
+    runs = both(s)
+    end = contact_free_s(runs.values())
+    attribution = explain(s, runs)
+    free = [runs[kind].between(0.0, end) for kind in ("analytical", "twin")]
+    assert attribution.window_s == end
+    total = np.sum([share.value for share in attribution.shares], axis=0) + attribution.remainder
+    assert attribution.gap == pytest.approx(gap_between(*free)) and total == pytest.approx(attribution.gap)
+    # Compliance explains most of the difference, as in a run without an obstacle.
+    shares = {share.name: share.value[0] for share in attribution.shares}
+    assert max(shares, key=lambda name: abs(shares[name])) == "compliance"
+
+
+def test_early_contact_leaves_nothing_to_explain(tmp_path, srs_twin):
+    world = ["--set", "world.obstacles=[{x_m: 0.35, y_m: 0, radius_m: 0.05}]", "--duration", "2"]
+    done = srs_twin("compare", "gen2_straight", *world, "--explain", "--out", "out", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("ignores the obstacles of this world") == 1
+    text = " ".join(done.stdout.split())
+    assert text.startswith("The twin touches an obstacle ")
+    assert "; the model ignores obstacles and overlaps one at 1.13 s, for " in text
+    assert "and turns unlike the model" in text and "compliance" not in text.lower()
+    assert "too few whole gait periods pass to explain a difference" in text
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
+    assert "attribution" not in metrics and metrics["ignores_obstacles"] == ["analytical"]
+    twin, model = metrics["plants"]["twin"], metrics["plants"]["analytical"]
+    kinds = {plant: [event["kind"] for event in events] for plant, events in metrics["events"].items()}
+    assert kinds == {"analytical": ["overlap"], "twin": ["contact"] * twin["contacts"]}
+    assert model["clearance_m"] < -0.04 < -0.001 < twin["clearance_m"] <= 0.0
+    assert model["contact_time_s"] > twin["contact_time_s"] > 0.0
+    report = (tmp_path / "out/report.html").read_text("utf-8")
+    assert "ignores obstacles and overlaps one" in report and "passes through an obstacle" in report
 
 
 @pytest.mark.slow

@@ -22,9 +22,6 @@ EXIT_DIFFERENT = 1
 _MAX_ROWS = 40
 """Largest number of rows of the printed tables."""
 
-_MAX_REL = 10.0
-"""Largest relative difference that is printed: a larger one has a reference near 0."""
-
 
 def diff(
     a: Annotated[str, argument("A")],
@@ -93,11 +90,15 @@ def _show(difference: Difference) -> None:
 
 def _cells(change: ChangedValue) -> list[str]:
     """Return both values with enough digits to differ, their difference, and its per cent of a."""
+    from srs_twin.comparison.diff import tolerance_names
+    from srs_twin.comparison.sampling import is_near_zero, split_unit
+
     a, b = change.a, change.b
     digits = next((n for n in range(4, 18) if _text(a, n) != _text(b, n)), 17)
     numbers = isinstance(a, float | int) and isinstance(b, float | int)
     shift = f"{b - a:+.3g}" if numbers else ""  # type: ignore[operator]
-    meaningless = change.rel is None or abs(change.rel) > _MAX_REL
+    unit = split_unit(tolerance_names(change.metric)[-1])[1]
+    meaningless = change.rel is None or is_near_zero(a, b, unit)  # type: ignore[arg-type]
     per_cent = "" if meaningless else f"{100 * change.rel:+.3g}"  # type: ignore[operator]
     return [_text(a, digits), _text(b, digits), shift, per_cent]
 

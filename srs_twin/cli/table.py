@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from srs_twin.cli.console import console, new_table
 from srs_twin.comparison.compare import MEASURES
+from srs_twin.comparison.contacts import CONTACT_EVENTS
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows, tidy
 from srs_twin.scenario.expectation import result_text, tally, verdict
 from srs_twin.scenario.modified import left_out_line, marked
@@ -104,11 +105,13 @@ def _number(value: float | str | None) -> str:
 
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return one line per event."""
+    """Return one line per event other than a contact."""
     return [
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
         for plant, events in metrics.get("events", {}).items()
         for event in events
+        # Contacts can be many; the headline names the first, the table their number and duration.
+        if event["kind"] not in CONTACT_EVENTS
     ]
 
 

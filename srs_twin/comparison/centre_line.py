@@ -1,4 +1,4 @@
-"""Centre line, sides and hull of the body, computed from the recorded connectors.
+"""Centre line and sides of the body, computed from the recorded connectors.
 
 A trajectory contains the poses of the connectors only (`x_i`, `y_i`, `theta_i`). Between two connectors, a
 segment consists of half its rigid gap, straight along the heading of the front connector, an arc of constant
@@ -9,9 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from srs_twin.comparison.sampling import segment_lengths
 from srs_twin.compute.arrays import Array
-from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.geometry import chord
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
@@ -86,40 +84,6 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
     """
     offset = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     return np.concatenate([points + offset, points - offset], axis=-2)
-
-
-def hull_lines(trajectory: Trajectory) -> Array:
-    r"""Return the axes of the collision capsules, half the width of the body inside its hull.
-
-    The twin has a collision capsule between every two adjacent hinges (`mjcf.surroundings`). This line
-    follows their axes in the plane, through connectors and hinges, head first. The pose of a connector
-    determines the hinges next to it, so the line is exact for one or two hinges per segment. With more
-    hinges, the inner ones are assumed to have equal bends. For a model without hinges, those of the
-    corresponding twin are used. The middle of
-    a segment with bend q is then $$ l\,|q|/24 $$ inside the arc, and 5 % more at 1.5 rad (1.5 mm at 1 rad in
-    generation 2).
-
-    Args:
-        trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…` and the segment lengths in its metadata.
-
-    Returns:
-        Shape (samples, points, 2), m.
-
-    Raises:
-        InputError: the metadata lack the segment lengths.
-    """
-    theta, position = trajectory.stack("theta"), trajectory.position
-    hinges = trajectory.metadata.get("hinges_per_segment", ModelSettings.hinges_per_segment)
-    length, gap = segment_lengths(trajectory)
-    capsules = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
-    fraction = np.linspace(0.0, 1.0, hinges + 1)
-    headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * fraction
-    line = position[:, :-1, None] - np.cumsum(capsules[:, None] * _unit(headings), axis=2)
-    # The rear connector determines the last hinge; the closing error is distributed over the hinges before
-    # it.
-    weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
-    line += weight * (position[:, 1:, None] - line[:, :, -1:])
-    return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
 
 
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:

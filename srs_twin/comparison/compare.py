@@ -15,7 +15,15 @@ import numpy as np
 
 from srs_twin.comparison.gait import spatial_differences
 from srs_twin.comparison.metrics import MEASURED_UNITS, plant_metrics
-from srs_twin.comparison.sampling import body_length, check_columns, interpolant, label, rms, segment_lengths
+from srs_twin.comparison.sampling import (
+    body_length,
+    check_columns,
+    interpolant,
+    is_near_zero,
+    label,
+    rms,
+    segment_lengths,
+)
 from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult, Trajectory
 
@@ -36,8 +44,8 @@ class Comparison(HtmlResult):
             time; ``shape_rms_body`` is that divided by the body length of the reference. ``path_rms_m`` is
             the distance of the centres of mass at equal times. Further metrics are ``bend_rms_rad``,
             ``bend_rms_rel`` (divided by the root mean square bend of the reference) and ``heading_rms_rad``.
-            A metric is None if a plant has no gait metrics or a denominator is zero. Spatial snakes also have
-            those of `gait.spatial_differences`.
+            A metric is None if a plant has no gait metrics or a denominator is near zero. Spatial snakes also
+            have those of `gait.spatial_differences`.
         time: compared times, which are those of the reference, shape (T,), s.
         shape_error: root mean square over the connectors at each time, (T,), m.
         path_error: distance of the centres of mass, (T,), m.
@@ -164,11 +172,12 @@ def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
 
 def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: float) -> dict[str, float | None]:
     metrics, reference_metrics = plant_metrics(candidate), plant_metrics(reference)
-    if metrics["com_speed_m_s"] is None or reference_metrics["com_speed_m_s"] is None:
+    own = metrics["com_speed_m_s"]
+    if own is None or reference_metrics["com_speed_m_s"] is None:
         return {"com_speed_rel": None, "gap_factor": factor, "yaw_rate_abs": None}
     speed = factor * reference_metrics["com_speed_m_s"]
     return {
-        "com_speed_rel": _ratio(metrics["com_speed_m_s"] - speed, speed),
+        "com_speed_rel": None if is_near_zero(speed, own, "m/s") else (own - speed) / speed,
         "gap_factor": factor,
         "yaw_rate_abs": abs(metrics["yaw_rate_rad_s"] - reference_metrics["yaw_rate_rad_s"]),
     }

@@ -1,18 +1,34 @@
-"""Contacts of a run with obstacles, from the recorded forces, and motion of objects."""
+"""Contacts of a run with obstacles and objects, and motion of objects.
+
+On a plant that ignores obstacles, such as most analytical models, the body passes through them. Its overlaps
+with them then take the place of contacts.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from srs_twin.comparison.sampling import meanings_of, units_of
-from srs_twin.trajectory import Trajectory
+from srs_twin.plants.clearance import TOUCHING_M
+from srs_twin.trajectory import Event, Trajectory
 
+CONTACT_MEANINGS = meanings_of("""
+contacts: number of contacts with obstacles and objects, or of overlaps on a plant that ignores them
+contact_time_s: total time of these contacts or overlaps
+clearance_m: smallest distance of the body from obstacles and objects; negative for an overlap
+""")
+CONTACT_UNITS = units_of(CONTACT_MEANINGS)
 OBJECT_MEANINGS = meanings_of("""
 object_moved_m: distance of an object at the end from its place at the start, the largest of all objects
 """)
 OBJECT_UNITS = units_of(OBJECT_MEANINGS)
+
+CONTACT, OVERLAP = CONTACT_EVENTS = "contact", "overlap"
+"""Kinds of the events of contacts, and of overlaps on a plant that ignores obstacles."""
 
 TOUCH_N = 1e-3
 """Smallest force of a contact, N; smaller ones are numerical."""
@@ -38,20 +54,95 @@ class Touch:
 
 
 def touches(trajectory: Trajectory) -> list[Touch]:
-    """Return the contacts of a run with obstacles in order of time; none without obstacles."""
+    """Return the contacts of a run with obstacles in order of time; none on a plant that ignores them."""
     force = obstacle_force(trajectory)
     if force is None:
         return []
-    rows = np.flatnonzero(force.max(axis=1) > TOUCH_N)
-    breaks = np.flatnonzero(np.diff(trajectory.time[rows]) > _MAX_INTERRUPTION_S) + 1
     contacts = []
-    for group in np.split(rows, breaks) if len(rows) else []:
+    for group in _spells(trajectory):
         row, connector = np.unravel_index(force[group].argmax(), force[group].shape)
         begin, end = trajectory.time[group[[0, -1]]]
         contacts.append(
             Touch(float(begin), float(end), float(force[group][row, connector]), int(connector) + 1)
         )
     return contacts
+
+
+def contact_events(trajectory: Trajectory) -> list[Event]:
+    """Return the contacts of a run as events, or the overlaps on a plant that ignores obstacles."""
+    events = []
+    for touch in touches(trajectory):
+        text = f"connector {touch.connector}, at most {touch.force:.2g} N"
+        events.append(Event(touch.begin, CONTACT, text + _duration(touch.begin, touch.end)))
+    for group in _spells(trajectory) if ignores_obstacles(trajectory) else ():
+        begin, end = map(float, trajectory.time[group[[0, -1]]])
+        depth = -1e3 * trajectory["clearance"][group].min()
+        text = f"the body passes through an obstacle, at least {depth:.2g} mm deep"
+        events.append(Event(begin, OVERLAP, text + _duration(begin, end)))
+    return events
+
+
+def _duration(begin: float, end: float) -> str:
+    # The duration of a contact in a single sample is unknown.
+    return f", for {end - begin:.2g} s" if end > begin else ""
+
+
+def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
+    """Return the metrics of contacts with obstacles and objects; all None in a world without them.
+
+    - ``contacts``, ``contact_time_s``: number and duration of contacts. On a plant that ignores obstacles,
+      they are those of the overlaps of its body with obstacles.
+    - ``clearance_m``: smallest distance of the collision hull from obstacles and objects at the samples
+      (`plants.clearance`), at most 0 after a contact, also one between two samples.
+    """
+    metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
+    touching = _touching(trajectory)
+    if touching is not None:
+        steps = np.diff(trajectory.time, prepend=trajectory.time[0])
+        metrics["contacts"] = len(_spells(trajectory))
+        metrics["contact_time_s"] = float(steps[touching].sum())
+    if trajectory.has("clearance"):
+        least = float(trajectory["clearance"].min())
+        # Only the force shows a contact between two samples.
+        metrics["clearance_m"] = min(least, 0.0) if metrics["contacts"] else least
+    return metrics
+
+
+def ignores_obstacles(trajectory: Trajectory) -> bool:
+    """Return whether the plant of a run passes through the obstacles of its world."""
+    return trajectory.has("clearance") and not trajectory.has("obstacle_force_x")
+
+
+def contact_free_s(runs: Iterable[Trajectory]) -> float:
+    """Return the time of the last sample before the first contact in one of the runs, s; inf without one.
+
+    Overlaps on a plant that ignores obstacles do not affect its motion and do not count.
+    """
+    end = math.inf
+    for run in runs:
+        for touch in touches(run)[:1]:
+            # The force at a sample is the mean since the sample before, at which the contact had not begun.
+            before = max(int(np.searchsorted(run.time, touch.begin)) - 1, 0)
+            end = min(end, float(run.time[before]))
+    return end
+
+
+def _touching(trajectory: Trajectory) -> np.ndarray | None:
+    """Return at which samples the body touches an obstacle, or overlaps one that its plant ignores."""
+    force = obstacle_force(trajectory)
+    if force is not None:
+        return np.asarray(force.max(axis=1) > TOUCH_N)
+    return trajectory["clearance"] < -TOUCHING_M if trajectory.has("clearance") else None
+
+
+def _spells(trajectory: Trajectory) -> list[np.ndarray]:
+    """Return the samples of each contact or overlap."""
+    touching = _touching(trajectory)
+    if touching is None or not touching.any():
+        return []
+    rows = np.flatnonzero(touching)
+    breaks = np.flatnonzero(np.diff(trajectory.time[rows]) > _MAX_INTERRUPTION_S) + 1
+    return np.split(rows, breaks)
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.sampling import interpolant, meanings_of, positive_number, units_of
+from srs_twin.comparison.sampling import interpolant, is_near_zero, meanings_of, positive_number, units_of
 from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
@@ -358,9 +358,10 @@ def spatial_differences(reference: Trajectory, candidate: Trajectory, time: Arra
     differences: dict[str, float | None] = dict.fromkeys(SPATIAL_DIFFERENCES)
     before, after = spatial_metrics(reference), spatial_metrics(candidate)
     speed, other = before["travel_speed_m_s"], after["travel_speed_m_s"]
-    if speed and other is not None:
+    if speed is not None and other is not None:
         turn = (after["travel_direction_rad"] or 0.0) - (before["travel_direction_rad"] or 0.0)
-        differences["travel_speed_rel"] = other / speed - 1
+        if not is_near_zero(speed, other, "m/s"):
+            differences["travel_speed_rel"] = other / speed - 1
         differences["travel_direction_abs"] = abs(math.remainder(turn, 2 * math.pi))
     window = GaitWindow.from_trajectory(reference)
     used = time[time >= window.start] if window else time

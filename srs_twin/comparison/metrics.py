@@ -8,7 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.comparison.contacts import OBJECT_MEANINGS, OBJECT_UNITS, object_metrics
+from srs_twin.comparison.contacts import (
+    CONTACT_EVENTS,
+    CONTACT_MEANINGS,
+    CONTACT_UNITS,
+    OBJECT_MEANINGS,
+    OBJECT_UNITS,
+    contact_metrics,
+    object_metrics,
+)
 from srs_twin.comparison.gait import (
     ENERGY_MEANINGS,
     SPATIAL_DIFFERENCE_MEANINGS,
@@ -28,7 +36,17 @@ from srs_twin.comparison.learning import (
     is_learning,
     learning_metrics,
 )
-from srs_twin.comparison.sampling import body_length, check_columns, meanings_of, metric_groups, units_of
+from srs_twin.comparison.sampling import (
+    STRAIGHT_RAD_S,
+    ZERO,
+    body_length,
+    check_columns,
+    is_near_zero,
+    meanings_of,
+    metric_groups,
+    split_unit,
+    units_of,
+)
 from srs_twin.comparison.tracking import (
     READING_MEANINGS,
     READING_UNITS,
@@ -61,17 +79,20 @@ _NOT_COMPARED = YES_NO | {"wall_s", "realtime_factor"}
 """Metrics whose difference is not shown: computing times are not properties of the plants."""
 
 
-def relative_difference(reference: float, value: float) -> str:
-    """Return value − reference in per cent of the reference, as "-11.5 %", or in its unit if signs differ."""
-    # A ratio to zero, or between values of opposite sign, has no meaning.
-    if reference * value <= 0:
-        return "0" if value == reference else f"{value - reference:+.3g}"
-    return f"{_per_cent(reference, value)} %"
+def relative_difference(metric: str, reference: float, value: float) -> str:
+    """Return value − reference in per cent of the reference, as "-11.5 %", or else in its unit."""
+    per_cent = _per_cent(metric, reference, value)
+    if value != reference and not per_cent:
+        return f"{value - reference:+.3g}"
+    return f"{per_cent} %" if reference else "0"
 
 
-def _per_cent(reference: float, value: float) -> str:
-    """Return value − reference in per cent of the reference as text, empty if the signs differ."""
-    if reference * value <= 0:
+def _per_cent(metric: str, reference: float, value: float) -> str:
+    """Return value − reference in per cent of the reference as text.
+
+    It is empty if the signs differ or the reference is near zero.
+    """
+    if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
     per_cent = 100 * (value - reference) / reference
     return "0" if value == reference else f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
@@ -125,7 +146,8 @@ heading_rms_rad: RMS difference of the headings
 """)
 _MEANINGS = (
     *(_PLANT_MEANINGS, ENERGY_MEANINGS, _BENCH_MEANINGS),
-    *(TRACKING_MEANINGS, LEARNING_MEANINGS, READING_MEANINGS, SPATIAL_MEANINGS, OBJECT_MEANINGS),
+    *(TRACKING_MEANINGS, LEARNING_MEANINGS, READING_MEANINGS, SPATIAL_MEANINGS),
+    *(OBJECT_MEANINGS, CONTACT_MEANINGS),
     *(_MEASURED_MEANINGS, _TIME_MEANINGS, _COMPARISON_MEANINGS, SPATIAL_DIFFERENCE_MEANINGS),
 )
 """Metric → meaning for each topic, in the order of `srs-twin list metrics`."""
@@ -145,6 +167,7 @@ METRIC_UNITS = {
     **SPATIAL_UNITS,
     **OBJECT_UNITS,
     **{name: unit for group in metric_groups() for name, unit in group.units.items()},
+    **CONTACT_UNITS,
     **MEASURED_UNITS,
     **units_of(_TIME_MEANINGS),
 }
@@ -169,10 +192,6 @@ VALIDATION = (
 
 _SAME_RATIO = 0.01
 """Relative difference below which plants agree, 1."""
-_STRAIGHT_RAD_S = 0.05
-"""Yaw rate below which a run counts as straight, rad/s."""
-_ZERO_RATE = 5e-5
-"""Rate that is shown as 0, m/s or rad/s."""
 _PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/agreement.md#presets)."
 _OVERLAP = "Parts of the body overlap by up to {:.0f} mm ({}), as no robot can (docs/objects.md#limits)."
 _COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
@@ -182,16 +201,42 @@ _MIN_CAUSE_RATIO = 0.25
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a one-sentence summary, and sentences on its terms and on what limits the result.
+    """Return a summary in a sentence or two, and sentences on its terms and on what limits the result.
+
+    A contact with obstacles is named first, then the difference over the whole run, and then the difference
+    before the contact with its cause.
 
     Args:
         metrics: contents of metrics.json.
     """
     text, preset = _summary(metrics), metrics.get("preset")
-    sentences = [text, *[_COMPLIANCE] * ("compliance" in text), *[_PRESET.format(preset)] * bool(preset)]
+    sentences = [*_contacts(metrics), text]
+    sentences += [*[_COMPLIANCE] * ("compliance" in text), *[_PRESET.format(preset)] * bool(preset)]
     if overlaps := metrics.get("body_overlap_m"):
         sentences.append(_OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps)))
     return " ".join(sentences)
+
+
+def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """Yield a sentence on the contacts of the plants, if there are contacts or overlaps."""
+    names = {"twin": "the twin", "analytical": "the model"}
+    plants = {name: plant for name, plant in metrics["plants"].items() if name in names}
+    if any(plant.get("contacts") for plant in plants.values()):
+        texts = [f"{names[name]} {_meeting(metrics, name)}" for name in names if name in plants]
+        yield f"{'; '.join(texts).capitalize()}."
+
+
+def _meeting(metrics: Mapping[str, Any], name: str) -> str:
+    """Return whether a plant ignores obstacles, when it first meets one, and for how long in total."""
+    plant, events = metrics["plants"][name], metrics["events"][name]
+    begins = [event["time"] for event in events if event["kind"] in CONTACT_EVENTS]
+    ignores = name in metrics.get("ignores_obstacles", ())
+    if not begins:
+        return "ignores obstacles" if ignores else "touches none"
+    what = "an obstacle" if plant.get("object_moved_m") is None else "an object"
+    how = "ignores obstacles and overlaps one" if ignores else f"touches {what}"
+    times = f"{len(begins)} times, first " if len(begins) > 1 else ""
+    return f"{how} {times}at {begins[0]:.3g} s, for {plant['contact_time_s']:.2g} s"
 
 
 def _summary(metrics: Mapping[str, Any]) -> str:
@@ -199,13 +244,13 @@ def _summary(metrics: Mapping[str, Any]) -> str:
     model, twin = plants.get("analytical"), plants.get("twin")
     one = model or twin or {}
     if model and twin:
-        return _summary_of_both(metrics, model, twin)
+        return _summary_of_both(metrics, plants)
     name = "twin" if twin else "model"
     if (travel := one.get("travel_speed_m_s")) is not None:
         return f"The {name} travels at {travel:.3g} m/s, {_direction(one)} of its heading."
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
-        how = "straight on" if abs(turn) < _STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
+        how = "straight on" if abs(turn) < STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
         moved = one.get("object_moved_m")
         objects = "" if moved is None else f"; it moves an object by {moved:.2g} m"
         return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}{objects}."
@@ -216,22 +261,35 @@ def _summary(metrics: Mapping[str, Any]) -> str:
     return f"The {name} moves by {one.get('path_length_m') or 0.0:.3g} m."
 
 
-def _summary_of_both(metrics: Mapping[str, Any], model: Mapping[str, Any], twin: Mapping[str, Any]) -> str:
+def _summary_of_both(metrics: Mapping[str, Any], plants: Mapping[str, Mapping[str, Any]]) -> str:
+    model, twin = plants["analytical"], plants["twin"]
     if model.get("goal_reached") is not None and twin.get("goal_reached") is not None:
         return f"The twin {_arrives(twin)}; the model {_arrives(model)}."
     if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
         errors = f"{twin['error_rms_rad']:.2g} rad RMS, the model within {model['error_rms_rad']:.2g}"
         return f"The twin follows its reference within {errors}."
     if model.get("travel_speed_m_s") is not None and twin.get("travel_speed_m_s") is not None:
-        text = _compared(metrics, "travel_speed_m_s", "slower", "faster", "m/s")
+        text = _compared(metrics, metrics, "travel_speed_m_s", "m/s")
         return f"The twin travels {text}, {_direction(twin)}; the model {_direction(model)}."
     if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
         bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
-    text = f"The twin crawls {_compared(metrics, 'com_speed_m_s', 'slower', 'faster', 'm/s')}"
-    if max(abs(run.get("yaw_rate_rad_s") or 0.0) for run in (model, twin)) >= _STRAIGHT_RAD_S:
-        text += f", and turns {_compared(metrics, 'yaw_rate_rad_s', 'slower', 'faster', 'rad/s')}"
-    return f"{text}."
+    text = f"he twin crawls {_crawling(metrics, metrics)}."
+    if (before := metrics.get("before_contact")) is None:
+        return f"T{text}"
+    text = f"Over the whole run, t{text} Before the contact"
+    if before["plants"]["twin"]["com_speed_m_s"] is None:
+        return f"{text}, too few whole gait periods pass to explain a difference."
+    return f"{text} (first {before['end_s']:.3g} s), it crawls {_crawling(metrics, before)}."
+
+
+def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
+    """Return how speed and yaw rate of the twin compare; arguments as for `_compared`."""
+    text = _compared(metrics, part, "com_speed_m_s", "m/s")
+    rates = [abs(part["plants"][name].get("yaw_rate_rad_s") or 0.0) for name in ("analytical", "twin")]
+    if max(rates) >= STRAIGHT_RAD_S:
+        text += f", and turns {_compared(metrics, part, 'yaw_rate_rad_s', 'rad/s')}"
+    return text
 
 
 def _direction(plant: Mapping[str, Any]) -> str:
@@ -245,19 +303,32 @@ def _arrives(plant: Mapping[str, Any]) -> str:
     return reached if cross_track is None else f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
 
 
-def _compared(metrics: Mapping[str, Any], metric: str, less: str, more: str, unit: str) -> str:
-    reference, value = (metrics["plants"][plant][metric] for plant in ("analytical", "twin"))
+def _compared(metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str) -> str:
+    """Return how a metric of the twin compares with that of the model, and the main cause of the difference.
+
+    Args:
+        metrics: contents of metrics.json.
+        part: the same, or its part on the time before a contact, which ends at `end_s`.
+        metric: metric.
+        unit: its unit.
+    """
+    reference, value = (part["plants"][plant][metric] for plant in ("analytical", "twin"))
     both = f"{value:.3g} against {reference:.3g} {unit}"
-    if reference * value <= 0:
+    near_zero = is_near_zero(reference, value, unit)
+    if near_zero and is_near_zero(value, reference, unit):
+        return f"like the model ({both})"
+    if near_zero or reference * value <= 0:
         return f"unlike the model ({both})"
     share = value / reference - 1
     if abs(share) < _SAME_RATIO:
         return f"like the model ({both})"
-    why = _main_cause(metrics, metric, reference, share)
-    return f"{abs(100 * share):.0f} % {less if share < 0 else more} than the model ({both}{why})"
+    causes = _causes(metrics, metric, part.get("end_s"))
+    why = _main_cause(causes, reference, share, alone="attribution" not in metrics)
+    direction = "slower" if share < 0 else "faster"
+    return f"{abs(100 * share):.0f} % {direction} than the model ({both}{why})"
 
 
-def _main_cause(metrics: Mapping[str, object], metric: str, reference: float, share: float) -> str:
+def _main_cause(causes: Sequence[tuple[str, float]], reference: float, share: float, *, alone: bool) -> str:
     """Return the main cause of a relative difference as text, in whole per cents that add up to it.
 
     If a cause was switched alone, the text states the effect with "would". The contributions of an
@@ -265,11 +336,11 @@ def _main_cause(metrics: Mapping[str, object], metric: str, reference: float, sh
     the difference.
     """
     whole = round(100 * share)
-    for name, change in _causes(metrics, metric):
+    for name, change in causes:
         effect = round(100 * change / reference)
         if effect * share <= 0 or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(share):
             continue
-        alone, rest = "attribution" not in metrics, whole - effect
+        rest = whole - effect
         verb = ("slow" if share < 0 else "speed") + ("" if alone else "s")
         does = f"{'alone would ' if alone else ''}{verb} it{' up' if share > 0 else ''} by {abs(effect)} %"
         if not rest:
@@ -279,16 +350,15 @@ def _main_cause(metrics: Mapping[str, object], metric: str, reference: float, sh
     return ""
 
 
-def _causes(metrics: Mapping[str, Any], metric: str) -> list[tuple[str, float]]:
-    """Return assumptions and their effects on a metric in the whole run, the largest effect first."""
+def _causes(metrics: Mapping[str, Any], metric: str, window: float | None) -> list[tuple[str, float]]:
+    """Return assumptions and their effects on a metric in a window, the largest effect first."""
+    effects = []
     if (attribution := metrics.get("attribution")) is not None:
-        if attribution.get("window_s") is not None:
-            return []
-        k = list(attribution["measures"]).index(metric)
-        effects = [(share["name"], share["value"][k]) for share in attribution["shares"]]
-    else:
-        cause = metrics.get("cause") or {}
-        effects = [(cause["name"], cause[metric])] if cause else []
+        if attribution.get("window_s") == window:
+            k = list(attribution["measures"]).index(metric)
+            effects = [(share["name"], share["value"][k]) for share in attribution["shares"]]
+    elif (cause := metrics.get("cause")) and cause.get("window_s") == window:
+        effects = [(cause["name"], cause[metric])]
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
@@ -296,6 +366,7 @@ _MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad meas
 _GAIT = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
     travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns object_moved_m
+    contacts contact_time_s clearance_m
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
@@ -303,7 +374,8 @@ _GAIT = f"""
 _BENCH = f"""
     final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
-    outlet_openings reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
+    outlet_openings contacts contact_time_s clearance_m
+    reading_r_squared reading_error_rad reading_backstep_rad reading_range_t realtime_factor
 """.split()
 _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES)
 
@@ -327,7 +399,7 @@ def tidy(metric: str, value: Any) -> Any:
     if metric in YES_NO and value is not None:
         return "yes" if value else "no"
     rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
-    return 0.0 if rate and abs(value) < _ZERO_RATE else value
+    return 0.0 if rate and abs(value) < ZERO else value
 
 
 class ResultRow(NamedTuple):
@@ -384,7 +456,7 @@ def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], 
     if text(model) == text(twin):
         twin = model
     difference = f"{twin - model:+.3g}" if twin != model else "0"
-    return difference, _per_cent(model, twin) if metric in RELATIVE else ""
+    return difference, _per_cent(metric, model, twin) if metric in RELATIVE else ""
 
 
 _GAIT_METRICS = [
@@ -445,6 +517,7 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
         **spatial_metrics(trajectory),
         **object_metrics(trajectory),
         **{name: value for group in metric_groups() for name, value in group.measure(trajectory).items()},
+        **contact_metrics(trajectory),
         **dict.fromkeys(MEASURED_UNITS),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
         "path_length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),

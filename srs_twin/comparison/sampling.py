@@ -38,6 +38,28 @@ def meanings_of(lines: str) -> dict[str, str]:
     return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
+STRAIGHT_RAD_S = 0.05
+"""Yaw rate below which a run counts as straight, rad/s; contact creep and the start turn the body as well."""
+ZERO = 5e-5
+"""Magnitude below which a length, speed or angle counts as zero, m, m/s or rad: a tenth of a millimetre."""
+_RESOLUTION = {"m": ZERO, "m/s": ZERO, "rad": ZERO, "rad/s": STRAIGHT_RAD_S}
+_MAX_CHANGE = 10.0
+"""Largest change, as a multiple of the reference, that is stated in per cent. A larger per cent would mainly
+measure how near to zero the reference is."""
+
+
+def is_near_zero(reference: float, value: float, unit: str) -> bool:
+    """Return whether a reference is too near to zero for a change in per cent of it.
+
+    Args:
+        reference: old value.
+        value: new value.
+        unit: their unit.
+    """
+    least = max(_RESOLUTION.get(unit, 0.0), abs(value - reference) / _MAX_CHANGE)
+    return abs(reference) <= least
+
+
 def rms(values: np.ndarray) -> float:
     """Return the root mean square of values."""
     return float(np.sqrt(np.square(values).mean()))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.contacts import OBJECT_UNITS
+from srs_twin.comparison.contacts import CONTACT_UNITS, OBJECT_UNITS
 from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
 from srs_twin.comparison.metrics import MEASURED_UNITS
@@ -154,6 +154,8 @@ def _other(metric: str, run: Trajectory) -> str:
         return "the robot bends in one plane"
     if metric in OBJECT_UNITS:
         return "the world has no movable objects"
+    if metric in CONTACT_UNITS:
+        return "the world has no obstacles"
     if metric in READING_UNITS:
         if ReadingCurve.from_trajectory(run) is None:
             return "the run has no sensor, or an ideal one"

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from srs_twin.comparison.centre_line import hull_lines, offset_to_sides
-from srs_twin.comparison.contacts import TOUCH_N, obstacle_force, touches
+from srs_twin.comparison.centre_line import offset_to_sides
+from srs_twin.comparison.contacts import contact_metrics
 from srs_twin.comparison.sampling import MetricGroup, positive_number, rms, units_of
-from srs_twin.robot.world import WALL_M
+from srs_twin.plants.clearance import PENETRATION_M
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -39,9 +39,6 @@ _MEANINGS = {
     "inside_50mm_share": (
         "fraction of the time in which the whole body is inside the 50 mm box of the dissertation"
     ),
-    "contacts": "number of contacts between body and obstacles",
-    "contact_time_s": "total time of these contacts",
-    "clearance_m": "smallest distance of the body from obstacles",
     "following_time_s": "time from start to end of the path",
     "replans": "number of plans after the first",
 }
@@ -56,9 +53,6 @@ DISSERTATION_SHIFT_M = 0.01
 """Shift of this box in the tightest turn, m."""
 DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
 """Curvature of the tightest turn of Section 5.2, 60 degrees in 0.2 m, 1/m."""
-
-OVERLAP_M = 1e-3
-"""Overlap with an obstacle that exceeds the penetration of contacts, m."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
@@ -132,23 +126,17 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
     Of the whole run:
 
-    - ``contacts``, ``contact_time_s``: number and duration of contacts with obstacles; None without
-      obstacles.
-    - ``clearance_m``: smallest distance of the twin's collision hull from obstacles at the samples, at most 0
-      if it touched one, also between two samples; None without obstacles.
     - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``: metrics of the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
         return dict.fromkeys(FOLLOWING_UNITS)
     first = metadata["plans"][0]
-    clearance = _clearance(trajectory, metadata["world"])
+    clearance = contact_metrics(trajectory)["clearance_m"] or 0.0
     return {
         **plan_metrics(first["outcome"] == "found", segments_of(first), first["nodes"]),
-        **_arrival(trajectory, metadata, overlapped=clearance is not None and clearance < -OVERLAP_M),
+        **_arrival(trajectory, metadata, overlapped=clearance < -PENETRATION_M),
         **_deviation(trajectory, metadata),
-        **_contacts(trajectory),
-        "clearance_m": clearance,
         "following_time_s": float(trajectory.time[-1] - trajectory.time[0]),
         "replans": len(metadata["plans"]) - 1,
     }
@@ -275,58 +263,13 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
-def _contacts(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return number and duration of contacts with obstacles."""
-    force = obstacle_force(trajectory)
-    if force is None:
-        return {"contacts": None, "contact_time_s": None}
-    steps = np.diff(trajectory.time, prepend=trajectory.time[0])
-    return {
-        "contacts": len(touches(trajectory)),
-        "contact_time_s": float(steps[force.max(axis=1) > TOUCH_N].sum()),
-    }
-
-
-def clearances(trajectory: Trajectory, world: Mapping[str, Any]) -> np.ndarray | None:
-    """Return the distance of the twin's collision hull from the nearest obstacle, m, shape (samples,).
-
-    Args:
-        trajectory: trajectory of either plant.
-        world: obstacles and polygons from the metadata of a follower.
-
-    Returns:
-        Distances, negative inside an obstacle; None without obstacles.
-    """
-    import shapely
-
-    obstacles = [(shapely.Point(c["x"], c["y"]), c["radius"]) for c in world["obstacles"]]
-    obstacles += [(shapely.Polygon(p["corners"]), WALL_M) for p in world["polygons"]]
-    if not obstacles:
-        return None
-    hull = shapely.linestrings(hull_lines(trajectory))
-    half = trajectory.metadata["body_width_m"] / 2
-    distances = [shapely.distance(shape, hull) - size - half for shape, size in obstacles]
-    return np.asarray(np.min(distances, axis=0))
-
-
-def _clearance(trajectory: Trajectory, world: Mapping[str, Any]) -> float | None:
-    """Return the smallest clearance of a run, at most 0 after a contact."""
-    distances = clearances(trajectory, world)
-    if distances is None:
-        return None
-    least = float(distances.min())
-    # Only the force shows a contact between two samples.
-    return min(least, 0.0) if touches(trajectory) else least
-
-
 def _why_undefined(metric: str, trajectory: Trajectory) -> str:
     """Return the reason why a metric is undefined; empty if None describes the outcome of the run."""
     if following(trajectory) is None:
         return "the run follows no plan"
     if metric == "arrival_heading_error_rad":
         return "the goal has no heading"
-    obstacles = metric in ("contacts", "contact_time_s", "clearance_m")
-    return "the world has no obstacles" if obstacles else ""
+    return ""
 
 
 METRICS = MetricGroup(

@@ -22,6 +22,7 @@ from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
 from srs_twin.io.saved_state import SavedState, Stateful, short_digest
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor, make_sensor
 
 Pose = tuple[float, float, float]
@@ -153,8 +154,10 @@ class Plant(Claimable, Stateful, ABC):
     max_chunk_s: float = 1.0
     layout: str = "3/2"
     state: SnakeState
+    world: World | None = None
+    """Floor, obstacles and objects around the snake; None for a level floor alone."""
     touches: bool = False
-    """Whether the world has obstacles or objects, whose forces are then recorded."""
+    """Whether the body touches obstacles or objects of the world, whose forces are then recorded."""
     objects: int = 0
     """Number of movable objects, whose x, y (m) and heading (rad) are the last values of `qpos`."""
     metered: bool = True

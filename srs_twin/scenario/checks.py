@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import chain
 
 import numpy as np
@@ -12,16 +13,17 @@ from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError, SamplingGrid, TimeStepError, count_steps, nearest_rate
-from srs_twin.io.documents import Document
+from srs_twin.io.documents import Document, Loc
+from srs_twin.plants.clearance import PENETRATION_M, TOUCHING_M, hull_lines, start_overlaps
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
-from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import World
+from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.scenario.fields import Contradiction, Loading
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
+from srs_twin.scenario.start import InitialState
 
 _ROUNDING = 1.001
 """Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa, which exceeds 48.26
@@ -89,8 +91,8 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     return []
 
 
-def check_robot(document: Document, file: ScenarioFile, robot: RobotFile, world: World) -> None:
-    """Report faults, sensors, time steps and positions that the robot does not allow."""
+def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> None:
+    """Report faults, sensors and time steps that the robot does not allow."""
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
@@ -99,24 +101,34 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile, world:
     with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
     _report(document, chain(_kinds(file, robot), _contact(file, robot), _timestep(file, robot)))
-    _report(document, _first_peg(file, robot.spec(file.seed), world))
 
 
-def _first_peg(file: ScenarioFile, spec: RobotSpec, world: World) -> Iterator[Contradiction]:
-    """Yield the first peg that overlaps the straight snake at its start."""
-    start, geometry = file.start.build(), spec.geometry
-    c, s = math.cos(start.heading), math.sin(start.heading)
-    stations = geometry.pitch * np.arange(geometry.connectors)
-    ahead = float(spec.mass.array() @ stations) / spec.mass.total
-    for k, peg in enumerate(world.obstacles if file.world.pegs else (), start=1):
-        x, y = peg.x - start.x, peg.y - start.y
-        along = c * x + s * y
-        outside = along - min(max(along, ahead - geometry.body_length), ahead)
-        if math.hypot(outside, c * y - s * x) < peg.radius + geometry.width / 2:
-            place = f"({peg.x:.4g}, {peg.y:.4g}) m"
-            text = f"obstacle {k} at {place} overlaps the snake at its start; move the pegs"
-            yield ("world", "pegs"), text, False
-            return
+def check_start(file: ScenarioFile, loading: Loading, begin: InitialState | None) -> None:
+    """Report obstacles and objects that overlap the body at the start."""
+    world, allowed = loading.world, TOUCHING_M
+    if file.bench or not world.is_solid:
+        return
+    spec, pose = loading.robot.spec(file.seed), file.start.build()
+    if file.start.run is not None:
+        allowed = PENETRATION_M * spec.scale.length
+    texts: dict[Loc, str] = {}
+    for kind, plant in file.plants.running.items():
+        geometry = spec.geometry if plant.gaps else replace(spec.geometry, rigid_gap=0.0)
+        com, heading, bend = np.array([pose.x, pose.y]), pose.heading, spec.modules.array("bias")
+        if begin is not None:
+            state = begin.states[kind]
+            com, heading, bend = state.com, state.heading, state.bend
+        shape = body_shape(bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap)
+        cos, sin = math.cos(heading), math.sin(heading)
+        position = com + shape @ np.array([[cos, sin], [-sin, cos]])
+        theta, hinges = heading + relative_headings(bend), getattr(plant, "hinges_per_segment", 2)
+        lines = hull_lines(position[None], theta[None], geometry, hinges)
+        for overlap in start_overlaps(world, lines, geometry.width / 2, allowed=allowed):
+            loc = file.world.place_of(overlap.number, world)
+            # Drawn and mapped obstacles have no place of their own in the file.
+            texts.setdefault(loc, overlap.text if len(loc) > 1 else f"{overlap.name} {overlap.text}")
+    for loc, text in texts.items():
+        loading.document.report(("world", *loc), text)
 
 
 def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:

@@ -26,13 +26,14 @@ from srs_twin.scenario.checks import (
     check,
     check_controller,
     check_robot,
+    check_start,
     check_supply_pressure,
 )
 from srs_twin.scenario.fields import Loading
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.plants import PRESET, with_preset
-from srs_twin.scenario.scenario import Scenario
+from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 
 
 def load_scenario(
@@ -81,6 +82,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     if not uses_goal and (world.goal or world.bounds):
         text = "world: goal and bounds have no effect; only a controller of kind: follow uses them"
         loading.warnings.append(text)
+    loading.warnings += ignored_obstacles(file, world, file.plants.running)
     resolved = _resolved(file, robot, file.name or name, loading.layout, loading.products)
     before = _resolved_or_raw(unmodified, loading.products) if changes else resolved
     if changed := changed_fields(
@@ -131,7 +133,7 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
             world = file.world.build_world(file.start.build(), file.seed, length)
         check(document, file)
     if file and robot:
-        check_robot(document, file, robot, world)
+        check_robot(document, file, robot)
         loading = Loading(document, file, robot, world, warnings=warnings)
         _build_parts(file, loading)
     document.raise_problems(robot_problems)
@@ -151,6 +153,7 @@ def _build_parts(file: ScenarioFile, loading: Loading) -> None:
         with document.report_errors("start"):
             segments = robot.spec(file.seed).segments
             loading.begin = file.start.initial_state(segments, loading.supply_pa, file.plants.running)
+            check_start(file, loading, loading.begin)
     for key, section in file.sections().items():
         products[key] = products[key] or section.prepare(loading)
 

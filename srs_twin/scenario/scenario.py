@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,20 @@ if TYPE_CHECKING:
     from srs_twin.pneumatics import Pneumatics
     from srs_twin.scenario.file import ScenarioFile
     from srs_twin.scenario.start import InitialState
+
+
+IGNORED_OBSTACLES = (
+    "plants.analytical: the model ignores the obstacles of this world and passes through them; "
+    "only model: compliant with touch: true touches them"
+)
+"""Warning about an analytical plant that ignores obstacles."""
+
+
+def ignored_obstacles(file: ScenarioFile, world: World, plants: Iterable[str]) -> tuple[str, ...]:
+    """Return a warning if an analytical plant runs and ignores obstacles."""
+    touches = file.plants.analytical is not None and file.plants.analytical.touch
+    ignores = "analytical" in plants and world.has_obstacles and not (touches or file.bench)
+    return (IGNORED_OBSTACLES,) if ignores else ()
 
 
 @dataclass(frozen=True)
@@ -117,7 +131,10 @@ class Scenario:
             return self
         document = {key: value for key, value in self.document.items() if key != "changes"}
         document |= {"changes": changes} if changes else {}
-        return replace(self, document=document, title=marked(document["title"], changes))
+        warnings = tuple(text for text in self.warnings if text != IGNORED_OBSTACLES)
+        warnings += ignored_obstacles(self.file, self.world, plants or tuple(self.plants))
+        title = marked(document["title"], changes)
+        return replace(self, document=document, title=title, warnings=warnings)
 
     @property
     def layout(self) -> str:
@@ -181,7 +198,7 @@ class Scenario:
         if not arguments.pop("gaps"):
             robot = replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))
         arguments["pneumatics"] = self._chambers(robot)
-        arguments["world"] = None if self.file.bench else self.world
+        arguments["world"] = None if self.file.bench else arguments.get("world", self.world)
         if kind == "analytical":
             return AnalyticalSnake(robot, **arguments)
         from srs_twin.plants.twin.snake import TwinSnake

@@ -318,6 +318,21 @@ class WorldFile(Section):
             raise ValueError(str(error)) from None
         return path
 
+    def place_of(self, number: int, world: World) -> tuple[str | int, ...]:
+        """Return the path in this section of an obstacle or object; empty if its origin is not certain.
+
+        Args:
+            number: number among round obstacles, polygons and objects, from 0.
+            world: result of `build_world`.
+        """
+        round_ones, polygons = len(world.obstacles), len(world.polygons)
+        firsts = {"obstacles": 0, "polygons": round_ones, "objects": round_ones + polygons}
+        for key, first in firsts.items():
+            if 0 <= number - first < len(getattr(self, key) or ()):
+                return key, number - first
+        drawn = [key for key in ("pegs", "random", "circles", "map") if getattr(self, key)]
+        return tuple(drawn) if len(drawn) == 1 else ()
+
     def build_world(self, start: Pose, seed: int, length: float = 1.0) -> World:
         """Return the world of a snake that starts at a pose.
 

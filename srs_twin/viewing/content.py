@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from srs_twin.comparison.compare import Comparison, MeasuredDifference
-from srs_twin.comparison.contacts import touches
+from srs_twin.comparison.contacts import contact_events
 from srs_twin.errors import InputError
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
@@ -44,15 +44,7 @@ class RunContent:
 
 def events_of(run: Trajectory) -> list[Event]:
     """Return the events of a run and its contacts with obstacles, ordered by time."""
-    return sorted([*run.events, *_contacts(run), *end_event(run)], key=lambda event: event.time)
-
-
-def _contacts(run: Trajectory) -> Iterator[Event]:
-    for touch in touches(run):
-        # The duration of a contact in a single sample is unknown.
-        duration = f", for {touch.end - touch.begin:.2g} s" if touch.end > touch.begin else ""
-        text = f"connector {touch.connector}, at most {touch.force:.2g} N{duration}"
-        yield Event(touch.begin, "contact", text)
+    return sorted([*run.events, *contact_events(run), *end_event(run)], key=lambda event: event.time)
 
 
 def end_event(run: Trajectory) -> list[Event]:

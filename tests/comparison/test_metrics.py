@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
 
 from srs_twin.comparison import metrics
-from srs_twin.comparison.contacts import OBJECT_UNITS
+from srs_twin.comparison.contacts import CONTACT_UNITS, OBJECT_UNITS
 from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
@@ -212,7 +212,7 @@ def test_gait_metrics_are_none_without_a_resolved_gait(snake):
     found = plant_metrics(snake.trajectory(), wall_s=2.0)
     learning = LEARNING_UNITS.keys() | LEARNING_LIST_UNITS.keys()
     others = TRACKING_UNITS.keys() | READING_UNITS.keys() | FOLLOWING_UNITS.keys()
-    others |= MEASURED_UNITS.keys() | learning | {"final_bend_rad"}
+    others |= MEASURED_UNITS.keys() | CONTACT_UNITS.keys() | learning | {"final_bend_rad"}
     assert {name for name, value in found.items() if value is None} == GAIT_METRICS | others
     assert found["path_length_m"] >= 0
 

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import Snake
+from synthetic import Snake, with_columns
 
 from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.metrics import FOLLOWING_UNITS, centre_points, following_metrics, legs
-from srs_twin.robot.world import WALL_M
 from srs_twin.trajectory import Trajectory
 
 pytestmark = pytest.mark.fast
@@ -29,15 +28,12 @@ def line(length=1.2, y=0.0, x=0.0):
     return [x, y, 0.0, 0.0, length, 0.0, 0.2]
 
 
-def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), circles=(), polygons=(), footprint=BODY):
+def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), footprint=BODY):
     """Return the trajectory with the metadata of a follower."""
     about = {
         "plans": plans,
         "goal": dict(zip(("x", "y", "heading", "radius"), goal, strict=True)),
-        "world": {
-            "obstacles": [dict(zip(("x", "y", "radius"), c, strict=True)) for c in circles],
-            "polygons": [{"corners": p} for p in polygons], "bounds": None,
-        },
+        "world": {"obstacles": [], "polygons": [], "bounds": None},
         "footprint": {
             "name": "box", "title": "box", "offsets": footprint.offsets, "curvatures": footprint.curvatures,
             "speeds": footprint.speeds, "left": footprint.left, "right": footprint.right, "ahead": 0.0,
@@ -79,7 +75,6 @@ def test_cross_track_of_a_rod_parallel_to_its_path():
     assert (metrics["plan_length_m"], metrics["plan_nodes"]) == (pytest.approx(1.2), 7)
     # 10 + 15 mm are within 25 and 50.
     assert (metrics["inside_share"], metrics["inside_50mm_share"]) == (1.0, 1.0)
-    assert (metrics["contacts"], metrics["contact_time_s"], metrics["clearance_m"]) == (None, None, None)
 
 
 def test_inside_share_counts_the_time_within_the_edges():
@@ -138,10 +133,9 @@ def test_arrival_error_and_heading_without_oscillation():
 @pytest.mark.parametrize(("deep", "reached"), [(-0.01, 1), (0.0005, 1), (0.01, 0)])
 def test_a_goal_is_not_reached_through_an_obstacle(deep, reached):
     run = STILL.trajectory()
-    x, y = run.com[-1]
-    beside = (x, y + WIDTH / 2 + 0.1 - deep, 0.1)
-    metrics = following_metrics(followed(run, [plan([line()])], goal=(x, y, None, 0.05), circles=[beside]))
-    assert metrics["clearance_m"] == pytest.approx(-deep, abs=1e-6) and metrics["goal_reached"] == reached
+    run = with_columns(run, clearance=np.linspace(0.3, -deep, len(run)))
+    metrics = following_metrics(followed(run, [plan([line()])], goal=(*run.com[-1], None, 0.05)))
+    assert metrics["goal_reached"] == reached
 
 
 def test_metrics_without_a_path():
@@ -149,32 +143,6 @@ def test_metrics_without_a_path():
     metrics = following_metrics(run)
     assert metrics["plan_found"] == 0 and metrics["plan_length_m"] is None
     assert metrics["cross_track_rms_m"] is None and metrics["inside_share"] is None
-
-
-def test_clearance_of_circles_and_polygons():
-    # The rod passes at y = 0, from -half to 1.2 + half.
-    run = STILL.trajectory()
-    for dy, expected in ((0.2, 0.2 - 0.05 - WIDTH / 2), (0.04, 0.04 - 0.05 - WIDTH / 2)):
-        metrics = following_metrics(followed(run, [plan([line()])], circles=[(0.5, dy, 0.05)]))
-        assert metrics["clearance_m"] == pytest.approx(expected)
-    square = [(0.4, 0.1), (0.6, 0.1), (0.6, 0.3), (0.4, 0.3)]
-    metrics = following_metrics(followed(run, [plan([line()])], polygons=[square]))
-    assert metrics["clearance_m"] == pytest.approx(0.1 - WIDTH / 2 - WALL_M)
-
-
-def test_contacts_are_counted_with_their_time():
-    trajectory = STILL.trajectory()
-    force = np.zeros((len(trajectory), 5))
-    force[100:120, 0] = 0.2  # 0.2 s
-    force[125:130, 2] = -0.1  # 0.05 s later: the same contact
-    force[400:401, 4] = 0.5
-    force[500:520, 1] = 1e-6  # nothing
-    nothing = np.zeros(len(trajectory))
-    columns = dict(trajectory.columns) | {f"obstacle_force_y_{i + 1}": force[:, i] for i in range(5)}
-    columns |= {f"obstacle_force_x_{i + 1}": nothing for i in range(5)}
-    metrics = following_metrics(followed(replace(trajectory, columns=columns), [plan([line()])]))
-    assert metrics["contacts"] == 2
-    assert metrics["contact_time_s"] == pytest.approx(0.26)
 
 
 def test_middles_of_segments_lie_on_their_arcs():

@@ -61,7 +61,7 @@ def test_plants_touch_pegs_with_the_stated_friction():
     ("changes", "words"),
     [
         ({"jitter_m": 0.06}, "the pitch must be above 0.15 m"),
-        ({"y_m": 0.065}, "overlaps the snake at its start; move the pegs"),
+        ({"y_m": 0.065}, "overlaps the body at the start by"),
         ({"rows": 100, "columns": 11}, "1100 pegs are too many"),
         ({"plants": {"analytical": {}}}, "set model: compliant and touch: true"),
         ({"plants": {"analytical": {"touch": True}}}, "only compliant touches obstacles"),

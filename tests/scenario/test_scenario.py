@@ -24,6 +24,7 @@ from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.loading import load_scenario, parse_scenario, scenario_json_schema
+from srs_twin.scenario.scenario import IGNORED_OBSTACLES
 
 pytestmark = pytest.mark.fast
 
@@ -78,8 +79,8 @@ def test_units_are_converted_to_si():
     assert (gait.frequency, gait.offset, gait.phase, gait._phase_step) == (1, -0.2, 1, 2)
     assert s.world.obstacles[0].radius == 0.1 and s.world.bounds and s.world.bounds.x == (-1, 3)
     assert s.world.goal and (s.world.goal.heading, s.world.goal.radius) == (None, 0.05)
-    (warning,) = s.warnings
-    assert "goal and bounds have no effect" in warning
+    idle, ignored = s.warnings
+    assert "goal and bounds have no effect" in idle and ignored == IGNORED_OBSTACLES
     plant = s.build_plant("analytical")
     assert (plant.tick, plant.timestep) == (0.01, 0.002)
     assert plant.spec.geometry.rigid_gap == 0 and s.robot.geometry.rigid_gap == 0.018
@@ -644,8 +645,12 @@ def test_invalid_names_are_rejected_as_folders(tmp_path, file, name):
 @pytest.mark.parametrize("name", shipped_names("scenario"))
 def test_shipped_expectations_can_fail_and_cite_sources(name):
     s = load_scenario(name)
-    # Only a pressure above the limit, asked for knowingly, is warned of.
-    assert s.name == name and len(s.warnings) == s.file.allow_overpressure
+    # Only a pressure above the limit, asked for knowingly, and a model without contacts are warned of.
+    others = [text for text in s.warnings if text != IGNORED_OBSTACLES]
+    assert s.name == name and len(others) == s.file.allow_overpressure
+    analytical = s.file.plants.analytical
+    ignores = bool(s.world.has_obstacles and analytical and not analytical.touch)
+    assert s.warnings.count(IGNORED_OBSTACLES) == ignores
     # Only the twin has movable objects; spatial robots can do without a second plant.
     plants = ["twin"] if s.world.objects else ["analytical", "twin"]
     assert list(s.plants) == plants or s.robot.is_spatial

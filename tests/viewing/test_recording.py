@@ -14,10 +14,9 @@ from synthetic import Snake, numbered, with_columns
 from viewing_runs import pair, robot
 
 from srs_twin import Gait, TwinSnake, load_robot, rollout
-from srs_twin.comparison.contacts import touches
+from srs_twin.comparison.contacts import contact_metrics, touches
 from srs_twin.control.gait import PitchWave
 from srs_twin.errors import InputError
-from srs_twin.planning.metrics import following_metrics
 from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
@@ -152,7 +151,7 @@ def test_contacts_are_events_and_metrics():
     first, second = touches(run)
     assert (first.begin, first.end, first.connector) == pytest.approx((0.5, 0.69, 4))
     assert first.force == pytest.approx(0.9)
-    assert following_metrics(run)["contacts"] == 2
+    assert contact_metrics(run)["contacts"] == 2
     kinds = [(event.kind, round(event.time, 2)) for event in events_of(run)]
     assert kinds == [("contact", 0.5), ("replanned", 1.5), ("contact", 2.0), ("ended", 3.0)]
     assert events_of(run)[0].text == "connector 4, at most 0.9 N, for 0.19 s"

@@ -211,7 +211,8 @@ class AnalyticalSnake(PneumaticPlant):
         self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
         self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self.touches = touch and world.has_obstacles
-        self._world, self._touch, self._cells = world, touch, cells
+        self.world: World = world
+        self._touch, self._cells = touch, cells
         self._model, self._inertia, self._friction_torque = model, inertia, friction_torque
         self.base = base
         if track is None:
@@ -337,7 +338,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
-        world = {"world": short_digest(self._world)} if self.touches else {}
+        world = {"world": short_digest(self.world)} if self.touches else {}
         return super().identity() | {"floor": short_digest(self._floor_plane)} | world
 
     def _make_body(self) -> Body:
@@ -357,7 +358,7 @@ class AnalyticalSnake(PneumaticPlant):
             return PrescribedBends(
                 solid, floor, cells, friction_torque=self._friction_torque, tolerance=self._tolerance
             )
-        obstacles = make_obstacles(self._world, self.spec, cells, self._floor.slip) if self.touches else None
+        obstacles = make_obstacles(self.world, self.spec, cells, self._floor.slip) if self.touches else None
         return CompliantBends(self.spec, solid, floor, cells, obstacles)
 
     def _divide(self) -> Undivided:

@@ -192,17 +192,21 @@ class LoadedStepper(Stateful):
         """Sink the snake into the floor until it rests, and give each wheel its static load.
 
         The snake sinks by some micrometres. It does so on a level floor and without friction, because
-        friction would hold the small displacements along the floor that sinking causes.
+        friction would hold the small displacements along the floor that sinking causes. Obstacles do not act,
+        so that the snake stays in its place until its start is checked.
         """
         model, data = self._model, self._data
         contacts, gravity = self._contacts, model.opt.gravity.copy()
+        solid = model.geom_contype.copy()
         self._contacts = contacts._replace(
             coefficients=(0.0, 0.0, *contacts.coefficients[2:4], 0.0, contacts.coefficients[5])
         )
         model.opt.gravity[:2] = 0.0
+        model.geom_contype[:] = 0
         self._reset_contact_state()
         self.run(np.zeros((math.ceil(self._sinking_time / self._h), model.nu)))
         self._contacts, model.opt.gravity[:] = contacts, gravity
+        model.geom_contype[:] = solid
         data.qvel[:], data.time = 0.0, 0.0
         self._reset_contact_state()
 

@@ -146,7 +146,7 @@ class TwinSnake(PneumaticPlant):
             world is not None and world.is_solid,
             world is not None and world.uneven,
         )
-        self.objects = len(world.objects) if world else 0
+        self.world, self.objects = world, len(world.objects) if world else 0
         self._first_step_x = min((step.x for step in world.steps), default=math.inf) if world else math.inf
         largest = supply * self.pneumatics.max_pressure_ratio
         self._world = short_digest(world)

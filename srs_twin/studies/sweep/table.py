@@ -343,7 +343,7 @@ def published_table(published: Published, results: SweepTable) -> Table:
                 row = [metric_label(metric), *map(cell, setting.values()), *texts, cell(value)]
                 for plant in plants:
                     mean = _mean(results, metric, plant, chosen)
-                    row += [cell(mean), _difference_text(value, mean)]
+                    row += [cell(mean), _difference_text(metric, value, mean)]
                 rows.append((*row, *([str(len(chosen))] if is_mean else [])))
     headings = ["metric", *map(field_label, (*published.at, *further)), "published"]
     headings += [heading for plant in plants for heading in (plant, "difference")]
@@ -372,5 +372,7 @@ def _mean(results: SweepTable, metric: str, plant: str, chosen: np.ndarray) -> f
     return float(known.mean()) if len(known) else None
 
 
-def _difference_text(published: float | None, value: float | None) -> str:
-    return cell(None) if published is None or value is None else relative_difference(published, value)
+def _difference_text(metric: str, published: float | None, value: float | None) -> str:
+    if published is None or value is None:
+        return cell(None)
+    return relative_difference(metric, published, value)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import mujoco
 import numpy as np
 import pytest
 from snakes import robot
+from synthetic import numbered
 
 from srs_twin import Trajectory, TwinSnake, rollout
-from srs_twin.comparison.centre_line import centre_lines, hull_lines
-from srs_twin.planning.metrics import clearances, following_metrics
+from srs_twin.comparison.centre_line import centre_lines
+from srs_twin.comparison.contacts import contact_metrics
+from srs_twin.plants.clearance import clearance, hull_lines
 from srs_twin.robot.world import Circle, Polygon, World
 from srs_twin.scenario.loading import parse_scenario
 
@@ -25,14 +29,6 @@ WORLD = World(
 ROUNDING_M = 1e-12
 TILT_M = 1e-6
 """Effect of pitch and roll of a crawling snake, fractions of a degree, on planar distances, m."""
-
-
-def recorded(world: World) -> dict:
-    """Return a world as in the metadata of a follower."""
-    return {
-        "obstacles": [vars(each) for each in world.obstacles],
-        "polygons": [{"corners": each.corners} for each in world.polygons],
-    }
 
 
 def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
@@ -65,23 +61,22 @@ def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarra
     return found
 
 
-def seen(twin: TwinSnake, places: np.ndarray) -> Trajectory:
-    """Return a trajectory with one sample per pose."""
+def seen(twin: TwinSnake, places: np.ndarray) -> SimpleNamespace:
+    """Return connectors and qpos with one sample per pose."""
     states = np.concatenate(
         [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
     )
-    view, geometry = twin.physics.kinematics(states), twin.spec.geometry
+    view = twin.physics.kinematics(states)
     # Headings are recorded without jumps along the body.
     theta = view.headings[:, :1] - np.cumsum(np.pad(view.bends, ((0, 0), (1, 0))), axis=1)
-    columns = {"time": np.arange(len(places), dtype=float)}
-    for i in range(geometry.connectors):
-        columns |= {f"x_{i + 1}": view.positions[:, i, 0], f"y_{i + 1}": view.positions[:, i, 1]}
-        columns[f"theta_{i + 1}"] = theta[:, i]
-    lengths = {
-        "body_width_m": geometry.width, "segment_length_m": geometry.segment_length,
-        "rigid_gap_m": geometry.rigid_gap,
-    }  # fmt: skip
-    return Trajectory(columns, metadata=twin.describe() | lengths)
+    return SimpleNamespace(position=view.positions[..., :2], theta=theta, qpos=places)
+
+
+def trajectory_of(seen: SimpleNamespace) -> Trajectory:
+    """Return the connectors as a trajectory."""
+    columns = {"time": np.arange(len(seen.theta), dtype=float)}
+    columns |= numbered("x", seen.position[..., 0]) | numbered("y", seen.position[..., 1])
+    return Trajectory(columns | numbered("theta", seen.theta))
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
@@ -91,8 +86,7 @@ def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
     twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
     places = poses(twin, 40, unequal=unequal, seed=hinges)
     run, distance = seen(twin, places), mujoco_distances(twin, places)
-    apart = clearances(run, recorded(WORLD))
-    assert apart == pytest.approx(distance, abs=ROUNDING_M)
+    assert clearance(twin, run) == pytest.approx(distance, abs=ROUNDING_M)
     assert distance.min() < 0 < distance.max()
 
 
@@ -100,7 +94,7 @@ def test_inner_hinges_that_bend_unequally_are_bounded():
     """With three or more hinges per segment, connectors do not determine the inner ones."""
     twin = TwinSnake(robot("gen2"), world=WORLD, hinges_per_segment=3)
     places = poses(twin, 100, unequal=True, seed=7)
-    apart = clearances(seen(twin, places), recorded(WORLD))
+    apart = clearance(twin, seen(twin, places))
     error = np.abs(apart - mujoco_distances(twin, places)).max()
     assert ROUNDING_M < error < twin.spec.geometry.segment_length * 1.0 / 8
 
@@ -109,9 +103,10 @@ def test_the_hull_is_within_its_bound_of_the_arc():
     twin = TwinSnake(robot("gen2"), world=WORLD)
     places = poses(twin, 100, unequal=False, seed=3)
     run, geometry = seen(twin, places), twin.spec.geometry
-    bend = np.abs(np.diff(run.stack("theta"), axis=1))
-    hinges = hull_lines(run)[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]
-    middle = centre_lines(run, geometry, divisions=2)[:, :, 2]
+    bend = np.abs(np.diff(run.theta, axis=1))
+    lines = hull_lines(run.position, run.theta, geometry, 2)
+    hinges = lines[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]
+    middle = centre_lines(trajectory_of(run), geometry, divisions=2)[:, :, 2]
     beside = np.linalg.norm(hinges.mean(axis=2) - middle, axis=-1)
     bound = geometry.segment_length * bend / 24  # of small bends
     assert (beside < 1.05 * bound + 1e-9).all()
@@ -146,9 +141,9 @@ def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
     )  # fmt: skip
     twin = scenario.build_plant("twin")
     run = rollout(twin, scenario.build_controller(), 4.0, record_hz=50)
-    metrics = following_metrics(run)
+    metrics = contact_metrics(run)
     assert (metrics["contacts"] > 0) == (metrics["clearance_m"] <= 0)
     assert touched in (None, metrics["contacts"] > 0)
     assert metrics["clearance_m"] > -0.001  # penetration of contacts in the engine
-    apart = clearances(run, run.metadata["control"]["following"]["world"])
-    assert apart == pytest.approx(mujoco_distances(twin, run.stack("qpos")), abs=TILT_M)
+    distance = mujoco_distances(twin, run.stack("qpos"))
+    assert run["clearance"] == pytest.approx(distance, abs=TILT_M)
