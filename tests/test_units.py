@@ -47,7 +47,7 @@ SIGNALS = {
     "hold_valves": {},
     "follow": {
         "offset": "1", "offset_commanded": "1", "cross_track": "m", "heading_error": "rad", "node": "1",
-        "estimate_x": "m", "estimate_y": "m", "estimate_heading": "rad",
+        "estimate_x": "m", "estimate_y": "m", "estimate_heading": "rad", "clearance": "m",
     },
 }  # fmt: skip
 

@@ -84,7 +84,7 @@ def relative_difference(metric: str, reference: float, value: float) -> str:
     per_cent = _per_cent(metric, reference, value)
     if value != reference and not per_cent:
         return f"{value - reference:+.3g}"
-    return f"{per_cent} %" if reference else "0"
+    return f"{per_cent} %" if per_cent else "0"
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:

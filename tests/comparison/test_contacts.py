@@ -91,6 +91,7 @@ def test_tables_state_no_per_cent_of_a_reference_near_zero():
     assert relative_difference("error_rms_rad", 1e-7, 0.02) == "+0.02"
     assert relative_difference("com_speed_m_s", 0.2, 0.1) == "-50.0 %"
     assert relative_difference("com_speed_m_s", 0.2, 0.2) == "0 %"
+    assert relative_difference("com_speed_m_s", 1e-6, 1e-6) == "0"
     plants = {"analytical": {"error_rms_rad": 1e-7}, "twin": {"error_rms_rad": 0.02}}
     (row,) = result_rows({"plants": plants}, ["error_rms_rad"], str)
     assert (row.difference, row.per_cent) == ("+0.02", "")
