@@ -196,4 +196,5 @@ def _in_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
 
     x, y = np.moveaxis(points - pose[:, None, :2], -1, 0)
     cos, sin = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
-    return shapely.linestrings(np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1))
+    turned = np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
+    return np.asarray(shapely.linestrings(turned))
