@@ -23,31 +23,42 @@ def export(
     names: Annotated[list[str] | None, argument("NAME", shipped=["robot"])] = None,
     out: Annotated[str, option("--out DIR")] = "models",
     contact: Annotated[str, option("--contact NAME")] = "preloaded",
+    pressure: Annotated[float, option("--pressure KPA", min=0.0, max=2000.0)] = 0.0,
+    linear: Annotated[bool, option("--linear")] = False,
 ) -> None:
     """Write robots as MJCF, one folder per robot.
+
+    Lines on stderr name what the files lack or approximate.
 
     Options:
         names: Robots on wheels, or their files; default all.
         out: Output folder; each robot gets a subfolder.
         contact: Contact model; MJCF files support only `preloaded`.
+        pressure: Highest pressure of the controls, kPa; at least the limits of the robot are used.
+        linear: Export robots with a dead zone for controls that you convert (models/README.md).
     """
+    from srs_twin.cli.console import say
     from srs_twin.io.files import check_output_folder, escape_unprintable
-    from srs_twin.plants.twin.mjcf.export import SCENE, export_robot
+    from srs_twin.plants.twin.mjcf.export import SCENE, describe_departures, robot_files, write_files
     from srs_twin.plants.twin.mjcf.numerics import as_contact
-    from srs_twin.robot.file import load_robot
+    from srs_twin.robot.file import PA_PER_KPA, load_robot_file
 
     if as_contact(contact).name != "preloaded":
         raise InputError(
             "--contact loaded is not allowed: srs_twin computes its friction, so an MJCF file would contain "
             "none and the snake would slide freely; use --contact preloaded"
         )
-    robots = [load_robot(name) for name in names or _exportable_robots()]
-    folders = {Path(out) / robot.name: robot for robot in robots}
-    for folder, robot in folders.items():
-        check_output_folder(folder, (f"{robot.name}.xml", SCENE))
-    for folder, robot in folders.items():
-        export_robot(robot, folder)
-        typer.echo(escape_unprintable(str(folder / SCENE)))
+    robots = {robot.name: robot for robot in map(load_robot_file, names or _exportable_robots())}
+    exports = {
+        name: robot_files(robot.spec(), supply_pa=PA_PER_KPA * pressure, linear=linear)
+        for name, robot in robots.items()
+    }
+    for name, files in exports.items():
+        check_output_folder(Path(out) / name, tuple(files))
+    for name, files in exports.items():
+        write_files(files, Path(out) / name)
+        typer.echo(escape_unprintable(str(Path(out) / name / SCENE)))
+        say(*(f"{name}: {line}" for line in describe_departures(robots[name])))
 
 
 @app.command()

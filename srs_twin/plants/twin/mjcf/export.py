@@ -2,11 +2,18 @@
 
 ``<robot>.xml`` contains the robot; ``scene.xml`` includes it and adds floor, light, contact pairs and
 floor-force sensors. Numbers are written in full precision, so that the files compile to the same model as the
-twin's, bit for bit.
+twin's, bit for bit. ``scene_mjx.xml`` has the same robot and floor without the parts that MJX and MuJoCo Warp
+refuse.
+
+MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a limit of the moments, and a
+robot with a dead zone is refused unless its pressures are converted before they become controls
+(`pneumatics.chambers.equivalent_linear_pressure`). `describe_departures` names everything that the files lack.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from xml.dom import minidom
 
@@ -16,22 +23,73 @@ from srs_twin.errors import InputError
 from srs_twin.io.file_sets import replace_files
 from srs_twin.plants.twin.mjcf.model import robot_mjcf, scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
+from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
 
 SCENE = "scene.xml"
+SCENE_MJX = "scene_mjx.xml"
+
+_LOADS = "is approximate: it acts on the static loads, and no wheel lifts"
+_PRESSURES = "is left out: controls are pressures, which change at once"
+_VOLUMES = "is left out: controls are pressures, which take no air"
+_ONSET = "is left out: convert pressures with equivalent_linear_pressure (models/README.md)"
+_SENSORS = "is left out: the lengths of the tendons are the exact bends"
+_DRAWN = "is a single draw, with modules.seed (default 0)"
+
+_DEPARTURES = {
+    "friction.mu_t": _LOADS,
+    "friction.mu_n": _LOADS,
+    "actuator.tau_fill_s": _PRESSURES,
+    "actuator.tau_vent_s": _PRESSURES,
+    "actuator.response_time_s": _PRESSURES,
+    "actuator.bend_limit_rad": "is approximate: bends near the limit are up to 19 % too large",
+    "actuator.onset_share": _ONSET,
+    "actuator.onset_rad": _ONSET,
+    "actuator.onset_width_rad": _ONSET,
+    "chamber.dead_volume_ml": _VOLUMES,
+    "chamber.air_volume_ml": _VOLUMES,
+    "modules.tau_fill": _PRESSURES,
+    "modules.tau_vent": _PRESSURES,
+    "modules.tau_spread": _PRESSURES,
+    "modules.gain_spread": _DRAWN,
+    "modules.bias_spread_rad": _DRAWN,
+    "modules.sensor_gain": _SENSORS,
+    "modules.sensor_bias_rad": _SENSORS,
+    "modules.sensor_gain_spread": _SENSORS,
+    "modules.sensor_bias_spread_rad": _SENSORS,
+}
+"""Path of a number of a robot file → how the exported model departs from the twin with this number."""
+
+
+def describe_departures(robot: RobotFile) -> Iterator[str]:
+    """Yield a line for each number of a robot that its exported model lacks or approximates."""
+    on_bench = robot.geometry.connectors.value == 2
+    for path, record in robot.records().items():
+        departure = _DEPARTURES.get(path)
+        if departure and not (on_bench and departure is _LOADS):
+            unit = "" if record.unit == "1" else f" {record.unit}"
+            yield f"{path} = {record.value}{unit} {departure}"
 
 
 def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
-    """Write a robot and its scene; return the paths of the files.
+    """Write the files of `robot_files`; return their paths.
+
+    Raises:
+        InputError: the folder cannot be written, or the robot cannot be exported.
+    """
+    return write_files(robot_files(spec), folder)
+
+
+def write_files(files: dict[str, str], folder: Path) -> list[Path]:
+    """Write files together into a folder, which is created if it is missing; return their paths.
 
     Args:
-        spec: the robot.
-        folder: folder for ``<robot>.xml`` and ``scene.xml``; created if it is missing.
+        files: file name → text, files before those that include them.
+        folder: path of the folder.
 
     Raises:
         InputError: the folder cannot be written.
     """
-    files = robot_files(spec)
     with replace_files(folder, tuple(reversed(files))) as temporary:
         for name, text in files.items():
             (temporary / name).write_text(text, "utf-8")
@@ -47,21 +105,36 @@ def stale_files(spec: RobotSpec, folder: Path) -> list[str]:
     ]
 
 
-def robot_files(spec: RobotSpec) -> dict[str, str]:
+def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool = False) -> dict[str, str]:
     """Return a robot's MJCF files, file name → text.
 
+    Args:
+        spec: the robot.
+        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are used.
+        linear: export a robot with a dead zone without it.
+
     Raises:
-        InputError: the robot has a skin.
+        InputError: the robot has a skin, a tail on two axles, or a dead zone without `linear`.
     """
     if spec.skin is not None:
         raise InputError(
             f"{spec.name} has a skin: srs_twin computes its friction, which an MJCF file cannot contain"
         )
+    if spec.actuator.onset_share > 0.0 and not linear:
+        raise InputError(
+            f"{spec.name} has a dead zone (actuator.onset_share {spec.actuator.onset_share:g}, onset_rad "
+            f"{spec.actuator.onset:g} rad), but the actuators of an MJCF file are linear, and the model would "
+            "move as if it had none; --linear exports it for controls that you convert (models/README.md)"
+        )
     # A single segment cannot crawl: simulate it on a test bench.
     bench = spec.segments == 1
     timestep, base = ModelSettings.timestep * spec.scale.time, "clamped" if bench else "free"
     settings = ModelSettings(timestep, contact=PreloadedContact(), base=base)
-    robot, scene = robot_mjcf(spec, settings), scene_mjcf(spec, settings)
+    robot = robot_mjcf(spec, settings, supply_pa=supply_pa)
+    scene = scene_mjcf(spec, settings, supply_pa=supply_pa)
+    for model in (robot, scene):
+        _limit_moments(model, spec)
+        model.keys[0].qpos = model.compile().qpos_spring
     robot.comment = _comment(
         f"{spec.title}.",
         f"Generated from the robot '{spec.name}' (shipped ones: calibration/robots) by",
@@ -71,7 +144,30 @@ def robot_files(spec: RobotSpec) -> dict[str, str]:
     scene.comment = _comment(f"{spec.title}, {support}.", "Generated by `srs-twin models export`.")
     scene.modelname = f"{spec.name} scene"
     name, text = f"{spec.name}.xml", _text(robot)
-    return {name: text, SCENE: _include_robot(name, text, _text(scene))}
+    files = {name: text, SCENE: _include_robot(name, text, _text(scene))}
+    _adapt_to_mjx(scene)
+    return files | {SCENE_MJX: _text(scene)}
+
+
+def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Limit the moment of the air on each segment to the moment at the limit of its bend."""
+    limit = spec.bending.stiffness * spec.actuator.bend_limit
+    for tendon in mj.tendons if math.isfinite(limit) else ():
+        tendon.actfrclimited, tendon.actfrcrange = True, [-limit, limit]
+
+
+def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
+    """Remove what MJX and MuJoCo Warp refuse: the contact sensors, the integrator and a flag.
+
+    The other integrator adds no damping to the springs, which have their full dampers again.
+    """
+    for sensor in mj.sensors:
+        mj.delete(sensor)
+    mj.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    mj.option.disableflags = 0
+    classes = [mj.find_default(name).joint for name in ("hinge", "pitch", "roll")]
+    for joint in [*classes, *mj.joints]:
+        joint.damping[0] += mj.option.timestep * joint.stiffness[0]
 
 
 def _comment(*lines: str) -> str:

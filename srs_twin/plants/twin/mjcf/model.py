@@ -60,7 +60,7 @@ def robot_mjcf(
     Args:
         spec: the robot.
         settings: time step, discretisation, contact.
-        supply_pa: upper limit of the controls, Pa; at least the robot's continuous limit is used.
+        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are used.
         obstacle_friction: friction coefficient of hulls that touch obstacles (`surroundings`), 1; None for
             a body without hulls.
 
@@ -89,7 +89,7 @@ def robot_mjcf(
     mj.compiler.degree = False
     mj.compiler.autolimits = True
     _set_options(mj, settings)
-    limit = max(spec.supply.continuous_limit, supply_pa or 0.0)
+    limit = max(spec.supply.continuous_limit, spec.supply.pulsed_limit, supply_pa or 0.0)
     add_classes(mj, spec, settings, limit_pa=limit)
     if obstacle_friction is not None:
         add_hull_class(mj, spec, settings, obstacle_friction)
