@@ -82,9 +82,11 @@ def bare_loop(plant: TwinSnake, duration: float) -> tuple[Callable[[], None], mu
     return loop, data
 
 
-def step_controls(plant: TwinSnake, duration: float) -> np.ndarray:
+def step_controls(
+    plant: TwinSnake, duration: float, *, frequency: float = 2.0, offset: float = OFFSET
+) -> np.ndarray:
     """Return the chamber pressures at the beginning of each time step, shape (steps, 2 · segments), Pa."""
-    gait, chambers = Gait(2.0, OFFSET), copy.deepcopy(plant.pneumatics)
+    gait, chambers = Gait(frequency, offset), copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)
     chambers.reset()
     times = plant.timestep * np.arange(round(duration / plant.timestep))

@@ -5,9 +5,9 @@ floor-force sensors. Numbers are written in full precision, so that the files co
 twin's, bit for bit. ``scene_mjx.xml`` has the same robot and floor without the parts that MJX and MuJoCo Warp
 refuse.
 
-MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a limit of the moments, and a
-robot with a dead zone is refused unless its pressures are converted before they become controls
-(`pneumatics.chambers.equivalent_linear_pressure`). `describe_departures` names everything that the files lack.
+MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a limit of the moments, and
+a robot with a dead zone is refused unless its pressures are converted before they become controls
+(`equivalent_linear_pressure` of `pneumatics.chambers`). `describe_departures` names what the files lack.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ SCENE_MJX = "scene_mjx.xml"
 _LOADS = "is approximate: it acts on the static loads, and no wheel lifts"
 _PRESSURES = "is left out: controls are pressures, which change at once"
 _VOLUMES = "is left out: controls are pressures, which take no air"
-_ONSET = "is left out: convert pressures with equivalent_linear_pressure (models/README.md)"
+_CONVERT = "convert pressures with equivalent_linear_pressure (models/README.md)"
+_ONSET = f"is left out: {_CONVERT}"
+_LIMIT = f"is approximate, bends near it are up to 19 % too large: {_CONVERT}"
 _SENSORS = "is left out: the lengths of the tendons are the exact bends"
 _DRAWN = "is a single draw, with modules.seed (default 0)"
 
@@ -42,7 +44,7 @@ _DEPARTURES = {
     "actuator.tau_fill_s": _PRESSURES,
     "actuator.tau_vent_s": _PRESSURES,
     "actuator.response_time_s": _PRESSURES,
-    "actuator.bend_limit_rad": "is approximate: bends near the limit are up to 19 % too large",
+    "actuator.bend_limit_rad": _LIMIT,
     "actuator.onset_share": _ONSET,
     "actuator.onset_rad": _ONSET,
     "actuator.onset_width_rad": _ONSET,
@@ -123,8 +125,9 @@ def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool
     if spec.actuator.onset_share > 0.0 and not linear:
         raise InputError(
             f"{spec.name} has a dead zone (actuator.onset_share {spec.actuator.onset_share:g}, onset_rad "
-            f"{spec.actuator.onset:g} rad), but the actuators of an MJCF file are linear, and the model would "
-            "move as if it had none; --linear exports it for controls that you convert (models/README.md)"
+            f"{spec.actuator.onset:g} rad), but the actuators of an MJCF file are linear, and the model "
+            "would move as if it had none; --linear exports it for controls that you convert "
+            "(models/README.md)"
         )
     # A single segment cannot crawl: simulate it on a test bench.
     bench = spec.segments == 1
