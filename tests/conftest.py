@@ -27,6 +27,10 @@ settings.load_profile("srs_twin")
 # Each of the two workers has one core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
+# Messages name commands as this process was started, and tests may be started by `uv run`.
+for variable in ("UV", "UV_RUN_RECURSION_DEPTH"):
+    os.environ.pop(variable, None)
+
 # Tests start hundreds of commands, which would compile the package again without stored bytecode.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False

@@ -11,7 +11,7 @@ import sys
 import warnings
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.cli.console import INTERRUPTED, say, show_traceback
+from srs_twin.cli.console import INTERRUPTED, as_started, launcher, say, show_traceback
 from srs_twin.errors import (
     CacheWarning,
     EngineWarning,
@@ -52,13 +52,17 @@ def main(argv: list[str] | None = None) -> None:
     atexit.register(gc.freeze)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
-        for argument in sys.argv[1:] if argv is None else argv:
+        arguments = sys.argv[1:] if argv is None else argv
+        for argument in arguments:
             check_printable(argument)
         _check_current_folder()
         from srs_twin.cli.app import command
 
         try:
-            command()(args=argv, prog_name="srs-twin")
+            # Shells complete the installed program, which has no launcher.
+            completes = any(argument.endswith("-completion") for argument in arguments)
+            started = "srs-twin" if completes else f"{launcher()}srs-twin"
+            command()(args=argv, prog_name=started, complete_var="_SRS_TWIN_COMPLETE")
         finally:
             if sys.stdout is not None:
                 sys.stdout.flush()  # here an error can still be reported and determine the exit code
@@ -138,7 +142,7 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
 def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
     """Format a warning; warnings about the machine omit the location in the code."""
     return (
-        f"warning: {message}\n"
+        as_started(f"warning: {message}\n")
         if category in (CacheWarning, EngineWarning, SessionWarning)
         else _PYTHON_FORMATWARNING(message, category, *location)
     )

@@ -8,7 +8,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Annotated, Any, get_args
 
-from srs_twin.cli.console import console
+from srs_twin.cli.console import as_started, console, launcher
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
 from srs_twin.extensions import SCHEMAS, installed, load
@@ -67,13 +67,14 @@ def list_(
         else:
             _print_rows(name.capitalize(), rows)
     if kind is None:
-        print("`srs-twin list metrics` lists the metrics, `srs-twin show NAME` the values of a file.")
+        hint = "`srs-twin list metrics` lists the metrics, `srs-twin show NAME` the values of a file."
+        print(as_started(hint))
 
 
 def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
     """Print the scenarios to begin with, then all scenarios by group."""
     beginning = [{"name": name, "title": text} for name, text in _BEGINNING.items()]
-    _print_rows("Scenarios to begin with (srs-twin compare NAME)", beginning)
+    _print_rows(f"Scenarios to begin with ({launcher()}srs-twin compare NAME)", beginning)
     for title, group in scenario_groups(rows).items():
         _print_rows(f"Scenarios: {title} ({len(group)})", group)
 

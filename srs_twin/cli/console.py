@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import sys
 import threading
@@ -27,10 +28,29 @@ INTERRUPTED = 130
 """Exit code of an interrupted command."""
 
 
+_HINT = re.compile(r"(`(?:\w+=\w+ )?)(srs-twin )")
+
+
+def launcher() -> str:
+    """Return what the user typed in front of `srs-twin`: "uv run ", "uvx " or nothing."""
+    if "UV_RUN_RECURSION_DEPTH" in os.environ:  # set by `uv run`
+        return "uv run "
+    # `uvx` sets only UV, which a user may set as well; its environments are in uv's archive.
+    return "uvx " if "UV" in os.environ and "archive-v" in sys.prefix else ""
+
+
+def as_started(text: str) -> str:
+    """Return a message whose commands in backticks begin as this command was started."""
+    return _HINT.sub(rf"\1{launcher()}\2", text)
+
+
 def say(*lines: str, quiet: bool = False) -> None:
-    """Print lines on stderr without buffering, control characters escaped; print nothing if `quiet`."""
+    """Print lines on stderr without buffering, control characters escaped; print nothing if `quiet`.
+
+    Commands in backticks are printed as this command was started; see `as_started`.
+    """
     for line in () if quiet else lines:
-        print(escape_unprintable(line, keep="\n\t"), file=sys.stderr, flush=True)
+        print(escape_unprintable(as_started(line), keep="\n\t"), file=sys.stderr, flush=True)
 
 
 @contextmanager

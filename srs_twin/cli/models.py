@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from srs_twin.cli.console import as_started
 from srs_twin.cli.options import JsonOption, argument, expand_option_groups, option, print_json
 from srs_twin.errors import InputError, UnknownNameError
 
@@ -90,7 +91,8 @@ def check(
         failed += bool(faults)
         reports.append({"model": model, "faults": faults, "notes": list(report.notes), **report.sizes})
         for line in faults or [_success_message(report, current=robot is not None), *report.notes]:
-            typer.echo(f"{display_path(path)}: {escape_unprintable(line)}", err=bool(faults) or as_json)
+            text = escape_unprintable(as_started(line))
+            typer.echo(f"{display_path(path)}: {text}", err=bool(faults) or as_json)
     if as_json:
         print_json({"models": reports})
     if failed:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, NamedTuple
 
 import typer
 
-from srs_twin.cli.console import say
+from srs_twin.cli.console import launcher, say
 from srs_twin.cli.options import argument, expand_option_groups, option
 from srs_twin.errors import InputError
 from srs_twin.extensions import LOADERS, load
@@ -261,4 +261,4 @@ def _filled(template: str, values: dict[str, Any]) -> str:
 
 def _print_next_command(path: Path, command: str) -> None:
     say(f"wrote {path}; it is valid")
-    print(f"next: {command}")
+    print(f"next: {launcher()}{command}")

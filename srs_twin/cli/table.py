@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Container, Mapping
 from typing import TYPE_CHECKING, Any
 
-from srs_twin.cli.console import console, new_table
+from srs_twin.cli.console import as_started, console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.contacts import CONTACT_EVENTS
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows, tidy
@@ -75,7 +75,8 @@ def show(result: RunResult) -> None:
     checked = result.metrics["expectations"]
     heading = [f"expectations of the scenario: {tally(Counter(map(verdict, checked)))}"] if checked else []
     for text in [*event_lines(result.metrics), *heading, *expectation_lines(result.metrics), *left_out]:
-        for wrapped in textwrap.wrap(text, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
+        hint = as_started(text)
+        for wrapped in textwrap.wrap(hint, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
             print(wrapped)
 
 

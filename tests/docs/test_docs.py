@@ -201,8 +201,9 @@ def test_python_runs_as_a_script(page, tmp_path):
     page.run_script(tmp_path)
 
 
-def test_first_readme_command_gives_the_documented_output(tmp_path, srs_twin):
+def test_first_readme_command_gives_the_documented_output(tmp_path, srs_twin, monkeypatch):
     README.save_files(tmp_path)
+    monkeypatch.setenv("UV_RUN_RECURSION_DEPTH", "1")  # as `uv run` does
     first = README.commands[0]
     assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
     main_job = first.partition("srs-twin ")[2]

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from srs_twin.cli.console import as_started
 from srs_twin.cli.options import JsonOption, option, print_json
 from srs_twin.errors import InputError
 
@@ -60,7 +61,7 @@ def _show(checks: Sequence[Check]) -> None:
             indent = " " * len(head)
             wrapper = textwrap.TextWrapper(width, initial_indent=head, subsequent_indent=indent)
             wrapper.break_on_hyphens = wrapper.break_long_words = False
-            typer.echo(wrapper.fill(check.detail))
+            typer.echo(wrapper.fill(as_started(check.detail)))
             if check.remedy:
                 # Not wrapped, so that commands can be copied.
-                typer.echo(f"{indent}→ {check.remedy}")
+                typer.echo(as_started(f"{indent}→ {check.remedy}"))

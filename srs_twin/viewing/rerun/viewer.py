@@ -89,7 +89,7 @@ def verify_recording(path: str | Path) -> None:
 def _recording(path: str | Path) -> Path:
     recording = Path(path)
     if not recording.is_file():
-        raise InputError(f"{path}: no such recording; 'srs-twin run SCENARIO' writes one")
+        raise InputError(f"{path}: no such recording; `srs-twin run SCENARIO` writes one")
     return recording
 
 
