@@ -330,7 +330,7 @@ def load_fit(path: str | os.PathLike[str]) -> FitFile:
         InputError: the file does not exist or cannot be read.
         InputFileError: the file is invalid; lists all problems.
     """
-    return load_model(FitFile, require_file(Path(path)))
+    return load_model(FitFile, require_file(Path(path)), {("robot",): "robot"})
 
 
 def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:

@@ -201,7 +201,8 @@ def merge_overrides(
     block: dict[str, Any] = {}
     spec = load_robot_file(loaded[0].robot).spec()
     for path, fit in zip(fits, loaded, strict=True):
-        if fit.robot != (expected := base or loaded[0].robot):
+        expected = base or loaded[0].robot
+        if Path(fit.robot).resolve() != Path(expected).resolve():
             raise InputError(
                 f"{path}: a fit of robot {fit.robot}, not of {expected}; fits can only change the robot from "
                 "which they started"

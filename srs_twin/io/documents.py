@@ -20,7 +20,7 @@ import yaml
 from yaml.reader import ReaderError
 
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.io.files import MAX_BYTES, display_path, escape_unprintable, read_text
+from srs_twin.io.files import MAX_BYTES, display_path, escape_unprintable, is_path, place_of, read_text
 
 Loc = tuple[str | int, ...]
 """Path of a value in nested data: keys and list indices."""
@@ -90,6 +90,7 @@ class Document:
         refused: positions of invalid YAML; further problems at these positions are not reported.
         override_labels: labels of the applied overrides; values of the k-th override have the position
             (−k, 0).
+        folder: folder of the file; None for data made in memory.
     """
 
     name: str
@@ -99,6 +100,7 @@ class Document:
     problems: list[tuple[Position, str]] = field(default_factory=list)
     refused: set[Position] = field(default_factory=set)
     override_labels: list[str] = field(default_factory=list)
+    folder: Path | None = None
 
     def apply(self, override: Override) -> None:
         """Set the value of an override; a name on its path becomes the `base` of a mapping."""
@@ -141,6 +143,26 @@ class Document:
         for key in loc:
             value = child(value, key)
         return value
+
+    def locate(self, loc: Loc, kind: str = "") -> None:
+        """Replace a path by its place, see `place_of`, or report that nothing is there.
+
+        Paths that an override or a program gives are relative to the current folder and stay as they are.
+
+        Args:
+            loc: path of the value in the data.
+            kind: kind of shipped files whose name may be given instead; empty: the text is always a path.
+        """
+        text, position = self.get(*loc), self.values.get(loc, (0, 0))
+        if self.folder is None or position <= (0, 0) or not isinstance(text, str) or not text:
+            return
+        if kind and not is_path(text):
+            return
+        try:
+            self.get(*loc[:-1])[loc[-1]] = place_of(text, self.folder, kind)
+        except InputError as error:
+            self.report(loc, str(error))
+            self.refused.add(position)
 
     def existing_prefix(self, loc: Loc) -> Loc:
         """Return the longest prefix of a path that exists in the data."""
@@ -204,7 +226,9 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
         InputError: the file cannot be read.
         InputFileError: the file is not YAML.
     """
-    return parse_yaml(read_text(path, limit=limit), display_path(path))
+    document = parse_yaml(read_text(path, limit=limit), display_path(path))
+    document.folder = path.parent
+    return document
 
 
 def parse_yaml(text: str, name: str) -> Document:

@@ -57,6 +57,32 @@ _LIST_COMMANDS = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "rob
 }
 
 
+def is_path(text: str) -> bool:
+    """Return whether a text is the path of a file, not the name of a shipped one."""
+    return "/" in text or os.sep in text or text.endswith(_SUFFIXES)
+
+
+def place_of(text: str, folder: Path, kind: str = "") -> str:
+    """Return the place of a path that a file gives: beside that file, or else in the current folder.
+
+    Args:
+        text: the path, relative or absolute.
+        folder: folder of the file that gives it.
+        kind: kind of shipped files that the message about a missing file suggests.
+
+    Raises:
+        InputError: there is nothing at either place.
+    """
+    beside = folder / text
+    if os.path.lexists(beside):
+        return str(beside)
+    if not os.path.lexists(text):
+        suffix = Path(text).suffix or ".yaml"
+        names = shipped_names(kind) if kind else ()
+        require_file(Path(text), suffix=suffix, names=names, beside=beside)
+    return text
+
+
 def find_file(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
     """Return the path of a file that is given by its path or by the name of a shipped file.
 
@@ -72,7 +98,7 @@ def find_file(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
         UnknownNameError: no shipped file has the name.
     """
     text, names = os.fspath(name_or_path), shipped_names(kind)
-    if isinstance(name_or_path, os.PathLike) or "/" in text or os.sep in text or text.endswith(_SUFFIXES):
+    if isinstance(name_or_path, os.PathLike) or is_path(text):
         return require_file(Path(text), names=names)
     if text in names:
         return shipped_folder(kind) / f"{text}.yaml"
@@ -266,7 +292,14 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
         temporary.write_text(text, "utf-8")
 
 
-def require_file(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: Iterable[str] = ()) -> Path:
+def require_file(
+    path: Path,
+    *,
+    suffix: str = ".yaml",
+    remedy: str = "",
+    names: Iterable[str] = (),
+    beside: Path | None = None,
+) -> Path:
     """Return the path if it is a regular file; devices and pipes may never end.
 
     Args:
@@ -274,6 +307,7 @@ def require_file(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: 
         suffix: suffix of the files to suggest.
         remedy: text for the message if no similar file exists.
         names: names of shipped files to suggest.
+        beside: another place where the file was looked for.
 
     Raises:
         InputError: the file is missing or not a regular file, or the name is not allowed.
@@ -297,9 +331,16 @@ def require_file(path: Path, *, suffix: str = ".yaml", remedy: str = "", names: 
     except OSError as error:
         # The name is too long, or a folder may not be entered.
         raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
-    siblings = [str(path.with_name(p.name)) for p in path.parent.glob(f"*{suffix}")] if path.name else []
+    places = dict.fromkeys([beside or path, path])
+    siblings = [
+        str(path.with_name(found.name))
+        for place in places
+        for found in place.parent.glob(f"*{suffix}")
+        if path.name
+    ]
     hint = did_you_mean(str(path), siblings) or did_you_mean(str(path), names) or remedy
-    raise InputError(f"{display_path(path)}: no such file{hint}")
+    looked = f" (looked for {' and '.join(map(display_path, places))})" if len(places) > 1 else ""
+    raise InputError(f"{display_path(path)}: no such file{looked}{hint}")
 
 
 def check_output_folder(folder: Path, products: Sequence[str] = (), *, option: str = "--out") -> None:

@@ -83,18 +83,21 @@ class StrictModel(BaseModel):
     )
 
 
-def load_model(model: type[Model], path: Path) -> Model:
+def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) -> Model:
     """Load and validate a YAML file.
 
     Args:
         model: a subclass of `StrictModel`.
         path: path of the file.
+        paths: keys of the file that name other files → kind of shipped files, see `Document.locate`.
 
     Raises:
         InputError: the file cannot be read.
         InputFileError: the file is not valid; the message lists all problems.
     """
     document = load_yaml(path)
+    for loc, kind in paths.items():
+        document.locate(loc, kind)
     file = validate(model, document, document.data)
     document.raise_problems()
     assert file is not None, "a document without problems has a model"

@@ -1,18 +1,20 @@
 """Set-up file of a lab (`srs-twin shadow --setup lab.yaml`): robot, broker, motion capture and limits.
 
 Each key sets an option of `srs-twin shadow`; options on the command line override the file.
-Paths are taken from the current folder, as those of the options.
+Paths are relative to the folder of the file, or else to the current folder.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Container
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, field_validator
 
 from srs_twin.errors import InputError
+from srs_twin.io.documents import Loc
 from srs_twin.io.files import require_file
 from srs_twin.io.validation import load_model
 from srs_twin.live import links, natnet
@@ -110,14 +112,23 @@ class SetupFile(Section):
         return {name: value for name, value in values.items() if value is not None}
 
 
-def load_setup(path: Path) -> SetupFile:
+_PATHS: dict[Loc, str] = {("robot",): "robot", ("broker", "ca"): ""}
+"""Keys that name files; see `Document.locate`."""
+
+
+def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
     """Load and check a set-up file.
+
+    Args:
+        path: path of the file.
+        overridden: keys with other values on the command line, whose files need not exist.
 
     Raises:
         InputError: the file cannot be read.
         InputFileError: everything that is wrong with it, with line and column.
     """
-    return load_model(SetupFile, require_file(path))
+    used = {loc: kind for loc, kind in _PATHS.items() if loc[-1] not in overridden}
+    return load_model(SetupFile, require_file(path), used)
 
 
 def setup_json_schema() -> dict[str, object]:

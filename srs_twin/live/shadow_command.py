@@ -64,8 +64,9 @@ class LabOptions:
         """
         from srs_twin.live.setup_file import load_setup
 
-        values = load_setup(path).options()
-        return replace(self, **{name: values[name] for name in values if not _is_given(context, name)})
+        given = [name for name in context.params if _is_given(context, name)]
+        values = load_setup(path, given).options()
+        return replace(self, **{name: values[name] for name in values if name not in given})
 
     @property
     def topic_name(self) -> str:

@@ -344,4 +344,5 @@ PLANNER = SectionEntry(
     PlannerFile | None,
     "Planner of the path to the goal (controller.kind: follow).",
     _input_files,
+    {"footprint": "footprint"},
 )

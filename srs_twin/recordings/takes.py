@@ -172,7 +172,7 @@ class ReplayFile(ControllerSection):
 
 
 class RecordingFile(ExtensionSection):
-    """Recorded motion of a robot with its log (docs/logs.md); paths are relative to the current folder."""
+    """Recorded motion of a robot with its log (docs/logs.md)."""
 
     constructors = (RecordingReader,)
     measures = True
@@ -212,9 +212,6 @@ class RecordingFile(ExtensionSection):
         """See `ExtensionSection.resolve`."""
         if product is None:
             return
-        # Store absolute paths, so that the run can be read from any folder.
-        for key in document["recording"].keys() & {"motion", "valves"}:
-            document["recording"][key] = str(Path(document["recording"][key]).resolve())
         if product.pressures() is not None:
             del document["pneumatics"]
         if not file.bench and "start" not in file.model_fields_set:
@@ -287,4 +284,5 @@ RECORDING = SectionEntry(
     RecordingFile | None,
     "What was measured of the robot, to replay and to hold the plants against (controller.kind: replay).",
     _input_files,
+    {"motion": "", "valves": ""},
 )

@@ -13,7 +13,7 @@ example a planner or a recording. The products are stored in `Scenario.products`
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Protocol, Self
@@ -256,16 +256,39 @@ class SectionEntry:
         description: description for the reference and the JSON Schema.
         input_files: function of a section as plain data; yields the paths of the files that the section
             reads.
+        paths: keys that name a file → kind of shipped files, see `Document.locate`.
     """
 
     annotation: Any
     description: str
     input_files: Callable[[Mapping[str, Any]], Iterator[str]] = _no_files
+    paths: Mapping[str, str] = field(default_factory=dict)
 
 
 def section_entries() -> dict[str, SectionEntry]:
     """Return the section entries of the installed extensions by name."""
     return dict(objects(SECTIONS))
+
+
+_CORE_PATHS: dict[Loc, str] = {
+    ("robot",): "robot",
+    ("robot", "base"): "robot",
+    ("world", "map"): "",
+    ("world", "circles"): "",
+    ("start", "from"): "",
+}
+
+
+def path_fields(sections: Container[str]) -> dict[Loc, str]:
+    """Return the fields of a scenario that name a file → kind of shipped files, see `Document.locate`.
+
+    Args:
+        sections: sections in use; those of other extensions are not imported.
+    """
+    used = (name for name in SECTIONS if name in sections)
+    entries = {name: load(SECTIONS[name]) for name in used}
+    more = {(name, key): kind for name in entries for key, kind in entries[name].paths.items()}
+    return _CORE_PATHS | more
 
 
 def input_files(document: Mapping[str, Any]) -> Iterator[str]:

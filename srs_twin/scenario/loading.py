@@ -17,7 +17,7 @@ from typing import Any
 
 from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.io.documents import Document, Override, format_path, load_yaml, parse_path
-from srs_twin.io.files import find_file, results_name
+from srs_twin.io.files import find_file, is_path, results_name
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, find_unit_mistakes, resolve_robot
 from srs_twin.robot.sourced import replace_value
@@ -29,7 +29,7 @@ from srs_twin.scenario.checks import (
     check_start,
     check_supply_pressure,
 )
-from srs_twin.scenario.fields import Loading
+from srs_twin.scenario.fields import Loading, path_fields
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.plants import PRESET, with_preset
@@ -73,7 +73,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
     """Return the scenario of a document with changed fields; `name` is the default of its name."""
     if isinstance(changes, Mapping):
         changes = [Override(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
-    unmodified = copy.deepcopy(document.data) if changes else None
+    unmodified = copy.deepcopy(document) if changes else document
     for change in changes:
         _set(document, change)
     file, loading = _checked(document)
@@ -117,6 +117,7 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
     Raises:
         InputFileError: all problems of the document.
     """
+    _locate_files(document)
     file = validate(ScenarioFile, document, document.data)
     robot, robot_problems = _robot(document)
     warnings = check_supply_pressure(document, robot) if robot else []
@@ -170,15 +171,22 @@ def _set(document: Document, change: Override) -> None:
     document.apply(change)
 
 
-def _resolved_or_raw(data: Any, products: Mapping[str, object]) -> dict[str, Any]:
+def _locate_files(document: Document) -> None:
+    if document.folder is not None and isinstance(document.data, dict):
+        for loc, kind in path_fields(document.data).items():
+            document.locate(loc, kind)
+
+
+def _resolved_or_raw(document: Document, products: Mapping[str, object]) -> dict[str, Any]:
     """Return the resolved data of an unmodified scenario, or the data unchanged if they are not valid.
 
     Args:
-        data: plain data before the changes.
+        document: document before the changes.
         products: products of the sections of the modified scenario.
     """
-    plain = data if isinstance(data, dict) else {}
-    document = Document("", plain)
+    plain: dict[str, Any] = document.data if isinstance(document.data, dict) else {}
+    document.data = plain
+    _locate_files(document)
     file, (robot, _) = validate(ScenarioFile, document, plain), _robot(document)
     if file is None or robot is None:
         return plain
@@ -226,13 +234,18 @@ def _resolved(
         "sensor": file.sensor.resolved().model_dump(exclude_none=True),
         "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
     }
-    # Store absolute paths, because the run may be read from another working folder.
-    for key in document["world"].keys() & {"map", "circles"}:
-        document["world"][key] = str(Path(document["world"][key]).resolve())
     if "from" in document.get("start", {}):
-        document["start"] = {"from": str(Path(file.start.run or "").resolve()), "time_s": file.start.time_s}
+        document["start"] = {"from": file.start.run, "time_s": file.start.time_s}
     for key, section in file.sections().items():
         section.resolve(document, file, products.get(key))
+    # Store absolute paths, because the run may be read from another working folder.
+    for loc, kind in path_fields(document).items():
+        block: Any = document
+        for section_name in loc[:-1]:
+            block = block.get(section_name, {})
+        path = block.get(loc[-1])
+        if isinstance(path, str) and (is_path(path) or not kind):
+            block[loc[-1]] = str(Path(path).resolve())
     for kind, plant in document["plants"].items():
         plant["tick_s"] = file.tick(kind)
         section = getattr(file.plants, kind)

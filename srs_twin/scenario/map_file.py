@@ -27,7 +27,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, field_validator
 
 from srs_twin.errors import InputError
-from srs_twin.io.documents import load_yaml
+from srs_twin.io.documents import Document, load_yaml
 from srs_twin.io.files import display_path, read_text, require_file
 from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.world import Circle, Polygon
@@ -59,9 +59,7 @@ class MapFile(StrictModel):
 
     model_config = ConfigDict(extra="ignore")
 
-    image: Annotated[
-        str, Field(min_length=1, max_length=1000)
-    ]  # path relative to the folder of the YAML file
+    image: Annotated[str, Field(min_length=1, max_length=1000)]  # path of the picture
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # side of a pixel, m
     # x and y of the lower left corner, m, and rotation, rad
     origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
@@ -116,11 +114,11 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
         InputFileError: a value is not allowed, or the picture cannot be read.
         InputError: the file cannot be read.
     """
-    document = load_yaml(path)
+    document = _document(path)
     rectangles: list[list[int]] = []
     if file := validate(MapFile, document, document.data):
         with document.report_errors("image"):
-            rectangles = _rectangles(file.blocked(*_picture(path.parent / file.image))[::-1])
+            rectangles = _rectangles(file.blocked(*_picture(Path(file.image)))[::-1])
     document.raise_problems()
     assert file is not None, "no problem was reported"
     size, (x, y, turn) = file.resolution, file.origin
@@ -133,10 +131,16 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
     return tuple(polygons)
 
 
+def _document(path: Path) -> Document:
+    document = load_yaml(path)
+    document.locate(("image",))
+    return document
+
+
 def pictures_of(path: Path) -> list[Path]:
     """Return the path of the picture of a map; an empty list if the map cannot be read."""
     try:
-        return [path.parent / str(load_yaml(path).data["image"])]
+        return [Path(_document(path).data["image"])]
     except (InputError, KeyError, TypeError):
         return []
 

@@ -274,9 +274,9 @@ class WorldFile(Section):
     obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
     """Round obstacles."""
     circles: FilePath | None = None
-    """CSV file of round obstacles with columns x_m, y_m, radius_m; path relative to the current folder."""
+    """CSV file of round obstacles with columns x_m, y_m, radius_m."""
     map: FilePath | None = None
-    """ROS occupancy map: YAML file with a PGM or PNG picture; path relative to the current folder."""
+    """ROS occupancy map: YAML file with a PGM or PNG picture."""
     polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = []
     """Polygonal obstacles."""
     random: RandomFile | None = None

@@ -38,7 +38,8 @@ OPTIONS = {
 
 def test_a_setup_file_has_the_values_of_the_options(tmp_path):
     (tmp_path / "lab.yaml").write_text(LAB)
-    assert load_setup(tmp_path / "lab.yaml").options() == OPTIONS
+    (tmp_path / "ca.pem").touch()
+    assert load_setup(tmp_path / "lab.yaml").options() == OPTIONS | {"ca": tmp_path / "ca.pem"}
     (tmp_path / "lab.yaml").write_text("robot: gen4\n")
     assert load_setup(tmp_path / "lab.yaml").options() == {"robot": "gen4", "press_on": False}
 
@@ -92,6 +93,7 @@ def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
 
 def test_options_override_the_setup_file(srs_twin, tmp_path, monkeypatch):
     (tmp_path / "lab.yaml").write_text(LAB)
+    (tmp_path / "ca.pem").touch()
     found = asked_for(srs_twin, tmp_path, monkeypatch, "--setup", "lab.yaml")
     assert (found.name, found.broker, found.user, found.ca) == (
         "snake",

@@ -113,7 +113,7 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
             "occupied_thresh: must be a number from 0 to 1, not 65",
         ),
         ("room.pgm", "rom.pgm", "room.yaml:1:8: image: "),
-        ("room.pgm", "rom.pgm", "rom.pgm: no such file; did you mean "),
+        ("room.pgm", "rom.pgm", " and rom.pgm); did you mean room.pgm?"),
         ("room.pgm", "[room.pgm]", "image: must be text of 1 to 1000 characters, not a list of 1"),
         ("image: room.pgm\n", "", "image: missing"),
         ("negate: 0", "mode: raw", "room.yaml:4:7: mode: must be one of trinary, scale, not text 'raw'"),

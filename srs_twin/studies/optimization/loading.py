@@ -22,7 +22,13 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.modified import Changes as ChangedFields
 from srs_twin.scenario.modified import changed_fields, marked
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.sweep.loading import base_scenario, changed_base, problems_at, with_suggestion
+from srs_twin.studies.sweep.loading import (
+    base_scenario,
+    changed_base,
+    locate_files,
+    problems_at,
+    with_suggestion,
+)
 from srs_twin.studies.sweep.points import (
     Changes,
     Experiment,
@@ -261,10 +267,11 @@ def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] 
     for change in set:
         loc = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
         document.apply(replace(change, loc=loc))
+    complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
     scenario, scenario_errors = (None, ()) if file is None else base_scenario(document)
     study = None
-    if file is not None and scenario is not None:
+    if complete and file is not None and scenario is not None:
         _check_metrics(document, file)
         study = _study(results_name(path), document, file, scenario)
         _check_range_ends(document, study)

@@ -13,11 +13,13 @@ import numpy as np
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, format_names
+from srs_twin.extensions import SECTIONS
 from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml, parse_path
 from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
+from srs_twin.scenario.fields import path_fields
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import Changes, affects, changed_fields, marked, with_plants
 from srs_twin.scenario.plants import PLANTS
@@ -136,10 +138,11 @@ def load_sweep(
         document.apply(replace(change, loc=("fixed", format_path(change.loc))))
     if plants is not None:
         document.apply(Override(f"--plants {','.join(plants)}", ("plants",), list(plants)))
+    complete = locate_files(document)
     file = validate(SweepFile, document, document.data)
     scenario, scenario_errors = base_scenario(document)
     sweep = None
-    if file is not None and scenario is not None:
+    if complete and file is not None and scenario is not None:
         sweep = _Loader(document, file, scenario).sweep(name)
     document.raise_problems(scenario_errors)
     assert sweep is not None and scenario is not None, "a document without problems gives a sweep"
@@ -217,6 +220,23 @@ def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
 def _affecting_fields(changes: Changes, metric: str) -> list[str]:
     """Return the changed fields that affect a metric of any plant."""
     return [change["field"] for change in changes if any(affects(change["field"], metric, p) for p in PLANTS)]
+
+
+def locate_files(document: Document) -> bool:
+    """Replace the paths in a sweep or a study by their places; return whether all files exist."""
+    before = len(document.problems)
+    document.locate(("scenario",), "scenario")
+    kinds = {format_path(loc): kind for loc, kind in path_fields(SECTIONS).items()}
+    for section in (("fixed",), ("vary",), ("beside", "at")):
+        block = document.get(*section)
+        for field in block if isinstance(block, Mapping) else ():
+            if (kind := kinds.get(field)) is None:
+                continue
+            document.locate((*section, field), kind)
+            values = block[field]
+            for i in range(len(values)) if isinstance(values, list) else ():
+                document.locate((*section, field, i), kind)
+    return len(document.problems) == before
 
 
 def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
