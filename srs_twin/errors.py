@@ -105,6 +105,10 @@ class InputFileError(InputError):
         super().__init__("\n".join(self.lines))
 
 
+class UnitWarning(UserWarning):
+    """A number of a robot file does not fit the others; it may be in another unit."""
+
+
 class EngineWarning(UserWarning):
     """A computation ran on another engine than requested."""
 
@@ -144,7 +148,7 @@ class TaskFailedError(SrsError):
         message = " ".join(str(error).split())
         super().__init__(
             f"internal error: {type(error).__name__}: {message}{where}. "
-            "This is a bug in srs-twin, not in your files: please report it as CONTRIBUTING.md describes"
+            "This is a bug in srs-twin, not in your files: please report it with the command and your files"
         )
 
 

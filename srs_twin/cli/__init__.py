@@ -19,6 +19,7 @@ from srs_twin.errors import (
     SessionWarning,
     SrsError,
     TaskFailedError,
+    UnitWarning,
 )
 from srs_twin.io.files import check_printable
 
@@ -143,7 +144,7 @@ def _format_warning(message: Any, category: type[Warning], *location: Any) -> st
     """Format a warning; warnings about the machine omit the location in the code."""
     return (
         as_started(f"warning: {message}\n")
-        if category in (CacheWarning, EngineWarning, SessionWarning)
+        if category in (CacheWarning, EngineWarning, SessionWarning, UnitWarning)
         else _PYTHON_FORMATWARNING(message, category, *location)
     )
 

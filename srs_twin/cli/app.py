@@ -81,6 +81,9 @@ def options(
         bool, option("--version", "Print the version.", callback=_print_version, is_eager=True)
     ] = False,
 ) -> None:
-    """Simulate a soft robotic snake: equal valve commands drive an analytical model and a MuJoCo twin."""
+    """Simulate a soft robotic snake: equal valve commands drive an analytical model and a MuJoCo twin.
+
+    Texts name pages as docs/NAME.md; `srs-twin show docs/NAME.md` prints one.
+    """
     if debug:
         os.environ[DEBUG] = "1"

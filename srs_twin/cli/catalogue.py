@@ -128,13 +128,19 @@ def show(
     name: Annotated[str, argument("NAME", shipped=["scenario", "robot"])],
     as_json: JsonOption = False,
 ) -> None:
-    """Show all values of a scenario or robot, with sources.
+    """Show all values of a scenario or robot, with sources, or a page of the documentation.
 
     Default values are included.
 
     Options:
-        name: Shipped scenario or robot, or a scenario or robot file.
+        name: Shipped scenario or robot, a scenario or robot file, or a page such as docs/models.md.
     """
+    page = name.partition("#")[0]
+    if page.endswith(".md"):
+        from srs_twin.io.files import data_root, read_text
+
+        print(read_text(data_root() / page), end="")
+        return
     document = _resolved(name)
     if as_json:
         print_json(document)

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Self
 
-from srs_twin.io.files import escape_unprintable
+from srs_twin.io.files import data_root, escape_unprintable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,6 +28,7 @@ INTERRUPTED = 130
 """Exit code of an interrupted command."""
 
 
+_PAGE = re.compile(r"\bdocs/[\w/-]+\.md(#[\w-]+)?")
 _HINT = re.compile(r"(`(?:\w+=\w+ )?)(srs-twin )")
 
 
@@ -40,7 +41,12 @@ def launcher() -> str:
 
 
 def as_started(text: str) -> str:
-    """Return a message whose commands in backticks begin as this command was started."""
+    """Return a message whose commands in backticks begin as this command was started.
+
+    In an installed wheel, the pages of the documentation become commands that print them.
+    """
+    if data_root().name == "_data":
+        text = _PAGE.sub(r"`srs-twin show \g<0>`", text)
     return _HINT.sub(rf"\1{launcher()}\2", text)
 
 

@@ -6,7 +6,7 @@ import json
 import math
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -17,7 +17,7 @@ import typer
 
 from srs_twin.cli.console import launcher, say
 from srs_twin.cli.options import argument, expand_option_groups, option
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, InputFileError
 from srs_twin.extensions import LOADERS, load
 
 app = typer.Typer(
@@ -68,7 +68,7 @@ class RobotOptions:
 
     length: Annotated[float | None, option("--length M")] = None
     mass: Annotated[float | None, option("--mass KG")] = None
-    segments: Annotated[int | None, option("--segments N")] = None
+    segments: Annotated[int | None, option("--segments N", max=63)] = None
     pressure: Annotated[float | None, option("--pressure KPA")] = None
     bend: Annotated[float | None, option("--bend RAD")] = None
     skin: Annotated[bool, option("--skin")] = False
@@ -82,9 +82,7 @@ class RobotOptions:
         """
         count = int(_answer("number of segments", self.segments, 4))
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
-        scale = length / max(count, 1) / _PITCH_M
-        default_mass = float(f"{_MASS_KG / 5 * (count + 1) * scale**3:.3g}")
-        mass = _answer("mass of the robot, kg", self.mass, default_mass)
+        mass = _answer("mass of the robot, kg", self.mass, _default_mass(count, length))
         if self.servo and self.pressure is not None:
             raise InputError("a robot with servos has no supply; remove --pressure or --servo")
         supply = (
@@ -116,6 +114,36 @@ class RobotSize(NamedTuple):
     pressure: float
     bend: float
 
+    def doubts(self) -> list[str]:
+        """Return which options differ from a scaled generation 2 so much that their unit is in doubt."""
+        from srs_twin.robot.plausibility import likely_unit
+
+        length = self.segments * _PITCH_M
+        mass = _default_mass(self.segments, self.length)
+        usual = {"length": length, "mass": mass, "pressure": _PRESSURE_KPA, "bend": _BEND_RAD}
+        found = []
+        for name, (unit, low, high) in _PLAUSIBLE.items():
+            value: float = getattr(self, name)
+            if not low <= value / usual[name] <= high:
+                text = f"--{name} {value:g} is in {unit}; scaled from generation 2, it would be"
+                hint = likely_unit(value, unit, usual[name])
+                found.append(f"{text} {usual[name]:.3g} {unit}; {hint}")
+        return found
+
+
+_PLAUSIBLE = {
+    "length": ("m", 1 / 16, 16.0),
+    "mass": ("kg", 1 / 50, 50.0),
+    "pressure": ("kPa", 1 / 6, 20.0),
+    "bend": ("rad", 0.0, 4.0),
+}
+"""Option → unit, and plausible multiples of the value of a scaled generation 2."""
+
+
+def _default_mass(segments: int, length: float) -> float:
+    scale = length / max(segments, 1) / _PITCH_M
+    return float(f"{_MASS_KG / 5 * (segments + 1) * scale**3:.3g}")
+
 
 _DEFAULT_ROBOT = RobotOptions()
 
@@ -128,17 +156,19 @@ def robot(name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOp
     size = options.ask()
     from srs_twin.robot.file import load_robot
 
-    values = _robot_values(size, servo=options.servo)
+    values: dict[str, Any] = _robot_values(size, servo=options.servo)
     values["wheels"] = "" if options.skin else _filled("wheels_geometry.txt", values)
     values["contact"] = _filled("skin_contact.txt" if options.skin else "wheels_contact.txt", values)
     values["spring"] = "" if options.servo else _filled("pressure_spring.txt", values)
     values["drive"] = _filled("servo_drive.txt" if options.servo else "pressure_drive.txt", values)
     title = f"{name}: {size.segments} segments, {size.length:g} m, {size.mass:g} kg"
-    path = _write("robot.yaml", name, out, load_robot, title=title, **values)
+    doubts = size.doubts()
+    path = _write("robot.yaml", name, out, load_robot, doubts=doubts, title=title, **values)
+    say(*(f"warning: {doubt}" for doubt in doubts))
     _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
 
 
-def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, float | str]:
+def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
     """Return the values of the templates of robots."""
     from srs_twin.robot.spec import GRAVITY
 
@@ -192,7 +222,7 @@ def scenario(
     title = f"{name}: straight at {frequency:g} Hz"
     from srs_twin.scenario.loading import load_scenario
 
-    values = {"robot": json.dumps(robot), "frequency": frequency, "duration": duration}
+    values: dict[str, Any] = {"robot": json.dumps(robot), "frequency": frequency, "duration": duration}
     path = _write("scenario.yaml", name, out, load_scenario, title=title, **values)
     _print_next_command(path, f"srs-twin compare {path}")
 
@@ -232,8 +262,19 @@ def _answer(question: str, value: float | None, default: float) -> float:
     return float(typer.prompt(question, default=default, err=True))
 
 
-def _write(template: str, name: str, out: str | None, check: Callable[[Path], Any], **values: Any) -> Path:
-    """Write a file from a template and check it; remove the file if the check fails."""
+def _write(
+    template: str,
+    name: str,
+    out: str | None,
+    check: Callable[[Path], Any],
+    *,
+    doubts: Sequence[str] = (),
+    **values: Any,
+) -> Path:
+    """Write a file from a template and check it; remove the file if the check fails.
+
+    If there are `doubts`, they are the reasons of the failure.
+    """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
             f"{name!r} is not allowed as a name: use letters a to z, digits and _, a letter first"
@@ -246,8 +287,12 @@ def _write(template: str, name: str, out: str | None, check: Callable[[Path], An
     write_text(path, _filled(template, {"name": name, "file": path, **values}))
     try:
         check(path)
-    except BaseException:
+    except BaseException as error:
         path.unlink(missing_ok=True)
+        if isinstance(error, InputFileError):
+            # Do not name lines of a file that was removed.
+            place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
+            raise InputError("\n".join(doubts or [place.sub("", line) for line in error.lines])) from error
         raise
     return path
 

@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from srs_twin.io.documents import Override
     from srs_twin.scenario.scenario import Scenario
 
+_JUNIT = "Write a JUnit XML report of runs and expectations."
+JunitOption = Annotated[str | None, option("--junit FILE.xml", _JUNIT)]
+
 RUNS_FOLDER = Path("runs")
 
 
@@ -279,6 +282,7 @@ def compare(
     out: OneOutOption = None,
     check: CheckOption = False,
     strict: StrictOption = False,
+    junit: JunitOption = None,
     quiet: QuietOption = False,
     explain: Annotated[bool, option("--explain")] = False,
     changed: ChangeOptions = NO_CHANGES,
@@ -294,6 +298,7 @@ def compare(
         out=out,
         fails=failing_verdicts(check=check, strict=strict),
         quiet=quiet,
+        junit=junit,
         plants=("analytical", "twin"),
         explain=explain,
         changes=changed.changes(),
@@ -306,7 +311,7 @@ def run(
     out: Annotated[str | None, option("--out DIR")] = None,
     check: CheckOption = False,
     strict: StrictOption = False,
-    junit: Annotated[str | None, option("--junit FILE.xml")] = None,
+    junit: JunitOption = None,
     jobs: JobsOption = None,
     plants: Annotated[str | None, option("--plants LIST")] = None,
     changed: ChangeOptions = NO_CHANGES,
@@ -318,7 +323,6 @@ def run(
     Options:
         scenarios: Shipped scenarios, scenario files, or folders of files.
         out: Output folder; several scenarios get one subfolder each. [default: runs/SCENARIO]
-        junit: Write a JUnit XML report of runs and expectations.
         plants: Plants to run: analytical, twin, or both separated by a comma. [default: those of the
             scenario]
     """

@@ -91,6 +91,7 @@ class Document:
         override_labels: labels of the applied overrides; values of the k-th override have the position
             (−k, 0).
         folder: folder of the file; None for data made in memory.
+        warnings: warnings about the file so far, with their place.
     """
 
     name: str
@@ -101,6 +102,7 @@ class Document:
     refused: set[Position] = field(default_factory=set)
     override_labels: list[str] = field(default_factory=list)
     folder: Path | None = None
+    warnings: list[str] = field(default_factory=list)
 
     def apply(self, override: Override) -> None:
         """Set the value of an override; a name on its path becomes the `base` of a mapping."""
@@ -189,6 +191,16 @@ class Document:
         if position not in self.refused:
             self.problems.append((position, f"{format_path(loc)}: {message}" if loc else message))
 
+    def describe(self, loc: Loc, message: str) -> str:
+        """Return a message with the place and the path of a value."""
+        position = self.values.get(self.existing_prefix(loc), (0, 0))
+        return self._placed(position, f"{format_path(loc)}: {message}")
+
+    def _placed(self, position: Position, message: str) -> str:
+        line, column = position
+        place = f"{self.name}:{line}:{column}" if line > 0 else self.name
+        return f"{self.override_labels[-line - 1] if line < 0 else place}: {message}"
+
     @contextmanager
     def report_errors(self, *loc: str | int) -> Iterator[None]:
         """Report an `InputError` of a `with` block as a problem with the value at a path."""
@@ -208,9 +220,8 @@ class Document:
         """
         lines = list(other_files)
         # The alternatives of a union report equal messages, which are shown only once.
-        for (line, column), message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
-            place = f"{self.name}:{line}:{column}" if line > 0 else self.name
-            lines.append(f"{self.override_labels[-line - 1] if line < 0 else place}: {message}")
+        for position, message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
+            lines.append(self._placed(position, message))
         if lines:
             raise InputFileError(lines)
 
@@ -255,6 +266,8 @@ def parse_yaml(text: str, name: str) -> Document:
         problem = ": ".join(filter(None, (context, error.problem)))
         if "'\\t'" in problem:
             problem += "; YAML is indented with spaces, not tabs"
+        else:
+            problem += _explain(error.problem or "", text.splitlines()[mark.line : mark.line + 1], mark)
         reader.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")
     except ReaderError as error:
         before = text[: error.position]
@@ -264,6 +277,16 @@ def parse_yaml(text: str, name: str) -> Document:
         # ValueError and OverflowError: an escape such as "\\UFFFFFFFF", which is not a character.
         reader.fail(reader.last, f"not YAML: {error}")
     return reader.document
+
+
+def _explain(problem: str, lines: list[str], mark: Any) -> str:
+    """Return a sentence on the probable mistake: a colon in text, or a wrong indent."""
+    before = "".join(lines)[: mark.column]
+    if "mapping values are not allowed" in problem and ": " in before:
+        return "; a text with a colon and a blank must be in quotes"
+    if "mapping values" in problem or re.search("<block end>, but found '(<block|-)", problem):
+        return "; its indent is wrong: keys of one block begin in the same column"
+    return "; a key is followed by a colon and a blank" if "expected ':'" in problem else ""
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from srs_twin.errors import did_you_mean, format_names
+from srs_twin.errors import MAX_LISTED_NAMES, did_you_mean, format_names
 from srs_twin.io.documents import Document, Loc, child, has_child, load_yaml
 
 Schema = Mapping[str, Any]
@@ -24,7 +24,7 @@ Schema = Mapping[str, Any]
 
 Model = TypeVar("Model", bound=BaseModel)
 
-_LIST_HINT = "`srs-twin schema` or docs/reference"
+_LIST_HINT = "`srs-twin schema`"
 # Units in which a wrong prefix (mm for m, Pa for kPa) is a common mistake.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
@@ -182,7 +182,9 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
         close = did_you_mean(str(loc[-1]), keys)
         if str(loc[-1]).isdigit():
             return "unknown key; write a decimal point, not a comma"
-        return f"unknown key{close or f'; allowed: {format_names(keys, _LIST_HINT)}'}"
+        listed = ", ".join(keys[:MAX_LISTED_NAMES])
+        more = f", … ({_LIST_HINT} lists all {len(keys)})" if len(keys) > MAX_LISTED_NAMES else ""
+        return f"unknown key{close or f'; allowed: {listed}{more}'}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
     options = list(_schemas_at(schema, loc, data))
@@ -331,4 +333,5 @@ def _allowed_keys(root: Schema, loc: Loc, data: Any) -> list[str]:
     schemas = list(_schemas_at(root, loc, data))
     for key in loc:
         data = child(data, key)
-    return [key for s in schemas for o in _alternatives(s, root, data) for key in o.get("properties", {})]
+    found = (key for s in schemas for o in _alternatives(s, root, data) for key in o.get("properties", {}))
+    return list(dict.fromkeys(found))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -141,7 +141,8 @@ def inspect(
     from srs_twin.recordings.recording_map import read_map
     from srs_twin.robot.file import load_robot
 
-    known, spec = read_map(table.map_data()), None if robot is None else load_robot(robot)
+    read_map(table.map_data())  # reject an invalid map at once
+    spec = None if robot is None else load_robot(robot)
     for name, target in (("--picture", picture), ("--write-map", write_map)):
         if target is not None:
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
@@ -149,8 +150,13 @@ def inspect(
         raise InputError(f"{write_map}: exists; give --overwrite, or another name")
     found, failed = [], []
     for path in files:
+        beside = Path(path).with_suffix(MAP_SUFFIX)
+        options = table
+        if table.map is None and beside.is_file():
+            options = replace(table, map=str(beside))
+            say(f"read with {beside}")
         try:
-            facts, scene = inspect_file(path, known, spec)
+            facts, scene = inspect_file(path, read_map(options.map_data()), spec)
         except InputError as error:
             message = str(error)
             failed.append(message if Path(path).name in message else f"{path}: {message}")
@@ -182,9 +188,13 @@ def _save_picture(scene: Scene, path: Path) -> None:
 
 _FORMATS = ("mcap", "csv", "npz")
 
+MAP_SUFFIX = ".map.yaml"
+"""Suffix of the recording map that `export` writes, and `inspect` reads, beside a recording."""
+
 
 def export(
     run: Annotated[str, argument("RUN")],
+    file: Annotated[str | None, argument("FILE")] = None,
     mcap: Annotated[bool, option("--mcap")] = False,
     csv: Annotated[bool, option("--csv")] = False,
     npz: Annotated[bool, option("--npz")] = False,
@@ -200,6 +210,7 @@ def export(
 
     Options:
         run: Folder of a run, or its name in ./runs.
+        file: File to write, as with --out; its suffix may stand for the format.
         mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
         csv: Columns of the trajectory in SI units.
         npz: Columns of the trajectory as a NumPy archive.
@@ -210,7 +221,11 @@ def export(
     from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import check_output_folder, display_path, write_text
 
+    if file and Path(run).suffix[1:] in _FORMATS:
+        run, file = file, run
+    out = out or file
     chosen = [name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted]
+    chosen = chosen or [name for name in _FORMATS if out and Path(out).suffix == f".{name}"]
     if len(chosen) != 1:
         raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
     (kind,) = chosen
@@ -224,7 +239,7 @@ def export(
     path = Path(out) if out else finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
     if path.suffix != f".{kind}":
         raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
-    beside = [path.with_suffix(".map.yaml"), path.with_suffix(".foxglove.json")] if kind == "mcap" else []
+    beside = [path.with_suffix(MAP_SUFFIX), path.with_suffix(".foxglove.json")] if kind == "mcap" else []
     for target in (path, *beside):
         if target.exists() and not overwrite:
             raise InputError(f"{display_path(target)} exists; --overwrite replaces it")

@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, get_args
 
 from pydantic import Field
 
-from srs_twin.errors import InputError, InputFileError, UnknownNameError
-from srs_twin.io.documents import Document, Loc, child
+from srs_twin.errors import InputError, InputFileError, UnitWarning, UnknownNameError
+from srs_twin.io.documents import Document, Loc, child, load_yaml, parse_path
 from srs_twin.io.files import find_file
-from srs_twin.io.validation import StrictModel, load_model, validate
+from srs_twin.io.validation import StrictModel, validate
+from srs_twin.robot.plausibility import find_doubts, likely_unit
 from srs_twin.robot.scale import Scale
 from srs_twin.robot.sections import (
     ActuatorFile,
@@ -46,10 +48,6 @@ from srs_twin.robot.spec import (
     Tail,
     widest_gap,
 )
-
-# Numbers outside these ranges are taken as wrong units.
-_LENGTH_RATIOS = (1e-3, 100.0)  # of a length and the distance between connectors, 1
-_DENSITIES = (0.1, 1e5)  # of a connector with its part of the body, kg/m³; lead has 11 000
 
 _SUSPICIOUS_RATIO = 300.0
 """Ratio of an override to the base's number above which a wrong unit (mm, Pa) is likely."""
@@ -272,7 +270,9 @@ class RobotFile(StrictModel):
                 f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
                 f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
             )
-        yield from self._implausible_units()
+        for doubt in find_doubts(self):
+            if doubt.is_certain:
+                yield (*parse_path(doubt.path), "value"), doubt.text
         if self.modules is not None:
             yield from self.modules.contradictions(connectors - 1, self._chambers)
         if self.is_spatial:
@@ -301,31 +301,6 @@ class RobotFile(StrictModel):
         if abs(width / (2 * height) - 1) > _ROUNDNESS:
             text = f"{width:g} m is not twice com_height_m; a spatial robot has a round section"
             yield ("geometry", "width_m", "value"), text
-
-    def _implausible_units(self) -> Iterator[tuple[Loc, str]]:
-        """Yield path and message of lengths and masses that do not fit the distance between connectors."""
-        g = self.geometry
-        pitch = g.segment_length_m.value + g.rigid_gap_m.value
-        low, high = _LENGTH_RATIOS
-        keys = ("half_track_m", "wheel_radius_m", "com_height_m", "width_m")
-        values = {key: record.value for key in keys if (record := getattr(g, key)) is not None}
-        wrong = {key: value for key, value in values.items() if not low * pitch <= value <= high * pitch}
-        if len(wrong) > 1:  # they fit each other, so the distance between connectors is wrong
-            key = max(("segment_length_m", "rigid_gap_m"), key=lambda name: getattr(g, name).value)
-            wrong = {key: getattr(g, key).value}
-        for key, value in wrong.items():
-            factor = 1e-3 if value > pitch / 2 else 1e3
-            text = f"{value:g} m does not fit the other lengths of the robot"
-            yield ("geometry", key, "value"), f"{text}; did you mean {factor * value:.4g}?"
-        lightest, heaviest = _DENSITIES
-        for mass in set(self.masses()):
-            density = mass / (pitch * g.width_m.value**2)
-            if not lightest <= density <= heaviest:
-                text = (
-                    f"{mass:g} kg in {pitch:g} m by {g.width_m.value:g} m is a density of {density:.2g} kg/m³"
-                )
-                key = "segments_kg" if self.has_skin else "connectors_kg"
-                yield ("mass", key, "value"), f"{text}; check the units"
 
     def _invalid_priors(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of prior distributions that do not fit their numbers."""
@@ -374,13 +349,26 @@ def section_units(section: str) -> dict[str, str]:
 
 
 def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
-    """Load and validate a robot file.
+    """Load and validate a robot file, with a `UnitWarning` for each number whose unit is in doubt.
 
     Raises:
         InputError: the file was not found or cannot be read.
         InputFileError: the file is not valid; the message lists all problems.
     """
-    return load_model(RobotFile, find_file("robot", name_or_path))
+    file, doubts = _read_robot_file(name_or_path)
+    for doubt in doubts:
+        warnings.warn(doubt, UnitWarning, stacklevel=2)
+    return file
+
+
+def _read_robot_file(name_or_path: str | os.PathLike[str]) -> tuple[RobotFile, list[str]]:
+    """Return a robot file, and a warning for each number whose unit is in doubt."""
+    document = load_yaml(find_file("robot", name_or_path))
+    file = validate(RobotFile, document, document.data)
+    document.raise_problems()
+    assert file is not None, "a document without problems has a model"
+    doubts = [document.describe((*parse_path(path), "value"), text) for path, text, _ in find_doubts(file)]
+    return file, doubts
 
 
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
@@ -395,7 +383,8 @@ def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
 def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:
     """Return the robot of a scenario: a shipped robot, a file, an override or a full definition.
 
-    Problems in the scenario are reported to the document; the result is None then.
+    Problems in the scenario are reported to the document; the result is None then. Numbers whose unit is in
+    doubt are added to the warnings of the document.
 
     Args:
         document: document of the scenario.
@@ -407,42 +396,62 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
     """
     base = robot.get("base") if isinstance(robot, Mapping) else robot
     if isinstance(robot, Mapping) and "base" not in robot:
-        return validate(RobotFile, document, robot, prefix=prefix)
+        whole = validate(RobotFile, document, robot, prefix=prefix)
+        _add_warnings(document, prefix, find_unit_mistakes(whole) if whole else {})
+        return whole
     base_loc = (*prefix, "base") if isinstance(robot, Mapping) else prefix
     if not isinstance(base, str):
         document.report(base_loc, "must be a robot's name, a path, or a block of keys with base")
         return None
     try:
-        file = load_robot_file(base)
+        file, doubts = _read_robot_file(base)
     except InputFileError:
         raise
     except InputError as error:
         document.report(base_loc, str(error))
         return None
+    document.warnings += doubts
     if not isinstance(robot, Mapping):
         return file
     merged = _merge_override(
         file.model_dump(), robot, lambda loc: f"{document.origin(prefix + loc)} over {base}"
     )
-    return validate(RobotFile, document, merged, prefix=prefix)
+    changed = validate(RobotFile, document, merged, prefix=prefix)
+    _add_warnings(document, prefix, find_unit_mistakes(changed, file, robot) if changed else {})
+    return changed
 
 
-def find_unit_mistakes(robot: Any) -> Iterator[tuple[Loc, str]]:
-    """Yield path and suggestion for numbers of an override that differ from the base by a factor of 300."""
-    if not isinstance(robot, Mapping) or not isinstance(robot.get("base"), str):
-        return
-    for path, record in load_robot_file(robot["base"]).records().items():
+def _add_warnings(document: Document, prefix: Loc, mistakes: Mapping[str, str]) -> None:
+    for path, text in mistakes.items():
+        loc = document.user_path(prefix, (*parse_path(path), "value"))
+        document.warnings.append(document.describe(loc, text))
+
+
+def find_unit_mistakes(
+    robot: RobotFile, base: RobotFile | None = None, override: Mapping[str, Any] = {}
+) -> dict[str, str]:
+    """Return the numbers whose unit is in doubt: path → reason and likely unit.
+
+    Args:
+        robot: the robot.
+        base: robot that was changed; its own doubts are left out.
+        override: changes, of which those by a factor of 300 are in doubt.
+    """
+    known = {doubt.path for doubt in find_doubts(base)} if base else ()
+    mistakes = {doubt.path: doubt.text for doubt in find_doubts(robot) if doubt.path not in known}
+    for path, record in base.records().items() if base else ():
         section, key = path.split(".")
-        new, old = child(child(robot, section), key), record.value
+        new, old = child(child(override, section), key), record.value
         new = child(new, "value") if isinstance(new, Mapping) else new
         if not all(isinstance(number, int | float) and number for number in (new, old)):
             continue
         if not 1 / _SUSPICIOUS_RATIO < abs(new / old) < _SUSPICIOUS_RATIO:
             ratio = new / old
             comparison = f"{ratio:.0f} times" if abs(ratio) > 1 else f"1/{1 / ratio:.0f} of"
-            comparison += f" the {old:.4g} of {robot['base']}"
-            factor = 1e-3 if abs(new) > abs(old) else 1e3
-            yield (section, key), f"{new:g} {record.unit} is {comparison}; did you mean {factor * new:.4g}?"
+            comparison += f" the {old:.4g} of {override['base']}"
+            hint = likely_unit(abs(new), record.unit, abs(old))
+            mistakes[path] = f"{new:g} {record.unit} is {comparison}; {hint}"
+    return mistakes
 
 
 def _merge_override(

@@ -20,6 +20,7 @@ from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
+from srs_twin.robot.plausibility import likely_unit
 from srs_twin.scenario.fields import Contradiction, Loading
 from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
 from srs_twin.scenario.plants import TwinFile
@@ -28,6 +29,10 @@ from srs_twin.scenario.start import InitialState
 _ROUNDING = 1.001
 """Tolerance factor of a pressure limit: 7 psi, rounded to three digits, are 48.3 kPa, which exceeds 48.26
 kPa."""
+
+
+_DOUBTFUL = 5.0
+"""Ratio to the nominal pressure beyond which the unit of a supply pressure is in doubt."""
 
 
 def check(document: Document, file: ScenarioFile) -> None:
@@ -81,13 +86,19 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     held = document.get("controller", "kind") == HoldValves.kind
     limit = robot.supply.continuous_limit_kpa if held else robot.supply.pulsed_limit_kpa
     number = isinstance(pressure, (int, float)) and not isinstance(pressure, bool) and math.isfinite(pressure)
-    if not number or pressure <= limit.value * (_ROUNDING if held else 1.0):
+    if not number:
         return []
+    nominal, hint = robot.supply.nominal_kpa.value, ""
+    if 0 < pressure and not 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL:
+        hint = f"; {likely_unit(pressure, 'kPa', nominal)}"
+    if pressure <= limit.value * (_ROUNDING if held else 1.0):
+        text = f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of {robot.name}{hint}"
+        return [document.describe(("supply", "pressure_kpa"), text)] if hint else []
     use = "with valves held open" if held else "in pulses of a gait"
     text = f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g} kPa ({limit.source})"
     if True in (document.get("allow_overpressure"), document.get("supply", "allow_overpressure")):
         return [f"supply.pressure_kpa: {text}"]
-    document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true")
+    document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true{hint}")
     return []
 
 

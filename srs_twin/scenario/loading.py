@@ -19,7 +19,7 @@ from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.io.documents import Document, Override, format_path, load_yaml, parse_path
 from srs_twin.io.files import find_file, is_path, results_name
 from srs_twin.io.validation import validate
-from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, find_unit_mistakes, resolve_robot
+from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, resolve_robot
 from srs_twin.robot.sourced import replace_value
 from srs_twin.robot.world import World
 from srs_twin.scenario.checks import (
@@ -120,11 +120,7 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
     _locate_files(document)
     file = validate(ScenarioFile, document, document.data)
     robot, robot_problems = _robot(document)
-    warnings = check_supply_pressure(document, robot) if robot else []
-    if robot:
-        warnings += [
-            f"robot.{format_path(loc)}: {text}" for loc, text in find_unit_mistakes(document.get("robot"))
-        ]
+    warnings = document.warnings + (check_supply_pressure(document, robot) if robot else [])
     if file and robot:
         file = file.scaled_to(robot.scale)
     world, loading = World(), None

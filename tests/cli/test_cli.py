@@ -371,7 +371,7 @@ def test_internal_error_is_one_line_with_contact(start, monkeypatch):
     lines = [line for line in left.err.splitlines() if "warn" not in line]
     assert len(lines) == 1
     assert "internal error: RuntimeError: two lines (test_cli.py:" in lines[0]
-    assert "report it as CONTRIBUTING.md describes" in lines[0]
+    assert "report it with the command and your files" in lines[0]
     monkeypatch.setenv("SRS_TWIN_DEBUG", "1")
     assert "Traceback (most recent call last)" in start("run", "a", a=RuntimeError("x")).err
 

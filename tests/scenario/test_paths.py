@@ -34,15 +34,31 @@ KINDS = {
     "world.map": (load_scenario, SCENARIO | {"world": {"map": "PATH"}}, "m.yaml"),
     "world.circles": (load_scenario, SCENARIO | {"world": {"circles": "PATH"}}, "c.csv"),
     "start.from": (load_scenario, SCENARIO | {"start": {"from": "PATH", "time_s": 1.0}}, "a_run"),
-    "planner": (load_scenario, SCENARIO | FOLLOW | {"planner": {"kind": "best_first", "footprint": "PATH"}}, "f.yaml"),
-    "motion": (load_scenario, SCENARIO | REPLAY | {"recording": {"motion": "PATH", "valves": "own.csv"}}, "w.csv"),
-    "valves": (load_scenario, SCENARIO | REPLAY | {"recording": {"motion": "own.csv", "valves": "PATH"}}, "v.csv"),
+    "planner": (
+        load_scenario,
+        SCENARIO | FOLLOW | {"planner": {"kind": "best_first", "footprint": "PATH"}},
+        "f.yaml",
+    ),
+    "motion": (
+        load_scenario,
+        SCENARIO | REPLAY | {"recording": {"motion": "PATH", "valves": "own.csv"}},
+        "w.csv",
+    ),
+    "valves": (
+        load_scenario,
+        SCENARIO | REPLAY | {"recording": {"motion": "own.csv", "valves": "PATH"}},
+        "v.csv",
+    ),
     "sweep": (load_sweep, SWEEP | {"scenario": "PATH"}, "s.yaml"),
     "sweep.fixed": (load_sweep, SWEEP | {"scenario": "gen2_straight", "fixed": {"robot": "PATH"}}, "r.yaml"),
     "sweep.vary": (load_sweep, {"scenario": "gen2_straight", "vary": {"robot": ["gen2", "PATH"]}}, "r.yaml"),
     "study": (load_study, STUDY | {"scenario": "PATH"}, "s.yaml"),
-    "study.fixed": (load_study, STUDY | {"scenario": "gen2_straight", "fixed": {"world.circles": "PATH"}}, "c.csv"),
-}  # fmt: skip
+    "study.fixed": (
+        load_study,
+        STUDY | {"scenario": "gen2_straight", "fixed": {"world.circles": "PATH"}},
+        "c.csv",
+    ),
+}
 
 
 @pytest.fixture

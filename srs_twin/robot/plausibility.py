@@ -1,0 +1,171 @@
+"""Numbers of a robot that do not fit its other numbers, because they were written in another unit.
+
+Numbers of one quantity are compared with each other, so that a robot scaled as a whole is plausible. Each
+number divided by its usual multiple is an estimate of the robot's size. The median of these estimates is the
+size of the robot, which a single mistake does not change. A number is in doubt if its own estimate differs
+from the size by more than the factors `below` and `above` of the quantity.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+from srs_twin.robot.spec import GRAVITY
+
+if TYPE_CHECKING:
+    from srs_twin.robot.file import RobotFile
+
+# Unit of a key → unit in which users may have the number instead → the latter in the former.
+_OTHER_UNITS = {
+    "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
+    "kg": {"g": 0.001},
+    "s": {"ms": 0.001},
+    "kPa": {"bar": 100.0, "psi": 6.894757, "mbar": 0.1, "Pa": 0.001},
+    "N*m/rad": {"mN*m/rad": 0.001},
+    "rad": {"deg": math.pi / 180},
+}
+
+
+class _Quantity(NamedTuple):
+    """Numbers of one quantity.
+
+    Attributes:
+        name: plural, for messages.
+        unit: unit of the keys.
+        below: largest plausible ratio of the size to a number's estimate of it.
+        above: largest plausible ratio of a number's estimate to the size.
+        usual: section and key → usual multiple of the size.
+    """
+
+    name: str
+    unit: str
+    below: float
+    above: float
+    usual: dict[str, float]
+
+
+_LENGTHS = {
+    "geometry.segment_length_m": 0.35,
+    "geometry.rigid_gap_m": 0.3,
+    "geometry.half_track_m": 0.22,
+    "geometry.wheel_radius_m": 0.12,
+    "geometry.com_height_m": 0.25,
+    "geometry.width_m": 0.6,
+    "mass.connector_gyration_m": 0.2,
+    "tail.axle_m": 1.0,
+    "tail.com_m": 0.8,
+    "tail.com_height_m": 0.25,
+    "tail.gyration_m": 0.3,
+}
+_TIMES = {
+    "actuator.tau_fill_s": 1.5,
+    "actuator.tau_vent_s": 1.5,
+    "actuator.response_time_s": 1.5,
+    "actuator.tau_mode_s": 0.03,
+    "bending.damping_time_s": 0.05,
+    "bending.out_of_plane_damping_time_s": 0.12,
+}
+_PRESSURES = ("actuator.at_pressure_kpa",) + tuple(
+    f"supply.{name}_kpa" for name in ("nominal", "continuous_limit", "pulsed_limit")
+)
+_STIFFNESSES = [f"bending.{name}stiffness_nm_per_rad" for name in ("", "pitch_", "roll_")]
+_QUANTITIES = (
+    _Quantity("lengths", "m", 36.0, 6.5, _LENGTHS),
+    _Quantity("times", "s", 1600.0, 40.0, _TIMES),
+    _Quantity("pressures", "kPa", 6.0, 6.0, dict.fromkeys(_PRESSURES, 1.0)),
+    _Quantity("volumes", "ml", 100.0, 100.0, {"chamber.dead_volume_ml": 0.05, "chamber.air_volume_ml": 0.18}),
+    _Quantity("stiffnesses", "N*m/rad", 150.0, 150.0, dict.fromkeys(_STIFFNESSES, 1.0)),
+)
+
+_CERTAIN = 100.0
+"""Factor beyond the plausible range from which a number is certainly wrong."""
+
+_DENSITY = 500.0
+"""Usual density of a connector with its part of the body, kg/m³; osmium has 22 600."""
+
+_DENSITY_RATIO = 50.0
+"""Largest plausible ratio of a density to the usual one; beyond 4 times that it is certainly wrong."""
+
+
+class Doubt(NamedTuple):
+    """Number whose unit is in doubt.
+
+    Attributes:
+        path: section and key.
+        text: reason and likely unit.
+        is_certain: whether no robot can have the number.
+    """
+
+    path: str
+    text: str
+    is_certain: bool
+
+
+def likely_unit(value: float, unit: str, expected: float) -> str:
+    """Return the unit in which a number is close to an expected one, as "0.4 bar would be 40 kPa".
+
+    Args:
+        value: number as the user wrote it.
+        unit: unit of the key.
+        expected: usual size of the number.
+    """
+    factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
+    other = min(factors, key=lambda name: abs(math.log(factors[name] * value / expected)))
+    if other == unit:
+        return "check its unit"
+    given = f"{value:g} {other}" if other else "a tenth of it"
+    return f"{given} would be {factors[other] * value:.4g} {unit}"
+
+
+def find_doubts(robot: RobotFile) -> Iterator[Doubt]:
+    """Yield the numbers of a robot that do not fit its other numbers."""
+    values = {path: record.value for path, record in robot.records().items()}
+    doubts = [doubt for quantity in _QUANTITIES for doubt in _outliers(robot, values, quantity)]
+    yield from doubts
+    if not any(doubt.path in _LENGTHS for doubt in doubts):
+        yield from _wrong_masses(robot)
+
+
+def _outliers(robot: RobotFile, values: dict[str, float], quantity: _Quantity) -> Iterator[Doubt]:
+    given = {path: values[path] for path in quantity.usual if values.get(path)}
+    numbers = given | (_stiffnesses(robot) if quantity.name == "stiffnesses" else {})
+    sizes = {name: number / quantity.usual.get(name, 1.0) for name, number in numbers.items()}
+    size = statistics.median(sizes.values() or [1.0])
+    for path, value in given.items():
+        excess = sizes[path] / size
+        excess = max(excess / quantity.above, 1 / (excess * quantity.below))
+        if excess <= 1:
+            continue
+        closest = min(sizes, key=lambda name: (name == path, abs(math.log(sizes[name] / size))))
+        text = f"{value:g} {quantity.unit} does not fit the other {quantity.name} of the robot, such as "
+        text += f"{closest.rpartition('.')[2]}, {numbers[closest]:.4g} {quantity.unit}"
+        hint = likely_unit(value, quantity.unit, quantity.usual[path] * size)
+        yield Doubt(path, f"{text}; {hint}", excess > _CERTAIN)
+
+
+def _stiffnesses(robot: RobotFile) -> dict[str, float]:
+    """Return stiffnesses that follow from other quantities, N·m/rad."""
+    pitch = robot.geometry.segment_length_m.value + robot.geometry.rigid_gap_m.value
+    masses = robot.masses()
+    derived = {"weight times body length": GRAVITY * sum(masses) * pitch * len(masses)}
+    if robot.chamber is not None and (pressure := robot.actuator.at_pressure_kpa):
+        # p dV/dq over the bend q; kPa times ml are mJ.
+        moment = 1e-3 * pressure.value * robot.chamber.air_volume_ml.value / (math.pi / 2)
+        derived["the moment of the air over the bend"] = moment / robot.actuator.bend_rad.value
+    return derived
+
+
+def _wrong_masses(robot: RobotFile) -> Iterator[Doubt]:
+    width = robot.geometry.width_m.value
+    pitch = robot.geometry.segment_length_m.value + robot.geometry.rigid_gap_m.value
+    usual = _DENSITY * pitch * width**2
+    path = "mass.segments_kg" if robot.has_skin else "mass.connectors_kg"
+    for mass in dict.fromkeys(robot.masses()):
+        excess = max(mass / usual / _DENSITY_RATIO, usual / mass / 1000)
+        if excess > 1:
+            text = f"{mass:g} kg in {pitch:g} m by {width:g} m is a density of"
+            text += f" {mass / usual * _DENSITY:.2g} kg/m³"
+            yield Doubt(path, f"{text}; {likely_unit(mass, 'kg', usual)}", excess > 4)
