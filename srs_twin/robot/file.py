@@ -17,7 +17,7 @@ from srs_twin.errors import InputError, InputFileError, UnitWarning, UnknownName
 from srs_twin.io.documents import Document, Loc, child, load_yaml, parse_path
 from srs_twin.io.files import find_file
 from srs_twin.io.validation import StrictModel, validate
-from srs_twin.robot.plausibility import find_doubts, likely_unit
+from srs_twin.robot.plausibility import Doubt, find_doubts, likely_unit
 from srs_twin.robot.scale import Scale
 from srs_twin.robot.sections import (
     ActuatorFile,
@@ -251,6 +251,10 @@ class RobotFile(StrictModel):
         if self.has_skin and self.tail is not None:
             yield ("tail",), "a robot with contact skin has no axles; remove the tail"
 
+    def doubts(self) -> Iterator[Doubt]:
+        """Return the numbers whose unit is in doubt."""
+        return find_doubts({path: record.value for path, record in self.records().items()}, self.masses())
+
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that do not fit together."""
         missing = list(self._contradictions_of_kinds())
@@ -270,7 +274,7 @@ class RobotFile(StrictModel):
                 f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
                 f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
             )
-        for doubt in find_doubts(self):
+        for doubt in self.doubts():
             if doubt.is_certain:
                 yield (*parse_path(doubt.path), "value"), doubt.text
         if self.modules is not None:
@@ -285,10 +289,10 @@ class RobotFile(StrictModel):
             return
         nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
         if nominal > limit:
-            yield (
-                ("supply", "nominal_kpa", "value"),
-                f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa",
-            )
+            text = f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa"
+            if nominal > 5 * limit:
+                text += f"; {likely_unit(limit, 'kPa', nominal)}"
+            yield ("supply", "nominal_kpa", "value"), text
 
     def _spatial_contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that a spatial robot cannot have."""
@@ -367,7 +371,7 @@ def _read_robot_file(name_or_path: str | os.PathLike[str]) -> tuple[RobotFile, l
     file = validate(RobotFile, document, document.data)
     document.raise_problems()
     assert file is not None, "a document without problems has a model"
-    doubts = [document.describe((*parse_path(path), "value"), text) for path, text, _ in find_doubts(file)]
+    doubts = [document.describe((*parse_path(path), "value"), text) for path, text, _ in file.doubts()]
     return file, doubts
 
 
@@ -437,8 +441,8 @@ def find_unit_mistakes(
         base: robot that was changed; its own doubts are left out.
         override: changes, of which those by a factor of 300 are in doubt.
     """
-    known = {doubt.path for doubt in find_doubts(base)} if base else ()
-    mistakes = {doubt.path: doubt.text for doubt in find_doubts(robot) if doubt.path not in known}
+    known = {doubt.path for doubt in base.doubts()} if base else ()
+    mistakes = {doubt.path: doubt.text for doubt in robot.doubts() if doubt.path not in known}
     for path, record in base.records().items() if base else ():
         section, key = path.split(".")
         new, old = child(child(override, section), key), record.value

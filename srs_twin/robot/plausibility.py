@@ -10,13 +10,10 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
-
-if TYPE_CHECKING:
-    from srs_twin.robot.file import RobotFile
 
 # Unit of a key → unit in which users may have the number instead → the latter in the former.
 _OTHER_UNITS = {
@@ -120,18 +117,32 @@ def likely_unit(value: float, unit: str, expected: float) -> str:
     return f"{given} would be {factors[other] * value:.4g} {unit}"
 
 
-def find_doubts(robot: RobotFile) -> Iterator[Doubt]:
-    """Yield the numbers of a robot that do not fit its other numbers."""
-    values = {path: record.value for path, record in robot.records().items()}
-    doubts = [doubt for quantity in _QUANTITIES for doubt in _outliers(robot, values, quantity)]
-    yield from doubts
-    if not any(doubt.path in _LENGTHS for doubt in doubts):
-        yield from _wrong_masses(robot)
+def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[Doubt]:
+    """Yield the numbers of a robot that do not fit its other numbers.
+
+    Args:
+        values: section and key → value of each record of the robot file.
+        masses: mass of each connector, or of each segment of a robot with skin, kg.
+    """
+    pitch = values["geometry.segment_length_m"] + values["geometry.rigid_gap_m"]
+    stiffnesses = {"weight times body length": GRAVITY * sum(masses) * pitch * len(masses)}
+    if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
+        # p dV/dq over the bend q; kPa times ml are mJ.
+        moment = 1e-3 * values["actuator.at_pressure_kpa"] * values["chamber.air_volume_ml"] / (math.pi / 2)
+        stiffnesses["the moment of the air over the bend"] = moment / values["actuator.bend_rad"]
+    lengths = list(_outliers(values, _QUANTITIES[0], {}))
+    yield from lengths
+    for quantity in _QUANTITIES[1:]:
+        yield from _outliers(values, quantity, stiffnesses if quantity.name == "stiffnesses" else {})
+    if not lengths:
+        yield from _wrong_masses(values, pitch, masses)
 
 
-def _outliers(robot: RobotFile, values: dict[str, float], quantity: _Quantity) -> Iterator[Doubt]:
+def _outliers(
+    values: Mapping[str, Any], quantity: _Quantity, derived: Mapping[str, float]
+) -> Iterator[Doubt]:
     given = {path: values[path] for path in quantity.usual if values.get(path)}
-    numbers = given | (_stiffnesses(robot) if quantity.name == "stiffnesses" else {})
+    numbers = {**given, **derived}
     sizes = {name: number / quantity.usual.get(name, 1.0) for name, number in numbers.items()}
     size = statistics.median(sizes.values() or [1.0])
     for path, value in given.items():
@@ -146,24 +157,11 @@ def _outliers(robot: RobotFile, values: dict[str, float], quantity: _Quantity) -
         yield Doubt(path, f"{text}; {hint}", excess > _CERTAIN)
 
 
-def _stiffnesses(robot: RobotFile) -> dict[str, float]:
-    """Return stiffnesses that follow from other quantities, N·m/rad."""
-    pitch = robot.geometry.segment_length_m.value + robot.geometry.rigid_gap_m.value
-    masses = robot.masses()
-    derived = {"weight times body length": GRAVITY * sum(masses) * pitch * len(masses)}
-    if robot.chamber is not None and (pressure := robot.actuator.at_pressure_kpa):
-        # p dV/dq over the bend q; kPa times ml are mJ.
-        moment = 1e-3 * pressure.value * robot.chamber.air_volume_ml.value / (math.pi / 2)
-        derived["the moment of the air over the bend"] = moment / robot.actuator.bend_rad.value
-    return derived
-
-
-def _wrong_masses(robot: RobotFile) -> Iterator[Doubt]:
-    width = robot.geometry.width_m.value
-    pitch = robot.geometry.segment_length_m.value + robot.geometry.rigid_gap_m.value
+def _wrong_masses(values: Mapping[str, Any], pitch: float, masses: Sequence[float]) -> Iterator[Doubt]:
+    width = values["geometry.width_m"]
     usual = _DENSITY * pitch * width**2
-    path = "mass.segments_kg" if robot.has_skin else "mass.connectors_kg"
-    for mass in dict.fromkeys(robot.masses()):
+    (path,) = values.keys() & {"mass.segments_kg", "mass.connectors_kg"}
+    for mass in dict.fromkeys(masses):
         excess = max(mass / usual / _DENSITY_RATIO, usual / mass / 1000)
         if excess > 1:
             text = f"{mass:g} kg in {pitch:g} m by {width:g} m is a density of"

@@ -31,8 +31,14 @@ _ROUNDING = 1.001
 kPa."""
 
 
-_DOUBTFUL = 5.0
-"""Ratio to the nominal pressure beyond which the unit of a supply pressure is in doubt."""
+_DOUBTFUL = 20.0
+"""Ratio to the nominal pressure beyond which the unit of a supply pressure is in doubt; one shipped scenario
+has a tenth of it."""
+
+_PSI_KPA = 6.894757
+
+_PSI_TOLERANCE = 0.1
+"""Relative difference from the nominal pressure within which a number of kPa is probably one of psi."""
 
 
 def check(document: Document, file: ScenarioFile) -> None:
@@ -89,7 +95,8 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     if not number:
         return []
     nominal, hint = robot.supply.nominal_kpa.value, ""
-    if 0 < pressure and not 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL:
+    in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
+    if pressure > 0 and (in_psi or not 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL):
         hint = f"; {likely_unit(pressure, 'kPa', nominal)}"
     if pressure <= limit.value * (_ROUNDING if held else 1.0):
         text = f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of {robot.name}{hint}"

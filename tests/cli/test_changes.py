@@ -103,8 +103,9 @@ def test_value_with_a_likely_unit_error_is_reported():
     def warned(value):
         return load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": value}).warnings
 
-    question = "440 N*m/rad is 1000 times the 0.44 of gen2; did you mean 0.44?"
-    assert warned(440.0) == (f"robot.bending.stiffness_nm_per_rad: {question}",)
+    path = "robot.bending.stiffness_nm_per_rad"
+    reason = "440 N*m/rad is 1000 times the 0.44 of gen2; 440 mN*m/rad would be 0.44 N*m/rad"
+    assert warned(440.0) == (f"set {path}=440.0: {path}: {reason}",)
     assert warned(44.0) == ()
 
 
