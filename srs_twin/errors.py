@@ -13,7 +13,7 @@ import math
 import re
 import signal
 import traceback
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
@@ -30,6 +30,9 @@ _SIMILARITY_TIE = 0.05
 
 _MIN_PREFIX_SIMILARITY = 0.75
 """Lowest similarity to the first words of a name; higher, because short texts are similar by chance."""
+
+OUTSIDE: set[str] = set()
+"""Source files of imported parts that do not belong to the package, for messages about errors in them."""
 
 _FILE_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json", ".urdf", ".mjcf")
 _WORD_SEPARATOR = re.compile(r"[_.\s-]")
@@ -53,6 +56,13 @@ class InputError(SrsError):
     """Unusable input; nothing was written. Exit code 2."""
 
     exit_code = 2
+
+
+class AbsentPartError(InputError):
+    """Part from outside the package that is not imported, because a file is only read."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} was not imported; load the scenario itself to run it")
 
 
 class UnknownNameError(InputError):
@@ -143,13 +153,13 @@ class TaskFailedError(SrsError):
     """Unexpected exception of a task in a worker process. Exit code 4."""
 
     def __init__(self, error: BaseException) -> None:
-        frames = traceback.extract_tb(error.__traceback__)
-        where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
-        message = " ".join(str(error).split())
-        super().__init__(
-            f"internal error: {type(error).__name__}: {message}{where}. "
-            "This is a bug in srs-twin, not in your files: please report it with the command and your files"
+        fault = (
+            "This is a bug in srs-twin, not in your files: please report it with the command "
+            "and your files"
         )
+        if _frames(error, OUTSIDE):
+            fault = "This file is not part of srs-twin: correct it, or report the error to its authors"
+        super().__init__(f"internal error: {describe_error(error)}. {fault}")
 
 
 class WorkerDiedError(SrsError):
@@ -158,6 +168,17 @@ class WorkerDiedError(SrsError):
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
         super().__init__(f"the worker process {describe_exit(exit_code)}{times}; {_exit_cause(exit_code)}")
+
+
+def describe_error(error: BaseException) -> str:
+    """Return type and message of an error with its place, preferably in a part from outside the package."""
+    frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
+    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
+
+
+def _frames(error: BaseException, files: Collection[str]) -> list[traceback.FrameSummary]:
+    return [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename in files]
 
 
 def _restore_error(kind: type[SrsError], args: tuple[object, ...], attributes: dict[str, object]) -> SrsError:

@@ -25,6 +25,7 @@ from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
+from srs_twin.extensions import reading
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import check_output_folder, data_root, display_path, shipped_names
@@ -495,7 +496,8 @@ def load_run(run: str | Path) -> FinishedRun:
     trajectories = {kind: Trajectory.from_parquet(path) for kind, path in paths.items() if path.is_file()}
     if not trajectories:
         raise InputError(f"{display_path(folder)}: no trajectory there; `srs-twin run SCENARIO` writes them")
-    return FinishedRun(folder, load_scenario(folder / RESOLVED), trajectories)
+    with reading():
+        return FinishedRun(folder, load_scenario(folder / RESOLVED), trajectories)
 
 
 def find_run(run: str | Path) -> Path:

@@ -1,20 +1,38 @@
-"""Registry of the extensions, the only place in the core that names them.
+"""Registry of the extensions, the only place in the core that names them, and of parts from outside.
 
 An entry is ``name: "module:object"``. The module is imported when the object is needed. Entries of extensions
 that are not installed are ignored.
+
+Files may also name parts from outside the package as ``module:Name``. A file alone never runs code: the
+module must be a plug-in, which the user allows (`allow_plugin`), or belong to an installed distribution that
+declares entry points ``srs_twin.*``. Such a distribution may register short names for its parts in the groups
+``srs_twin.controllers``, ``pneumatics``, ``sensors``, ``metrics`` and ``formats``, which are read only if a
+name is unknown.
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
+import os
+import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import cache
 from importlib import import_module
-from importlib.util import find_spec
+from importlib.util import find_spec, spec_from_file_location
+from inspect import isabstract
+from itertools import chain
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from srs_twin.errors import OUTSIDE, AbsentPartError, InputError, UnknownNameError, describe_error
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+    from importlib.metadata import Distribution
 
 COMMANDS = {
     "export": "srs_twin.recordings.commands:export",
@@ -160,3 +178,192 @@ def lazy(package: str) -> None:
     }
     vars(module).update(__all__=list(homes), _homes=homes)
     module.__class__ = _LazyPackage
+
+
+PLUGINS = "SRS_TWIN_PLUGINS"
+"""Environment variable with the plug-ins that the user allows: Python files and names of modules. Processes
+started later inherit it."""
+
+PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
+"""Pattern of the name of a part from outside, ``module:Name``."""
+
+_GROUP = "srs_twin."
+_reading = ContextVar("reading", default=False)
+
+
+def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
+    """Allow scenarios and other files to name the parts of a plug-in, in this process and in its workers.
+
+    Args:
+        source: path of a Python file, which is imported under the name of the file; or a module, its name, or
+            a class in it.
+
+    Raises:
+        InputError: there is no such file or module, or a module of this name exists already.
+    """
+    if isinstance(source, type | ModuleType):
+        source = getattr(source, "__module__", source.__name__)
+    entry = os.fspath(source)
+    if entry in plugins():
+        return
+    if entry.endswith(".py"):
+        entry = os.path.abspath(entry)
+        _check_file(entry)
+    elif entry not in sys.modules and not _has_package(entry.partition(".")[0]):
+        raise InputError(
+            f"plug-in {entry}: there is no such module; give a file that ends in .py, or an installed module"
+        )
+    os.environ[PLUGINS] = os.pathsep.join(dict.fromkeys([*plugins().values(), entry]))
+
+
+def _check_file(path: str) -> None:
+    """Raise `InputError` unless a file can be imported under its name."""
+    name = os.path.basename(path).removesuffix(".py")
+    if not os.path.isfile(path):
+        raise InputError(f"plug-in {path}: there is no such file")
+    if not name.isidentifier() or os.pathsep in path:
+        raise InputError(
+            f"plug-in {path}: the file cannot be imported; "
+            f"use letters, digits and _ in its name, and no '{os.pathsep}' in its path"
+        )
+    existing = sys.modules.get(name) or find_spec(name)
+    origin = getattr(existing, "__file__", None) or getattr(existing, "origin", None) or "built in"
+    if existing and os.path.realpath(origin) != os.path.realpath(path):
+        raise InputError(f"plug-in {path}: a module {name} exists already ({origin}); rename the file")
+
+
+def plugins() -> dict[str, str]:
+    """Return the plug-ins that the user allows: name of the module → path of its file, or its name."""
+    entries = os.environ.get(PLUGINS, "").split(os.pathsep)
+    return {os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry}
+
+
+class _PluginFinder:
+    """Finder that imports the files of plug-ins, if no other finder knows the module."""
+
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        file = plugins().get(name, "")
+        return spec_from_file_location(name, file) if file.endswith(".py") else None
+
+
+sys.meta_path.append(_PluginFinder)
+
+
+def distributions() -> tuple[Distribution, ...]:
+    """Return the installed distributions that declare entry points ``srs_twin.*``."""
+    # An empty entry is the current folder, whose files may be from anybody.
+    return _distributions(tuple(filter(None, sys.path)))
+
+
+@cache
+def _distributions(path: tuple[str, ...]) -> tuple[Distribution, ...]:
+    from importlib import metadata
+
+    found = metadata.distributions(path=list(path))
+    return tuple(each for each in found if any(_entry_points(each)))
+
+
+def _entry_points(distribution: Distribution) -> Iterator[tuple[str, str, str]]:
+    """Yield group, name and value of the entry points ``srs_twin.*``."""
+    for entry in distribution.entry_points:
+        if entry.group.startswith(_GROUP):
+            yield entry.group, entry.name, entry.value
+
+
+@cache
+def packages_of(distribution: Distribution) -> set[str]:
+    """Return the top-level packages of a distribution; an editable one lists only its entry points."""
+    values = {module_of(value).partition(".")[0] for _, _, value in _entry_points(distribution)}
+    return values | {file.parts[0].removesuffix(".py") for file in distribution.files or ()}
+
+
+def registered(kind: str) -> dict[str, str]:
+    """Return the parts that installed distributions register: short name → ``module:Name``.
+
+    Args:
+        kind: controller, pneumatics, sensor, metric or format.
+    """
+    group = f"{_GROUP}{kind.removesuffix('s')}s"
+    entries = chain.from_iterable(map(_entry_points, reversed(distributions())))
+    return {name: value for found, name, value in entries if found == group}
+
+
+def _allowed() -> Iterator[str]:
+    """Yield the modules that files may name: plug-ins, then packages of distributions, which take longer."""
+    yield from plugins()
+    for distribution in distributions():
+        yield from packages_of(distribution)
+
+
+def import_plugin(module: str) -> ModuleType:
+    """Import a module from outside the package, if the user or its distribution allows it.
+
+    Raises:
+        InputError: the module is not allowed, or its import fails.
+    """
+    if not any(f"{module}.".startswith(f"{name}.") for name in _allowed()):
+        raise InputError(
+            f"module {module} is not allowed, because a file alone never runs code. "
+            f"If you trust it, name it with --plugin FILE.py or in {PLUGINS}"
+        )
+    try:
+        imported = import_module(module)
+    except (Exception, SystemExit) as error:  # any error may be raised by foreign code
+        raise InputError(f"module {module} cannot be imported: {describe_error(error)}") from error
+    OUTSIDE.add(imported.__file__ or "")
+    return imported
+
+
+def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = ()) -> Any:
+    """Import a class from outside the package.
+
+    Args:
+        kind: controller, pneumatics, sensor or format.
+        name: ``module:Name``, or a short name that an installed distribution registers.
+        bases: base classes, one of which the class must have.
+        known: other names of this kind, for messages.
+
+    Raises:
+        AbsentPartError: this is not the time to import it, see `reading`.
+        UnknownNameError: no distribution registers the short name.
+        InputError: the part is not allowed, or has another base class.
+    """
+    if _reading.get():
+        raise AbsentPartError(name)
+    names = {name: name} if ":" in name else registered(kind)
+    if name not in names:
+        raise UnknownNameError(kind, name, (*known, *names))
+    if not re.fullmatch(PART_PATTERN, names[name], re.ASCII):
+        raise InputError(f"'{names[name]}' does not name a class; write module:Name")
+    module, _, attribute = names[name].partition(":")
+    found = getattr(import_plugin(module), attribute, None)
+    is_derived = isinstance(found, type) and issubclass(found, bases) and found not in bases
+    if not is_derived or isabstract(found):
+        expected = " or ".join(base.__name__ for base in bases)
+        raise InputError(f"{names[name]} must be a class that derives from {expected}, with all its methods")
+    return found
+
+
+def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
+    """Yield module and object of the instances and subclasses of a class that the plug-ins define."""
+    for module in () if _reading.get() else plugins():
+        for found in vars(import_plugin(module)).values():
+            is_own = isinstance(found, type) and found.__module__ == module and issubclass(found, base)
+            if isinstance(found, base) or (is_own and not isabstract(found)):
+                yield module, found
+
+
+@contextmanager
+def reading() -> Iterator[None]:
+    """Import no parts from outside in a block, which reads the files of a finished run."""
+    token = _reading.set(True)
+    try:
+        yield
+    finally:
+        _reading.reset(token)
+
+
+def is_reading() -> bool:
+    """Return whether the code runs in a block of `reading`."""
+    return _reading.get()

@@ -49,6 +49,10 @@ _HELP_ORDER = (
 """Order of the commands in the help; other commands come last."""
 
 
+_WITHOUT_PLUGINS = ("view", "render", "diff", "export", "schema", "doctor", "reproduce", "emulate")
+"""Commands that read finished runs or no files of the user; they never import parts from outside."""
+
+
 def _add_commands() -> None:
     commands: dict[str, Any] = _CORE_COMMANDS | dict(objects(COMMANDS))
     position = {name: index for index, name in enumerate(_HELP_ORDER)}
@@ -56,7 +60,7 @@ def _add_commands() -> None:
         if isinstance(commands[name], typer.Typer):
             app.add_typer(commands[name], name=name)
         else:
-            app.command(name)(expand_option_groups(commands[name]))
+            app.command(name)(expand_option_groups(commands[name], plugins=name not in _WITHOUT_PLUGINS))
 
 
 _add_commands()

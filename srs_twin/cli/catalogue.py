@@ -6,12 +6,13 @@ import json
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, get_args
+from contextlib import nullcontext
+from typing import Annotated, Any
 
 from srs_twin.cli.console import as_started, console, launcher
 from srs_twin.cli.options import JsonOption, argument, print_json
 from srs_twin.errors import UnknownNameError
-from srs_twin.extensions import SCHEMAS, installed, load
+from srs_twin.extensions import SCHEMAS, installed, load, plugins, reading
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
@@ -107,15 +108,14 @@ def _rows(kind: str) -> Iterator[dict[str, str]]:
     from srs_twin.io.files import find_file, shipped_names
 
     if kind == "controllers":
-        from srs_twin.scenario.file import CONTROLLERS
+        from srs_twin.scenario.file import CONTROLLER_KINDS
 
-        for model in CONTROLLERS:
-            (name,) = get_args(model.model_fields["kind"].annotation)
+        for name, model in CONTROLLER_KINDS.items():
             yield {"name": name, "title": " ".join((model.__doc__ or "").split())}
     elif kind == "metrics":
-        from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, meanings
+        from srs_twin.comparison.metrics import all_units, meanings
 
-        units = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
+        units = all_units()
         for name, meaning in meanings().items():
             yield {"name": name, "unit": units[name], "meaning": meaning}
     else:
@@ -169,7 +169,8 @@ def _resolved(name: str) -> dict[str, Any]:
 
     if is_robot(name):
         return load_robot_file(name).model_dump(mode="json", exclude_none=True)
-    return dict(load_scenario(name).document)
+    with nullcontext() if plugins() else reading():
+        return dict(load_scenario(name).document)
 
 
 def is_robot(name: str) -> bool:

@@ -18,7 +18,7 @@ import typer
 from srs_twin.cli.console import launcher, say
 from srs_twin.cli.options import argument, expand_option_groups, option
 from srs_twin.errors import InputError, InputFileError
-from srs_twin.extensions import LOADERS, load
+from srs_twin.extensions import LOADERS, allow_plugin, load
 
 app = typer.Typer(
     no_args_is_help=True, rich_markup_mode=None, help="Write a new file from a commented template."
@@ -243,16 +243,24 @@ def study(
 
 
 def controller(name: NameArgument, out: OutOption = None) -> None:
-    """Write a controller in Python, with a run on both plants."""
+    """Write a controller in Python, and a scenario that runs it on both plants."""
+    from srs_twin.scenario.loading import load_scenario
+
     cls = "".join(part.capitalize() for part in name.split("_"))
-    path = _write(
-        "controller.txt", name, out, lambda path: compile(path.read_text("utf-8"), path, "exec"), cls=cls
-    )
-    _print_next_command(path, f"python {path}")
+    path = _write("controller.txt", name, out, allow_plugin, cls=cls)
+    module, beside = path.stem, str(path.with_suffix(".yaml"))
+    try:
+        scenario = _write(
+            "own_controller.yaml", name, beside, load_scenario, cls=cls, module=module, plugin=path
+        )
+    except BaseException:
+        path.unlink()
+        raise
+    _print_next_command(path, f"srs-twin compare {scenario} --plugin {path}")
 
 
 for _command in (robot, scenario, controller, study):
-    app.command(_command.__name__)(expand_option_groups(_command))
+    app.command(_command.__name__)(expand_option_groups(_command, plugins=_command is study))
 
 
 def _answer(question: str, value: float | None, default: float) -> float:

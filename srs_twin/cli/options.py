@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 import typer
 
 from srs_twin.errors import check_choice
+from srs_twin.extensions import PLUGINS, allow_plugin
 
 if TYPE_CHECKING:
     from srs_twin.io.documents import Override
@@ -68,6 +69,8 @@ StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[bool, option("--quiet -q", "Print errors only, no table and no progress.")]
 JobsOption = Annotated[int | None, jobs_option("--jobs -j N")]
 JsonOption = Annotated[bool, option("--json", "Print one JSON document instead of tables.")]
+_PLUGIN = f"Python file whose classes the files may name (repeatable; or set {PLUGINS})."
+PluginOption = Annotated[list[str] | None, option("--plugin FILE.py", _PLUGIN)]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing file.")]
 
 _PRESSURE = "Supply pressure, kPa. [default: the robot's]"
@@ -129,8 +132,10 @@ class ChangeOptions:
 NO_CHANGES = ChangeOptions()
 
 
-def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
+def expand_option_groups(command: Callable[..., None], *, plugins: bool = False) -> Callable[..., None]:
     """Return a command in the form that typer expects, with all options and help texts.
+
+    With `plugins`, the command has the option ``--plugin``: its files may name parts from outside.
 
     Typer supports neither groups of options nor help texts in docstrings. A parameter whose type is a
     dataclass is therefore replaced by the fields of the dataclass, and a help text that the annotation lacks
@@ -138,6 +143,7 @@ def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
     """
     description, help_texts = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
+    keyword = inspect.Parameter.KEYWORD_ONLY
     groups = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
@@ -147,16 +153,19 @@ def expand_option_groups(command: Callable[..., None]) -> Callable[..., None]:
             annotations = get_type_hints(groups[name], include_extras=True)
             for kind in groups[name].__mro__[:-1]:
                 help_texts |= _parse_docstring(kind)[1]
-        keyword = inspect.Parameter.KEYWORD_ONLY
         parameters += [
             member.replace(kind=keyword, annotation=annotations[member.name]) for member in members
         ]
+    if plugins:
+        parameters.append(inspect.Parameter("plugin", keyword, default=None, annotation=PluginOption))
     for parameter in parameters:
         for info in getattr(parameter.annotation, "__metadata__", ()):
             info.help = info.help or help_texts.get(parameter.name)
 
     @wraps(command)
     def run(**values: Any) -> None:
+        for source in values.pop("plugin", None) or ():
+            allow_plugin(source)
         for name, kind in groups.items():
             values[name] = kind(**{field: values.pop(field) for field in inspect.signature(kind).parameters})
         command(**values)

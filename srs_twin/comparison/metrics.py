@@ -39,8 +39,10 @@ from srs_twin.comparison.learning import (
 from srs_twin.comparison.sampling import (
     STRAIGHT_RAD_S,
     ZERO,
+    MetricGroup,
     body_length,
     check_columns,
+    extension_groups,
     is_near_zero,
     meanings_of,
     metric_groups,
@@ -55,6 +57,15 @@ from srs_twin.comparison.tracking import (
     reading_metrics,
     tracking_metrics,
 )
+from srs_twin.extensions import (
+    allow_plugin,
+    import_plugin,
+    is_reading,
+    load,
+    module_of,
+    plugin_parts,
+    registered,
+)
 from srs_twin.trajectory import Trajectory
 
 RELATIVE = set(
@@ -66,16 +77,13 @@ RELATIVE = set(
     path_radius_m path_speed_m_s duty_lowest duty_highest
     reading_error_rad reading_backstep_rad reading_range_t
     """.split()
-).union(*(group.relative for group in metric_groups()))
-"""Metrics whose difference is also shown in per cent of the analytical value."""
+)
+"""Metrics whose difference is also shown in per cent of the analytical value, beside those of the groups."""
 
 _TENTH = 0.05
 """Smallest relative difference that is shown with one decimal, per cent."""
 
-YES_NO = frozenset[str]().union(*(group.yes_no for group in metric_groups()))
-"""Metrics that are 1 or 0, shown as yes or no."""
-
-_NOT_COMPARED = YES_NO | {"wall_s", "realtime_factor"}
+_NOT_COMPARED = ("wall_s", "realtime_factor")
 """Metrics whose difference is not shown: computing times are not properties of the plants."""
 
 
@@ -166,16 +174,58 @@ METRIC_UNITS = {
     **READING_UNITS,
     **SPATIAL_UNITS,
     **OBJECT_UNITS,
-    **{name: unit for group in metric_groups() for name, unit in group.units.items()},
+    **{name: unit for group in extension_groups() for name, unit in group.units.items()},
     **CONTACT_UNITS,
     **MEASURED_UNITS,
     **units_of(_TIME_MEANINGS),
 }
-"""Metrics of a plant that are one number each; expectations can refer to them."""
+"""Metrics of a plant that are one number each, without those of plug-ins; see `metric_units`."""
 
 COMPARISON_UNITS = units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
 """Metrics of `compare`, each one number. They are defined here, so that listing them does not import
 `compare`."""
+
+
+def metric_units() -> dict[str, str]:
+    """Return metric → unit for metrics of a plant that are one number each; expectations can name them."""
+    return METRIC_UNITS | {name: unit for group in metric_groups() for name, unit in group.units.items()}
+
+
+def all_units() -> dict[str, str]:
+    """Return metric → unit for all metrics."""
+    return metric_units() | LIST_METRIC_UNITS | COMPARISON_UNITS
+
+
+def is_yes_no(metric: str) -> bool:
+    """Return whether a metric is 1 or 0, shown as yes or no."""
+    return any(metric in group.yes_no for group in metric_groups())
+
+
+def metric_name(name: str) -> str:
+    """Return the name of a metric in results, and make the metrics of its module known.
+
+    Args:
+        name: name of a metric, with its module if that is a plug-in or belongs to an installed distribution:
+            ``module:metric``. The groups of metrics that distributions register are read for unknown names.
+
+    Raises:
+        InputError: the module is not allowed.
+    """
+    module, _, metric = name.rpartition(":")
+    if is_reading():
+        return metric
+    if not module and metric not in all_units():
+        groups = ((entry, load(entry)) for entry in registered("metric").values())
+        module = next((module_of(entry) for entry, group in groups if metric in group.meanings), "")
+    if module:
+        allow_plugin(import_plugin(module))
+    return metric
+
+
+def written_name(metric: str) -> str:
+    """Return the name of a metric for a file, with its module if that is a plug-in."""
+    groups = plugin_parts(MetricGroup)
+    return next((f"{module}:{metric}" for module, group in groups if metric in group.meanings), metric)
 
 
 def meanings() -> dict[str, str]:
@@ -396,7 +446,7 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
 
 def tidy(metric: str, value: Any) -> Any:
     """Return the value of a metric for display: yes or no, and 0 for negligible rates."""
-    if metric in YES_NO and value is not None:
+    if is_yes_no(metric) and value is not None:
         return "yes" if value else "no"
     rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
     return 0.0 if rate and abs(value) < ZERO else value
@@ -430,7 +480,7 @@ def result_rows(
         names: metrics of plants and of the comparison; those without a value are left out.
         text: function that formats a value.
     """
-    units, plants = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS, metrics["plants"]
+    units, plants = all_units(), metrics["plants"]
     for name in names:
         unit = "" if units[name] == "1" else units[name]
         values = [plant.get(name) for plant in plants.values()]
@@ -449,14 +499,20 @@ def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], 
     are empty if one of the values is missing.
     """
     model, twin = (tidy(metric, metrics["plants"].get(p, {}).get(metric)) for p in ("analytical", "twin"))
-    if metric in _NOT_COMPARED or not isinstance(model, int | float) or not isinstance(twin, int | float):
+    if (
+        metric in _NOT_COMPARED
+        or is_yes_no(metric)
+        or not isinstance(model, int | float)
+        or not isinstance(twin, int | float)
+    ):
         return "", ""
     if metric == "com_speed_m_s":
         model *= (metrics.get("comparison") or {}).get("gap_factor") or 1.0
     if text(model) == text(twin):
         twin = model
     difference = f"{twin - model:+.3g}" if twin != model else "0"
-    return difference, _per_cent(metric, model, twin) if metric in RELATIVE else ""
+    is_relative = metric in RELATIVE.union(*(group.relative for group in metric_groups()))
+    return difference, _per_cent(metric, model, twin) if is_relative else ""
 
 
 _GAIT_METRICS = [

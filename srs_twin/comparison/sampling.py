@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.extensions import METRICS, objects
+from srs_twin.extensions import METRICS, objects, plugin_parts
 from srs_twin.robot.sourced import UNITS
 from srs_twin.trajectory import Trajectory
 
@@ -190,6 +190,11 @@ class MetricGroup:
 
 
 @cache
-def metric_groups() -> tuple[MetricGroup, ...]:
+def extension_groups() -> tuple[MetricGroup, ...]:
     """Return the groups of the installed extensions."""
     return tuple(group for _, group in objects(METRICS))
+
+
+def metric_groups() -> tuple[MetricGroup, ...]:
+    """Return the groups of the installed extensions and of the plug-ins."""
+    return (*extension_groups(), *(group for _, group in plugin_parts(MetricGroup)))

@@ -32,6 +32,7 @@ from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from srs_twin.errors import InputError, SrsError, TaskFailedError, WorkerDiedError
+from srs_twin.extensions import PLUGINS
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -337,7 +338,9 @@ class _Worker:
         self.ready = False
         self.number: int | None = None
         self.pipe, remote_pipe = Pipe()
-        self.process = _start_process(_worker_main, (remote_pipe, program))
+        # The fork server may be older than the plug-ins of this process.
+        plugins = os.environ.get(PLUGINS, "")
+        self.process = _start_process(_worker_main, (remote_pipe, program, plugins))
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
@@ -381,8 +384,9 @@ def _start_process(target: Callable[..., None], arguments: tuple[object, ...]) -
             time.sleep(0.02)
 
 
-def _worker_main(pipe: Connection, program: bytes) -> None:
+def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
     """Run the tasks of a worker process on its main thread; a second thread receives the arguments."""
+    os.environ[PLUGINS] = plugins
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise_exit)
     arguments: queue.SimpleQueue[bytes] = queue.SimpleQueue()

@@ -35,7 +35,7 @@ class Controller(Claimable, Stateful, ABC):
 
     state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
 
-    kind: str
+    kind: str = "own"
     frequency: float | None = None
     layouts: tuple[str, ...] = tuple(LAYOUTS)
     spatial: bool = False

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from srs_twin.identification.static_tables import NamedRecordings, StaticTable
     from srs_twin.robot.spec import RobotSpec
 
+with_options = partial(expand_option_groups, plugins=True)
+
 _LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
 """Parameters that `calibrate locomotion` fits by default."""
 
@@ -59,7 +62,7 @@ def calibrate() -> None:
 
 
 @app.command()
-@expand_option_groups
+@with_options
 def friction(
     context: typer.Context,
     files: FilesArgument,
@@ -117,7 +120,7 @@ def friction(
 
 
 @app.command()
-@expand_option_groups
+@with_options
 def design(
     robot: RobotArgument,
     want: Annotated[str, option("--want NAMES")],
@@ -167,7 +170,7 @@ def design(
 
 
 @app.command()
-@expand_option_groups
+@with_options
 def actuator(
     context: typer.Context,
     files: FilesArgument,
@@ -251,7 +254,7 @@ def _fit_static(
 
 
 @app.command()
-@expand_option_groups
+@with_options
 def locomotion(
     context: typer.Context,
     files: FilesArgument,
@@ -323,7 +326,7 @@ def _gait_runs(recordings: NamedRecordings, supply_pa: float, quiet: bool) -> li
 
 
 @app.command()
-@expand_option_groups
+@with_options
 def robot(
     fits: Annotated[list[str], argument("FIT")],
     name: Annotated[str, option("--name NAME")],
@@ -385,4 +388,4 @@ def _refuse_option(value: object, option: str, why: str) -> None:
 
 
 for _command in (footprint, margin):
-    app.command()(expand_option_groups(_command))
+    app.command()(with_options(_command))

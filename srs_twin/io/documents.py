@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 from yaml.reader import ReaderError
 
-from srs_twin.errors import InputError, InputFileError
+from srs_twin.errors import AbsentPartError, InputError, InputFileError
 from srs_twin.io.files import MAX_BYTES, display_path, escape_unprintable, is_path, place_of, read_text
 
 Loc = tuple[str | int, ...]
@@ -206,6 +206,8 @@ class Document:
         """Report an `InputError` of a `with` block as a problem with the value at a path."""
         try:
             yield
+        except AbsentPartError:
+            pass  # there is no problem while the file is only read, and an unusable part is reported already
         except InputError as error:
             self.report(loc, str(error))
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from srs_twin.errors import MAX_LISTED_NAMES, did_you_mean, format_names
-from srs_twin.io.documents import Document, Loc, child, has_child, load_yaml
+from srs_twin.io.documents import Document, Loc, child, format_path, has_child, load_yaml
 
 Schema = Mapping[str, Any]
 """JSON schema."""
@@ -73,7 +73,7 @@ class StrictModel(BaseModel):
     method `contradictions()`, which yields path and message of each violation.
 
     Attributes:
-        elsewhere: keys that users expect in this block → correct keys, for messages.
+        elsewhere: paths of keys that users expect in this block → correct keys, for messages.
     """
 
     elsewhere: ClassVar[dict[str, str]] = {}
@@ -127,8 +127,8 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
             absent = _is_absent(item, schema, loc, data)
             loc = (*loc, item["loc"][-1]) if absent else loc
             message = _message(item, schema, loc, data)
-            if item["type"] == "extra_forbidden" and loc[1:] == () and loc[0] in elsewhere:
-                message = f"unknown key; did you mean {elsewhere[str(loc[0])]}?"
+            if item["type"] == "extra_forbidden" and (path := format_path(loc)) in elsewhere:
+                message = f"unknown key; did you mean {elsewhere[path]}?"
             user_loc = prefix + loc if absent else document.user_path(prefix, loc)
             document.report(user_loc, message, at_key=item["type"] == "extra_forbidden")
         return None
@@ -190,7 +190,7 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
     options = list(_schemas_at(schema, loc, data))
     words = " or ".join(dict.fromkeys(describe_schema(option, schema, brief=True) for option in options))
     if kind == "missing":
-        return f"missing; it must be {words}"
+        return f"missing; it must be {words}" if words else "missing"
     value, flat = item["input"], [inner for option in options for inner in _alternatives(option, schema)]
     choices = [choice for option in options for choice in _choices(option, schema)]
     close = did_you_mean(value, choices) if isinstance(value, str) and len(choices) > 1 else ""

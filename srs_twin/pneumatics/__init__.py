@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from srs_twin.errors import UnknownNameError
+from srs_twin.extensions import part
 from srs_twin.pneumatics.base import Pneumatics as Pneumatics
 from srs_twin.pneumatics.base import Trace as Trace
 from srs_twin.pneumatics.lag import LagPneumatics as LagPneumatics
@@ -26,7 +26,8 @@ def make_pneumatics(
     """Return the chambers of a robot.
 
     Args:
-        kind: a name in `KINDS`, or existing chambers, which are returned unchanged.
+        kind: a name in `KINDS`, a part from outside (`extensions.part`), or existing chambers, which are
+            returned unchanged.
         spec: the robot.
         supply_pa: supply pressure, gauge, Pa.
         layout: valve layout, one of `LAYOUTS`.
@@ -39,7 +40,9 @@ def make_pneumatics(
     if isinstance(kind, Pneumatics):
         return kind
     if kind not in KINDS:
-        raise UnknownNameError("pneumatics", kind, KINDS)
+        own = part("pneumatics", kind, (Pneumatics,), KINDS)
+        chambers: Pneumatics = own(spec, supply_pa=supply_pa, layout=layout, **options)
+        return chambers
     if spec.is_spatial and kind in SPATIAL_KINDS:
         return SPATIAL_KINDS[kind](spec, supply_pa=supply_pa, layout=layout, **options)
     spec.require_planar(f"pneumatics '{kind}'")

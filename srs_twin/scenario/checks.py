@@ -218,7 +218,7 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
         loading.warnings += list(controller.warnings(largest_bend(spec, loading.supply_pa)))
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
-    if spec.is_spatial and controller.kind != Gait.kind:
+    if spec.is_spatial and not controller.spatial:
         document.report(
             ("controller", "kind"), f"{spec.name} is spatial; only {Gait.kind} drives its chambers"
         )

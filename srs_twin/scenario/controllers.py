@@ -69,6 +69,11 @@ class ControllerSection(Section):
         return controller
 
     @property
+    def spatial(self) -> bool:
+        """Whether the controller commands the chambers of a spatial robot."""
+        return getattr(self.constructors[0], "spatial", False)
+
+    @property
     def gait_section(self) -> ControllerSection:
         """Section of the controller of the valves: this one, unless it steers another."""
         return self

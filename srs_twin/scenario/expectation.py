@@ -12,11 +12,21 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, PlainSerializer, field_validator, model_validator
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, METRIC_UNITS, METRICS_LISTED, YES_NO, tidy
+from srs_twin.comparison.metrics import (
+    COMPARISON_UNITS,
+    METRIC_UNITS,
+    METRICS_LISTED,
+    is_yes_no,
+    metric_name,
+    metric_units,
+    tidy,
+    written_name,
+)
 from srs_twin.comparison.undefined import Undefined
-from srs_twin.errors import UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.extensions import is_reading
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
@@ -60,17 +70,33 @@ _PARAMETERS = {
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
+def _metric_name(name: str) -> str:
+    try:
+        return metric_name(name)
+    except InputError as error:
+        raise ValueError(str(error)) from error
+
+
+MetricName = Annotated[
+    str,
+    Field(min_length=1, max_length=200),
+    AfterValidator(_metric_name),
+    PlainSerializer(written_name, when_used="json"),
+]
+"""Name of a metric, in a file with its module if that is a plug-in."""
+
+
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of plants, of the comparison ("comparison"), or of both (None)."""
     if subject is None:
-        return (*METRIC_UNITS, *COMPARISON_UNITS)
-    return tuple(COMPARISON_UNITS if subject == COMPARISON else METRIC_UNITS)
+        return (*metric_units(), *COMPARISON_UNITS)
+    return tuple(COMPARISON_UNITS if subject == COMPARISON else metric_units())
 
 
 class Expectation(Section):
     """Expected value of a metric: near a value (rel or abs), below or above one, or within an interval."""
 
-    metric: Annotated[str, Field(json_schema_extra={"enum": list(known_metrics())})]
+    metric: Annotated[MetricName, Field(json_schema_extra={"enum": [*METRIC_UNITS, *COMPARISON_UNITS]})]
     """Name of the metric."""
     plant: Literal["analytical", "twin"] | None = None
     """Plant of the metric."""
@@ -100,7 +126,7 @@ class Expectation(Section):
     @field_validator("metric")
     @classmethod
     def _is_a_metric(cls, metric: str) -> str:
-        if metric not in known_metrics():
+        if metric not in known_metrics() and not is_reading():
             raise ValueError(str(UnknownNameError("metric", metric, known_metrics(), METRICS_LISTED)))
         return metric
 
@@ -108,7 +134,7 @@ class Expectation(Section):
     def _is_consistent(self) -> Expectation:
         if (self.plant is None) == (self.of is None):
             raise ValueError("give either plant (analytical or twin) or of: comparison")
-        if self.metric not in known_metrics(self.subject):
+        if self.metric in known_metrics() and self.metric not in known_metrics(self.subject):
             required = "plant: analytical or plant: twin" if self.of else f"of: {COMPARISON}"
             raise ValueError(f"{self.metric} needs {required}")
         if sum(value is not None for value in (self.near, self.below, self.above, self.published)) != 1:
@@ -314,7 +340,7 @@ def result_text(checked: Mapping[str, Any]) -> str:
         return f"= {value or 'none'}, required {allowed}"
     if not checked.get("within"):
         return f"= {'none' if value is None else f'{value:.4g}'}, allowed {allowed}"
-    unit = (METRIC_UNITS | COMPARISON_UNITS).get(metric, "1")
+    unit = (metric_units() | COMPARISON_UNITS).get(metric, "1")
     text = "none" if value is None else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
     return f"= {text}; {checked['allowed']}"
 
@@ -322,7 +348,7 @@ def result_text(checked: Mapping[str, Any]) -> str:
 def allowed_text(checked: Mapping[str, Any]) -> str:
     """Return the text of the allowed values: a range, one value, or yes or no."""
     metric, allowed = checked["metric"], str(checked["allowed"])
-    return str(tidy(metric, int(allowed))) if metric in YES_NO and allowed in ("0", "1") else allowed
+    return str(tidy(metric, int(allowed))) if is_yes_no(metric) and allowed in ("0", "1") else allowed
 
 
 def tally(verdicts: Mapping[str, int]) -> str:

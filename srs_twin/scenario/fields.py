@@ -129,6 +129,10 @@ class Section(StrictModel):
         """Return the object that the section describes."""
         return self.constructors[0](**self.arguments())
 
+    def written(self) -> dict[str, Any]:
+        """Return the plain data of the section, with defaults, as a resolved file contains them."""
+        return self.model_dump(mode="json", exclude_none=True, by_alias=True)
+
     def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
         """Return the section with some keys that the file does not set multiplied by a factor.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from functools import reduce
 from operator import or_
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import Field, WithJsonSchema, create_model, model_validator
 
@@ -21,7 +21,7 @@ from srs_twin.scenario.controllers import CORE_CONTROLLERS, ControllerSection
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.fields import ExtensionSection, Line, Section, quantity, section_entries
 from srs_twin.scenario.modified import ChangedField
-from srs_twin.scenario.plants import BENCH_TICK_S, AnalyticalFile, PlantsFile, TwinFile
+from srs_twin.scenario.plants import BENCH_TICK_S, PLANTS, AnalyticalFile, PlantsFile, TwinFile
 from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
@@ -32,7 +32,20 @@ MOST_RECORD_HZ = 10_000.0
 """Largest recording rate, Hz."""
 
 
-class SensorFile(Section):
+class SensorSection(Section):
+    """Base class of the sections of curvature sensors; `constructors` begins with their class."""
+
+    def sensor(self, robot: RobotSpec) -> Sensor:
+        """Return the sensors of a robot.
+
+        Raises:
+            InputError: the sensor cannot be trimmed or calibrated.
+        """
+        given = {"spec": robot} if "spec" in self.parameters else {}
+        return make_sensor(self.constructors[0](**given, **self.arguments()), robot)
+
+
+class SensorFile(SensorSection):
     """Curvature sensors."""
 
     constructors = (make_sensor, Strip, HallSensor)
@@ -59,17 +72,10 @@ class SensorFile(Section):
     gain_error: float | None = quantity(-0.9, 10.0, None)
     """Relative drift of the gain after the calibration (hall; default {default:g})."""
 
-    def resolved(self) -> SensorFile:
-        """Return the section with all defaults written out."""
-        return self.with_defaults(*self.only["kind", "hall"]) if self.kind == "hall" else self
-
-    def sensor(self, robot: RobotSpec) -> Sensor:
-        """Return the sensors of a robot.
-
-        Raises:
-            InputError: the sensor cannot be trimmed or calibrated.
-        """
-        return make_sensor(spec=robot, **self.arguments())
+    def written(self) -> dict[str, Any]:
+        """See `Section.written`; the section has all defaults."""
+        section = self.with_defaults(*self.only["kind", "hall"]) if self.kind == "hall" else self
+        return section.model_dump(exclude_none=True)
 
 
 SensorFile.only["kind", "hall"] = tuple(key for key in SensorFile.model_fields if key != "kind")
@@ -126,7 +132,18 @@ class SupplyFile(Section):
     """Alias of allow_overpressure of the scenario."""
 
 
-class PneumaticsFile(Section):
+class PneumaticsSection(Section):
+    """Base class of the sections of valves and chambers; `constructors` begins with their class."""
+
+    def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
+        """Return new chambers of a robot."""
+        context = {"spec": robot, "supply_pa": supply_pa, "layout": layout}
+        given = {name: value for name, value in context.items() if name in self.parameters}
+        chambers: Pneumatics = self.constructors[0](**given, **self.arguments())
+        return chambers
+
+
+class PneumaticsFile(PneumaticsSection):
     """Valves and chambers."""
 
     constructors = (make_pneumatics, OrificePneumatics)
@@ -157,16 +174,11 @@ class PneumaticsFile(Section):
             raise ValueError(f"{present[0]} requires flow_limit_l_per_min")
         return self
 
-    def resolved(self) -> PneumaticsFile:
-        """Return the section with the relevant defaults written out."""
-        if self.kind == "lag":
-            return self
+    def written(self) -> dict[str, Any]:
+        """See `Section.written`; the section has the relevant defaults."""
         limited = self.flow_limit_l_per_min is not None
-        return self.with_defaults("critical_ratio", *(["line_volume_ml"] if limited else []))
-
-    def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
-        """Return new chambers of a robot."""
-        return make_pneumatics(spec=robot, supply_pa=supply_pa, layout=layout, **self.arguments())
+        names = ("critical_ratio", "line_volume_ml")[: 1 + limited] if self.kind == "orifice" else ()
+        return self.with_defaults(*names).model_dump(exclude_none=True)
 
 
 class ValvesFile(Section):
@@ -187,6 +199,9 @@ class ComparisonFile(Section):
 
 CONTROLLERS = (*CORE_CONTROLLERS, *(section for _, section in objects(extensions.CONTROLLERS)))
 """Controller sections of the core and of the installed extensions."""
+
+CONTROLLER_KINDS = {get_args(section.model_fields["kind"].annotation)[0]: section for section in CONTROLLERS}
+"""Kinds of `controller` → their sections."""
 
 if TYPE_CHECKING:
     ControllerFile = ControllerSection
@@ -241,6 +256,10 @@ class CoreScenarioFile(Section):
 
     elsewhere: ClassVar[dict[str, str]] = {
         key: f"robot.{key}" for key in RobotFile.model_fields if key not in ("name", "title", "supply")
+    } | {
+        f"plants.{plant}.{key}": f"{key} (beside plants)"
+        for plant in PLANTS
+        for key in ("controller", "pneumatics", "sensor")
     }
 
     def tick(self, plant: str) -> float:

@@ -32,6 +32,7 @@ from srs_twin.scenario.checks import (
 from srs_twin.scenario.fields import Loading, path_fields
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.scenario.modified import changed_fields, marked
+from srs_twin.scenario.parts import OWN_SCHEMA, read_resolved, scenario_model
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 
@@ -89,7 +90,7 @@ def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequen
         before, resolved, [change.loc for change in changes], document.get("changes") or ()
     ):
         resolved["changes"] = changed
-    file = ScenarioFile.model_validate_json(json.dumps(resolved), strict=True)
+    file = read_resolved(resolved)
     pose = file.start.build()
     assert file.name and file.title, "set by _resolved"
     return Scenario(
@@ -118,7 +119,7 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
         InputFileError: all problems of the document.
     """
     _locate_files(document)
-    file = validate(ScenarioFile, document, document.data)
+    file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
     warnings = document.warnings + (check_supply_pressure(document, robot) if robot else [])
     if file and robot:
@@ -183,7 +184,7 @@ def _resolved_or_raw(document: Document, products: Mapping[str, object]) -> dict
     plain: dict[str, Any] = document.data if isinstance(document.data, dict) else {}
     document.data = plain
     _locate_files(document)
-    file, (robot, _) = validate(ScenarioFile, document, plain), _robot(document)
+    file, (robot, _) = validate(scenario_model(document), document, plain), _robot(document)
     if file is None or robot is None:
         return plain
     file = file.scaled_to(robot.scale)
@@ -225,9 +226,10 @@ def _resolved(
         "title": file.title or name,
         "robot": robot.model_dump(mode="json", exclude_none=True),
         "supply": plain["supply"] | {"pressure_kpa": supply_kpa(file, robot)},
-        "pneumatics": plain["pneumatics"] | file.pneumatics.resolved().model_dump(exclude_none=True),
+        "controller": file.controller.written(),
+        "pneumatics": file.pneumatics.written(),
         "valves": plain["valves"] | {"layout": layout},
-        "sensor": file.sensor.resolved().model_dump(exclude_none=True),
+        "sensor": file.sensor.written(),
         "allow_overpressure": file.allow_overpressure or file.supply.allow_overpressure,
     }
     if "from" in document.get("start", {}):
@@ -288,6 +290,10 @@ def scenario_json_schema() -> dict[str, Any]:
     either = [{"type": "string"}, _override(robot, definitions), robot]
     schema["properties"]["robot"] |= {"title": "Robot", "anyOf": either}
     schema["$defs"] |= definitions
+    sections = schema["properties"]
+    sections["controller"]["oneOf"].append(OWN_SCHEMA)
+    for key in ("pneumatics", "sensor"):
+        sections[key]["anyOf"] = [{"$ref": sections[key].pop("$ref")}, OWN_SCHEMA]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
 

@@ -15,6 +15,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, lru_cache
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,20 @@ import numpy as np
 
 from srs_twin import __version__
 from srs_twin.compute.arrays import blas_kernels, one_blas_thread
-from srs_twin.extensions import CONTROLLERS, FORMATS, METRICS, SECTIONS, installed, module_of
+from srs_twin.extensions import (
+    CONTROLLERS,
+    FORMATS,
+    METRICS,
+    SECTIONS,
+    distributions,
+    installed,
+    module_of,
+    packages_of,
+    plugins,
+    registered,
+)
 from srs_twin.scenario.fields import input_files
+from srs_twin.scenario.parts import PARTS
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Keys of a scenario that name or judge results."""
@@ -101,7 +114,31 @@ def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
     if isinstance(controller, Mapping) and (entry := CONTROLLERS.get(str(controller.get("kind")))):
         used |= installed({"controller": entry})
     modules = [runner, *map(module_of, used.values())]
-    return {name: digest for module in modules for name, digest in source_digests(module).items()}
+    digests = {name: digest for module in modules for name, digest in source_digests(module).items()}
+    return digests | _plugin_digests({*plugins(), *_named_parts(document)})
+
+
+def _named_parts(document: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the modules of the parts from outside that a scenario names."""
+    for key, kind in PARTS.items():
+        name = (document.get(key) or {}).get("kind")
+        if name is not None and name not in kind.known:
+            yield module_of(name if ":" in name else registered(key).get(name, ""))
+
+
+def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
+    """Return the SHA-256 of the source files of plug-ins, and the versions of their distributions."""
+    digests: dict[str, str] = {}
+    for package in {module.partition(".")[0] for module in modules} - {"", "__main__"}:
+        if (spec := find_spec(package)) is None:
+            continue
+        for folder in map(Path, spec.submodule_search_locations or ()):
+            files = {path.relative_to(folder.parent): str(path) for path in folder.rglob("*.py")}
+            digests |= {str(name): _sha256(path) for name, path in files.items()}
+        digests[package] = _sha256(spec.origin or "")
+        owners = (each for each in distributions() if package in packages_of(each))
+        digests |= {each.name: each.version for each in owners}
+    return digests
 
 
 def judged_digest(document: Mapping[str, object]) -> str:
@@ -160,7 +197,7 @@ def _sha256(path: str) -> str:
         return ""
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=4096)
 def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -> str:
     """Return the digest of a file; times and size are part of the cache key."""
     with open(path, "rb") as file:

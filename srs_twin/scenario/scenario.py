@@ -15,6 +15,7 @@ from srs_twin.robot.world import World
 from srs_twin.scenario.controllers import ControllerContext, ControllerSection
 from srs_twin.scenario.expectation import Expectation
 from srs_twin.scenario.modified import Changes, invalidated_by, marked, with_plants
+from srs_twin.scenario.parts import read_resolved
 from srs_twin.scenario.plants import PLANTS, AnalyticalFile, PlantFile, TwinFile
 from srs_twin.sensing import DeadSensor, FaultySensor, Sensor
 from srs_twin.trajectory import Trajectory
@@ -78,6 +79,13 @@ class Scenario:
     warnings: tuple[str, ...] = ()
     products: Mapping[str, object] = field(default_factory=dict, compare=False, repr=False)
     source: str = field(default="", compare=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "file"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Sections of parts from outside are classes without a home, so they are made again.
+        vars(self).update(state, file=read_resolved(state["document"]))
 
     @property
     def plants(self) -> Mapping[str, PlantFile]:
@@ -192,12 +200,14 @@ class Scenario:
             "supply_pa": self.supply_pa,
             "tick": self.file.tick(kind),
             "base": "clamped" if self.file.bench else "free",
-            "sensor": self._sensors(robot),
         }
         arguments |= settings.arguments() | {"gaps": settings.gaps} | changes
+        if "sensor" not in changes:
+            arguments["sensor"] = self._sensors(robot)
         if not arguments.pop("gaps"):
             robot = replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))
-        arguments["pneumatics"] = self._chambers(robot)
+        if "pneumatics" not in changes:
+            arguments["pneumatics"] = self._chambers(robot)
         arguments["world"] = None if self.file.bench else arguments.get("world", self.world)
         if kind == "analytical":
             return AnalyticalSnake(robot, **arguments)

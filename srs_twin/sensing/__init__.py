@@ -6,6 +6,7 @@ from dataclasses import fields
 from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.extensions import part
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.sensing.hall import SPAN
 from srs_twin.sensing.hall import HallSensor as HallSensor
@@ -29,7 +30,8 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
     """Return the curvature sensors of a robot; those of a spatial robot have two axes.
 
     Args:
-        kind: a name in `KINDS`, or an existing `Sensor`, which is used as it is.
+        kind: a name in `KINDS`, a part from outside (`extensions.part`), or an existing `Sensor`, which is
+            used as it is.
         spec: the robot, which determines the length of the strips and the drift of each module's sensor.
         span: largest bend to both sides for which a Hall sensor is trimmed (unless `gain` is given) and
             calibrated, rad; other sensors ignore it.
@@ -49,7 +51,7 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
     elif kind in KINDS:
         sensor = _hall_sensor(spec, span, options)
     else:
-        raise UnknownNameError("sensor", kind, KINDS)
+        return make_sensor(part("sensor", kind, (Sensor,), KINDS)(**options), spec)
     modules = spec.modules
     if any(gain != 1 for gain in modules.sensor_gain) or any(modules.sensor_bias):
         sensor = DriftedSensor(sensor, modules.sensor_gain, modules.sensor_bias)

@@ -37,7 +37,7 @@ class Sensor(ABC):
             components to the left and upwards.
     """
 
-    kind: str
+    kind: str = "own"
     axes: int = 1
 
     @abstractmethod

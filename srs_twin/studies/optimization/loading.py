@@ -11,12 +11,12 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from srs_twin.comparison.metrics import METRIC_UNITS, METRICS_LISTED
+from srs_twin.comparison.metrics import METRICS_LISTED, metric_units
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml
 from srs_twin.io.files import find_file, results_name
 from srs_twin.io.validation import validate
-from srs_twin.scenario.expectation import Words
+from srs_twin.scenario.expectation import MetricName, Words
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.modified import Changes as ChangedFields
@@ -83,7 +83,7 @@ class VariableFile(Section):
 class ObjectiveFile(Section):
     """Metric to maximise or minimise."""
 
-    metric: str
+    metric: MetricName
     """One of `srs-twin list --metrics`."""
     goal: Literal["maximize", "minimize"]
     """Direction of the optimisation."""
@@ -95,7 +95,7 @@ class ObjectiveFile(Section):
 class ConstraintFile(Section):
     """Limit of a metric that a design must satisfy."""
 
-    metric: str
+    metric: MetricName
     """One of `srs-twin list --metrics`."""
     below: float | None = Field(None, ge=-1e12, le=1e12, description="Largest allowed value.")
     above: float | None = Field(None, ge=-1e12, le=1e12, description="Smallest allowed value.")
@@ -305,8 +305,8 @@ def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -
 def _check_metrics(document: Document, file: StudyFile) -> None:
     for section in ("objectives", "constraints"):
         for i, entry in enumerate(getattr(file, section)):
-            if entry.metric not in METRIC_UNITS:
-                text = str(UnknownNameError("metric", entry.metric, METRIC_UNITS, METRICS_LISTED))
+            if entry.metric not in (units := metric_units()):
+                text = str(UnknownNameError("metric", entry.metric, units, METRICS_LISTED))
                 document.report((section, i, "metric"), text)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import check_output_folder, display_path
-from srs_twin.scenario.provenance import run_key, source_digests, versions
+from srs_twin.scenario.provenance import run_key, run_sources, versions
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.sweep.execution import Engine
 from srs_twin.studies.sweep.points import RUNNER, Changes, Point
@@ -137,7 +137,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     def _check_identity(self, folder: Path, part: str, store: RowStore, *, changed: bool) -> None:
         """Refuse the folder of another study unless `changed`; store the identity of this one."""
         experiment, names = self._study.experiments[part], list(self._study.space.variables)
-        rest: tuple[Mapping[str, object], ...] = (versions(), source_digests(RUNNER))
+        rest: tuple[Mapping[str, object], ...] = (versions(), run_sources(experiment.base, RUNNER))
         now = SweepIdentity("", *json.loads(json.dumps((experiment.base, names, *rest))))
         before = store.identity()
         if before is not None and before != now and not changed:

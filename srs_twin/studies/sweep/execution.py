@@ -20,13 +20,14 @@ from typing import Any
 
 from srs_twin.compute.workers import TaskResult, run_tasks, start_server
 from srs_twin.errors import EngineWarning, InputError, SrsError
+from srs_twin.extensions import PLUGINS
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import check_output_folder, display_path
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
 from srs_twin.scenario.loading import parse_scenario
-from srs_twin.scenario.provenance import file_digests, source_digests
+from srs_twin.scenario.provenance import file_digests, run_sources
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
@@ -82,6 +83,8 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
         try:
             options: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
+            if plugins := os.environ.get(PLUGINS):
+                options["runtime_env"] = {"env_vars": {PLUGINS: plugins}}
             ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **options)
         except (ConnectionError, RuntimeError, ValueError) as error:
             raise InputError(f"Ray cannot be reached at {address or 'this machine'}: {error}") from error
@@ -252,7 +255,8 @@ class OpenSweep:
         """Refuse the folder of another version unless `changed`; store the identity of this sweep."""
         keys = rows_digest([Row(point.key, DONE) for point in self.sweep.points])
         rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
-        rest = json.loads(json.dumps((*rest, source_digests(RUNNER), self._input_files())))
+        sources = run_sources(self.sweep.experiment.base, RUNNER)
+        rest = json.loads(json.dumps((*rest, sources, self._input_files())))
         now, before = SweepIdentity(keys, *rest), self._store.identity()
         if before is not None and before.keys != now.keys:
             if not changed:

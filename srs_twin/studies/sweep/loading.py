@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS, METRICS_LISTED
+from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRICS_LISTED, metric_units
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, format_names
 from srs_twin.extensions import SECTIONS
 from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml, parse_path
@@ -52,13 +52,13 @@ def check_published(document: Document, file: SweepFile, published: Published) -
             _check_published_fields(document, file, field, values)
         else:
             document.report(("beside", "at", field), _not_varied(field, file), at_key=True)
-    columns = list(METRIC_UNITS) if file.metrics is None else [m for m in file.metrics if m in METRIC_UNITS]
+    units = metric_units()
+    columns = list(units) if file.metrics is None else [m for m in file.metrics if m in units]
     for metric in published.metrics:
         loc = ("beside", "metrics", metric)
-        if metric not in METRIC_UNITS:
-            document.report(
-                loc, str(UnknownNameError("metric", metric, METRIC_UNITS, METRICS_LISTED)), at_key=True
-            )
+        if metric not in units:
+            text = str(UnknownNameError("metric", metric, units, METRICS_LISTED))
+            document.report(loc, text, at_key=True)
         elif metric not in columns:
             document.report(loc, "is not among the sweep's metrics; add it there", at_key=True)
     _check_lengths(document, published)
@@ -339,7 +339,7 @@ class _Loader:
                 self._document.report((key,), text, at_key=True)
 
     def _check_metrics(self) -> None:
-        known = [*METRIC_UNITS, *LIST_METRIC_UNITS, *(COMPARISON_UNITS if len(self._plants) == 2 else ())]
+        known = [*metric_units(), *LIST_METRIC_UNITS, *(COMPARISON_UNITS if len(self._plants) == 2 else ())]
         known = known if self._plants else list(PLANNING_UNITS)
         for i, metric in enumerate(self._file.metrics or ()):
             self._check_metric(("metrics", i), metric, known)

@@ -17,6 +17,7 @@ from srs_twin.io.documents import Loc, parse_path
 from srs_twin.planning.scenario import PLANNER_FILES
 from srs_twin.robot.file import section_units
 from srs_twin.robot.sourced import replace_value
+from srs_twin.scenario.expectation import MetricName
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.provenance import run_key
@@ -50,7 +51,7 @@ class Plot(Section):
     """Varied field along x; with scatter also a metric."""
     y: FieldName | None = None
     """Varied field along y (contour)."""
-    metric: FieldName
+    metric: MetricName
     """Plotted metric, of each plant or of the comparison."""
     by: FieldName | None = None
     """Varied field that distinguishes lines or colours (line, scatter)."""
@@ -75,7 +76,7 @@ class Published(Section):
     """Note on the comparison (signs, method of measurement)."""
     at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)]
     """Varied fields → their values at each published point; lists of equal length."""
-    metrics: Annotated[dict[FieldName, PublishedValues], Field(min_length=1, max_length=64)]
+    metrics: Annotated[dict[MetricName, PublishedValues], Field(min_length=1, max_length=64)]
     """Metrics of the plants → their published values at each point; null if missing."""
 
     @property
@@ -155,7 +156,7 @@ class SweepFile(Section):
     """Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."""
     sampling: SamplingFile = SamplingFile()
     """Combination of the values."""
-    metrics: Annotated[list[FieldName], Field(min_length=1, max_length=64)] | None = None
+    metrics: Annotated[list[MetricName], Field(min_length=1, max_length=64)] | None = None
     """Metrics that become columns (default: all)."""
     trajectories: bool = False
     """Whether trajectories are stored as well."""

@@ -184,7 +184,7 @@ def _print_result(result: Propagation) -> None:
 
 def _print_plant(result: Propagation, plant: str) -> str:
     """Print the table of one plant; return the marks of values outside their intervals."""
-    from srs_twin.comparison.metrics import METRIC_UNITS
+    from srs_twin.comparison.metrics import metric_units
     from srs_twin.identification.fitting import print_table
     from srs_twin.studies.uncertainty.remarks import outside_marks
     from srs_twin.viewing.plots.labels import metric_label
@@ -193,7 +193,7 @@ def _print_plant(result: Propagation, plant: str) -> str:
     target = result.target[1]
     usual_count = _count_text(uncertainties[target]) if target in uncertainties else ""
     for metric, uncertainty in uncertainties.items():
-        if metric not in METRIC_UNITS:
+        if metric not in metric_units():
             continue
         ends = [uncertainty.interval(name) for name in ("interval_50", "interval_95")]
         value = _short(uncertainty.value)

@@ -12,8 +12,7 @@ from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
-    LIST_METRIC_UNITS,
-    METRIC_UNITS,
+    all_units,
     chosen,
     headline,
     plant_metrics,
@@ -83,7 +82,7 @@ def write_report(
         headline=headline(metrics),
         changes=_changes(metrics.get("changes") or ()),
         results=_results(metrics, chosen(metrics["plants"])),
-        all_metrics=_results(metrics, METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS),
+        all_metrics=_results(metrics, all_units()),
         tally=tally(Counter(verdicts)),
         expectations=_expectations(expectations, verdicts),
         left_out=left_out_line(metrics.get("left_out") or ()),

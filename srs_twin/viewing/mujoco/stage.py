@@ -79,7 +79,7 @@ class Stage:
         self._labels = _legend(run, ghost, bench=self.bench)
         if ghost is not None:
             self._ghost_line = body_line(ghost[1], scenario.robot.geometry, _GHOST_CHORDS)
-        plant: Any = scenario.build_plant("twin")
+        plant: Any = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
         self.model = plant.physics.model
         self.data = mujoco.MjData(self.model)
         self._qpos = run.stack("qpos")

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import Any
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.comparison.metrics import COMPARISON_UNITS, all_units
 from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import ScenarioFile
@@ -75,7 +75,7 @@ def metric_label(metric: str) -> str:
 
     A number after the name selects an element of a list: 'bend amplitude 2 (rad)'.
     """
-    units = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
+    units = all_units()
     stem, _, number = metric.rpartition("_")
     if metric not in units and number.isdigit() and stem in units:
         return _with_unit(f"{metric_title(stem)} {number}", units[stem])

@@ -1,0 +1,209 @@
+"""Sections of parts from outside the package: ``kind: module:Name``, or a name that a package registers.
+
+If the name is a class of a controller, of chambers or of a sensor, its section is made from the signature of
+the class. The other keys of the section are its arguments, without conversion of units. The name may also be
+a section, which is used like those of the package. See `srs_twin.extensions` for what is imported when.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Iterator, Mapping
+from functools import cache
+from inspect import Parameter, signature
+from types import SimpleNamespace
+from typing import Any, ClassVar, NamedTuple, get_type_hints
+
+from pydantic import ConfigDict, Field, TypeAdapter, create_model
+from pydantic.errors import PydanticUserError
+
+from srs_twin.control.base import Controller
+from srs_twin.errors import AbsentPartError, InputError, UnknownNameError
+from srs_twin.extensions import PART_PATTERN, part
+from srs_twin.io.documents import Document
+from srs_twin.pneumatics import KINDS as PNEUMATICS
+from srs_twin.pneumatics import LAYOUTS, Pneumatics
+from srs_twin.scenario.controllers import ControllerSection
+from srs_twin.scenario.fields import Section
+from srs_twin.scenario.file import CONTROLLER_KINDS, PneumaticsSection, ScenarioFile, SensorSection
+from srs_twin.sensing import KINDS as SENSORS
+from srs_twin.sensing import Sensor
+
+
+class _Kind(NamedTuple):
+    """Kind of part that a scenario may take from outside.
+
+    Attributes:
+        section: base class of its sections.
+        base: base class of its objects.
+        known: names of the package's own parts.
+        context: arguments that the scenario gives, which are not keys.
+    """
+
+    section: type[Section]
+    base: type
+    known: Collection[str]
+    context: tuple[str, ...] = ()
+
+
+PARTS = {
+    "controller": _Kind(ControllerSection, Controller, CONTROLLER_KINDS),
+    "pneumatics": _Kind(PneumaticsSection, Pneumatics, PNEUMATICS, ("spec", "supply_pa", "layout")),
+    "sensor": _Kind(SensorSection, Sensor, SENSORS, ("spec",)),
+}
+"""Sections of a scenario that may name parts from outside."""
+
+OWN_SCHEMA = {
+    "type": "object",
+    "title": "Part from outside",
+    "properties": {"kind": {"type": "string", "pattern": f"^{PART_PATTERN}$"}},
+    "required": ["kind"],
+}
+"""JSON Schema of a section of a part from outside."""
+
+
+class _ArgumentsSection(Section):
+    """Section whose keys are the arguments of a class.
+
+    A field is named after its key and an underscore, so that it hides no method.
+
+    Attributes:
+        not_written: fields whose default cannot be read back from a file.
+    """
+
+    not_written: ClassVar[set[str]]
+
+    def arguments(self, *constructors: object) -> dict[str, Any]:
+        """See `Section.arguments`."""
+        return {name[:-1]: value for name, value in self if name != "kind"}
+
+    def written(self) -> dict[str, Any]:
+        """See `Section.written`; null is a value of an argument."""
+        unset = self.not_written - self.model_fields_set
+        return self.model_dump(mode="json", by_alias=True, exclude=unset)
+
+
+class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
+    """Section of a part that is not imported; its keys are not checked."""
+
+    model_config = ConfigDict(extra="allow")
+
+    kind: str
+
+    @property
+    def spatial(self) -> bool:
+        """See `ControllerSection.spatial`; it is unknown."""
+        return True
+
+    def arguments(self, *constructors: object) -> dict[str, Any]:
+        """Raise `AbsentPartError`: nothing can be built."""
+        raise AbsentPartError(self.kind)
+
+    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
+        """See `ControllerSection.layouts`."""
+        return tuple(LAYOUTS)
+
+
+def scenario_model(document: Document) -> type[ScenarioFile]:
+    """Return the model of a scenario file with the sections of its parts from outside.
+
+    A part that cannot be used is reported to the document. Its section is not checked.
+    """
+    sections: dict[str, Any] = {}
+    for key in PARTS:
+        kind = document.get(key, "kind")
+        if not isinstance(kind, str) or kind in PARTS[key].known:
+            continue
+        try:
+            section = _section(key, kind)
+        except UnknownNameError:
+            continue  # the validation lists the known names
+        except InputError as error:
+            if not isinstance(error, AbsentPartError):
+                document.report((key, "kind"), str(error))
+            section = _AbsentSection
+        sections[key] = (section, ...)
+    return _model("ScenarioFile", ScenarioFile, **sections) if sections else ScenarioFile
+
+
+def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:
+    """Return the sections of a resolved scenario.
+
+    Raises:
+        InputFileError: a part from outside cannot be used here.
+    """
+    document = Document("scenario", data)
+    model = scenario_model(document)
+    document.raise_problems()
+    return model.model_validate_json(json.dumps(data), strict=True)
+
+
+@cache
+def _model(name: str, base: Any, **fields: Any) -> Any:
+    return create_model(name, __base__=base, **fields)
+
+
+def _section(key: str, name: str) -> type[Section]:
+    """Return the section of a part from outside; raises as `extensions.part`."""
+    base, kind, known, _ = PARTS[key]
+    return _section_of(key, name, part(key, name, (kind, base), known))
+
+
+@cache
+def _section_of(key: str, name: str, found: type) -> type[Section]:
+    if issubclass(found, Section):
+        section: type[Section] = _model(name, found, kind=(str, ...))
+        return section
+    fields: dict[str, Any] = {"kind": (str, ...)}
+    not_written = set()
+    for parameter, hint in _parameters(name, found, PARTS[key].context):
+        default = ... if parameter.default is parameter.empty else parameter.default
+        adapter = _adapter(hint)
+        if adapter is not None:
+            field = f"{parameter.name}_"
+            fields[field] = (hint, Field(default, alias=parameter.name))
+            if not _is_read_back(adapter, default):
+                not_written.add(field)
+        elif default is ...:
+            raise InputError(f"{name}: no file can give {parameter.name}; set a default, or write a section")
+    constants = {"constructors": (found,), "not_written": not_written}
+    fields |= {constant: (ClassVar[Any], value) for constant, value in constants.items()}
+    return create_model(name, __base__=(_ArgumentsSection, PARTS[key].section), **fields)
+
+
+def _parameters(name: str, found: type, context: Collection[str]) -> Iterator[tuple[Parameter, Any]]:
+    """Yield the parameters of a class that are keys of a file, with their types."""
+    keys = [
+        parameter
+        for parameter in signature(found).parameters.values()
+        if parameter.name not in context
+        and parameter.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+    ]
+    annotations = {key.name: key.annotation for key in keys if key.annotation is not key.empty}
+    namespace = getattr(found.__init__, "__globals__", {})  # type: ignore[misc]
+    try:
+        hints = get_type_hints(SimpleNamespace(__annotations__=annotations), namespace, include_extras=True)
+    except (NameError, SyntaxError, TypeError) as error:
+        text = f"{name}: the types of its arguments cannot be read ({error})"
+        raise InputError(f"{text}; import them outside of `if TYPE_CHECKING`") from error
+    for key in keys:
+        yield key, hints.get(key.name, Any)
+
+
+def _adapter(hint: Any) -> TypeAdapter[Any] | None:
+    """Return the validator of a type; None if a file cannot contain its values."""
+    try:
+        adapter = TypeAdapter(hint)
+        adapter.json_schema()
+    except PydanticUserError:
+        return None
+    return adapter
+
+
+def _is_read_back(adapter: TypeAdapter[Any], default: Any) -> bool:
+    """Return whether a default has the same value after it is written to a file and read again."""
+    try:
+        written = adapter.dump_json(default, warnings=False)
+        return default is ... or bool(adapter.validate_json(written) == default)
+    except ValueError:
+        return False
