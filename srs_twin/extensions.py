@@ -24,15 +24,10 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec, spec_from_file_location
 from inspect import isabstract
-from itertools import chain
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from srs_twin.errors import OUTSIDE, AbsentPartError, InputError, UnknownNameError, describe_error
-
-if TYPE_CHECKING:
-    from importlib.machinery import ModuleSpec
-    from importlib.metadata import Distribution
 
 COMMANDS = {
     "export": "srs_twin.recordings.commands:export",
@@ -187,8 +182,8 @@ started later inherit it."""
 PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
 """Pattern of the name of a part from outside, ``module:Name``."""
 
-_GROUP = "srs_twin."
-_reading = ContextVar("reading", default=False)
+READING = ContextVar("READING", default=False)
+"""Whether the files of a finished run are read, which imports no parts from outside."""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
@@ -199,37 +194,30 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
             a class in it.
 
     Raises:
-        InputError: there is no such file or module, or a module of this name exists already.
+        InputError: there is no such file or module, or another module has the name of the file.
     """
     if isinstance(source, type | ModuleType):
         source = getattr(source, "__module__", source.__name__)
     entry = os.fspath(source)
     if entry in plugins():
         return
-    if entry.endswith(".py"):
-        entry = os.path.abspath(entry)
-        _check_file(entry)
-    elif entry not in sys.modules and not _has_package(entry.partition(".")[0]):
-        raise InputError(
-            f"plug-in {entry}: there is no such module; give a file that ends in .py, or an installed module"
-        )
+    is_file = entry.endswith(".py")
+    entry = os.path.abspath(entry) if is_file else entry
+    name = os.path.basename(entry).partition(".")[0]
+    module = name.isidentifier() and (sys.modules.get(name) or find_spec(name))
+    origin = getattr(module, "__file__", None) or getattr(module, "origin", None) or "built in"
+    problem = ""
+    if not is_file:
+        problem = "" if module else "no such module; give a file that ends in .py, or an installed module"
+    elif not os.path.isfile(entry):
+        problem = "no such file"
+    elif not name.isidentifier() or os.pathsep in entry:
+        problem = f"cannot be imported; use only letters, digits and _ in its name, and no '{os.pathsep}'"
+    elif module and os.path.realpath(origin) != os.path.realpath(entry):
+        problem = f"a module {name} exists already ({origin}); rename the file"
+    if problem:
+        raise InputError(f"plug-in {entry}: {problem}")
     os.environ[PLUGINS] = os.pathsep.join(dict.fromkeys([*plugins().values(), entry]))
-
-
-def _check_file(path: str) -> None:
-    """Raise `InputError` unless a file can be imported under its name."""
-    name = os.path.basename(path).removesuffix(".py")
-    if not os.path.isfile(path):
-        raise InputError(f"plug-in {path}: there is no such file")
-    if not name.isidentifier() or os.pathsep in path:
-        raise InputError(
-            f"plug-in {path}: the file cannot be imported; "
-            f"use letters, digits and _ in its name, and no '{os.pathsep}' in its path"
-        )
-    existing = sys.modules.get(name) or find_spec(name)
-    origin = getattr(existing, "__file__", None) or getattr(existing, "origin", None) or "built in"
-    if existing and os.path.realpath(origin) != os.path.realpath(path):
-        raise InputError(f"plug-in {path}: a module {name} exists already ({origin}); rename the file")
 
 
 def plugins() -> dict[str, str]:
@@ -242,7 +230,7 @@ class _PluginFinder:
     """Finder that imports the files of plug-ins, if no other finder knows the module."""
 
     @staticmethod
-    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+    def find_spec(name: str, path: object = None, target: object = None) -> Any:
         file = plugins().get(name, "")
         return spec_from_file_location(name, file) if file.endswith(".py") else None
 
@@ -250,32 +238,23 @@ class _PluginFinder:
 sys.meta_path.append(_PluginFinder)
 
 
-def distributions() -> tuple[Distribution, ...]:
-    """Return the installed distributions that declare entry points ``srs_twin.*``."""
+def owners() -> dict[str, Any]:
+    """Return package → installed distribution, for those that declare entry points ``srs_twin.*``."""
     # An empty entry is the current folder, whose files may be from anybody.
-    return _distributions(tuple(filter(None, sys.path)))
+    return _owners(tuple(filter(None, sys.path)))
 
 
 @cache
-def _distributions(path: tuple[str, ...]) -> tuple[Distribution, ...]:
-    from importlib import metadata
+def _owners(path: tuple[str, ...]) -> dict[str, Any]:
+    from importlib.metadata import distributions
 
-    found = metadata.distributions(path=list(path))
-    return tuple(each for each in found if any(_entry_points(each)))
-
-
-def _entry_points(distribution: Distribution) -> Iterator[tuple[str, str, str]]:
-    """Yield group, name and value of the entry points ``srs_twin.*``."""
-    for entry in distribution.entry_points:
-        if entry.group.startswith(_GROUP):
-            yield entry.group, entry.name, entry.value
-
-
-@cache
-def packages_of(distribution: Distribution) -> set[str]:
-    """Return the top-level packages of a distribution; an editable one lists only its entry points."""
-    values = {module_of(value).partition(".")[0] for _, _, value in _entry_points(distribution)}
-    return values | {file.parts[0].removesuffix(".py") for file in distribution.files or ()}
+    found = {}
+    for distribution in distributions(path=list(path)):
+        entries = [each for each in distribution.entry_points if each.group.startswith("srs_twin.")]
+        files = distribution.files if entries else ()
+        names = [*(each.module for each in entries), *(file.parts[0] for file in files or ())]
+        found |= {name.partition(".")[0]: distribution for name in names}
+    return found
 
 
 def registered(kind: str) -> dict[str, str]:
@@ -284,16 +263,9 @@ def registered(kind: str) -> dict[str, str]:
     Args:
         kind: controller, pneumatics, sensor, metric or format.
     """
-    group = f"{_GROUP}{kind.removesuffix('s')}s"
-    entries = chain.from_iterable(map(_entry_points, reversed(distributions())))
-    return {name: value for found, name, value in entries if found == group}
-
-
-def _allowed() -> Iterator[str]:
-    """Yield the modules that files may name: plug-ins, then packages of distributions, which take longer."""
-    yield from plugins()
-    for distribution in distributions():
-        yield from packages_of(distribution)
+    group = f"srs_twin.{kind.removesuffix('s')}s"
+    entries = (each.entry_points.select(group=group) for each in reversed(dict.fromkeys(owners().values())))
+    return {entry.name: entry.value for each in entries for entry in each}
 
 
 def import_plugin(module: str) -> ModuleType:
@@ -302,14 +274,15 @@ def import_plugin(module: str) -> ModuleType:
     Raises:
         InputError: the module is not allowed, or its import fails.
     """
-    if not any(f"{module}.".startswith(f"{name}.") for name in _allowed()):
+    package = module.partition(".")[0]
+    if package not in {name.partition(".")[0] for name in plugins()} and package not in owners():
         raise InputError(
             f"module {module} is not allowed, because a file alone never runs code. "
             f"If you trust it, name it with --plugin FILE.py or in {PLUGINS}"
         )
     try:
         imported = import_module(module)
-    except (Exception, SystemExit) as error:  # any error may be raised by foreign code
+    except (Exception, SystemExit) as error:  # foreign code may raise any error
         raise InputError(f"module {module} cannot be imported: {describe_error(error)}") from error
     OUTSIDE.add(imported.__file__ or "")
     return imported
@@ -325,11 +298,11 @@ def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = (
         known: other names of this kind, for messages.
 
     Raises:
-        AbsentPartError: this is not the time to import it, see `reading`.
+        AbsentPartError: the files of a finished run are read.
         UnknownNameError: no distribution registers the short name.
         InputError: the part is not allowed, or has another base class.
     """
-    if _reading.get():
+    if READING.get():
         raise AbsentPartError(name)
     names = {name: name} if ":" in name else registered(kind)
     if name not in names:
@@ -347,23 +320,18 @@ def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = (
 
 def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
     """Yield module and object of the instances and subclasses of a class that the plug-ins define."""
-    for module in () if _reading.get() else plugins():
+    for module in () if READING.get() else plugins():
         for found in vars(import_plugin(module)).values():
-            is_own = isinstance(found, type) and found.__module__ == module and issubclass(found, base)
-            if isinstance(found, base) or (is_own and not isabstract(found)):
+            is_class = isinstance(found, type) and found.__module__ == module
+            if isinstance(found, base) or (is_class and issubclass(found, base) and not isabstract(found)):
                 yield module, found
 
 
 @contextmanager
 def reading() -> Iterator[None]:
     """Import no parts from outside in a block, which reads the files of a finished run."""
-    token = _reading.set(True)
+    token = READING.set(True)
     try:
         yield
     finally:
-        _reading.reset(token)
-
-
-def is_reading() -> bool:
-    """Return whether the code runs in a block of `reading`."""
-    return _reading.get()
+        READING.reset(token)

@@ -57,11 +57,11 @@ from srs_twin.comparison.tracking import (
     reading_metrics,
     tracking_metrics,
 )
+from srs_twin.errors import InputError
 from srs_twin.extensions import (
+    READING,
     allow_plugin,
     import_plugin,
-    is_reading,
-    load,
     module_of,
     plugin_parts,
     registered,
@@ -209,16 +209,19 @@ def metric_name(name: str) -> str:
             ``module:metric``. The groups of metrics that distributions register are read for unknown names.
 
     Raises:
-        InputError: the module is not allowed.
+        ValueError: the module is not allowed.
     """
     module, _, metric = name.rpartition(":")
-    if is_reading():
+    if READING.get():
         return metric
+    modules = [module] if module else []
     if not module and metric not in all_units():
-        groups = ((entry, load(entry)) for entry in registered("metric").values())
-        module = next((module_of(entry) for entry, group in groups if metric in group.meanings), "")
-    if module:
-        allow_plugin(import_plugin(module))
+        modules = [module_of(entry) for entry in registered("metric").values()]
+    try:
+        for each in modules:
+            allow_plugin(import_plugin(each))
+    except InputError as error:
+        raise ValueError(str(error)) from error
     return metric
 
 

@@ -49,7 +49,6 @@ class TableOptions:
         columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
         separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
         decimal: Decimal mark of a plain file. [default: detected]
-        format: File format, e.g. c3d, or module:Name of a plug-in. [default: detected]
     """
 
     map: Annotated[str | None, option("--map FILE.yaml")] = None
@@ -58,7 +57,6 @@ class TableOptions:
     columns: Annotated[str | None, option("--columns NAMES")] = None
     separator: Annotated[str | None, option("--separator CHARACTER")] = None
     decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
-    format: Annotated[str | None, option("--format NAME")] = None
 
     def map_data(self, markers: Sequence[str] = ()) -> dict[str, Any]:
         """Return the map with the other options as plain data; `markers` are those of `given_map`.
@@ -70,7 +68,7 @@ class TableOptions:
 
         options = {
             "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
-            "decimal": self.decimal, "format": self.format,
+            "decimal": self.decimal,
         }  # fmt: skip
         return given_map(self.map, options, markers)
 

@@ -114,7 +114,7 @@ def _file_facts(
     """Return the facts of a file without the proposed map, and its markers; as `inspect_file`."""
     start = start_of(path, map.dialect)
     timed = {clean(name) for name in map.meanings(["time"])} & set(start.names)
-    kind = PlainCsv.name if timed else identify(path, map.unstated)
+    kind = PlainCsv.name if timed else identify(path, map.dialect)
     if kind == PlainCsv.name:
         file = laid_out(read_file(path), map.dialect)
         if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):

@@ -89,9 +89,6 @@ class RecordingMap(StrictModel):
     decimal: Literal[".", ","] | None = None
     """Decimal mark of a plain file (default: detected)."""
 
-    format: str | None = None
-    """File format: c3d, mcap, …, or module:Name of a plug-in (default: detected)."""
-
     def contradictions(self) -> list[tuple[tuple[str, ...], str]]:
         """Return invalid keys of the log, unknown units, and markers without exactly one place."""
         problems: list[tuple[tuple[str, ...], str]] = []
@@ -134,7 +131,7 @@ class RecordingMap(StrictModel):
     @property
     def unstated(self) -> Unstated:
         """Information that the file of the markers may lack."""
-        return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect, self.format)
+        return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect)
 
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
         """Return column → meaning, for the columns of a log with these quantities."""

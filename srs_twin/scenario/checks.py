@@ -218,7 +218,7 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
         loading.warnings += list(controller.warnings(largest_bend(spec, loading.supply_pa)))
     except InputError as error:
         document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
-    if spec.is_spatial and not controller.spatial:
+    if spec.is_spatial and not any(getattr(each, "spatial", False) for each in controller.constructors):
         document.report(
             ("controller", "kind"), f"{spec.name} is spatial; only {Gait.kind} drives its chambers"
         )

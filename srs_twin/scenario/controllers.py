@@ -65,13 +65,8 @@ class ControllerSection(Section):
 
     def controller(self, context: ControllerContext) -> Controller:
         """Return a new controller."""
-        controller: Controller = self.constructors[0](**self.arguments())
+        controller: Controller = self.build()
         return controller
-
-    @property
-    def spatial(self) -> bool:
-        """Whether the controller commands the chambers of a spatial robot."""
-        return getattr(self.constructors[0], "spatial", False)
 
     @property
     def gait_section(self) -> ControllerSection:

@@ -25,8 +25,8 @@ from srs_twin.comparison.metrics import (
     written_name,
 )
 from srs_twin.comparison.undefined import Undefined
-from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.extensions import is_reading
+from srs_twin.errors import UnknownNameError
+from srs_twin.extensions import READING
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
@@ -70,17 +70,10 @@ _PARAMETERS = {
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
-def _metric_name(name: str) -> str:
-    try:
-        return metric_name(name)
-    except InputError as error:
-        raise ValueError(str(error)) from error
-
-
 MetricName = Annotated[
     str,
     Field(min_length=1, max_length=200),
-    AfterValidator(_metric_name),
+    AfterValidator(metric_name),
     PlainSerializer(written_name, when_used="json"),
 ]
 """Name of a metric, in a file with its module if that is a plug-in."""
@@ -126,7 +119,7 @@ class Expectation(Section):
     @field_validator("metric")
     @classmethod
     def _is_a_metric(cls, metric: str) -> str:
-        if metric not in known_metrics() and not is_reading():
+        if metric not in known_metrics() and not READING.get():
             raise ValueError(str(UnknownNameError("metric", metric, known_metrics(), METRICS_LISTED)))
         return metric
 

@@ -125,9 +125,14 @@ class Section(StrictModel):
                 arguments[parameter.name] = to_si(key, value)
         return arguments
 
-    def build(self) -> Any:
-        """Return the object that the section describes."""
-        return self.constructors[0](**self.arguments())
+    def build(self, **context: object) -> Any:
+        """Return the object that the section describes.
+
+        Args:
+            context: arguments that are not keys; those that the constructor does not have are left out.
+        """
+        given = {name: value for name, value in context.items() if name in self.parameters}
+        return self.constructors[0](**given, **self.arguments())
 
     def written(self) -> dict[str, Any]:
         """Return the plain data of the section, with defaults, as a resolved file contains them."""

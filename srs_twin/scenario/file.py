@@ -41,8 +41,7 @@ class SensorSection(Section):
         Raises:
             InputError: the sensor cannot be trimmed or calibrated.
         """
-        given = {"spec": robot} if "spec" in self.parameters else {}
-        return make_sensor(self.constructors[0](**given, **self.arguments()), robot)
+        return make_sensor(self.build(spec=robot), robot)
 
 
 class SensorFile(SensorSection):
@@ -137,9 +136,7 @@ class PneumaticsSection(Section):
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Return new chambers of a robot."""
-        context = {"spec": robot, "supply_pa": supply_pa, "layout": layout}
-        given = {name: value for name, value in context.items() if name in self.parameters}
-        chambers: Pneumatics = self.constructors[0](**given, **self.arguments())
+        chambers: Pneumatics = self.build(spec=robot, supply_pa=supply_pa, layout=layout)
         return chambers
 
 

@@ -18,11 +18,12 @@ from pydantic import ConfigDict, Field, TypeAdapter, create_model
 from pydantic.errors import PydanticUserError
 
 from srs_twin.control.base import Controller
+from srs_twin.control.gait import Gait
 from srs_twin.errors import AbsentPartError, InputError, UnknownNameError
 from srs_twin.extensions import PART_PATTERN, part
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics import KINDS as PNEUMATICS
-from srs_twin.pneumatics import LAYOUTS, Pneumatics
+from srs_twin.pneumatics import Pneumatics
 from srs_twin.scenario.controllers import ControllerSection
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import CONTROLLER_KINDS, PneumaticsSection, ScenarioFile, SensorSection
@@ -37,25 +38,25 @@ class _Kind(NamedTuple):
         section: base class of its sections.
         base: base class of its objects.
         known: names of the package's own parts.
-        context: arguments that the scenario gives, which are not keys.
     """
 
     section: type[Section]
     base: type
     known: Collection[str]
-    context: tuple[str, ...] = ()
 
 
 PARTS = {
     "controller": _Kind(ControllerSection, Controller, CONTROLLER_KINDS),
-    "pneumatics": _Kind(PneumaticsSection, Pneumatics, PNEUMATICS, ("spec", "supply_pa", "layout")),
-    "sensor": _Kind(SensorSection, Sensor, SENSORS, ("spec",)),
+    "pneumatics": _Kind(PneumaticsSection, Pneumatics, PNEUMATICS),
+    "sensor": _Kind(SensorSection, Sensor, SENSORS),
 }
 """Sections of a scenario that may name parts from outside."""
 
+_CONTEXT = ("spec", "supply_pa", "layout")
+"""Arguments of chambers and sensors that the scenario gives; they are not keys."""
+
 OWN_SCHEMA = {
     "type": "object",
-    "title": "Part from outside",
     "properties": {"kind": {"type": "string", "pattern": f"^{PART_PATTERN}$"}},
     "required": ["kind"],
 }
@@ -84,24 +85,16 @@ class _ArgumentsSection(Section):
 
 
 class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
-    """Section of a part that is not imported; its keys are not checked."""
+    """Section of a part that is not imported. Its keys are not checked, and nothing can be built."""
 
     model_config = ConfigDict(extra="allow")
+    constructors = (Gait,)  # it drives all valve layouts and robots
 
     kind: str
 
-    @property
-    def spatial(self) -> bool:
-        """See `ControllerSection.spatial`; it is unknown."""
-        return True
-
     def arguments(self, *constructors: object) -> dict[str, Any]:
-        """Raise `AbsentPartError`: nothing can be built."""
+        """Raise `AbsentPartError`."""
         raise AbsentPartError(self.kind)
-
-    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
-        """See `ControllerSection.layouts`."""
-        return tuple(LAYOUTS)
 
 
 def scenario_model(document: Document) -> type[ScenarioFile]:
@@ -110,19 +103,19 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
     A part that cannot be used is reported to the document. Its section is not checked.
     """
     sections: dict[str, Any] = {}
-    for key in PARTS:
+    for key, (section, base, known) in PARTS.items():
         kind = document.get(key, "kind")
-        if not isinstance(kind, str) or kind in PARTS[key].known:
+        if not isinstance(kind, str) or kind in known:
             continue
         try:
-            section = _section(key, kind)
+            own = _section(key, kind, part(key, kind, (base, section), known))
         except UnknownNameError:
             continue  # the validation lists the known names
         except InputError as error:
+            own = _AbsentSection
             if not isinstance(error, AbsentPartError):
                 document.report((key, "kind"), str(error))
-            section = _AbsentSection
-        sections[key] = (section, ...)
+        sections[key] = (own, ...)
     return _model("ScenarioFile", ScenarioFile, **sections) if sections else ScenarioFile
 
 
@@ -143,20 +136,15 @@ def _model(name: str, base: Any, **fields: Any) -> Any:
     return create_model(name, __base__=base, **fields)
 
 
-def _section(key: str, name: str) -> type[Section]:
-    """Return the section of a part from outside; raises as `extensions.part`."""
-    base, kind, known, _ = PARTS[key]
-    return _section_of(key, name, part(key, name, (kind, base), known))
-
-
 @cache
-def _section_of(key: str, name: str, found: type) -> type[Section]:
+def _section(key: str, name: str, found: type) -> type[Section]:
+    """Return the section of a class, which may be a section itself."""
     if issubclass(found, Section):
         section: type[Section] = _model(name, found, kind=(str, ...))
         return section
     fields: dict[str, Any] = {"kind": (str, ...)}
     not_written = set()
-    for parameter, hint in _parameters(name, found, PARTS[key].context):
+    for parameter, hint in _parameters(name, found):
         default = ... if parameter.default is parameter.empty else parameter.default
         adapter = _adapter(hint)
         if adapter is not None:
@@ -166,17 +154,17 @@ def _section_of(key: str, name: str, found: type) -> type[Section]:
                 not_written.add(field)
         elif default is ...:
             raise InputError(f"{name}: no file can give {parameter.name}; set a default, or write a section")
-    constants = {"constructors": (found,), "not_written": not_written}
-    fields |= {constant: (ClassVar[Any], value) for constant, value in constants.items()}
+    fields["constructors"] = (ClassVar[Any], (found,))
+    fields["not_written"] = (ClassVar[Any], not_written)
     return create_model(name, __base__=(_ArgumentsSection, PARTS[key].section), **fields)
 
 
-def _parameters(name: str, found: type, context: Collection[str]) -> Iterator[tuple[Parameter, Any]]:
+def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
     """Yield the parameters of a class that are keys of a file, with their types."""
     keys = [
         parameter
         for parameter in signature(found).parameters.values()
-        if parameter.name not in context
+        if parameter.name not in _CONTEXT
         and parameter.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
     ]
     annotations = {key.name: key.annotation for key in keys if key.annotation is not key.empty}

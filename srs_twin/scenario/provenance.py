@@ -28,10 +28,9 @@ from srs_twin.extensions import (
     FORMATS,
     METRICS,
     SECTIONS,
-    distributions,
     installed,
     module_of,
-    packages_of,
+    owners,
     plugins,
     registered,
 )
@@ -108,14 +107,17 @@ def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
     """Return the source digests of the runner and of the extensions that a scenario uses, by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
+    formats = {}
     if sections:  # they may read recorded files
         used |= installed(FORMATS)
+        formats = registered("format")
     controller = document.get("controller")
     if isinstance(controller, Mapping) and (entry := CONTROLLERS.get(str(controller.get("kind")))):
         used |= installed({"controller": entry})
     modules = [runner, *map(module_of, used.values())]
     digests = {name: digest for module in modules for name, digest in source_digests(module).items()}
-    return digests | _plugin_digests({*plugins(), *_named_parts(document)})
+    outside = {*plugins(), *map(module_of, formats.values()), *_named_parts(document)}
+    return digests | _plugin_digests(outside)
 
 
 def _named_parts(document: Mapping[str, Any]) -> Iterator[str]:
@@ -130,14 +132,13 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
     """Return the SHA-256 of the source files of plug-ins, and the versions of their distributions."""
     digests: dict[str, str] = {}
     for package in {module.partition(".")[0] for module in modules} - {"", "__main__"}:
-        if (spec := find_spec(package)) is None:
-            continue
-        for folder in map(Path, spec.submodule_search_locations or ()):
+        spec = find_spec(package)
+        digests[package] = _sha256(str(spec and spec.origin))
+        for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
             files = {path.relative_to(folder.parent): str(path) for path in folder.rglob("*.py")}
             digests |= {str(name): _sha256(path) for name, path in files.items()}
-        digests[package] = _sha256(spec.origin or "")
-        owners = (each for each in distributions() if package in packages_of(each))
-        digests |= {each.name: each.version for each in owners}
+        if package in owners():
+            digests[f"{package}, version"] = owners()[package].version
     return digests
 
 

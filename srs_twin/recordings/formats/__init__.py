@@ -1,7 +1,7 @@
 """File formats of motion recordings: identification and readers.
 
 A format is a `base.Format` or, for containers of messages, a `topics.Bag`; `extensions.FORMATS` lists them.
-Formats of plug-ins are tried before plain tables, and those that other packages register after all others.
+Formats from outside, of plug-ins and of other installed packages, are tried before plain tables.
 The libraries `c3d` and `rosbags` are in the extra `recordings`.
 """
 
@@ -17,7 +17,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, in_unit
 from srs_twin.recordings.formats.topics import Bag, RecordedTopics
-from srs_twin.recordings.recorded_file import read_bytes, read_file, start_of
+from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, read_bytes, read_file, start_of
 
 _FORMATS: tuple[Format, ...] = tuple(format() for _, format in extensions.objects(extensions.FORMATS))
 """Formats in the order in which they are tried."""
@@ -55,17 +55,17 @@ class UnknownFormatError(InputError):
     """A file of no known format of motion recordings."""
 
 
-def identify(path: str | os.PathLike[str], unstated: Unstated = _NOTHING) -> str:
+def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, usually one of `FORMATS`, by its first bytes.
 
     Args:
         path: recording.
-        unstated: information that the file lacks.
+        dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
         InputError: the file is missing, a folder, empty, or in another format, which the message describes.
     """
-    return _format(path, unstated).name
+    return _format(path, dialect).name
 
 
 def read_markers(path: str | os.PathLike[str], unstated: Unstated = _NOTHING) -> MarkerTable:
@@ -78,41 +78,26 @@ def read_markers(path: str | os.PathLike[str], unstated: Unstated = _NOTHING) ->
     Raises:
         InputError: the file cannot be read; the message names file, line, column and what is allowed.
     """
-    format = _format(path, unstated)
+    format = _format(path, unstated.dialect)
     file = read_bytes(path) if format.binary else read_file(path)
     return in_unit(format.read(file, unstated), unstated.unit)
 
 
-def _named_formats() -> Iterator[Format]:
-    """Yield the formats of the extension and of plug-ins in the order in which they are tried."""
+def _formats() -> Iterator[Format]:
+    """Yield the formats in the order in which they are tried, the slow search for packages late."""
     *special, plain = _FORMATS
     yield from special
     yield from (format() for _, format in extensions.plugin_parts(Format))
+    yield from (extensions.part("format", name, (Format,))() for name in extensions.registered("format"))
     yield plain
 
 
-def _all_formats() -> Iterator[Format]:
-    yield from _named_formats()
-    yield from map(_named_format, extensions.registered("format"))
-
-
-def _named_format(name: str) -> Format:
-    """Return a format by its name in `extensions.FORMATS`, or from outside."""
-    if entry := extensions.FORMATS.get(name):
-        found: Format = extensions.load(entry)()
-    else:
-        found = extensions.part("format", name, (Format,), extensions.FORMATS)()
-    return found
-
-
-def _format(path: str | os.PathLike[str], unstated: Unstated) -> Format:
-    if unstated.format is not None:
-        return _named_format(unstated.format)
-    start = start_of(path, unstated.dialect)
+def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:
+    start = start_of(path, dialect)
     name, raw = start.name, start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(f"{name}: the file is empty; a recording has a header and rows of numbers")
-    for format in _all_formats():
+    for format in _formats():
         if format.recognizes(start):
             return format
     for sign, description, remedy in _OTHERS:
@@ -137,6 +122,6 @@ def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
         InputError: the bag is damaged or too large, or the libraries are not installed.
     """
     start = start_of(path)
-    bags = (format for format in _named_formats() if isinstance(format, Bag) and format.recognizes(start))
+    bags = (format for format in _formats() if isinstance(format, Bag) and format.recognizes(start))
     bag = next(bags, None)
     return None if bag is None else bag.read_topics(read_bytes(path))

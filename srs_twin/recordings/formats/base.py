@@ -41,14 +41,12 @@ class Unstated(NamedTuple):
         unit: unit of length (DeepLabCut, plain CSV).
         scale_m: size of a pixel, m (DeepLabCut, plain CSV).
         dialect: layout of a plain table, if it cannot be detected.
-        format: name of the format; None: it is detected.
     """
 
     rate_hz: float | None = None
     unit: str | None = None
     scale_m: float | None = None
     dialect: Dialect = AS_FOUND
-    format: str | None = None
 
 
 @dataclass(frozen=True)

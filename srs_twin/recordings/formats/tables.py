@@ -131,7 +131,7 @@ class DeepLabCut(Format):
         Raises:
             InputError: rate or scale are not given, or the file is damaged.
         """
-        rate_hz, unit, scale_m = unstated[:3]
+        rate_hz, unit, scale_m, _ = unstated
         missing = [] if rate_hz else ["`rate_hz` (frames per second of the video)"]
         pixels = unit in (None, "px")
         if pixels and not scale_m:
