@@ -26,7 +26,7 @@ from srs_twin.comparison.metrics import (
 )
 from srs_twin.comparison.undefined import Undefined
 from srs_twin.errors import UnknownNameError
-from srs_twin.extensions import READING
+from srs_twin.extensions import PART_PATTERN, READING
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
@@ -78,6 +78,8 @@ MetricName = Annotated[
 ]
 """Name of a metric, in a file with its module if that is a plug-in."""
 
+_METRIC_SCHEMAS: list[Any] = [{"enum": [*METRIC_UNITS, *COMPARISON_UNITS]}, {"pattern": f"^{PART_PATTERN}$"}]
+
 
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of plants, of the comparison ("comparison"), or of both (None)."""
@@ -89,7 +91,7 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
 class Expectation(Section):
     """Expected value of a metric: near a value (rel or abs), below or above one, or within an interval."""
 
-    metric: Annotated[MetricName, Field(json_schema_extra={"enum": [*METRIC_UNITS, *COMPARISON_UNITS]})]
+    metric: Annotated[MetricName, Field(json_schema_extra={"anyOf": _METRIC_SCHEMAS})]
     """Name of the metric."""
     plant: Literal["analytical", "twin"] | None = None
     """Plant of the metric."""

@@ -723,7 +723,8 @@ def test_the_schema_describes_every_key():
         "title": "Simulated duration", "description": "Simulated duration in s, 0.001 to 3600.",
         "type": "number", "minimum": 0.001, "maximum": 3600.0, "unit": "s",
     }  # fmt: skip
-    assert schema["$defs"]["Expectation"]["properties"]["metric"]["enum"] == list(known_metrics())
+    named, from_outside = schema["$defs"]["Expectation"]["properties"]["metric"]["anyOf"]
+    assert named["enum"] == list(known_metrics()) and re.match(from_outside["pattern"], "my_module:metric")
 
 
 def test_references_of_the_schema_resolve():

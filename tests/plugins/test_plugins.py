@@ -1,0 +1,479 @@
+"""Parts from outside the package: plug-in files and installed distributions, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from outside import (
+    CONTROLLER,
+    FORMAT,
+    METRICS,
+    PARTS,
+    SCENARIO,
+    SECTION,
+    install,
+    tagged_recording,
+)
+
+import srs_twin as srs
+from srs_twin.envs.tasks import make_task
+from srs_twin.errors import InputError, TaskFailedError
+from srs_twin.experiment import load_run, run_scenario
+from srs_twin.extensions import PLUGINS, allow_plugin, owners, plugins
+from srs_twin.recordings.formats import identify, read_markers
+from srs_twin.scenario.loading import load_scenario, parse_scenario, scenario_json_schema
+from srs_twin.scenario.provenance import run_key
+from srs_twin.studies.sweep.execution import local, open_sweep
+from srs_twin.studies.sweep.loading import load_sweep
+
+names = iter(range(1000))
+
+
+@pytest.fixture(autouse=True)
+def alone(monkeypatch):
+    """Forget the plug-ins of a test, and the modules that it imported."""
+    monkeypatch.setenv(PLUGINS, "")
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if name.startswith(("outside_", "antigravity", "turtle", "pdb")):
+            sys.modules.pop(name)
+
+
+@pytest.fixture
+def plugin(tmp_path):
+    """Return a function that writes a plug-in and returns its file; each has another name."""
+
+    def write(*sources: str) -> Path:
+        path = tmp_path / f"outside_{next(names)}.py"
+        path.write_text("".join(sources).replace("from __future__ import annotations\n", ""))
+        return path
+
+    return write
+
+
+def document(kind: str, **keys: object) -> dict[str, object]:
+    return {"robot": "gen2", "duration_s": 0.4, "controller": {"kind": kind, "frequency": 2.0, **keys}}
+
+
+def problems(data: dict[str, object]) -> str:
+    with pytest.raises(InputError) as error:
+        parse_scenario(data)
+    return str(error.value)
+
+
+# What runs
+
+
+def test_the_keys_are_the_arguments_of_the_class(plugin):
+    path = plugin(CONTROLLER)
+    allow_plugin(path)
+    scenario = parse_scenario(document(f"{path.stem}:Damped", gain=0.4, limit=None))
+    controller = scenario.build_controller()
+    assert (controller.frequency, controller.gain, controller.limit) == (2.0, 0.4, None)
+    # Defaults are written out, except those that a file cannot contain; null stays null.
+    written = {"frequency": 2.0, "gain": 0.4, "side": "left", "limit": None, "layouts": 3}
+    assert scenario.document["controller"] == {"kind": f"{path.stem}:Damped"} | written
+    again = parse_scenario(scenario.document)
+    assert again.document == scenario.document and again.build_controller().limit is None
+    assert parse_scenario(scenario.document, set={"controller.gain": 0.5}).build_controller().gain == 0.5
+
+
+def test_the_arguments_are_checked_like_other_keys(plugin, tmp_path):
+    path = plugin(CONTROLLER)
+    allow_plugin(path)
+    (tmp_path / "s.yaml").write_text(
+        "robot: gen2\nduration_s: 1\ncontroller:\n"
+        f"  kind: {path.stem}:Damped\n  frequenzy: 2\n  gain: much\n  side: lefft\n  weights: [1]\n"
+    )
+    with pytest.raises(InputError) as error:
+        load_scenario(tmp_path / "s.yaml")
+    lines = [line.rpartition("s.yaml:")[2] for line in str(error.value).splitlines()]
+    assert lines == [
+        "4:3: controller.frequency: missing; it must be a number",
+        "5:3: controller.frequenzy: unknown key; did you mean frequency?",
+        "6:9: controller.gain: must be a number, not text 'much'",
+        "7:9: controller.side: must be one of left, right, not text 'lefft'; did you mean left?",
+        "8:3: controller.weights: unknown key; allowed: kind, frequency, gain, side, limit, layouts, top",
+    ]
+
+
+def test_a_section_is_used_like_those_of_the_package(plugin):
+    path = plugin(CONTROLLER, SECTION)
+    allow_plugin(path)
+    data = document(f"{path.stem}:DampedSection")
+    data["controller"] = {"kind": f"{path.stem}:DampedSection", "frequency_hz": 1.5}
+    assert parse_scenario(data).build_controller().frequency == 1.5
+    data["controller"]["gain"] = 2.0
+    assert "controller.gain: must be a number from 0 to 0.9, not 2" in problems(data)
+
+
+def test_chambers_and_sensors_from_outside_run_on_both_plants(plugin):
+    path = plugin(PARTS)
+    allow_plugin(path)
+    data = document("gait")
+    data["controller"] = {"kind": "gait", "frequency_hz": 2.0}
+    data["pneumatics"] = {"kind": f"{path.stem}:Leaky", "loss": 30.0}
+    data["sensor"] = {"kind": f"{path.stem}:Shifted", "offset_rad": 0.25}
+    scenario = parse_scenario(data)
+    for kind in ("analytical", "twin"):
+        run = srs.rollout(scenario.build_plant(kind), scenario.build_controller(), 0.4)
+        assert np.allclose(run["sensed_1"], run["bend_1"] + 0.25)
+        assert run.metadata["sensor"]["kind"] == "shifted"
+    # The Python interface takes the names as well, and so do environments.
+    plant = srs.AnalyticalSnake(srs.load_robot("gen2"), pneumatics=f"{path.stem}:Leaky")
+    assert type(plant.pneumatics).__name__ == "Leaky"
+    task = make_task("GoTo", pneumatics=f"{path.stem}:Leaky", limit_s=1.0)
+    episode = task.begin(np.random.default_rng(0))
+    assert type(episode.twin.pneumatics).__name__ == "Leaky"
+
+
+def test_a_scenario_with_own_parts_can_be_pickled(plugin):
+    path = plugin(CONTROLLER, PARTS)
+    allow_plugin(path)
+    scenario = parse_scenario(document(f"{path.stem}:Damped"))
+    copied = pickle.loads(pickle.dumps(scenario))
+    assert copied == scenario and copied.build_controller().frequency == 2.0
+
+
+def test_a_plugin_in_compare_and_its_run_without_it(plugin, srs_twin, tmp_path):
+    path = plugin(CONTROLLER, METRICS)
+    text = SCENARIO.replace("KIND", f"{path.stem}:Damped")
+    expect = f"expect: [{{metric: {path.stem}:heading_range_rad, plant: twin, above: 0}}]\n"
+    (tmp_path / "mine.yaml").write_text(text + expect)
+    done = srs_twin("compare", "mine.yaml", "--plugin", path.name, "--check", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "heading range" in done.stdout and "met    twin heading_range_rad" in done.stdout
+    metrics = json.loads((tmp_path / "runs/mine/metrics.json").read_text())
+    assert metrics["plants"]["twin"]["heading_range_rad"] > 0
+    resolved = tmp_path / "runs/mine/scenario.resolved.yaml"
+    written = yaml.safe_load(resolved.read_text())
+    assert written["controller"]["gain"] == 0.2
+    assert written["expect"][0]["metric"] == f"{path.stem}:heading_range_rad"
+    # The environment variable has the same effect, and the resolved file repeats the run.
+    os.environ[PLUGINS] = str(path)
+    done = srs_twin("compare", str(resolved), "--out", "again", "-q", "--check", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    again = json.loads((tmp_path / "again/metrics.json").read_text())
+    assert again["plants"]["twin"]["heading_range_rad"] == metrics["plants"]["twin"]["heading_range_rad"]
+    os.environ[PLUGINS] = ""
+    # A finished run is read without the plug-in, even if its file is gone.
+    path.unlink()
+    sys.modules.pop(path.stem)
+    run = load_run(tmp_path / "runs/mine")
+    assert run.scenario.controller.kind == f"{path.stem}:Damped"
+    with pytest.raises(InputError, match="was not imported"):
+        run.scenario.build_controller()
+    for words in (
+        ("show", str(resolved)),
+        ("diff", "runs/mine", "again"),
+        ("export", "mine", "--csv"),
+        ("render", "mine", "--image", "t=0.5"),
+    ):
+        done = srs_twin(*words, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    assert srs_twin("compare", str(resolved), "-q", cwd=tmp_path).returncode == 2
+
+
+def test_a_sweep_with_two_workers_knows_the_plugin(plugin, tmp_path):
+    path = plugin(CONTROLLER, METRICS)
+    (tmp_path / "mine.yaml").write_text(SCENARIO.replace("KIND", f"{path.stem}:Damped"))
+    (tmp_path / "sweep.yaml").write_text(
+        f"scenario: {tmp_path}/mine.yaml\nplants: [analytical]\n"
+        "vary: {controller.gain: [0.0, 0.2, 0.4]}\n"
+        f"metrics: [path_length_m, {path.stem}:heading_range_rad]\n"
+    )
+    allow_plugin(path)
+    sweep = load_sweep(tmp_path / "sweep.yaml")
+    with open_sweep(sweep, tmp_path / "out") as opened:
+        opened.run(local(2), opened.missing())
+        summary = opened.finish()
+    assert (summary.done, summary.failed) == (3, 0), summary.reasons
+    rows = pq.read_table(tmp_path / "out" / "results.parquet").to_pydict()
+    assert min(rows["analytical.heading_range_rad"]) > 0
+    assert len(set(rows["analytical.path_length_m"])) == 3
+    # Another version of the plug-in is noticed when the sweep resumes.
+    path.write_text(path.read_text() + "\nCHANGED = 1\n")
+    with pytest.raises(InputError, match=f"the program has changed: {path.stem}"):
+        with open_sweep(load_sweep(tmp_path / "sweep.yaml"), tmp_path / "out"):
+            pass
+    (tmp_path / "sweep.yaml").write_text(
+        f"scenario: {tmp_path}/mine.yaml\nvary: {{controller.gian: [0.0, 0.2]}}\n"
+    )
+    with pytest.raises(InputError, match=r"controller\.gian: unknown key; did you mean gain"):
+        load_sweep(tmp_path / "sweep.yaml")
+
+
+def test_a_format_of_a_plugin_is_read(plugin, tmp_path, srs_twin):
+    take = tagged_recording(tmp_path / "take.txt")
+    assert identify(take) != "Tagged TSV"
+    path = plugin(FORMAT)
+    allow_plugin(path)
+    table = read_markers(take)
+    assert table.kind == "Tagged TSV" and table.points[100, 1, 0] == pytest.approx(0.15)
+    done = srs_twin("inspect", str(take), "--plugin", str(path), "--json", cwd=tmp_path)
+    assert json.loads(done.stdout)[0]["format"] == "Tagged TSV", done.stderr
+
+
+# Installed distributions
+
+
+@pytest.fixture
+def site(tmp_path, monkeypatch):
+    """Return the name of a distribution that is installed into a folder of the import path."""
+    name = f"outside_{next(names)}"
+    install(tmp_path / "site", name)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    return name
+
+
+def test_an_installed_package_registers_short_names(site, tmp_path):
+    assert parse_scenario(document("damped")).build_controller().gain == 0.2
+    assert parse_scenario(document(f"{site}.control:Damped")).document["controller"]["gain"] == 0.2
+    expect = [{"metric": "heading_range_rad", "plant": "twin", "above": 0}]
+    scenario = parse_scenario({**document("damped"), "expect": expect})
+    result = run_scenario(scenario, tmp_path / "run")
+    assert [row["state"] for row in result.metrics["expectations"]] == ["met"]
+    again = parse_scenario(scenario.document)
+    assert again.document == scenario.document
+    take = tagged_recording(tmp_path / "take.txt")
+    assert read_markers(take).kind == "Tagged TSV"
+    text = problems(document("dampt"))
+    assert "controller.kind: must be one of gait" in text and "not text 'dampt'" in text
+
+
+def test_a_file_may_not_name_modules_beside_the_installed_package(site, tmp_path):
+    (tmp_path / "site" / "stranger_of_nobody.py").write_text(CONTROLLER)
+    text = problems(document("stranger_of_nobody:Damped"))
+    assert "module stranger_of_nobody is not allowed" in text
+    assert "stranger_of_nobody" not in sys.modules
+    assert site in owners() and "numpy" not in owners()
+
+
+def test_entry_points_in_the_current_folder_do_not_count(tmp_path, monkeypatch):
+    install(tmp_path, "outside_here")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend("")
+    assert "is not allowed" in problems(document("outside_here.control:Damped"))
+    assert "outside_here" not in sys.modules
+    # A user who starts Python here may still allow it.
+    allow_plugin("outside_here")
+    assert parse_scenario(document("outside_here.control:Damped")).build_controller().gain == 0.2
+
+
+def test_known_names_read_no_entry_points(tmp_path):
+    code = """
+from srs_twin import extensions
+def refuse(path): raise AssertionError("entry points are read")
+extensions._owners = refuse
+from srs_twin.scenario.loading import load_scenario
+from srs_twin.comparison.metrics import meanings
+from srs_twin.cli.app import command
+load_scenario("gen2_straight"); load_scenario("follow_fig57"); meanings(); command()
+"""
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, check=True)
+
+
+# Keys
+
+
+def test_keys_cover_the_sources_of_a_plugin(plugin):
+    path = plugin(CONTROLLER)
+    data = {"robot": "gen2", "controller": {"kind": f"{path.stem}:Damped"}}
+    built_in = {"robot": "gen2", "controller": {"kind": "gait"}}
+    runner = "srs_twin.rollout"
+    without = run_key(built_in, ["twin"], runner)
+    allow_plugin(path)
+    before = run_key(data, ["twin"], runner)
+    assert run_key(data, ["twin"], runner) == before
+    path.write_text(path.read_text() + "\nCHANGED = 1\n")
+    assert run_key(data, ["twin"], runner) != before
+    os.environ[PLUGINS] = ""
+    assert run_key(built_in, ["twin"], runner) == without
+
+
+def test_keys_cover_all_files_and_the_version_of_a_distribution(site, tmp_path):
+    runner, keys = "srs_twin.rollout", set()
+    data = {"controller": {"kind": "damped"}}
+    built_in = run_key({"controller": {"kind": "gait"}}, ["twin"], runner)
+    keys.add(run_key(data, ["twin"], runner))
+    keys.add(run_key({"controller": {"kind": f"{site}.control:Damped"}}, ["twin"], runner))
+    (tmp_path / "site" / site / "helper.py").write_text("A = 1\n")
+    keys.add(run_key(data, ["twin"], runner))
+    (tmp_path / "site" / site / "metrics.py").write_text("B = 1\n")
+    keys.add(run_key(data, ["twin"], runner))
+    owners()[site]._path.joinpath("METADATA").write_text(f"Name: {site}\nVersion: 1.1\n")
+    keys.add(run_key(data, ["twin"], runner))
+    assert len(keys) == 5
+    assert run_key({"controller": {"kind": "gait"}}, ["twin"], runner) == built_in
+
+
+# What is refused
+
+
+@pytest.mark.parametrize(
+    ("kind", "module"),
+    [
+        ("antigravity:geohash", "antigravity"),
+        ("pdb:Pdb", "pdb"),
+        ("turtle:Turtle", "turtle"),
+        ("srs_twin.cli.doctor.checks:run", "srs_twin.cli.doctor.checks"),
+        ("turtle.sub:Turtle", "turtle"),
+    ],
+)
+@pytest.mark.parametrize("key", ["controller", "pneumatics", "sensor"])
+def test_modules_that_nobody_allowed_are_not_imported(kind, module, key):
+    sys.modules.pop(module, None)
+    data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
+    data[key] = {"kind": kind}
+    text = problems(data)
+    assert f"{key}.kind: module {kind.partition(':')[0]} is not allowed" in text
+    assert "a file alone never runs code" in text and "--plugin FILE.py" in text and PLUGINS in text
+    assert module not in sys.modules
+
+
+def test_popen_is_not_imported_by_the_command_line(tmp_path):
+    (tmp_path / "s.yaml").write_text(SCENARIO.replace("KIND", "antigravity:Popen"))
+    (tmp_path / "antigravity.py").write_text("open('ran', 'w')")
+    code = "import sys; from srs_twin.cli import main; sys.argv[0] = 'srs-twin'; main(['run', 's.yaml'])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith("s.yaml:3:20: controller.kind: module antigravity is not allowed")
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["{}:a.b", "{}:__class__", "{}:_Damped", ".{}:Damped", "..:x", "{}:", ":Damped", "{}:Damped:x", "a b:C",
+     "{}:Damped()", "{}/x:Damped", "{}\n:Damped", "{}:Dämped"],
+)  # fmt: skip
+def test_other_names_are_refused_before_the_import(kind, plugin):
+    path = plugin(CONTROLLER)
+    allow_plugin(path)
+    text = problems(document(kind.format(path.stem)))
+    assert "does not name a class; write module:Name" in text
+    assert path.stem not in sys.modules
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("Popen", "from subprocess import Popen"),
+        ("system", "from os import system"),
+        ("absent", ""),
+        ("Controller", "from srs_twin import Controller"),
+        ("ControllerSection", "from srs_twin.scenario.controllers import ControllerSection"),
+        ("Half", "import srs_twin\nclass Half(srs_twin.Controller):\n    def step(self, state): pass"),
+        ("Shifted", PARTS),
+        ("Fake", "class Fake:\n    def __new__(cls, *a, **k): raise SystemExit(99)"),
+    ],
+)
+def test_a_class_needs_the_right_base_before_it_is_called(name, source, plugin):
+    path = plugin(source)
+    allow_plugin(path)
+    text = problems(document(f"{path.stem}:{name}"))
+    assert f"{path.stem}:{name} must be a class that derives from Controller or ControllerSection" in text
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("import nothing_of_this_name", "ModuleNotFoundError: No module named 'nothing_of_this_name'"),
+        ("def f(:", "SyntaxError: invalid syntax"),
+        ("raise SystemExit(0)", "SystemExit: 0"),
+        ("\n1 / 0", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_plugin_that_cannot_be_imported_is_named(source, message, plugin):
+    path = plugin(source)
+    allow_plugin(path)
+    text = problems(document(f"{path.stem}:Damped"))
+    assert f"controller.kind: module {path.stem} cannot be imported: {message}" in text
+
+
+def test_arguments_that_no_file_can_give_are_named(plugin):
+    path = plugin(
+        "import numpy as np, srs_twin as srs\nclass A(srs.Controller):\n"
+        "    def __init__(self, weights: np.ndarray): pass\n"
+        "    reset = step = lambda self, *a, **k: None\n"
+        "class B(A):\n    def __init__(self, gain: 'Nothing'): pass\n"
+    )
+    allow_plugin(path)
+    assert f"{path.stem}:A: no file can give weights; set a default" in problems(document(f"{path.stem}:A"))
+    assert "the types of its arguments cannot be read (name 'Nothing'" in problems(document(f"{path.stem}:B"))
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("absent.py", "no such file"),
+        ("no_module_of_this_name", "no such module; give a file that ends in .py"),
+        ("../x", "no such module"),
+        ("my-file.py", "cannot be imported; use only letters, digits and _"),
+        ("json.py", "a module json exists already"),
+        ("numpy.py", "a module numpy exists already"),
+        ("sys.py", "a module sys exists already (built in)"),
+    ],
+)
+def test_plugins_that_cannot_be_allowed(source, message, tmp_path, monkeypatch, srs_twin):
+    for name in ("my-file.py", "json.py", "numpy.py", "sys.py"):
+        (tmp_path / name).write_text("open('ran', 'w')")
+    done = srs_twin("compare", "gen2_straight", "--plugin", source, cwd=tmp_path)
+    assert done.returncode == 2 and message in done.stderr, done.stderr
+    assert not (tmp_path / "ran").exists()
+
+
+def test_two_plugins_of_one_name_are_refused(plugin, tmp_path):
+    path = plugin(CONTROLLER)
+    allow_plugin(path)
+    allow_plugin(path)  # once more is fine
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / path.name
+    other.write_text("")
+    with pytest.raises(InputError, match="exists already"):
+        allow_plugin(other)
+    assert list(plugins()) == [path.stem]
+
+
+def test_an_error_of_a_plugin_is_not_reported_as_ours(plugin):
+    path = plugin(CONTROLLER.replace("return self._gait.step(state)", "return 1 / 0"))
+    allow_plugin(path)
+    scenario = parse_scenario(document(f"{path.stem}:Damped"))
+    try:
+        srs.rollout(scenario.build_plant("analytical"), scenario.build_controller(), 0.1)
+    except ZeroDivisionError as error:
+        text = str(TaskFailedError(error))
+    assert f"({path.name}:" in text and "not part of srs-twin" in text and "please report it" not in text
+
+
+def test_metrics_of_unknown_modules_are_refused():
+    data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
+    data["expect"] = [{"metric": "antigravity:x", "plant": "twin", "above": 0}]
+    assert "expect[0].metric: module antigravity is not allowed" in problems(data)
+    assert "antigravity" not in sys.modules
+
+
+def test_parts_of_a_plant_are_named_where_they_stand():
+    data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
+    data["plants"] = {"twin": {"pneumatics": {"kind": "orifice"}}}
+    assert "plants.twin.pneumatics: unknown key; did you mean pneumatics (beside plants)?" in problems(data)
+
+
+def test_editors_accept_parts_from_outside():
+    jsonschema = pytest.importorskip("jsonschema")
+    validator = jsonschema.Draft202012Validator(scenario_json_schema())
+    data = document("my_module.sub:MyController", gain=0.3)
+    data |= {"pneumatics": {"kind": "a:B", "x": 1}, "sensor": {"kind": "a:B", "y": [1]}}
+    data["expect"] = [{"metric": "a:swing_rad", "plant": "twin", "below": 1.0}]
+    assert not list(validator.iter_errors(data))
+    assert list(validator.iter_errors(document("nothing")))
+    assert list(validator.iter_errors({**data, "pneumatics": {"kind": "nothing"}}))
