@@ -8,6 +8,7 @@ import pytest
 
 from srs_twin.cli import main
 from srs_twin.errors import (
+    AbsentPartError,
     DivergedError,
     InputError,
     InputFileError,
@@ -27,6 +28,7 @@ pytestmark = pytest.mark.fast
 ERRORS = [
     InputError("no such file"),
     UnknownNameError("metric", "sped", ["speed", "yaw"]),
+    AbsentPartError("module:Name"),
     TimeStepError("tick", 0.02, "time step", 0.003),
     InputFileError(["a.yaml:1:2: x: unknown key", "a.yaml:3:4: y: missing"]),
     DivergedError("twin", 0.31, "it flew", history=[1, 2]),
