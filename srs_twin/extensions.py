@@ -27,7 +27,7 @@ from inspect import isabstract
 from types import ModuleType
 from typing import Any
 
-from srs_twin.errors import OUTSIDE, AbsentPartError, InputError, UnknownNameError, describe_error
+from srs_twin.errors import OUTSIDE, InputError, UnknownNameError, describe_error
 
 COMMANDS = {
     "export": "srs_twin.recordings.commands:export",
@@ -183,7 +183,7 @@ PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
 """Pattern of the name of a part from outside, ``module:Name``."""
 
 READING = ContextVar("READING", default=False)
-"""Whether the files of a finished run are read, which imports no parts from outside."""
+"""Whether the files of a finished run are read, which imports none of the parts that they name."""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
@@ -248,7 +248,7 @@ def owners() -> dict[str, Any]:
 def _owners(path: tuple[str, ...]) -> dict[str, Any]:
     from importlib.metadata import distributions
 
-    found = {}
+    found: dict[str, Any] = {}
     for distribution in distributions(path=list(path)):
         entries = [each for each in distribution.entry_points if each.group.startswith("srs_twin.")]
         files = distribution.files if entries else ()
@@ -298,12 +298,9 @@ def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = (
         known: other names of this kind, for messages.
 
     Raises:
-        AbsentPartError: the files of a finished run are read.
         UnknownNameError: no distribution registers the short name.
         InputError: the part is not allowed, or has another base class.
     """
-    if READING.get():
-        raise AbsentPartError(name)
     names = {name: name} if ":" in name else registered(kind)
     if name not in names:
         raise UnknownNameError(kind, name, (*known, *names))
@@ -320,7 +317,7 @@ def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = (
 
 def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
     """Yield module and object of the instances and subclasses of a class that the plug-ins define."""
-    for module in () if READING.get() else plugins():
+    for module in plugins():
         for found in vars(import_plugin(module)).values():
             is_class = isinstance(found, type) and found.__module__ == module
             if isinstance(found, base) or (is_class and issubclass(found, base) and not isabstract(found)):
@@ -329,7 +326,7 @@ def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
 
 @contextmanager
 def reading() -> Iterator[None]:
-    """Import no parts from outside in a block, which reads the files of a finished run."""
+    """Import none of the parts that files name in a block, which reads the files of a finished run."""
     token = READING.set(True)
     try:
         yield

@@ -243,7 +243,7 @@ def study(
 
 
 def controller(name: NameArgument, out: OutOption = None) -> None:
-    """Write a controller in Python, and a scenario that runs it on both plants."""
+    """Write a controller in Python, and a scenario that runs it."""
     from srs_twin.scenario.loading import load_scenario
 
     cls = "".join(part.capitalize() for part in name.split("_"))
@@ -256,7 +256,8 @@ def controller(name: NameArgument, out: OutOption = None) -> None:
     except BaseException:
         path.unlink()
         raise
-    _print_next_command(path, f"srs-twin compare {scenario} --plugin {path}")
+    say(f"wrote {path}; it is valid")
+    _print_next_command(scenario, f"srs-twin compare {scenario} --plugin {path}")
 
 
 for _command in (robot, scenario, controller, study):

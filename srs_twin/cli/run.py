@@ -33,6 +33,7 @@ from srs_twin.cli.options import (
     print_json,
 )
 from srs_twin.errors import InputError, SrsError
+from srs_twin.extensions import plugins
 
 if TYPE_CHECKING:
     from srs_twin.io.documents import Override
@@ -267,7 +268,8 @@ def _report(
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
             if needs_explanation(result.metrics):
                 overrides = (word for change in changes for word in change.label.split(" ", 1))
-                arguments = shlex.join([case.source, *overrides])
+                named = (word for entry in plugins().values() for word in ("--plugin", entry))
+                arguments = shlex.join([case.source, *overrides, *named])
                 say(f"to attribute the difference: `srs-twin compare {arguments} --explain`")
         elif fails and not as_json:
             for line in expectation_lines(result.metrics, fails | {"holds", "not_judged"}):

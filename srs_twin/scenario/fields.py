@@ -125,7 +125,11 @@ class Section(StrictModel):
                 arguments[parameter.name] = to_si(key, value)
         return arguments
 
-    def build(self, **context: object) -> Any:
+    def build(self) -> Any:
+        """Return the object that the section describes."""
+        return self.build_with()
+
+    def build_with(self, **context: object) -> Any:
         """Return the object that the section describes.
 
         Args:

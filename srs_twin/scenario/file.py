@@ -41,7 +41,7 @@ class SensorSection(Section):
         Raises:
             InputError: the sensor cannot be trimmed or calibrated.
         """
-        return make_sensor(self.build(spec=robot), robot)
+        return make_sensor(self.build_with(spec=robot), robot)
 
 
 class SensorFile(SensorSection):
@@ -136,7 +136,7 @@ class PneumaticsSection(Section):
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Return new chambers of a robot."""
-        chambers: Pneumatics = self.build(spec=robot, supply_pa=supply_pa, layout=layout)
+        chambers: Pneumatics = self.build_with(spec=robot, supply_pa=supply_pa, layout=layout)
         return chambers
 
 

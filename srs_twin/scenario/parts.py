@@ -20,7 +20,7 @@ from pydantic.errors import PydanticUserError
 from srs_twin.control.base import Controller
 from srs_twin.control.gait import Gait
 from srs_twin.errors import AbsentPartError, InputError, UnknownNameError
-from srs_twin.extensions import PART_PATTERN, part
+from srs_twin.extensions import PART_PATTERN, READING, part
 from srs_twin.io.documents import Document
 from srs_twin.pneumatics import KINDS as PNEUMATICS
 from srs_twin.pneumatics import Pneumatics
@@ -107,14 +107,14 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
         kind = document.get(key, "kind")
         if not isinstance(kind, str) or kind in known:
             continue
+        own: type[Section] = _AbsentSection
         try:
-            own = _section(key, kind, part(key, kind, (base, section), known))
+            if not READING.get():
+                own = _section(key, kind, part(key, kind, (base, section), known))
         except UnknownNameError:
             continue  # the validation lists the known names
         except InputError as error:
-            own = _AbsentSection
-            if not isinstance(error, AbsentPartError):
-                document.report((key, "kind"), str(error))
+            document.report((key, "kind"), str(error))
         sections[key] = (own, ...)
     return _model("ScenarioFile", ScenarioFile, **sections) if sections else ScenarioFile
 
