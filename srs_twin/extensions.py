@@ -252,7 +252,7 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
     for distribution in distributions(path=list(path)):
         entries = [each for each in distribution.entry_points if each.group.startswith("srs_twin.")]
         files = distribution.files if entries else ()
-        names = [*(each.module for each in entries), *(file.parts[0] for file in files or ())]
+        names = [*(module_of(each.value) for each in entries), *(file.parts[0] for file in files or ())]
         found |= {name.partition(".")[0]: distribution for name in names}
     return found
 

@@ -270,6 +270,23 @@ def test_entry_points_in_the_current_folder_do_not_count(tmp_path, monkeypatch):
     assert parse_scenario(document("outside_here.control:Damped")).build_controller().gain == 0.2
 
 
+def test_damaged_entry_points_are_named(tmp_path, monkeypatch):
+    info = tmp_path / "site" / "damaged-1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Name: damaged\nVersion: 1\n")
+    (info / "entry_points.txt").write_text("[srs_twin.controllers]\nodd = not a name!\n")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert "'not a name!' does not name a class; write module:Name" in problems(document("odd"))
+
+
+def test_the_first_of_two_packages_has_a_short_name(tmp_path, monkeypatch):
+    for name in ("outside_second", "outside_first"):
+        install(tmp_path / name, name)
+        monkeypatch.syspath_prepend(tmp_path / name)
+    scenario = parse_scenario(document("damped"))
+    assert type(scenario.build_controller()).__module__ == "outside_first.control"
+
+
 def test_known_names_read_no_entry_points(tmp_path):
     code = """
 from srs_twin import extensions
