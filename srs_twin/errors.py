@@ -174,6 +174,8 @@ def describe_error(error: BaseException) -> str:
     """Return type and message of an error with its place, preferably in a part from outside the package."""
     frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
     where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    if isinstance(error, SyntaxError):
+        where = ""  # the message has it
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 

@@ -280,6 +280,7 @@ def import_plugin(module: str) -> ModuleType:
             f"module {module} is not allowed, because a file alone never runs code. "
             f"If you trust it, name it with --plugin FILE.py or in {PLUGINS}"
         )
+    OUTSIDE.update(plugins().values())
     try:
         imported = import_module(module)
     except (Exception, SystemExit) as error:  # foreign code may raise any error
