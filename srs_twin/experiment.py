@@ -26,6 +26,7 @@ from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.extensions import reading
+from srs_twin.io.arguments import checked
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import check_output_folder, data_root, display_path, shipped_names
@@ -378,6 +379,7 @@ class ComparedRuns(Comparison):
             display(self)
 
 
+@checked
 def compare(
     reference: Trajectory | Scenario | str | Path,
     candidate: Trajectory | None = None,

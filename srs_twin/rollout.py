@@ -36,6 +36,7 @@ from srs_twin.errors import (
     nearest_rate,
     shortest_decimal,
 )
+from srs_twin.io.arguments import check_types, checked
 from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import (
     Plant,
@@ -63,6 +64,7 @@ Policy = Callable[[SnakeState], np.ndarray]
 """Function from the states of a batch to valve commands."""
 
 
+@checked
 def rollout(
     plant: Plant,
     controller: Controller,
@@ -378,7 +380,11 @@ class Job:
     record_hz: float = 100
     begin: PlaceFunction | None = None
 
+    def __post_init__(self) -> None:
+        check_types("Job", Job, vars(self))
 
+
+@checked
 def run_many(
     jobs: Iterable[Job], *, threads: int | None = None, progress: Callable[[int], None] | None = None
 ) -> list[Trajectory | DivergedError]:

@@ -7,14 +7,17 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from srs_twin.compute.arrays import Array
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.extensions import PAGES, load
 from srs_twin.io.untrusted import read_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _COLUMNS_OF_UNIT = {
     "s": "time",
@@ -49,6 +52,12 @@ class Event:
     time: float
     kind: str
     text: str
+
+
+class UnknownColumnError(UnknownNameError, KeyError):
+    """Column that a trajectory does not have; the message suggests similar ones."""
+
+    __str__ = Exception.__str__  # KeyError would print the message in quotes
 
 
 class HtmlResult:
@@ -94,7 +103,13 @@ class Trajectory(HtmlResult):
     metadata: Mapping[str, Any] = field(default_factory=dict)
 
     def __getitem__(self, name: str) -> Array:
-        """Return one column, shape (samples,)."""
+        """Return one column, shape (samples,).
+
+        Raises:
+            UnknownColumnError: there is no such column.
+        """
+        if name not in self.columns:
+            raise UnknownColumnError("column", str(name), self.columns)
         return self.columns[name]
 
     def __len__(self) -> int:
@@ -120,13 +135,14 @@ class Trajectory(HtmlResult):
         """Return numbered columns as one array: ``stack("bend")`` has shape (samples, segments).
 
         Raises:
-            KeyError: there is no column ``<name>_1``.
+            UnknownColumnError: there is no column ``<name>_1``.
         """
         arrays: list[Array] = []
         while (column := self.columns.get(f"{name}_{len(arrays) + 1}")) is not None:
             arrays.append(column)
         if not arrays:
-            raise KeyError(name)
+            stems = {column.removesuffix("_1") for column in self.columns if column.endswith("_1")}
+            raise UnknownColumnError("numbered columns", name, stems)
         return np.stack(arrays, axis=-1)
 
     def between(self, begin: float, end: float) -> Trajectory:
@@ -146,6 +162,22 @@ class Trajectory(HtmlResult):
     def unit(self, name: str) -> str:
         """Return the unit of a column."""
         return self.units.get(name) or _UNIT_OF_COLUMN.get(re.sub(r"(_\d+)+$", "", name), "1")
+
+    def to_pandas(self) -> pd.DataFrame:
+        """Return the columns as a pandas data frame; the index is the time, s.
+
+        ``attrs["units"]`` is a dictionary with the unit of every column and of the index ``time``.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            import pandas as pd
+        except ImportError as error:
+            raise InputError("to_pandas needs pandas; install it with: pip install pandas") from error
+        frame = pd.DataFrame(dict(self.columns)).set_index("time")
+        frame.attrs["units"] = {name: self.unit(name) for name in self.columns}
+        return frame
 
     def to_parquet(self, path: Any) -> None:
         """Write to a Parquet file or file-like object; equal trajectories give equal bytes.

@@ -45,6 +45,7 @@ import numpy as np
 from srs_twin.compute.arrays import check_positive
 from srs_twin.control.base import Controller
 from srs_twin.errors import InputError
+from srs_twin.io.arguments import checked
 from srs_twin.plants.base import SnakeState
 from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
@@ -120,6 +121,7 @@ class Gait(Controller):
     layouts: tuple[str, ...] = ("3/2", "in_out")
     spatial = True
 
+    @checked
     def __init__(
         self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None,
         phases: Sequence[float] | None = None, rest_share: float | None = None,

@@ -24,6 +24,7 @@ from itertools import product
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.io.arguments import checked
 from srs_twin.planning.best_first import best_first
 from srs_twin.planning.collision import Checker, obstacle_shapes
 from srs_twin.planning.footprint import Footprint, Transient
@@ -54,6 +55,7 @@ _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
 """Widths added to both edges in turn, m; the path with transitions must be free with the original edges."""
 
 
+@checked
 def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "best_first") -> Plan:
     """Find a collision-free path.
 

@@ -317,7 +317,7 @@ class PneumaticPlant(Plant):
         self, pneumatics: str | Pneumatics, supply_pa: float | None, layout: str, sensor: str | Sensor
     ) -> float:
         """Construct chambers and sensors; return the supply pressure, Pa."""
-        supply = self.spec.supply.nominal if supply_pa is None else supply_pa
+        supply = self.spec.supply.nominal if supply_pa is None else _checked_supply(supply_pa, self.spec)
         self.pneumatics = make_pneumatics(pneumatics, self.spec, supply_pa=supply, layout=layout)
         self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, self.spec)
         self.metered = self.pneumatics.metered
@@ -366,6 +366,32 @@ class PneumaticPlant(Plant):
         Returns:
             The history of the samples.
         """
+
+
+_PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}
+"""Units in which a supply pressure may have been given instead of Pa."""
+
+_LEAST_SUPPLY_SHARE = 0.01
+"""Fraction of the nominal pressure below which a supply pressure probably has another unit than Pa."""
+
+
+def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
+    """Return a supply pressure (Pa) after a check that it is plausible for a robot.
+
+    Raises:
+        InputError: it is not finite, negative, or so small that its unit is probably not Pa.
+    """
+    nominal = spec.supply.nominal
+    if not 0 <= supply_pa < np.inf:
+        raise InputError(f"supply_pa {supply_pa!r} is not allowed; it must be finite and not negative, in Pa")
+    if 0 < supply_pa < _LEAST_SUPPLY_SHARE * nominal:
+        # The unit that brings the pressure closest to the nominal one.
+        unit = min(_PA_PER_UNIT, key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)))
+        raise InputError(
+            f"supply_pa {supply_pa:g} is in Pa, which is {supply_pa / 1e3:g} kPa; {spec.name} needs about "
+            f"{nominal:g} Pa; did you mean {supply_pa * _PA_PER_UNIT[unit]:g} ({supply_pa:g} {unit})?"
+        )
+    return supply_pa
 
 
 def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> None:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, get_args
 from pydantic import Field
 
 from srs_twin.errors import InputError, InputFileError, UnitWarning, UnknownNameError
+from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, Loc, child, load_yaml, parse_path
 from srs_twin.io.files import find_file
 from srs_twin.io.validation import StrictModel, validate
@@ -375,6 +376,7 @@ def _read_robot_file(name_or_path: str | os.PathLike[str]) -> tuple[RobotFile, l
     return file, doubts
 
 
+@checked
 def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
     """Load a robot by the name of a shipped one (gen1 to gen4, gen4_module) or the path of a robot file.
 

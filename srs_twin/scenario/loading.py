@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from srs_twin.errors import InputError, InputFileError, did_you_mean
+from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, Override, format_path, load_yaml, parse_path
 from srs_twin.io.files import find_file, is_path, results_name
 from srs_twin.io.validation import validate
@@ -37,6 +38,7 @@ from srs_twin.scenario.plants import PRESET, with_preset
 from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 
 
+@checked
 def load_scenario(
     name_or_path: str | os.PathLike[str], *, set: Mapping[str, Any] | Sequence[Override] = ()
 ) -> Scenario:

@@ -13,6 +13,7 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive, concatenate_records
 from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.arguments import checked
 from srs_twin.io.saved_state import short_digest
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.analytical.bodies import Body, ClampedBends, CompliantBends, Motion, PrescribedBends
@@ -127,6 +128,7 @@ class AnalyticalSnake(PneumaticPlant):
     state_attributes = ("_body",)
     max_chunk_s = 10.0
 
+    @checked
     def __init__(
         self,
         spec: RobotSpec,

@@ -35,6 +35,7 @@ from srs_twin import extensions
 from srs_twin.compute.claims import Claimable
 from srs_twin.compute.workers import Workers
 from srs_twin.errors import DivergedError, InputError, check_choice
+from srs_twin.io.arguments import checked
 from srs_twin.plants.base import Pose, SnakeState, check_commands
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
@@ -76,6 +77,7 @@ class TwinBatch(Claimable):
         check_choice("engine", engine, ENGINES)
         return super().__new__(cls) if engine == "cpu" else on_warp(*arguments, device=device, **settings)
 
+    @checked
     def __init__(
         self,
         specs: Sequence[RobotSpec],

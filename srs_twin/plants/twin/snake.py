@@ -11,6 +11,7 @@ import numpy as np
 
 from srs_twin.compute.arrays import concatenate_records
 from srs_twin.errors import DivergedError, InputError, check_choice, count_steps
+from srs_twin.io.arguments import checked
 from srs_twin.io.saved_state import short_digest
 from srs_twin.plants.base import (
     BASES,
@@ -75,6 +76,7 @@ class TwinSnake(PneumaticPlant):
     max_chunk_s = 1.0
     has_internal_loss = True
 
+    @checked
     def __init__(
         self,
         spec: RobotSpec,

@@ -1,0 +1,119 @@
+"""Checks of arguments against the annotations of public functions, once per call and never per time step.
+
+A wrong type is reported where the user gave it, in the words of the command line. The functions themselves
+check names and ranges.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cache, wraps
+from inspect import signature
+from types import UnionType
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+from srs_twin.errors import InputError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_CONVERSIONS = {float: "__float__", int: "__index__"}
+"""Number → method of all objects that can be used as one, NumPy numbers included."""
+
+_DESCRIPTIONS = {
+    "float": "a number",
+    "int": "a whole number",
+    "str": "a text",
+    "NoneType": "None",
+    "PathLike": "a path",
+    "Callable": "a function",
+    "Mapping": "a mapping",
+    "Sequence": "a list",
+    "Iterable": "a list",
+    "Job": "a Job(plant, controller, duration)",
+    "RobotSpec": "a RobotSpec, such as load_robot('gen2')",
+    "Plant": "a Plant, such as TwinSnake(load_robot('gen2'))",
+    "Controller": "a Controller, such as Gait(2.0)",
+    "Trajectory": "a Trajectory, which rollout returns",
+    "Scenario": "a Scenario, such as load_scenario('gen2_straight')",
+    "Problem": "a Problem; plan_scenario plans a scenario",
+}
+"""Name of a type → its description in messages."""
+
+
+def checked(function: Function) -> Function:
+    """Return a function that checks the types of its arguments against its annotations.
+
+    Raises:
+        InputError: (by the returned function) an argument has another type; the message says what is allowed.
+    """
+    names = tuple(signature(function).parameters)
+    owner = function.__qualname__.removesuffix(".__init__")
+
+    @wraps(function)
+    def call(*arguments: Any, **keywords: Any) -> Any:
+        check_types(owner, function, dict(zip(names, arguments, strict=False)) | keywords)
+        return function(*arguments, **keywords)
+
+    return cast(Function, call)
+
+
+def check_types(owner: str, annotated: Callable[..., Any], values: Mapping[str, object]) -> None:
+    """Check the types of values against the annotations of a function or class.
+
+    Args:
+        owner: name of the function or class in messages.
+        annotated: function or class; its annotations are importable at run time.
+        values: name → value; names without annotation are ignored.
+
+    Raises:
+        InputError: a value has another type.
+    """
+    kinds = _kinds(annotated)
+    for name, value in values.items():
+        if name in kinds and not _accepts(kinds[name], value):
+            allowed = _described(kinds[name])
+            raise InputError(f"{owner}: {name} {_shown(value)} is not allowed; it must be {allowed}")
+
+
+@cache
+def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
+    return get_type_hints(annotated)
+
+
+def _accepts(kind: Any, value: object) -> bool:
+    """Return whether a value has an annotated type; elements of sequences count, those of mappings do not."""
+    origin, parts = get_origin(kind) or kind, get_args(kind)
+    if origin in (Any, object):
+        return True
+    if origin in (Union, UnionType):
+        return any(_accepts(part, value) for part in parts)
+    if origin in _CONVERSIONS:
+        return hasattr(value, _CONVERSIONS[origin])
+    if isinstance(value, str):
+        return origin in (str, Literal)
+    if origin in (Iterable, Sequence, tuple):
+        if not isinstance(value, Collection) or isinstance(value, Mapping):
+            return origin is Iterable and isinstance(value, Iterable)
+        fits = origin is not tuple or Ellipsis in parts or len(value) == len(parts)
+        return fits and all(_accepts(parts[0], element) for element in value)
+    return isinstance(origin, type) and isinstance(value, origin)
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, type):
+        return f"the class {value.__name__}"
+    kind = type(value)
+    return reprlib.repr(value) if kind.__module__ == "builtins" else f"of type {kind.__name__}"
+
+
+def _described(kind: Any) -> str:
+    origin, parts = get_origin(kind) or kind, get_args(kind)
+    if origin in (Union, UnionType):
+        return " or ".join(dict.fromkeys(map(_described, parts)))
+    if origin is tuple:
+        return f"{len(parts)} numbers"
+    if origin is Literal:
+        return _DESCRIPTIONS["str"]
+    words = _DESCRIPTIONS.get(origin.__name__, f"a {origin.__name__}")
+    return f"{words}, each {_described(parts[0])}" if origin in (Iterable, Sequence) else words
