@@ -154,8 +154,7 @@ class TaskFailedError(SrsError):
 
     def __init__(self, error: BaseException) -> None:
         fault = (
-            "This is a bug in srs-twin, not in your files: please report it with the command "
-            "and your files"
+            "This is a bug in srs-twin, not in your files: please report it with the command and your files"
         )
         if _frames(error, OUTSIDE):
             fault = "This file is not part of srs-twin: correct it, or report the error to its authors"

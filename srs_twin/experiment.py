@@ -34,7 +34,7 @@ from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
-from srs_twin.scenario.loading import load_scenario, parse_scenario
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest, versions
 from srs_twin.scenario.scenario import Scenario
@@ -381,7 +381,7 @@ class ComparedRuns(Comparison):
 
 @checked
 def compare(
-    reference: Trajectory | Scenario | str | Path,
+    reference: Trajectory | Scenario | str | os.PathLike[str],
     candidate: Trajectory | None = None,
     *,
     set: Mapping[str, object] | None = None,
@@ -409,10 +409,7 @@ def compare(
         return difference(reference, candidate, gap_factor=gap_factor)
     if candidate is not None:
         raise InputError("a scenario is run on both plants; remove the second argument")
-    if isinstance(reference, Scenario):
-        scenario = parse_scenario(reference.document, name=reference.name, set=set or {})
-    else:
-        scenario = load_scenario(reference, set=set or {})
+    scenario = load_scenario(reference, set=set or {})
     run = PreparedRun.build(scenario, Path(), PLANTS)
     trajectories, walls = {}, {}
     for kind, (plant, controller) in run.pairs.items():

@@ -60,8 +60,12 @@ def say(*lines: str, quiet: bool = False) -> None:
 
 
 @contextmanager
-def interruptible(message: Callable[[], str] | str) -> Iterator[None]:
-    """Exit with `INTERRUPTED` on Ctrl-C or SIGTERM, after a message about the saved work."""
+def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
+    """Exit with `INTERRUPTED` on Ctrl-C or SIGTERM, after a message about the saved work.
+
+    Args:
+        message: the message; by default the notes of the interrupt.
+    """
     # Pipelines cancel jobs with SIGTERM. A signal that the caller ignores stays ignored.
     handled = threading.current_thread() is threading.main_thread()
     handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
@@ -69,8 +73,9 @@ def interruptible(message: Callable[[], str] | str) -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
-    except KeyboardInterrupt:
-        say(f"interrupted; {message if isinstance(message, str) else message()}")
+    except KeyboardInterrupt as interrupt:
+        text = message if isinstance(message, str) else message()
+        say("; ".join(filter(None, ["interrupted", text, *getattr(interrupt, "__notes__", ())])))
         raise SystemExit(INTERRUPTED) from None
     finally:
         if handled:
@@ -207,6 +212,14 @@ class RunCounter(Display):
         self._done += 1
         self._failed += failed
         self._show()
+
+    def follow(self, title: str, total: int, row: Any) -> None:
+        """Show the runs of a part of a study, see `studies.sweep.execution.Progress`."""
+        if row is None:
+            self.title, self.total = title, total
+            self._done = self._failed = 0
+        else:
+            self(failed=row.exit_code != 0)
 
     @contextmanager
     def hidden(self) -> Iterator[None]:

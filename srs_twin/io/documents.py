@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from operator import itemgetter
@@ -75,6 +75,13 @@ class Override:
         if not (loc := parse_path(field)):
             raise InputError(f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5")
         return cls(label, loc, parse_yaml(value, label).data)
+
+    @classmethod
+    def list_of(cls, changes: Mapping[str, Any] | Sequence[Override]) -> Sequence[Override]:
+        """Return overrides that are given as dotted field → value, or as a list already."""
+        if not isinstance(changes, Mapping):
+            return changes
+        return [cls(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
 
 
 @dataclass

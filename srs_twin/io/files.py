@@ -215,6 +215,16 @@ def remove_empty_folders(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
+def folder_or_temporary(folder: str | os.PathLike[str] | None) -> Iterator[Path]:
+    """Yield an output folder; without one, a temporary folder that is removed after the `with` block."""
+    if folder is not None:
+        yield Path(folder)
+        return
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+@contextmanager
 def make_folder(folder: Path) -> Iterator[None]:
     """Create a folder and its parents for a `with` block; after an error remove the new ones that are empty.
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Document, Override, format_path, load_yaml, parse_path
+from srs_twin.io.documents import Document, Override, format_path, load_yaml
 from srs_twin.io.files import find_file, is_path, results_name
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, resolve_robot
@@ -40,19 +40,21 @@ from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 
 @checked
 def load_scenario(
-    name_or_path: str | os.PathLike[str], *, set: Mapping[str, Any] | Sequence[Override] = ()
+    scenario: str | os.PathLike[str] | Scenario, *, set: Mapping[str, Any] | Sequence[Override] = ()
 ) -> Scenario:
     """Load a scenario, given by a shipped name (gen2_straight) or the path of a scenario file.
 
     Args:
-        name_or_path: name or path of the scenario.
+        scenario: name or path of the scenario, or a loaded scenario to modify.
         set: values that override fields of the file, by dotted path: ``{"controller.frequency_hz": 1.5}``.
 
     Raises:
         InputError: the file is not found or cannot be read.
         InputFileError: the scenario is not valid; lists all problems.
     """
-    path = find_file("scenario", name_or_path)
+    if isinstance(scenario, Scenario):
+        return parse_scenario(scenario.document, name=scenario.name, set=set) if set else scenario
+    path = find_file("scenario", scenario)
     return _scenario(load_yaml(path), results_name(path), set)
 
 
@@ -74,8 +76,7 @@ def parse_scenario(
 
 def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Override]) -> Scenario:
     """Return the scenario of a document with changed fields; `name` is the default of its name."""
-    if isinstance(changes, Mapping):
-        changes = [Override(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
+    changes = Override.list_of(changes)
     unmodified = copy.deepcopy(document) if changes else document
     for change in changes:
         _set(document, change)

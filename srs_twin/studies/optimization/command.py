@@ -12,10 +12,10 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     argument,
-    jobs_option,
     option,
     print_json,
 )
+from srs_twin.studies.sweep.command import DEFAULT_STUDY, StudyOptions
 
 if TYPE_CHECKING:
     from srs_twin.studies.optimization.loading import OptimizationStudy
@@ -31,10 +31,7 @@ _MAX_COLUMNS = 6
 def optimize(
     name: Annotated[str, argument("STUDY", shipped=["study"])],
     out: Annotated[str | None, option("--out DIR")] = None,
-    engine: Annotated[str, option("--engine NAME")] = "local",
-    workers: Annotated[int | None, jobs_option("--workers N")] = None,
-    address: Annotated[str | None, option("--address HOST:PORT")] = None,
-    changed: Annotated[bool, option("--changed")] = False,
+    options: StudyOptions = DEFAULT_STUDY,
     changed_fields: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -47,44 +44,30 @@ def optimize(
     Options:
         name: Shipped study or study file.
         out: Output folder. [default: runs/studies/STUDY]
-        engine: Engine for the runs: local, ray or warp.
-        address: Address of a Ray cluster, or Warp device, e.g. cuda:0. [default: local]
-        changed: Resume in a folder of another version; keep the runs that still apply.
     """
-    from srs_twin.studies.sweep.command import make_engine
-
-    runner = make_engine(engine, workers, address)
+    runner = options.make_engine()
     from srs_twin.studies.optimization.loading import load_study
-    from srs_twin.studies.optimization.result import StudyResult
-    from srs_twin.studies.optimization.runs import StudyRuns
-    from srs_twin.studies.optimization.search import MAX_REPORTED, search
+    from srs_twin.studies.optimization.optimize import optimize as run_study
 
     study = load_study(name, set=changed_fields.changes())
     folder = Path(out) if out else STUDIES / study.name
-    budget = study.file.budget
-    total = budget.twin + (budget.compliant if "compliant" in study.experiments else 0)
-    # Runs after the search: the initial scenario, and for each design two refinements and the draws of the
-    # robot.
-    total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     best = _BestSoFar(study)
-    with RunCounter(study.name, total, quiet=quiet, status=best.text) as counting:
+    with (
+        interruptible(f"finished runs are kept in {folder}; start again to resume"),
+        RunCounter(study.name, 0, quiet=quiet, status=best.text) as counting,
+    ):
 
-        def on_row(part: str, row: Row) -> None:
-            best.add(part, row)
-            counting(failed=row.exit_code != 0)
+        def follow(part: str, total: int, row: Row | None) -> None:
+            if row is not None:
+                best.add(part, row)
+            counting.follow(study.name, total, row)
 
-        with interruptible(f"finished runs are kept in {folder}; start again to resume"):
-            with StudyRuns(study, folder, runner, on_row, changed=changed) as runs:
-                result = StudyResult.evaluate(study, search(study, runs), runs)
-            # Imported here, because matplotlib would delay the search.
-            from srs_twin.studies.optimization.report import write_result
-
-            files = write_result(result, folder)
+        result = run_study(study, out=folder, engine=runner, changed=options.changed, progress=follow)
     if as_json:
         print_json(result.document())
     elif not quiet:
         _print_result(result)
-    say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
+    say(f"files in {folder}: {', '.join(result.files)}", quiet=quiet)
 
 
 class _BestSoFar:

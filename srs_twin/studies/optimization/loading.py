@@ -27,6 +27,7 @@ from srs_twin.studies.sweep.loading import (
     changed_base,
     locate_files,
     problems_at,
+    refuse_changes,
     with_suggestion,
 )
 from srs_twin.studies.sweep.points import (
@@ -250,34 +251,42 @@ class OptimizationStudy:
         return marked(self.file.title or self.name, self.changes)
 
 
-def load_study(name_or_path: str | os.PathLike[str], *, set: Sequence[Override] = ()) -> OptimizationStudy:
+def load_study(
+    study: str | os.PathLike[str] | OptimizationStudy,
+    *,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+) -> OptimizationStudy:
     """Load a study by its shipped name (gen2_speed) or the path of a study file.
 
     Args:
-        name_or_path: name or path of the study.
-        set: fields of the scenario to fix in addition to those of the file; `seed` is that of the study.
+        study: name or path of the study; a loaded study is returned unchanged.
+        set: fields of the scenario to fix in addition to those of the file, by dotted path; `seed` is that of
+            the study.
 
     Raises:
-        InputError: the file does not exist or cannot be read.
+        InputError: the file does not exist or cannot be read, or a loaded study is to be changed.
         InputFileError: the file is invalid; lists all problems, one per line.
     """
-    path = find_file("study", name_or_path)
+    if isinstance(study, OptimizationStudy):
+        refuse_changes("study", set)
+        return study
+    path, overrides = find_file("study", study), Override.list_of(set)
     document = load_yaml(path)
     written = copy.deepcopy(document.data)
-    for change in set:
+    for change in overrides:
         loc = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
         document.apply(replace(change, loc=loc))
     complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
     scenario, scenario_errors = (None, ()) if file is None else base_scenario(document)
-    study = None
+    loaded = None
     if complete and file is not None and scenario is not None:
         _check_metrics(document, file)
-        study = _study(results_name(path), document, file, scenario)
-        _check_range_ends(document, study)
+        loaded = _study(results_name(path), document, file, scenario)
+        _check_range_ends(document, loaded)
     document.raise_problems(scenario_errors)
-    assert study is not None, "a document without problems gives a study"
-    return replace(study, changes=_changes(study, written, [change.loc for change in set]))
+    assert loaded is not None, "a document without problems gives a study"
+    return replace(loaded, changes=_changes(loaded, written, [change.loc for change in overrides]))
 
 
 def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]) -> ChangedFields:

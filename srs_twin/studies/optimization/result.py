@@ -74,12 +74,14 @@ class StudyResult:
         runs: all runs of the search in order.
         initial: unmodified scenario with the fixed fields.
         designs: best designs, best first.
+        files: names of the written files; empty without an output folder.
     """
 
     study: OptimizationStudy
     runs: tuple[Run, ...]
     initial: EvaluatedDesign
     designs: tuple[EvaluatedDesign, ...]
+    files: tuple[str, ...] = ()
 
     @classmethod
     def evaluate(cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns) -> StudyResult:

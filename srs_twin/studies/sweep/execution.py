@@ -12,23 +12,25 @@ import logging
 import os
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from srs_twin.compute.workers import TaskResult, run_tasks, start_server
-from srs_twin.errors import EngineWarning, InputError, SrsError
+from srs_twin.errors import EngineWarning, InputError, SrsError, UnknownNameError
 from srs_twin.extensions import PLUGINS
-from srs_twin.io.documents import dump_yaml
+from srs_twin.io.arguments import checked
+from srs_twin.io.documents import Override, dump_yaml
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import check_output_folder, display_path
+from srs_twin.io.files import check_output_folder, display_path, folder_or_temporary
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.provenance import file_digests, run_sources
 from srs_twin.scenario.scenario import Scenario
+from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
 from srs_twin.studies.sweep.store import RowStore, SweepIdentity, rows_digest
@@ -118,7 +120,111 @@ def _run_on_ray(experiment: Experiment, points: Sequence[Point]) -> Iterator[Tas
                 yield TaskResult(number, None, error)
 
 
-ENGINES = ("local", "ray", "warp")
+ENGINES: dict[str, Callable[[str | None, int | None], Engine]] = {
+    "local": lambda address, workers: local(workers),
+    "ray": on_ray,
+    "warp": lambda address, workers: on_device(address, workers),
+}
+"""Engines by name, as functions of the address and the number of workers."""
+
+Progress = Callable[[str, int, Row | None], object]
+"""Function called with a part of a study and the number of its runs: with None at the start of the part, then
+with the row of each finished run."""
+
+
+def quiet(part: str, total: int, row: Row | None) -> None:
+    """Show no progress: the default of a `Progress`."""
+
+
+def make_engine(engine: str | Engine, workers: int | None = None, address: str | None = None) -> Engine:
+    """Return an engine by name; an engine is returned unchanged.
+
+    Args:
+        engine: "local", "ray" or "warp", or an engine.
+        workers: number of parallel runs; default: one per processor.
+        address: address of a Ray cluster, or Warp device.
+
+    Raises:
+        InputError: the arguments do not suit the engine, or it is not available.
+        UnknownNameError: the engine does not exist.
+    """
+    if not isinstance(engine, str):
+        return engine
+    if engine not in ENGINES:
+        raise UnknownNameError("engine", engine, ENGINES)
+    if engine == "local" and address is not None:
+        raise InputError("--address is only for the engines ray and warp; remove it")
+    return ENGINES[engine](address, workers)
+
+
+def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
+    """Return the keys of the points of a sweep that are not left out.
+
+    Args:
+        swept: sweep.
+        without: values to leave out, each as `field=value`.
+
+    Raises:
+        UnknownNameError: a field is not varied, or never has this value.
+    """
+    selected = {point.key: point.changes for point in swept.points}
+    for excluded in without:
+        field, _, value = excluded.partition("=")
+        if field not in swept.fields:
+            raise UnknownNameError("varied field", field, swept.fields)
+        values = {str(point.changes[field]) for point in swept.points}
+        if value not in values:
+            raise UnknownNameError(f"value of {field}", value, values)
+        selected = {key: changes for key, changes in selected.items() if str(changes[field]) != value}
+    return set(selected)
+
+
+@checked
+def sweep(
+    sweep: str | os.PathLike[str] | Sweep,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    plants: Sequence[str] | None = None,
+    without: Sequence[str] = (),
+    engine: str | Engine = "local",
+    workers: int | None = None,
+    retry_failed: bool = False,
+    changed: bool = False,
+    progress: Progress = quiet,
+) -> Summary:
+    """Run a scenario over grids, lists or samples of its fields, as `srs-twin sweep`.
+
+    An interrupted sweep resumes in the same folder: the finished rows, their table and plots are kept.
+
+    Args:
+        sweep: name of a shipped sweep, path of a sweep file, or a loaded sweep.
+        out: output folder; None: nothing is kept but the returned rows.
+        set: fields of the scenario to fix, see `load_sweep`.
+        plants: plants that run; None: those of the sweep.
+        without: values to leave out, each as `field=value`.
+        engine: "local", "ray" or "warp", or an engine (`local`, `on_ray`, `on_device`).
+        workers: number of parallel runs; None: one per processor.
+        retry_failed: whether points with a failed row run again.
+        changed: see `open_sweep`.
+        progress: function that follows the runs.
+
+    Raises:
+        InputError: the sweep is not valid, the engine is not available, or the folder cannot be used.
+    """
+    runner, loaded = make_engine(engine, workers), load_sweep(sweep, set=set, plants=plants)
+    selected = select_points(loaded, without)
+    with folder_or_temporary(out) as folder, open_sweep(loaded, folder, changed=changed) as opened:
+        missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in selected)
+        progress(loaded.name, len(missing), None)
+        try:
+            opened.run(runner, missing, partial(progress, loaded.name, len(missing)))
+        except KeyboardInterrupt as interrupt:
+            kept = opened.finish()
+            rows = kept.done + kept.failed
+            interrupt.add_note(f"{rows} of {kept.points} rows are kept; start again to resume")
+            raise
+        return opened.finish()
 
 
 RESULTS = "results.parquet"
@@ -211,6 +317,7 @@ class OpenSweep:
             exit_code=max((row.exit_code for row in failed), default=0),
             sha256=rows_digest(rows),
             ranges=results.ranges(),
+            results=results,
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
             published=None if published is None else published_table(published, results),
         )

@@ -115,26 +115,29 @@ def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
 
 
 def load_sweep(
-    name_or_path: str | os.PathLike[str],
+    sweep: str | os.PathLike[str] | Sweep,
     *,
-    set: Sequence[Override] = (),
+    set: Mapping[str, Any] | Sequence[Override] = (),
     plants: Sequence[str] | None = None,
 ) -> Sweep:
     """Load a sweep by its shipped name (fig31) or the path of a sweep file.
 
     Args:
-        name_or_path: name or path of the sweep.
-        set: fields of the scenario to fix in addition to those of the file.
+        sweep: name or path of the sweep; a loaded sweep is returned unchanged.
+        set: fields of the scenario to fix in addition to those of the file, by dotted path.
         plants: plants that run, instead of the file's.
 
     Raises:
-        InputError: the file does not exist or cannot be read.
+        InputError: the file does not exist or cannot be read, or a loaded sweep is to be changed.
         InputFileError: the file is invalid; lists all problems, one per line.
     """
-    path = find_file("sweep", name_or_path)
+    if isinstance(sweep, Sweep):
+        refuse_changes("sweep", set, plants)
+        return sweep
+    path, overrides = find_file("sweep", sweep), Override.list_of(set)
     document, name = load_yaml(path), results_name(path)
     written = copy.deepcopy(document.data)
-    for change in set:
+    for change in overrides:
         document.apply(replace(change, loc=("fixed", format_path(change.loc))))
     if plants is not None:
         document.apply(Override(f"--plants {','.join(plants)}", ("plants",), list(plants)))
@@ -146,7 +149,7 @@ def load_sweep(
         sweep = _Loader(document, file, scenario).sweep(name)
     document.raise_problems(scenario_errors)
     assert sweep is not None and scenario is not None, "a document without problems gives a sweep"
-    return _with_changes(sweep, scenario, written, [change.loc for change in set])
+    return _with_changes(sweep, scenario, written, [change.loc for change in overrides])
 
 
 def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:
@@ -237,6 +240,16 @@ def locate_files(document: Document) -> bool:
             for i in range(len(values)) if isinstance(values, list) else ():
                 document.locate((*section, field, i), kind)
     return len(document.problems) == before
+
+
+def refuse_changes(kind: str, *changes: object) -> None:
+    """Refuse changes of a sweep or study that is loaded already.
+
+    Raises:
+        InputError: a change is given.
+    """
+    if any(changes):
+        raise InputError(f"a loaded {kind} cannot be changed; give its name or path instead")
 
 
 def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ class Summary:
         sha256: digest of the results, see `store.rows_digest`.
         ranges: metric → (minimum, median, maximum), for the summary metrics.
         files: names of the written files.
+        results: all rows as columns.
         published: table of published values and results; None without published values.
     """
 
@@ -50,6 +51,7 @@ class Summary:
     sha256: str
     ranges: Mapping[str, tuple[float, float, float]]
     files: tuple[str, ...]
+    results: SweepTable = field(repr=False)
     published: Table | None = None
 
     @property

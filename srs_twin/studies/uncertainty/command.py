@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,16 +13,13 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     ScenarioArgument,
-    jobs_option,
     option,
     parse_plants,
     print_json,
 )
-from srs_twin.errors import InputError
+from srs_twin.studies.sweep.command import DEFAULT_STUDY, StudyOptions
 
 if TYPE_CHECKING:
-    from srs_twin.scenario.scenario import Scenario
-    from srs_twin.studies.sweep.task import Row
     from srs_twin.studies.uncertainty.metric_uncertainty import MetricUncertainty
     from srs_twin.studies.uncertainty.propagation import Propagation
 
@@ -45,10 +40,8 @@ def uncertainty(
     twin: Annotated[int, option("--twin N", min=16, max=65536)] = 64,
     without: Annotated[list[str] | None, option("--without NAME")] = None,
     form: Annotated[list[str] | None, option("--form FIELD=A,B")] = None,
-    engine: Annotated[str, option("--engine NAME")] = "local",
-    workers: Annotated[int | None, jobs_option("--workers N")] = None,
+    options: StudyOptions = DEFAULT_STUDY,
     write: Annotated[bool, option("--write")] = False,
-    changed: Annotated[bool, option("--changed")] = False,
     changes: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -64,37 +57,33 @@ def uncertainty(
         samples: Number of robots drawn from the distributions.
         twin: Number of runs of the twin, if the model compliant runs all samples.
         without: Parameter to keep at its value in the robot file, e.g. friction.drag_n (repeatable).
-        engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
-        changed: Resume in a folder of another version; keep the rows that still apply.
         form: Equally likely values of a field, e.g. pneumatics.kind=lag,orifice (repeatable).
         write: Write the intervals to calibration/intervals, for expectations.
     """
-    from srs_twin.studies.sweep.command import make_engine
-
-    runner = make_engine(engine, workers, None)
-    from srs_twin.identification.priors import Priors
-    from srs_twin.robot.file import RobotFile
+    runner = options.make_engine()
     from srs_twin.scenario.loading import load_scenario
-    from srs_twin.studies.uncertainty.propagation import propagate
-    from srs_twin.studies.uncertainty.study import UncertaintyStudy
+    from srs_twin.studies.uncertainty import propagation
 
     loaded = load_scenario(scenario, set=changes.changes())
     if write:
-        _check_can_be_kept(loaded)
-    priors = Priors.from_robot(RobotFile.model_validate(loaded.document["robot"]), without=without or ())
-    study = UncertaintyStudy(
-        loaded,
-        priors,
-        tuple(parse_plants(plants) or loaded.plants),
-        samples=samples,
-        twin_samples=min(twin, samples),
-        seed=loaded.seed,
-        discrete_choices=_parse_choices(form or ()),
-    )
+        propagation.check_can_be_kept(loaded)
     folder = Path(out) if out else STUDIES / loaded.name
-    with interruptible(f"finished runs are kept in {folder}; start again to resume"):
-        result = propagate(study, folder, runner, partial(_count, loaded.name, quiet=quiet), changed=changed)
-        files = result.write(folder)
+    with (
+        interruptible(f"finished runs are kept in {folder}; start again to resume"),
+        RunCounter(loaded.name, 0, quiet=quiet) as counting,
+    ):
+        result = propagation.uncertainty(
+            loaded,
+            out=folder,
+            plants=parse_plants(plants),
+            samples=samples,
+            twin=twin,
+            without=without or (),
+            choices=_parse_choices(form or ()),
+            engine=runner,
+            changed=options.changed,
+            progress=lambda part, *row: counting.follow(f"{loaded.name}, {part}", *row),
+        )
     if as_json:
         print_json(result.document())
     elif not quiet:
@@ -102,29 +91,7 @@ def uncertainty(
     _print_warnings(result, quiet=quiet)
     if write:
         say(f"kept in {result.keep()}", quiet=quiet)
-    say(f"files in {folder}: {', '.join(files)}", quiet=quiet)
-
-
-def _check_can_be_kept(scenario: Scenario) -> None:
-    """Check that the intervals of a scenario can be written for expectations.
-
-    Raises:
-        InputError: the scenario is modified, or the folder cannot be written.
-    """
-    from srs_twin.experiment import INTERVALS
-    from srs_twin.io.files import check_output_folder
-
-    if scenario.left_out:
-        fields = ", ".join(dict.fromkeys(field for entry in scenario.left_out for field in entry["because"]))
-        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
-    check_output_folder(INTERVALS, (f"{scenario.name}.json",), option="")
-
-
-@contextmanager
-def _count(name: str, part: str, count: int, *, quiet: bool) -> Iterator[Callable[[Row], object]]:
-    """Yield a function that counts the rows of a fidelity."""
-    with RunCounter(f"{name}, {part}", count, quiet=quiet) as progress:
-        yield lambda row: progress(failed=row.exit_code != 0)
+    say(f"files in {folder}: {', '.join(propagation.FILES)}", quiet=quiet)
 
 
 def _parse_choices(options: Sequence[str]) -> dict[str, tuple[Any, ...]]:

@@ -9,22 +9,30 @@ and runs at all samples. The twin runs only at the first of them; `predict_twin`
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+import os
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.experiment import INTERVALS, twin_contact
+from srs_twin.identification.priors import Priors
+from srs_twin.io.arguments import checked
+from srs_twin.io.documents import Override
 from srs_twin.io.file_sets import remove_completion_mark, replace_files
-from srs_twin.io.files import write_text
+from srs_twin.io.files import check_output_folder, folder_or_temporary, write_text
+from srs_twin.robot.file import RobotFile
+from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
-from srs_twin.studies.sweep.execution import open_sweep
+from srs_twin.scenario.scenario import Scenario
+from srs_twin.studies.sweep.execution import Engine, Progress, make_engine, open_sweep, quiet
+from srs_twin.studies.sweep.points import Value
 from srs_twin.studies.sweep.table import write_table
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     RANGES,
@@ -39,11 +47,8 @@ from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 from srs_twin.viewing.plots.labels import metric_label
 
 if TYPE_CHECKING:
-    from srs_twin.studies.sweep.execution import Engine
     from srs_twin.studies.sweep.points import Sweep
     from srs_twin.studies.sweep.task import Row
-
-Progress = Callable[[str, int], AbstractContextManager["Callable[[Row], Any]"]]
 
 RESULT = "intervals.json"
 """File of the result."""
@@ -53,6 +58,8 @@ SAMPLES = "samples.parquet"
 
 PICTURE = "intervals.png"
 """File of the plot."""
+
+FILES = (RESULT, SAMPLES, PICTURE)
 
 REFERENCE_ROWS = 3
 """Runs after the samples: medians of the parameters; the robot file's values; the latter with half the
@@ -69,6 +76,18 @@ _MEASUREMENT_ERROR = 0.1
 
 _PREDICTION_SAMPLES = 4096
 """Samples of the surrogate for the effect of a measurement."""
+
+
+def check_can_be_kept(scenario: Scenario) -> None:
+    """Check that the intervals of a scenario can be written for expectations.
+
+    Raises:
+        InputError: the scenario is modified, or the folder cannot be written.
+    """
+    if scenario.left_out:
+        fields = ", ".join(dict.fromkeys(field for entry in scenario.left_out for field in entry["because"]))
+        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
+    check_output_folder(INTERVALS, (f"{scenario.name}.json",), option="")
 
 
 @dataclass(frozen=True)
@@ -258,8 +277,8 @@ class Propagation:
             "forms": {name: list(values) for name, values in self.study.discrete_choices.items()},
         }
 
-    def write(self, folder: Path) -> tuple[str, ...]:
-        """Write document, samples and plot into a folder; return their names.
+    def write(self, folder: Path) -> None:
+        """Write the `FILES` document, samples and plot into a folder.
 
         Raises:
             InputError: a file cannot be written.
@@ -277,18 +296,18 @@ class Propagation:
         samples = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
         document = self.document()
         figure = draw_intervals(self.study.scenario.title, document)
-        with replace_files(folder, (RESULT, SAMPLES, PICTURE)) as fresh:
+        with replace_files(folder, FILES) as fresh:
             write_table(fresh / SAMPLES, samples)
             save(figure, fresh / PICTURE)
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
-        return RESULT, SAMPLES, PICTURE
 
     def keep(self) -> Path:
         """Write the intervals for expectations with `within`, with a digest of the scenario.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the scenario is modified, or the file cannot be written.
         """
+        check_can_be_kept(self.study.scenario)
         path = INTERVALS / f"{self.study.scenario.name}.json"
         document = {"digest": judged_digest(self.study.scenario.document), **self.document()}
         write_text(path, json.dumps(_rounded(document), indent=1) + "\n")
@@ -334,7 +353,7 @@ def propagate(
     study: UncertaintyStudy,
     folder: Path,
     engine: Engine,
-    progress: Progress | None = None,
+    progress: Progress = quiet,
     *,
     changed: bool = False,
 ) -> Propagation:
@@ -344,7 +363,7 @@ def propagate(
         study: study.
         folder: output folder; one subfolder per fidelity.
         engine: engine for the runs.
-        progress: function of a fidelity and its number of missing runs; returns a context that gets each row.
+        progress: function that follows the missing runs of each fidelity.
         changed: resume in a folder of another version, see `open_sweep`.
 
     Raises:
@@ -355,13 +374,69 @@ def propagate(
         sweep = study.sweep(part)
         with open_sweep(sweep, folder / part, changed=changed) as opened:
             missing = opened.missing()
-            with progress(part, len(missing)) if progress and missing else nullcontext() as finished:
-                opened.run(engine, missing, finished)
+            if missing:
+                progress(part, len(missing), None)
+                opened.run(engine, missing, partial(progress, part, len(missing)))
             if missing or changed:  # an earlier result does not belong to these rows
                 remove_completion_mark(folder / RESULT)
             opened.finish()
             rows[part] = _columns(sweep, opened.rows())
     return Propagation(study, rows)
+
+
+@checked
+def uncertainty(
+    scenario: str | os.PathLike[str] | Scenario,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    plants: Sequence[str] | None = None,
+    samples: int = 2048,
+    twin: int = 64,
+    without: Sequence[str] = (),
+    choices: Mapping[str, tuple[Value, ...]] = MappingProxyType({}),
+    engine: str | Engine = "local",
+    workers: int | None = None,
+    changed: bool = False,
+    progress: Progress = quiet,
+) -> Propagation:
+    """Compute prediction intervals of a scenario's metrics, as `srs-twin uncertainty`.
+
+    An interrupted study resumes in the same folder, where finished runs are kept.
+
+    Args:
+        scenario: name or path of a scenario, or a loaded scenario.
+        out: output folder; None: nothing is written.
+        set: values that override fields of the scenario, see `load_scenario`.
+        plants: plants that run; None: those of the scenario.
+        samples: number of robots drawn from the distributions.
+        twin: number of runs of the twin if the model `compliant` runs all samples.
+        without: parameters of the robot to keep at their values in the robot file.
+        choices: field of the scenario → its equally likely values.
+        engine: "local", "ray" or "warp", or an engine.
+        workers: number of parallel runs; None: one per processor.
+        changed: see `propagate`.
+        progress: function that follows the runs.
+
+    Raises:
+        InputError: the scenario is not valid, the engine is not available, or the folder cannot be used.
+    """
+    loaded = load_scenario(scenario, set=set)
+    robot = RobotFile.model_validate(loaded.document["robot"])
+    study = UncertaintyStudy(
+        loaded,
+        Priors.from_robot(robot, without=without),
+        tuple(plants or loaded.plants),
+        samples=samples,
+        twin_samples=min(twin, samples),
+        seed=loaded.seed,
+        discrete_choices=choices,
+    )
+    with folder_or_temporary(out) as folder:
+        result = propagate(study, folder, make_engine(engine, workers), progress, changed=changed)
+        if out is not None:
+            result.write(folder)
+    return result
 
 
 def _columns(sweep: Sweep, rows: Iterable[Row]) -> dict[str, np.ndarray]:

@@ -323,8 +323,8 @@ def test_a_second_start_repeats_no_run_and_prints_the_same(short, tmp_path):
     first = propagate(study, tmp_path / "out", local(1)).document()
     seen: list[tuple[str, int]] = []
 
-    def progress(part: str, count: int) -> Any:
-        seen.append((part, count))
+    def progress(part: str, total: int, row: object) -> None:
+        seen.append((part, total))
 
     second = propagate(study, tmp_path / "out", local(1), progress).document()
     assert seen == []

@@ -1,0 +1,67 @@
+"""`optimize`: search for the best robot and gait, and write the result."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from srs_twin.io.arguments import checked
+from srs_twin.io.documents import Override
+from srs_twin.io.files import folder_or_temporary
+from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
+from srs_twin.studies.optimization.result import StudyResult
+from srs_twin.studies.optimization.runs import StudyRuns
+from srs_twin.studies.optimization.search import MAX_REPORTED, search
+from srs_twin.studies.sweep.execution import Engine, Progress, make_engine, quiet
+from srs_twin.studies.sweep.task import Row
+
+
+@checked
+def optimize(
+    study: str | os.PathLike[str] | OptimizationStudy,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    engine: str | Engine = "local",
+    workers: int | None = None,
+    changed: bool = False,
+    progress: Progress = quiet,
+) -> StudyResult:
+    """Find the best robot or gait of a study, as `srs-twin optimize`.
+
+    An interrupted search resumes in the same folder, where finished runs are kept.
+
+    Args:
+        study: name of a shipped study, path of a study file, or a loaded study.
+        out: output folder; None: nothing is written.
+        set: fields of the scenario to fix, see `load_study`.
+        engine: "local", "ray" or "warp", or an engine.
+        workers: number of parallel runs; None: one per processor.
+        changed: see `StudyRuns`.
+        progress: function that follows the runs; its total is the largest number of all runs.
+
+    Raises:
+        InputError: the study is not valid, the engine is not available, or the folder cannot be used.
+    """
+    loaded = load_study(study, set=set)
+    budget = loaded.file.budget
+    total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
+    # Runs after the search: the initial scenario, and for each design two refinements and the draws of the
+    # robot.
+    total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
+    progress(loaded.name, total, None)
+
+    def on_row(part: str, row: Row) -> None:
+        progress(part, total, row)
+
+    with folder_or_temporary(out) as folder:
+        with StudyRuns(loaded, folder, make_engine(engine, workers), on_row, changed=changed) as runs:
+            result = StudyResult.evaluate(loaded, search(loaded, runs), runs)
+        if out is None:
+            return result
+        # Imported here, because matplotlib would delay the search.
+        from srs_twin.studies.optimization.report import write_result
+
+        return replace(result, files=write_result(result, folder))
