@@ -13,12 +13,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from srs_twin.comparison.centre_line import body_overlap
-from srs_twin.comparison.compare import Comparison, MeasuredDifference
+from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
 from srs_twin.comparison.compare import compare as difference
 from srs_twin.comparison.contacts import contact_events, contact_free_s, ignores_obstacles
 from srs_twin.comparison.metrics import headline, plant_metrics
@@ -27,9 +27,15 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.extensions import reading
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import dump_yaml
+from srs_twin.io.documents import Override, dump_yaml
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import check_output_folder, data_root, display_path, shipped_names
+from srs_twin.io.files import (
+    check_output_folder,
+    data_root,
+    display_path,
+    folder_or_temporary,
+    shipped_names,
+)
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT
 from srs_twin.robot.spec import RobotSpec
@@ -40,10 +46,6 @@ from srs_twin.scenario.provenance import judged_digest, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
-
-if TYPE_CHECKING:
-    from srs_twin.comparison.compare import Attribution
-
 
 METRICS = "metrics.json"
 """File of the metrics."""
@@ -62,7 +64,7 @@ _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 
 Progress = Callable[..., None]
 """Function called with a task, its completed fraction (0 to 1) and optionally the remaining time, s."""
-Explain = Callable[..., "Attribution"]
+Explain = Callable[..., Attribution]
 """Function that attributes the difference of the plants (`attribution.explain`)."""
 
 
@@ -72,7 +74,7 @@ class RunResult:
 
     Attributes:
         name: name of the scenario.
-        folder: output folder.
+        folder: output folder; it no longer exists if it was temporary.
         trajectories: trajectory of each plant, up to its divergence.
         metrics: content of metrics.json; empty if a plant diverged.
         diverged: errors of diverged plants; the message names the file with the trajectory.
@@ -450,15 +452,38 @@ def check_run(scenario: Scenario, out: Path) -> None:
     scenario.check_run()
 
 
+@checked
 def run_scenario(
-    scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None, progress: Progress | None = None
+    scenario: str | os.PathLike[str] | Scenario,
+    out: str | os.PathLike[str] | None = None,
+    *,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    plants: Sequence[str] | None = None,
+    progress: Progress | None = None,
+    explain: Explain | None = None,
+    main_cause: Callable[..., dict[str, Any] | None] | None = None,
 ) -> RunResult:
-    """Run a scenario and write its files: `prepare`, then `PreparedRun.execute`.
+    """Run a scenario on its plants, measure and compare, as `srs-twin run`.
+
+    Args:
+        scenario: name or path of a scenario, or a loaded scenario.
+        out: output folder; None: nothing is written.
+        set: values that override fields of the scenario, see `load_scenario`.
+        plants: plants that run, in this order; None: those of the scenario.
+        progress: see `PreparedRun.execute`.
+        explain: function that attributes the difference of the plants, see `PreparedRun.execute`.
+        main_cause: see `PreparedRun.execute`.
+
+    Returns:
+        Trajectories and metrics. The error of a plant that diverged is in `diverged`.
 
     Raises:
         InputError: the scenario cannot run or the folder cannot be written; raised before the simulation.
     """
-    return prepare(scenario, out, plants=plants).execute(progress)
+    loaded = load_scenario(scenario, set=set)
+    with folder_or_temporary(out) as folder:
+        run = prepare(loaded, folder, plants=plants)
+        return run.execute(progress, explain=explain, main_cause=main_cause)
 
 
 @dataclass(frozen=True)

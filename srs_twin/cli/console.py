@@ -213,6 +213,11 @@ class RunCounter(Display):
         self._failed += failed
         self._show()
 
+    def count(self, done: int, total: int) -> None:
+        """Count a completed run of a `total` that is known only now."""
+        self.total = total
+        self(failed=False)
+
     def follow(self, title: str, total: int, row: Any) -> None:
         """Show the runs of a part of a study, see `studies.sweep.execution.Progress`."""
         if row is None:

@@ -45,7 +45,7 @@ def diff(
         tolerances: YAML file with tolerances per metric (see docs/ci.md).
         junit: Write a JUnit XML report of the differences.
     """
-    from srs_twin.comparison.diff import Tolerances, load_tolerances, read_results
+    from srs_twin.comparison.diff import Tolerances, load_tolerances
     from srs_twin.comparison.diff import diff as compare_results
     from srs_twin.errors import InputError
     from srs_twin.io.files import check_output_folder
@@ -58,7 +58,7 @@ def diff(
     for name, value in overrides.items():
         if not 0 <= value < float("inf"):
             raise InputError(f"--{name} {value:g} is not allowed; it must be finite and not negative")
-    difference = compare_results(read_results(a), read_results(b), allowed.model_copy(update=overrides))
+    difference = compare_results(a, b, allowed.model_copy(update=overrides))
     for package, (old, new) in difference.versions.items():
         say(f"different versions of {package}: {old} → {new}")
     if as_json:

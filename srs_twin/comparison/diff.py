@@ -18,6 +18,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.io.arguments import checked
 from srs_twin.io.files import display_path, require_file
 from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
@@ -142,17 +143,24 @@ def _json_value(value: object) -> object:
     return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
 
 
-def diff(a: Results, b: Results, tolerances: Tolerances | None = None) -> Difference:
-    """Compare two sets of results.
+@checked
+def diff(
+    a: str | os.PathLike[str] | Results,
+    b: str | os.PathLike[str] | Results,
+    tolerances: Tolerances | None = None,
+) -> Difference:
+    """Compare two sets of results, as `srs-twin diff`.
 
     Args:
-        a: the reference.
+        a: the reference, as results or as their path (see `read_results`).
         b: results that are compared with the reference.
         tolerances: allowed differences; None uses those between two processor targets.
 
     Raises:
+        InputError: there are no results, or a file does not contain results.
         UnknownNameError: a tolerance is for a metric that neither set has.
     """
+    a, b = (given if isinstance(given, Results) else read_results(given) for given in (a, b))
     allowed, before, after = tolerances or Tolerances(), a.values, b.values
     wheres, other_wheres = ({where for where, _ in values} for values in (before, after))
     if len(wheres) == len(other_wheres) == 1:  # single runs are compared regardless of their names

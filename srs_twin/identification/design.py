@@ -17,6 +17,7 @@ the difference between `compliant` and the twin, however long the run is.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -27,9 +28,12 @@ from srs_twin.compute.arrays import Array
 from srs_twin.control.gait import Gait
 from srs_twin.errors import InputError
 from srs_twin.identification.parameters import free_parameters, with_values
+from srs_twin.identification.priors import Priors
+from srs_twin.io.arguments import checked
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
+from srs_twin.robot.file import load_robot_file
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.rollout import rollout
 
@@ -224,6 +228,24 @@ class ExperimentDesign:
             "experiments": rows,
             "unmet": list(self.unmet),
         }
+
+
+@checked
+def calibrate_design(robot: str | os.PathLike[str], want: Mapping[str, float]) -> ExperimentDesign:
+    """Choose the recordings for a requested accuracy, as `srs-twin calibrate design`.
+
+    Args:
+        robot: name or path of the robot, whose file states what is known.
+        want: parameter → half the requested 95 % interval, relative to its value: 0.05 for 5 %.
+
+    Raises:
+        InputError: the robot is not valid, or no parameter is requested.
+    """
+    file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
+    has_priors = any(record.uncertain for record in file.records().values())
+    priors = Priors.from_robot(file).parameters if has_priors else ()
+    known = {prior.path: (prior.value, float(prior.quantile(shares).std())) for prior in priors}
+    return choose_experiments(file.spec(), known, want)
 
 
 def choose_experiments(

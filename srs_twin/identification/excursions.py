@@ -6,24 +6,31 @@ after the scenario's run-up. The seed of a run draws the modules, the camera noi
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from srs_twin.compute.workers import run_tasks
 from srs_twin.errors import InputError
+from srs_twin.io.arguments import checked
+from srs_twin.io.documents import Override
+from srs_twin.io.files import check_output_folder, find_file, read_text
 from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import ENDINGS, Follower
-from srs_twin.planning.footprint_file import LOST_M, ExcursionsFile
+from srs_twin.planning.footprint_file import LOST_M, ExcursionsFile, load_footprint_file, save_footprint
 from srs_twin.planning.metrics import beyond, following
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.rollout import rollout
-from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.plants import PlantsFile
 from srs_twin.scenario.scenario import Scenario
 
@@ -113,6 +120,60 @@ def _random_arcs(rng: np.random.Generator, low: float, high: float) -> list[tupl
             arcs.append((curvature, length))
             heading, left = heading + curvature * length, left - length
     return arcs
+
+
+NO_MARGIN = Override("a margin to be measured", ("planner", "margin_probability"), None)
+"""Removes the margin of a scenario, which would hide the excursions to be measured."""
+
+
+@checked
+def calibrate_margin(
+    scenario: str | os.PathLike[str] | Scenario,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    runs: int = 100,
+    plants: Sequence[str] | None = None,
+    workers: int | None = None,
+    progress: Callable[[int, int], object] = max,
+) -> tuple[ExcursionsFile, ...]:
+    """Measure excursions from random paths that a follower follows, as `srs-twin calibrate margin`.
+
+    Args:
+        scenario: name or path of a scenario that follows a plan, or a loaded scenario.
+        out: folder of the footprint file that gets the excursions; None: not written.
+        set: values that override fields of the scenario, see `load_scenario`.
+        runs: number of runs on each plant.
+        plants: plants; None: those of the scenario.
+        workers: number of processes; None: one per processor.
+        progress: function called with the numbers of finished and of all runs.
+
+    Returns:
+        Excursions on each plant.
+
+    Raises:
+        InputError: the scenario follows no plan, a run failed, or the file cannot be written.
+    """
+    loaded = load_scenario(scenario, set=[*Override.list_of(set), NO_MARGIN])
+    kinds, done = plants or tuple(loaded.plants), itertools.count(1)
+    source = find_file("footprint", loaded.file.section("planner").footprint)
+    file = load_footprint_file(source)
+    path = None if out is None else Path(out) / f"{file.name}.yaml"
+    if path is not None:
+        check_output_folder(path.parent, (path.name,))
+
+    def count() -> None:
+        progress(next(done), runs * len(kinds))
+
+    measured = tuple(
+        measure_excursions(loaded, plant, runs, workers=workers, progress=count) for plant in kinds
+    )
+    if path is not None:
+        conditions = [result.conditions for result in measured]
+        kept = [old for old in file.excursions or () if old.conditions not in conditions]
+        comments = [line[2:] for line in read_text(source).splitlines() if line.startswith("# ")]
+        save_footprint(file.model_copy(update={"excursions": [*kept, *measured]}), path, header=comments)
+    return measured
 
 
 def measure_excursions(

@@ -137,6 +137,15 @@ Share = Annotated[float, bounded(-1.0, 1.0)]
 Size = Annotated[float, bounded(0.0, 1e12)]
 Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets", "edges"]
 
+_MAX_COMMAND_LENGTH = 2000
+"""Largest length of a command in a fit file, characters."""
+
+
+def short_command(command: str) -> str:
+    """Return a command for a fit file, cut if it is too long."""
+    return command if len(command) <= _MAX_COMMAND_LENGTH else command[: _MAX_COMMAND_LENGTH - 1] + "…"
+
+
 _DIGITS = 9
 """Significant digits of numbers in a fit file."""
 
@@ -220,7 +229,7 @@ class FitFile(StrictModel, HtmlResult):
     """Robot that the fit started from, a name or a path."""
     method: Method
     """Method of the fit."""
-    command: Annotated[str, Field(min_length=1, max_length=2000)]
+    command: Annotated[str, Field(min_length=1, max_length=_MAX_COMMAND_LENGTH)]
     """Command that made the fit."""
     versions: Annotated[dict[str, Text], Field(max_length=30)]
     """Package: version."""

@@ -18,8 +18,9 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
 from srs_twin.identification.parameters import free_parameters, is_parameter, with_values
+from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, dump_yaml
-from srs_twin.io.files import write_text
+from srs_twin.io.files import check_output_folder, display_path, write_text
 from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.sections import SPREAD_KEYS
 from srs_twin.robot.sourced import split_unit
@@ -236,6 +237,40 @@ def fitted_robot(fits: Sequence[str | os.PathLike[str]], name: str, *, weak: boo
     robot = resolve_robot(document, document.data, prefix=())
     document.raise_problems()
     assert robot is not None, "a document without problems gives a robot"
+    return robot
+
+
+@checked
+def calibrate_robot(
+    fits: Sequence[str | os.PathLike[str]],
+    name: str,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    weak: bool = True,
+    overwrite: bool = False,
+) -> RobotFile:
+    """Return a robot with the results of fits, as `srs-twin calibrate robot`; `spec()` is for the plants.
+
+    Args:
+        fits: fit files of one robot; later ones override earlier ones.
+        name: name of the new robot.
+        out: robot file; None: not written.
+        weak: whether weakly identified parameters are included.
+        overwrite: whether an existing file is replaced.
+
+    Raises:
+        InputError: a fit cannot be used, or the file exists or cannot be written.
+    """
+    if out is not None:
+        path = Path(out)
+        check_output_folder(path.parent, (path.name,))
+        if os.path.lexists(path) and not overwrite:
+            raise InputError(
+                f"{display_path(path)}: the file exists; --overwrite replaces it, --out chooses another"
+            )
+    robot = fitted_robot(fits, name, weak=weak)
+    if out is not None:
+        write_robot(robot, out)
     return robot
 
 

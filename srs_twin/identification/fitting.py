@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 import os
-import re
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from srs_twin.cli.console import Display, console, interruptible, new_table, say
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
 from srs_twin.errors import InputError
+from srs_twin.io.files import check_file_name, check_output_folder, display_path
 from srs_twin.recordings.commands import ValvesOption
 
 if TYPE_CHECKING:
+    from srs_twin.identification.calibration import Calibration
     from srs_twin.identification.estimate import FitEstimate, Role
-    from srs_twin.identification.fit_file import Data, FitFile, Method
-    from srs_twin.identification.static_tables import NamedRecordings
-    from srs_twin.recordings.takes import RecordingReader
-    from srs_twin.robot.spec import RobotSpec
+    from srs_twin.identification.fit_file import FitFile
 
 
 FITS = "calibration/fits"
@@ -49,31 +47,19 @@ class DataOptions:
     validate: ValidateOption = None
     pressure: PressureOption = None
 
-    def supply_pa(self, spec: RobotSpec) -> float:
-        """Return the gauge pressure of the supply, Pa.
+    def given(self) -> dict[str, Any]:
+        """Return the arguments of the functions in `calibration`, except for the robot.
 
         Raises:
             InputError: the pressure is not allowed.
         """
-        if self.pressure is None:
-            return spec.supply.nominal
-        if not 0.1 <= self.pressure <= 2000.0:
+        if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
             raise InputError(f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1 to 2000")
-        return 1e3 * self.pressure
-
-    def recordings(
-        self, files: Sequence[str], reader: RecordingReader, spec: RobotSpec, *, quiet: bool
-    ) -> tuple[NamedRecordings, NamedRecordings]:
-        """Return the recordings of the fit and of the validation with their logs, and print summaries."""
-        from srs_twin.recordings.takes import logs_of
-
-        paths = [*files, *(self.validate or ())]
-        recordings = []
-        for path, log in zip(paths, logs_of(paths, self.valves or []), strict=True):
-            recording = reader.take(path, log, spec)
-            say(recording.summary.text(), "", quiet=quiet)
-            recordings.append((path, recording))
-        return recordings[: len(files)], recordings[len(files) :]
+        return {
+            "valves": self.valves or (),
+            "validate": self.validate or (),
+            "supply_pa": None if self.pressure is None else 1e3 * self.pressure,
+        }
 
 
 @dataclass(frozen=True)
@@ -196,26 +182,7 @@ def _residual_lines(estimate: FitEstimate) -> str:
     return "\n".join(lines)
 
 
-_MAX_COMMAND_LENGTH = 2000
-"""Largest length of a command in a fit file, characters."""
-
 NOTHING_WRITTEN = "nothing was written"
-
-
-def check_name(name: str, source: str) -> str:
-    """Return a file name after validation.
-
-    Args:
-        name: lower-case letters, digits and _.
-        source: option that gave the name, for the message.
-
-    Raises:
-        InputError: the name is not allowed.
-    """
-    if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
-        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
-        raise InputError(f"{source}: '{name}' is not allowed; {allowed}")
-    return name
 
 
 @dataclass(frozen=True)
@@ -248,15 +215,13 @@ class FitOutput:
         name, out = options.name, options.out
         source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
         default = Path(out).stem if out else f"{Path(robot).stem}_{method}"
-        checked = check_name(name or default, source)
+        checked = check_file_name(name or default, source)
         path = Path(out) if out else Path(FITS) / f"{checked}.yaml"
         if path.suffix not in (".yaml", ".yml"):
             raise InputError(f"--out: {path} is not allowed; a fit file ends in .yaml")
         command = command_line(context)
         if os.path.lexists(path) and not options.overwrite:
             _check_same_command(path, command)
-        from srs_twin.io.files import check_output_folder
-
         check_output_folder(path.parent, (path.name, path.with_suffix(".html").name))
         return cls(checked, path, robot, command, options.quiet, options.as_json)
 
@@ -266,50 +231,19 @@ class FitOutput:
         with interruptible(NOTHING_WRITTEN), FitProgress(self.name, quiet=self.quiet) as progress:
             yield progress
 
-    def finish(
-        self,
-        estimate: FitEstimate,
-        method: Method,
-        title: str,
-        fitted: Iterable[Data],
-        validation: Iterable[Data],
-    ) -> None:
-        """Write report and fit file atomically together, and print the result.
+    def say(self, text: str) -> None:
+        """Print a note on stderr."""
+        say(text, quiet=self.quiet)
 
-        Args:
-            estimate: result of the fit.
-            method: method of the fit.
-            title: title, one line.
-            fitted: data of the fit.
-            validation: data for validation.
-        """
-        from srs_twin.identification.fit_file import data_sets, fit_file, write_fit
-        from srs_twin.identification.fit_report import fit_report
-        from srs_twin.io.file_sets import replace_files
-        from srs_twin.io.files import display_path
-        from srs_twin.scenario.provenance import versions
-
-        fit = fit_file(
-            estimate,
-            name=self.name,
-            title=title[:200],
-            robot=self.robot,
-            method=method,
-            command=self.command,
-            versions=versions(),
-            data=data_sets(fitted, validation),
-        )
-        report = self.path.with_suffix(".html")
-        text = fit_report(fit, estimate)
-        with replace_files(self.path.parent, (self.path.name, report.name)) as fresh:
-            (fresh / report.name).write_text(text, "utf-8")
-            write_fit(fit, fresh / self.path.name)
+    def finish(self, result: Calibration) -> None:
+        """Write report and fit file, and print the result."""
+        fit = result.write(self.path, self.name, self.command)
         if self.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
         elif not self.quiet:
-            print_estimate(estimate)
-        if not self.quiet:
-            say(f"fit in {display_path(self.path)}, residuals in {display_path(report)}")
+            print_estimate(result.estimate)
+        report = display_path(self.path.with_suffix(".html"))
+        self.say(f"fit in {display_path(self.path)}, residuals in {report}")
 
 
 def _check_same_command(path: Path, command: str) -> None:
@@ -319,7 +253,6 @@ def _check_same_command(path: Path, command: str) -> None:
         InputError: another command wrote the file.
     """
     from srs_twin.identification.fit_file import load_fit
-    from srs_twin.io.files import display_path
 
     remedy = "--overwrite replaces it; --name or --out choose another file"
     try:
@@ -348,8 +281,9 @@ def command_line(context: typer.Context) -> str:
             words.append(parameter.opts[0] if value else (parameter.secondary_opts or parameter.opts)[0])
         else:
             words += [f"{parameter.opts[0]}={item}" for item in values]
-    line = shlex.join([*words[:3], *arguments, *words[3:]])
-    return line if len(line) <= _MAX_COMMAND_LENGTH else line[: _MAX_COMMAND_LENGTH - 1] + "…"
+    from srs_twin.identification.fit_file import short_command
+
+    return short_command(shlex.join([*words[:3], *arguments, *words[3:]]))
 
 
 def parse_names(text: str | None) -> list[str] | None:

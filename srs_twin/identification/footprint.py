@@ -46,6 +46,9 @@ ticks."""
 RECORD_HZ = 100.0
 """Sampling rate of the runs, Hz."""
 
+FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
+"""Default gait frequency of a footprint, by controller, Hz."""
+
 _MIN_SAMPLES = 25
 """Smallest number of samples per gait period that resolves the edges."""
 

@@ -23,7 +23,7 @@ from srs_twin.cli.options import (
     print_json,
 )
 from srs_twin.errors import InputError
-from srs_twin.identification.fitting import NOTHING_WRITTEN, check_name, print_table
+from srs_twin.identification.fitting import NOTHING_WRITTEN, print_table
 from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 
 FOOTPRINTS = "calibration/footprints"
 """Default folder of footprint files."""
-
-_FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
-"""Default gait frequency of a footprint, by controller."""
 
 
 def footprint(
@@ -75,36 +72,38 @@ def footprint(
         out: Output folder.
         name: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
     """
-    requested_offsets = None if offsets is None else _parse_numbers(offsets)
-    from srs_twin.identification.footprint import GaitSetup, footprint_study
-    from srs_twin.identification.footprint_report import check_same_study, footprint_file, header_lines
-    from srs_twin.io.files import check_output_folder
-    from srs_twin.planning.footprint_file import save_footprint
     from srs_twin.robot.file import load_robot
-    from srs_twin.scenario.provenance import versions
 
-    spec = load_robot(robot)
-    supply = spec.supply.nominal if pressure is None else 1000 * pressure
-    frequency_hz = _FREQUENCY_HZ.get(controller, 1.0) if frequency is None else frequency
-    setup = GaitSetup(
-        spec, frequency_hz, supply, controller, target, plant, chambers=chambers, contact=contact
-    )
-    changes = None if transients else ()
-    study = footprint_study(setup, offsets=requested_offsets, changes=changes, periods=periods, phases=phases)
-    file_name = check_name(f"{spec.name}_{controller}" if name is None else name, "--name")
-    path = Path(out) / f"{file_name}.yaml"
-    if not overwrite:
-        check_same_study(path, study, robot, file_name)
-    check_output_folder(path.parent, (path.name,))
-    with interruptible(NOTHING_WRITTEN), RunCounter(file_name, study.runs, quiet=quiet) as counting:
-        measured = study.measure(threads=threads, progress=lambda done: counting(failed=False))
-    file = footprint_file(measured, file_name)
+    requested_offsets = None if offsets is None else _parse_numbers(offsets)
+    from srs_twin.identification.footprint_report import calibrate_footprint, footprint_file
+
+    file_name = name or f"{load_robot(robot).name}_{controller}"
+    with interruptible(NOTHING_WRITTEN), RunCounter(file_name, 0, quiet=quiet) as counting:
+        measured = calibrate_footprint(
+            robot,
+            out=out,
+            name=file_name,
+            overwrite=overwrite,
+            controller=controller,
+            frequency_hz=frequency,
+            supply_pa=None if pressure is None else 1000 * pressure,
+            target_rad=target,
+            plant=plant,
+            contact=contact,
+            chambers=chambers,
+            offsets=requested_offsets,
+            transients=transients,
+            periods=periods,
+            phases=phases,
+            threads=threads,
+            progress=counting.count,
+        )
     if as_json:
+        file = footprint_file(measured, file_name)
         print_json(file.model_dump(mode="json", exclude_none=True))
     elif not quiet:
         _print_footprint(measured)
-    save_footprint(file, path, header=header_lines(study, robot, file_name, versions()))
-    say(f"footprint in {display_path(path)}", quiet=quiet)
+    say(f"footprint in {display_path(Path(out) / f'{file_name}.yaml')}", quiet=quiet)
 
 
 def margin(
@@ -127,31 +126,20 @@ def margin(
         plants: Plants: analytical, twin or both. [default: the scenario's]
         out: Output folder of the footprint file.
     """
-    from srs_twin.identification.excursions import measure_excursions
-    from srs_twin.io.documents import Override
-    from srs_twin.io.files import check_output_folder, find_file, read_text
-    from srs_twin.planning.footprint_file import excursion_quantile, load_footprint_file, save_footprint
+    from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
+    from srs_twin.planning.footprint_file import excursion_quantile, load_footprint_file
     from srs_twin.scenario.loading import load_scenario
 
-    # Remove the margin of the scenario, which would hide the excursions to be measured.
-    no_margin = Override("a margin to be measured", ("planner", "margin_probability"), None)
-    loaded = load_scenario(scenario, set=[*changes.changes(), no_margin])
-    plant_names = parse_plants(plants) or list(loaded.plants)
-    assert loaded.file.section("planner") is not None, "a change of the planner requires one"
-    source = find_file("footprint", loaded.file.section("planner").footprint)
-    path = Path(out) / f"{load_footprint_file(source).name}.yaml"
-    check_output_folder(path.parent, (path.name,))
-    total = runs * len(plant_names)
-    with interruptible(NOTHING_WRITTEN), RunCounter(loaded.name, total, quiet=quiet) as counting:
-        measured = [
-            measure_excursions(loaded, plant, runs, workers=jobs, progress=lambda: counting(failed=False))
-            for plant in plant_names
-        ]
-    file = load_footprint_file(source)
-    new_conditions = [result.conditions for result in measured]
-    kept = [old for old in file.excursions or () if old.conditions not in new_conditions]
-    comments = [line[2:] for line in read_text(source).splitlines() if line.startswith("# ")]
-    save_footprint(file.model_copy(update={"excursions": [*kept, *measured]}), path, header=comments)
+    loaded = load_scenario(scenario, set=[*changes.changes(), NO_MARGIN])
+    with interruptible(NOTHING_WRITTEN), RunCounter(loaded.name, 0, quiet=quiet) as counting:
+        measured = calibrate_margin(
+            loaded,
+            out=out,
+            runs=runs,
+            plants=parse_plants(plants),
+            workers=jobs,
+            progress=counting.count,
+        )
     if as_json:
         print_json([result.model_dump(mode="json", exclude_none=True) for result in measured])
     elif not quiet:
@@ -162,17 +150,18 @@ def margin(
             ]
             table.add_row(result.conditions.plant, *(f"{1000 * value:.0f}" for value in quantiles))
         console().print(table)
-    say(f"excursions in {display_path(path)}", quiet=quiet)
+    name = load_footprint_file(loaded.file.section("planner").footprint).name
+    say(f"excursions in {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet)
 
 
 def _parse_numbers(text: str) -> list[float]:
-    """Return the numbers in a list such as -0.3,0,0.3, in ascending order.
+    """Return the numbers in a list such as -0.3,0,0.3.
 
     Raises:
         InputError: an entry is not a number.
     """
     try:
-        return sorted(float(number) for number in text.split(","))
+        return [float(number) for number in text.split(",")]
     except ValueError:
         raise InputError(f"--offsets: '{text}' is not a list of numbers such as -0.3,0,0.3") from None
 

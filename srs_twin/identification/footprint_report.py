@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import astuple, fields, is_dataclass
 from pathlib import Path
 
 from srs_twin.errors import InputError
 from srs_twin.identification.footprint import (
+    FREQUENCY_HZ,
     FootprintMeasurement,
     FootprintStudy,
     GaitSetup,
     default_changes,
+    footprint_study,
 )
 from srs_twin.identification.paths import SteadyPath
-from srs_twin.io.files import display_path, read_text
+from srs_twin.io.arguments import checked
+from srs_twin.io.files import check_file_name, check_output_folder, display_path, read_text
 from srs_twin.planning.footprint import Transient
-from srs_twin.planning.footprint_file import FootprintFile, TransientFile
+from srs_twin.planning.footprint_file import FootprintFile, TransientFile, save_footprint
+from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.scenario.provenance import versions
 
 _DIGITS = 4
 """Decimals of values in a footprint file."""
@@ -65,6 +70,78 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
             "changes": [_change_entry(transient) for transient in measured.transients],
         }
     return FootprintFile.model_validate(content)
+
+
+@checked
+def calibrate_footprint(
+    robot: str | os.PathLike[str] | RobotSpec,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    name: str | None = None,
+    overwrite: bool = False,
+    controller: str = "gait",
+    frequency_hz: float | None = None,
+    supply_pa: float | None = None,
+    target_rad: float = 0.7,
+    plant: str = "twin",
+    contact: str | None = None,
+    chambers: str = "lag",
+    offsets: Sequence[float] | None = None,
+    transients: bool = True,
+    periods: int = 6,
+    phases: int = 4,
+    threads: int | None = None,
+    progress: Callable[[int, int], object] = max,
+) -> FootprintMeasurement:
+    """Measure the area swept at each offset, as `srs-twin calibrate footprint`.
+
+    Args:
+        robot: name or path of the robot, or a loaded robot.
+        out: folder of the footprint file; None: not written.
+        name: name of the footprint and its file; None: robot and controller.
+        overwrite: whether the file of another measurement is replaced.
+        controller: "gait" (open loop) or "ilc" (learning).
+        frequency_hz: gait frequency, Hz; None: `FREQUENCY_HZ`.
+        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
+        target_rad: target bend amplitude of the learning, rad.
+        plant: simulated plant, "twin" or "analytical".
+        contact: contact of the twin; None: its default.
+        chambers: "lag" or "orifice".
+        offsets: offsets; None: see `footprint_study`.
+        transients: whether changes of offset are measured.
+        periods: measured gait periods of each run.
+        phases: runs per offset, with different initial phases.
+        threads: number of parallel runs; None: one per processor.
+        progress: function called with the numbers of finished and of all runs.
+
+    Raises:
+        InputError: a setting is not allowed, or the file exists or cannot be written.
+    """
+    spec = load_robot(robot)
+    frequency = FREQUENCY_HZ.get(controller, 1.0) if frequency_hz is None else frequency_hz
+    supply = spec.supply.nominal if supply_pa is None else supply_pa
+    setup = GaitSetup(
+        spec, frequency, supply, controller, target_rad, plant, chambers=chambers, contact=contact
+    )
+    study = footprint_study(
+        setup,
+        offsets=None if offsets is None else sorted(offsets),
+        changes=None if transients else (),
+        periods=periods,
+        phases=phases,
+    )
+    file_name = check_file_name(name or f"{spec.name}_{controller}", "--name")
+    path = None if out is None else Path(out) / f"{file_name}.yaml"
+    robot_name = spec.name if isinstance(robot, RobotSpec) else os.fspath(robot)
+    if path is not None:
+        if not overwrite:
+            check_same_study(path, study, robot_name, file_name)
+        check_output_folder(path.parent, (path.name,))
+    measured = study.measure(threads=threads, progress=lambda done: progress(done, study.runs))
+    if path is not None:
+        header = header_lines(study, robot_name, file_name, versions())
+        save_footprint(footprint_file(measured, file_name), path, header=header)
+    return measured
 
 
 def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:

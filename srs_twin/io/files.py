@@ -114,6 +114,22 @@ def results_name(path: Path) -> str:
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
+def check_file_name(name: str, source: str) -> str:
+    """Return a file name after validation.
+
+    Args:
+        name: lower-case letters, digits and _.
+        source: option or argument that gave the name, for the message.
+
+    Raises:
+        InputError: the name is not allowed.
+    """
+    if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
+        allowed = "lower-case letters, digits and _, a letter first, 60 at most"
+        raise InputError(f"{source}: '{name}' is not allowed; {allowed}")
+    return name
+
+
 def escape_unprintable(text: str, *, keep: str = "") -> str:
     r"""Return text with escapes for control characters and for bytes that are not UTF-8.
 

@@ -6,15 +6,17 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from os.path import commonprefix
-from typing import TYPE_CHECKING, cast
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.io.arguments import checked
 from srs_twin.recordings.body.floor import Up, map_to_floor
 from srs_twin.recordings.body.layout import (
     LAYOUT_SIZES,
@@ -41,7 +43,14 @@ from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
 from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
-from srs_twin.recordings.recording_map import LOG_NAME, QUANTITIES, RecordingMap, canonical_key
+from srs_twin.recordings.recording_map import (
+    LOG_NAME,
+    QUANTITIES,
+    RecordingMap,
+    canonical_key,
+    given_map,
+    read_map,
+)
 from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
 from srs_twin.recordings.signals.units import (
     ABSOLUTE,
@@ -52,6 +61,7 @@ from srs_twin.recordings.signals.units import (
     stated_unit,
     symbol,
 )
+from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec
 
 if TYPE_CHECKING:
@@ -88,6 +98,27 @@ class Scene:
     names: tuple[str, ...]
     order: tuple[int, ...]
     rigid: tuple[tuple[int, int], ...]
+
+
+@checked
+def inspect(
+    path: str | os.PathLike[str],
+    *,
+    map: str | os.PathLike[str] | Mapping[str, Any] = MappingProxyType({}),
+    robot: str | os.PathLike[str] | RobotSpec | None = None,
+) -> RecordingFacts:
+    """Describe a recording and propose a map, as `srs-twin inspect`.
+
+    Args:
+        path: a recording of markers, or a log.
+        map: known entries of a recording map, or the path of a map.
+        robot: robot with which the recording is checked; None: not checked.
+
+    Raises:
+        InputError: the file cannot be read; the message gives the reason.
+    """
+    data = map if isinstance(map, Mapping) else given_map(os.fspath(map), {}, ())
+    return inspect_file(path, read_map(data), None if robot is None else load_robot(robot))[0]
 
 
 def inspect_file(

@@ -377,13 +377,15 @@ def _read_robot_file(name_or_path: str | os.PathLike[str]) -> tuple[RobotFile, l
 
 
 @checked
-def load_robot(name_or_path: str | os.PathLike[str]) -> RobotSpec:
+def load_robot(robot: str | os.PathLike[str] | RobotSpec) -> RobotSpec:
     """Load a robot by the name of a shipped one (gen1 to gen4, gen4_module) or the path of a robot file.
+
+    A loaded robot is returned unchanged.
 
     Raises:
         InputError: the file was not found, cannot be read, or is not valid (`InputFileError`).
     """
-    return load_robot_file(name_or_path).spec()
+    return robot if isinstance(robot, RobotSpec) else load_robot_file(robot).spec()
 
 
 def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:

@@ -63,10 +63,9 @@ def values() -> dict[tuple[str, str], str]:
     """Return command and parameter → default that the command takes, in the help's words."""
     from srs_twin.cli.new import _BEND_RAD, _SERVO_BEND_RAD
     from srs_twin.comparison.diff import Tolerances
-    from srs_twin.identification.command import _plant_settings
-    from srs_twin.identification.footprint import GaitSetup
-    from srs_twin.identification.footprint_command import _FREQUENCY_HZ
-    from srs_twin.identification.replay_command import _plants
+    from srs_twin.identification.calibration import _plant_settings
+    from srs_twin.identification.footprint import FREQUENCY_HZ, GaitSetup
+    from srs_twin.identification.replay import _plants
     from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot
 
@@ -77,10 +76,10 @@ def values() -> dict[tuple[str, str], str]:
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
         ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),
         ("new robot", "bend"): f"{_BEND_RAD:g}; joints {_SERVO_BEND_RAD:g}",
-        ("replay", "law"): _plants("analytical", "complete", None, False)["analytical"]["friction"],
+        ("replay", "law"): _plants(["analytical"], "complete", None, False)["analytical"]["friction"],
         ("calibrate locomotion", "law"): fitted["friction"],
         ("calibrate locomotion", "model"): fitted["model"],
-        ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(**_FREQUENCY_HZ),
+        ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(**FREQUENCY_HZ),
         ("calibrate footprint", "offsets"): "-{gait:g} to {gait:g}; ilc: -{ilc:g} to {ilc:g}".format(**most),
         **{
             (name, "longest_gap"): gap

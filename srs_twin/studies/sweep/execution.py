@@ -280,7 +280,7 @@ class OpenSweep:
         return list(self._store.rows())
 
     def run(
-        self, engine: Engine, points: tuple[Point, ...], finished: Callable[[Row], None] | None = None
+        self, engine: Engine, points: tuple[Point, ...], finished: Callable[[Row], object] | None = None
     ) -> None:
         """Run points and store each row as it finishes, see `RowStore.collect`.
 

@@ -144,12 +144,12 @@ def load_sweep(
     complete = locate_files(document)
     file = validate(SweepFile, document, document.data)
     scenario, scenario_errors = base_scenario(document)
-    sweep = None
+    loaded = None
     if complete and file is not None and scenario is not None:
-        sweep = _Loader(document, file, scenario).sweep(name)
+        loaded = _Loader(document, file, scenario).sweep(name)
     document.raise_problems(scenario_errors)
-    assert sweep is not None and scenario is not None, "a document without problems gives a sweep"
-    return _with_changes(sweep, scenario, written, [change.loc for change in overrides])
+    assert loaded is not None and scenario is not None, "a document without problems gives a sweep"
+    return _with_changes(loaded, scenario, written, [change.loc for change in overrides])
 
 
 def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:

@@ -1,0 +1,128 @@
+"""Scenario that compares a recorded run of the robot with both plants under the same valve states."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from srs_twin.errors import InputError
+from srs_twin.identification.fitted_robot import merge_overrides
+from srs_twin.io.arguments import checked
+from srs_twin.io.documents import Document, Override
+from srs_twin.io.files import require_file, results_name
+from srs_twin.io.validation import load_model
+from srs_twin.plants.base import TICK_S
+from srs_twin.recordings.recording_map import read_map
+from srs_twin.recordings.takes import RecordingReader, logs_of
+from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.scenario.expectation import ExpectationsFile
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.scenario import Scenario
+
+_MAX_DURATION_S = 3600.0
+"""Longest replay, s: the limit of a scenario."""
+
+_BENCH_RECORD_HZ = 1000
+"""Sampling rate on a bench, where bends follow the valves within milliseconds."""
+
+
+@checked
+def replay_scenario(
+    motion: str | os.PathLike[str],
+    robot: str | os.PathLike[str],
+    *,
+    recording: Mapping[str, Any] = MappingProxyType({}),
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    fits: Sequence[str | os.PathLike[str]] = (),
+    expect: str | os.PathLike[str] | None = None,
+    bench: bool = False,
+    supply_pa: float | None = None,
+    plants: Sequence[str] | None = None,
+    model: str = "complete",
+    law: str | None = None,
+    notify: Callable[[str], object] = str,
+) -> Scenario:
+    """Return the scenario that drives both plants with the valve states of a recording.
+
+    `srs-twin replay` runs it with `run_scenario`, whose metrics compare each plant with the recording.
+
+    Args:
+        motion: motion capture, or bends on a bench.
+        robot: name or path of the robot.
+        recording: further keys of the section `recording` of a scenario, such as `valves`.
+        set: values that override fields of the scenario, see `load_scenario`.
+        fits: fit files of this robot.
+        expect: file of expectations, as in a scenario.
+        bench: whether the robot is clamped at its head on a bench, instead of on the floor.
+        supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
+        plants: plants that run; None: both.
+        model: model of the analytical plant.
+        law: friction law of the analytical plant; None: "wheel".
+        notify: function called with a summary of the recording.
+
+    Raises:
+        InputError: the recording cannot be read or does not fit the robot.
+    """
+    robot_file, path = _load_robot(robot, fits), Path(motion)
+    given = {"motion": os.fspath(motion), **recording}
+    document = {
+        "name": results_name(path),
+        "title": f"{path.name} replayed, {robot_file.name}",
+        "robot": robot_file.model_dump(mode="json", exclude_none=True),
+        "duration_s": _duration(given, robot_file, notify),
+        "controller": {"kind": "replay"},
+        "recording": given,
+        "plants": _plants(plants, model, law, bench),
+        "expect": [] if expect is None else _expectations(expect),
+    }
+    if bench:
+        document |= {"bench": True, "record_hz": _BENCH_RECORD_HZ}
+    if supply_pa is not None:
+        document["supply"] = {"pressure_kpa": round(supply_pa / 1e3, 9)}
+    return parse_scenario(document, name="replay", set=set)
+
+
+def _load_robot(robot: str | os.PathLike[str], fits: Sequence[str | os.PathLike[str]]) -> RobotFile:
+    """Return a robot with the results of fits."""
+    if not fits:
+        return load_robot_file(robot)
+    document = Document("--fit", merge_overrides(fits, base=os.fspath(robot)))
+    robot_file = resolve_robot(document, document.data, prefix=())
+    document.raise_problems()
+    assert robot_file is not None, "a document without problems gives a robot"
+    return robot_file
+
+
+def _duration(recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]) -> float:
+    """Return the duration of the recording in whole ticks, s."""
+    settings = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
+    motion, valves = recording["motion"], recording.get("valves")
+    (log,) = logs_of([motion], [valves] if valves else [])
+    settings["map"] = read_map(settings.get("map", {}))
+    measured = RecordingReader(**settings).take(motion, log, robot.spec())
+    notify(f"{measured.summary.text()}\n")
+    time = measured.trajectory.time
+    ticks = math.floor(min(float(time[-1] - time[0]), _MAX_DURATION_S) / TICK_S + 1e-6)
+    return round(ticks * TICK_S, 6)
+
+
+def _plants(names: Sequence[str] | None, model: str, law: str | None, bench: bool) -> dict[str, Any]:
+    if bench and law is not None:
+        raise InputError("--law: remove this option; on a bench there is no floor")
+    floor = {} if bench else {"friction": law or "wheel"}
+    settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
+    return {name: settings[name] for name in names or settings}
+
+
+def _expectations(path: str | os.PathLike[str]) -> list[Any]:
+    """Return the expectations of a file.
+
+    Raises:
+        InputFileError: the file is invalid; lists all problems.
+    """
+    file = load_model(ExpectationsFile, require_file(Path(path)))
+    return [entry.model_dump(mode="json", exclude_none=True) for entry in file.expect]

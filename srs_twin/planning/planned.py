@@ -1,0 +1,162 @@
+"""`plan_scenario`: plan of a scenario without a simulation, its quality and its files."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from srs_twin.errors import InputError
+from srs_twin.io.arguments import checked
+from srs_twin.io.documents import Override
+from srs_twin.io.file_sets import replace_files
+from srs_twin.io.files import check_output_folder
+from srs_twin.planning.collision import Checker
+from srs_twin.planning.metrics import plan_metrics
+from srs_twin.planning.problem import Plan
+from srs_twin.scenario.loading import load_scenario
+from srs_twin.scenario.scenario import Scenario
+
+_ROUNDING = 1e-9
+"""Lengths below this count as 0, m."""
+
+PLAN = "plan.json"
+"""File of the plan."""
+PICTURE = "plan.png"
+"""Picture of the plan."""
+SEARCH = "search.png"
+"""Picture of the search."""
+RECORDING = "search.rrd"
+"""Rerun recording of the search."""
+
+
+@dataclass(frozen=True)
+class PathQuality:
+    """Quality of a planned path.
+
+    Attributes:
+        length_over_least: length relative to the least length around the obstacles, dimensionless; None if
+            the least length is 0, because the start is within the goal's radius.
+        clearance_m: clearance beyond the edges that must stay free, m.
+    """
+
+    length_over_least: float | None
+    clearance_m: float
+
+
+@dataclass(frozen=True)
+class ScenarioPlan:
+    """Plan of a scenario.
+
+    Attributes:
+        scenario: scenario with its planner.
+        plan: the plan.
+        files: names of the written files; empty without an output folder.
+    """
+
+    scenario: Scenario
+    plan: Plan
+    files: tuple[str, ...] = ()
+
+    @cached_property
+    def metrics(self) -> dict[str, float | None]:
+        """Metrics of the plan by name, as `srs-twin list metrics` describes them."""
+        return plan_metrics(self.plan.found, self.plan.segments, self.plan.expanded)
+
+    @cached_property
+    def quality(self) -> PathQuality | None:
+        """Quality of the path; None if none was found."""
+        result = self.plan
+        if not result.found:
+            return None
+        assert result.problem is not None, "set by plan()"
+        checker = Checker(result.problem.world, result.problem.footprint)
+        ratio = result.length / result.least_length if result.least_length > _ROUNDING else None
+        return PathQuality(ratio, checker.clearance(result.segments))
+
+    def document(self) -> dict[str, object]:
+        """Return the content of plan.json."""
+        result, problem = self.plan, self.scenario.planner.problem
+        return {
+            "scenario": self.scenario.name,
+            "outcome": result.outcome.value,
+            "reason": result.reason,
+            "start": asdict(problem.start),
+            "world": asdict(problem.world),
+            "goal": asdict(problem.goal),
+            "segments": [asdict(segment) for segment in result.segments],
+            **({} if result.touches is None else {"touches": [asdict(touch) for touch in result.touches]}),
+            "quality": asdict(self.quality) if self.quality else None,
+            "metrics": self.metrics,
+            "changes": list(self.scenario.changes),
+        }
+
+
+@checked
+def plan_scenario(
+    scenario: str | os.PathLike[str] | Scenario,
+    *,
+    out: str | os.PathLike[str] | None = None,
+    set: Mapping[str, Any] | Sequence[Override] = (),
+    search: bool = False,
+) -> ScenarioPlan:
+    """Plan the path of a scenario without simulating it, as `srs-twin plan`.
+
+    The function `plan` takes a problem instead of a scenario.
+
+    Args:
+        scenario: name or path of a scenario with a planner, or a loaded scenario.
+        out: output folder; None: nothing is written.
+        set: values that override fields of the scenario, see `load_scenario`.
+        search: whether the plan keeps its search trees, of which a picture and a recording are written.
+
+    Raises:
+        InputError: the scenario is not valid or has no planner, or start or goal is not possible.
+    """
+    loaded = load_scenario(scenario, set=set)
+    if loaded.planner is None:
+        raise InputError(
+            f"{loaded.name}: there is no planner section; add planner, and controller.kind: follow"
+        )
+    files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
+    if out is not None:
+        check_output_folder(Path(out), files)
+    with loaded.named_in_errors():
+        result = loaded.planner.plan_uncached(keep=True) if search else loaded.planner.plan()
+    if out is None:
+        return ScenarioPlan(loaded, result)
+    planned = ScenarioPlan(loaded, result, files)
+    with replace_files(Path(out), (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
+        _write(fresh, planned)
+        if search:
+            _write_search(fresh, loaded.title, result)
+    return planned
+
+
+def _write(folder: Path, planned: ScenarioPlan) -> None:
+    """Write the plan and its values as a JSON document, and a picture."""
+    from srs_twin.planning.pictures import plan_plot
+    from srs_twin.viewing.plots.style import save
+
+    title = f"{planned.scenario.title}: {planned.plan.outcome.value}"
+    figure = plan_plot(planned.scenario.planner.problem, planned.plan.segments, title)
+    document = json.dumps(planned.document(), indent=2, allow_nan=False)
+    (folder / PLAN).write_text(document + "\n", "utf-8")
+    save(figure, folder / PICTURE, dpi=150)
+
+
+def _write_search(folder: Path, title: str, result: Plan) -> None:
+    """Write a picture and a Rerun recording of the search."""
+    from srs_twin.planning.pictures import search_plot, write_search
+    from srs_twin.planning.search_tree import trace_search
+    from srs_twin.viewing.plots.style import save
+
+    assert result.problem is not None, "set by plan()"
+    trace = trace_search(result.trees, result.problem.world)
+    figure = search_plot(result.problem, result.segments, trace)
+    save(figure, folder / SEARCH, dpi=150)
+    write_search(folder / RECORDING, result, trace, title)
