@@ -137,7 +137,11 @@ def calibrate_footprint(
         if not overwrite:
             check_same_study(path, study, robot_name, file_name)
         check_output_folder(path.parent, (path.name,))
-    measured = study.measure(threads=threads, progress=lambda done: progress(done, study.runs))
+
+    def count(done: int) -> None:
+        progress(done, study.runs)
+
+    measured = study.measure(threads=threads, progress=count)
     if path is not None:
         header = header_lines(study, robot_name, file_name, versions())
         save_footprint(footprint_file(measured, file_name), path, header=header)
