@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import srs_twin as srs
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
@@ -88,6 +89,35 @@ def run_search(question, folder, engine=None):
     """Return the optimum of a study in a folder."""
     with StudyRuns(question, folder, engine or Engine()) as runs:
         return search(question, runs)
+
+
+def test_the_function_gives_the_result_of_the_search(tmp_path):
+    question, folder = study(tmp_path, twin=8, compliant=40), tmp_path / "out"
+    seen, engine = [], Engine()
+    found = srs.optimize(question, engine=engine, progress=lambda *each: seen.append(each))
+    with StudyRuns(question, folder, Engine()) as runs:
+        expected = StudyResult.evaluate(question, search(question, runs), runs)
+    assert found.document() == expected.document()
+    assert seen[0] == ("question", 8 + 40 + 1 + 3 * 2, None)
+    assert [row.key for _, _, row in seen[1:]] == engine.keys and not found.files
+    assert {part for part, _, _ in seen[1:]} == {"compliant", "twin"}
+    assert not [path for path in tmp_path.iterdir() if path.name not in ("question.yaml", "out")]
+
+
+def test_an_interrupted_function_keeps_its_runs(tmp_path):
+    question, folder = study(tmp_path, twin=8, compliant=40), tmp_path / "out"
+    with pytest.raises(KeyboardInterrupt):
+        srs.optimize(question, out=folder, engine=Engine(breaks_after=30))
+    rest = Engine()
+    found = srs.optimize(question, out=folder, engine=rest)
+    whole = Engine()
+    assert found.document() == srs.optimize(question, engine=whole).document()
+    assert len(rest.keys) == len(whole.keys) - 30
+    assert (
+        {"study.json", "evaluations.parquet"}
+        <= set(found.files)
+        <= {str(path.relative_to(folder)) for path in folder.rglob("*")}
+    )
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))])
