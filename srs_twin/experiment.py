@@ -461,7 +461,6 @@ def run_scenario(
     plants: Sequence[str] | None = None,
     progress: Progress | None = None,
     explain: Explain | None = None,
-    main_cause: Callable[..., dict[str, Any] | None] | None = None,
 ) -> RunResult:
     """Run a scenario on its plants, measure and compare, as `srs-twin run`.
 
@@ -472,7 +471,6 @@ def run_scenario(
         plants: plants that run, in this order; None: those of the scenario.
         progress: see `PreparedRun.execute`.
         explain: function that attributes the difference of the plants, see `PreparedRun.execute`.
-        main_cause: see `PreparedRun.execute`.
 
     Returns:
         Trajectories and metrics. The error of a plant that diverged is in `diverged`.
@@ -482,8 +480,7 @@ def run_scenario(
     """
     loaded = load_scenario(scenario, set=set)
     with folder_or_temporary(out) as folder:
-        run = prepare(loaded, folder, plants=plants)
-        return run.execute(progress, explain=explain, main_cause=main_cause)
+        return prepare(loaded, folder, plants=plants).execute(progress, explain=explain)
 
 
 @dataclass(frozen=True)

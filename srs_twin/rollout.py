@@ -64,7 +64,6 @@ Policy = Callable[[SnakeState], np.ndarray]
 """Function from the states of a batch to valve commands."""
 
 
-@checked
 def rollout(
     plant: Plant,
     controller: Controller,
@@ -110,6 +109,7 @@ def rollout(
             plant or controller; or another thread uses the plant or the controller.
         DivergedError: plant or controller diverged; its `trajectory` has the samples recorded before.
     """
+    check_types("rollout", rollout, locals())
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     if plant.layout not in controller.layouts:

@@ -60,7 +60,7 @@ def run_case(
         plants: plants to run; default: those of the scenario.
         explain: add the attribution of the difference.
     """
-    from srs_twin.experiment import run_scenario
+    from srs_twin.experiment import prepare
 
     start = time.perf_counter()
     options: dict[str, Any] = {}
@@ -74,7 +74,7 @@ def run_case(
         options["main_cause"] = main_cause
     scenario, folder = task
     try:
-        result = run_scenario(scenario, folder, plants=plants, progress=progress, **options)
+        result = prepare(scenario, folder, plants=plants).execute(progress, **options)
     except InputError as error:
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
