@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.comparison.centre_line import body_overlap
-from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference
-from srs_twin.comparison.compare import compare as difference
+from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference, compare as difference
 from srs_twin.comparison.contacts import contact_events, contact_free_s, ignores_obstacles
 from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.comparison.undefined import why_undefined

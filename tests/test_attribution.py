@@ -7,11 +7,9 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from srs_twin import Numerics, rollout
-from srs_twin import attribution as attribution_module
+from srs_twin import Numerics, attribution as attribution_module, rollout
 from srs_twin.attribution import (
     PlantVariants,
     _builders,

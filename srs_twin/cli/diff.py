@@ -45,8 +45,7 @@ def diff(
         tolerances: YAML file with tolerances per metric (see docs/ci.md).
         junit: Write a JUnit XML report of the differences.
     """
-    from srs_twin.comparison.diff import Tolerances, load_tolerances
-    from srs_twin.comparison.diff import diff as compare_results
+    from srs_twin.comparison.diff import Tolerances, diff as compare_results, load_tolerances
     from srs_twin.errors import InputError
     from srs_twin.io.files import check_output_folder
 

@@ -103,8 +103,7 @@ def emulate(
         user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
     """
-    from srs_twin.live.emulator import EmulatedRobot, Transport
-    from srs_twin.live.emulator import emulate as run
+    from srs_twin.live.emulator import EmulatedRobot, Transport, emulate as run
     from srs_twin.live.messages import COMMAND
 
     emulated = EmulatedRobot(

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from srs_twin.planning.footprint import Footprint as Footprint
     from srs_twin.planning.footprint_file import load_footprint as load_footprint
     from srs_twin.planning.path import Segment as Segment
-    from srs_twin.planning.problem import Outcome as Outcome
-    from srs_twin.planning.problem import Problem as Problem
-    from srs_twin.planning.problem import Settings as Settings
+    from srs_twin.planning.problem import Outcome as Outcome, Problem as Problem, Settings as Settings
 
 lazy(__name__)

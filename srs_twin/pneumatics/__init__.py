@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from srs_twin.extensions import part
-from srs_twin.pneumatics.base import Pneumatics as Pneumatics
-from srs_twin.pneumatics.base import Trace as Trace
+from srs_twin.pneumatics.base import Pneumatics as Pneumatics, Trace as Trace
 from srs_twin.pneumatics.lag import LagPneumatics as LagPneumatics
 from srs_twin.pneumatics.orifice import OrificePneumatics as OrificePneumatics
 from srs_twin.pneumatics.spatial import SpatialLagPneumatics as SpatialLagPneumatics
-from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS
-from srs_twin.pneumatics.valves import Schedule as Schedule
+from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS, Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
 
 SPATIAL_KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": SpatialLagPneumatics}

@@ -101,8 +101,7 @@ def _print_scorecard(*, as_json: bool) -> None:
     from srs_twin.cli.options import print_json
     from srs_twin.identification.fitting import print_table
     from srs_twin.reproduction.claims import load_claims
-    from srs_twin.reproduction.report import FACTORS, UNVALIDATED
-    from srs_twin.reproduction.report import scorecard as grade_capabilities
+    from srs_twin.reproduction.report import FACTORS, UNVALIDATED, scorecard as grade_capabilities
     from srs_twin.reproduction.verdicts import load_baseline
 
     grades = grade_capabilities(load_claims(), load_baseline())

@@ -8,11 +8,7 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import Expectation as Expectation
     from srs_twin.scenario.loading import (
         load_scenario as load_scenario,
-    )
-    from srs_twin.scenario.loading import (
         parse_scenario as parse_scenario,
-    )
-    from srs_twin.scenario.loading import (
         scenario_json_schema as scenario_json_schema,
     )
     from srs_twin.scenario.scenario import Scenario as Scenario

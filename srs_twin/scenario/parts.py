@@ -22,13 +22,11 @@ from srs_twin.control.gait import Gait
 from srs_twin.errors import AbsentPartError, InputError, UnknownNameError
 from srs_twin.extensions import PART_PATTERN, READING, part
 from srs_twin.io.documents import Document
-from srs_twin.pneumatics import KINDS as PNEUMATICS
-from srs_twin.pneumatics import Pneumatics
+from srs_twin.pneumatics import KINDS as PNEUMATICS, Pneumatics
 from srs_twin.scenario.controllers import ControllerSection
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import CONTROLLER_KINDS, PneumaticsSection, ScenarioFile, SensorSection
-from srs_twin.sensing import KINDS as SENSORS
-from srs_twin.sensing import Sensor
+from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
 class _Kind(NamedTuple):

@@ -13,14 +13,12 @@ from srs_twin.plants.twin.mjcf.numerics import (
     PRESETS,
     Contact,
     ContactName,
+    Law as LawOnLoads,
     LoadedContact,
     ModelSettings,
     PreloadedContact,
     Preset,
     Wheels,
-)
-from srs_twin.plants.twin.mjcf.numerics import (
-    Law as LawOnLoads,
 )
 from srs_twin.robot.friction import Law
 from srs_twin.robot.scale import Scale, divide

@@ -8,17 +8,16 @@ from typing import Any
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.extensions import part
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.sensing.hall import SPAN
-from srs_twin.sensing.hall import HallSensor as HallSensor
-from srs_twin.sensing.hall import Strip as Strip
-from srs_twin.sensing.hall import calibrate as calibrate
-from srs_twin.sensing.sensors import CurvatureSensor as CurvatureSensor
-from srs_twin.sensing.sensors import DeadSensor as DeadSensor
-from srs_twin.sensing.sensors import DriftedSensor as DriftedSensor
-from srs_twin.sensing.sensors import FaultySensor as FaultySensor
-from srs_twin.sensing.sensors import IdealSensor as IdealSensor
-from srs_twin.sensing.sensors import Sensor as Sensor
-from srs_twin.sensing.sensors import TwoAxisSensor as TwoAxisSensor
+from srs_twin.sensing.hall import SPAN, HallSensor as HallSensor, Strip as Strip, calibrate as calibrate
+from srs_twin.sensing.sensors import (
+    CurvatureSensor as CurvatureSensor,
+    DeadSensor as DeadSensor,
+    DriftedSensor as DriftedSensor,
+    FaultySensor as FaultySensor,
+    IdealSensor as IdealSensor,
+    Sensor as Sensor,
+    TwoAxisSensor as TwoAxisSensor,
+)
 
 KINDS = (IdealSensor.kind, CurvatureSensor.kind)
 

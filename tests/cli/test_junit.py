@@ -16,8 +16,7 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from srs_twin.cli import main
 from srs_twin.cli.junit import report_path, write_junit

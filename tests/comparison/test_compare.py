@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from synthetic import Snake, mirrored, moved, numbered, sampled, with_columns, with_metadata
 
 from srs_twin.comparison.compare import compare, in_body_frame

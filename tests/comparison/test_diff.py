@@ -12,8 +12,7 @@ from xml.etree import ElementTree
 
 import pytest
 from conftest import ROOT
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from srs_twin.cli import main
 from srs_twin.comparison.diff import Results, Tolerance, diff, load_tolerances, read_results

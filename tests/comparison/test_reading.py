@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from srs_twin import load_robot, load_scenario, rollout
 from srs_twin.comparison.metrics import plant_metrics

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, sine_frequency, tracking_metrics
 from srs_twin.errors import InputError

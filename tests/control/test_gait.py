@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from snakes import chain, robot
 
 from srs_twin import Gait, InputError, RobotSpec, load_robot

@@ -7,8 +7,7 @@ from itertools import accumulate, repeat
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from srs_twin.control.reference import ClippedReference, Constant, Reference, Sine, Square, Staircase, Step
 from srs_twin.errors import InputError, UnknownNameError

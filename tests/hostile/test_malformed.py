@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 from harness import Malformed, Parser, check_lines, rejection
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from parsers import PARSERS
 
 from srs_twin.cli import main

@@ -9,8 +9,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from box_edges import WIDTH, BoxEdges, fit_width
 from conftest import ROOT
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from published_tables import published_runs
 from table8 import edges, fit_body_width, place
 

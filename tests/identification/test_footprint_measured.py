@@ -10,8 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 from crawling import Crawl
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 from synthetic import mirrored, moved
 
 from srs_twin import InputError, Trajectory, TwinSnake, load_robot, rollout

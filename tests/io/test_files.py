@@ -8,8 +8,7 @@ import unicodedata
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from srs_twin.errors import InputError, InputFileError, UnknownNameError
 from srs_twin.io.documents import MAX_DEPTH, dump_yaml, parse_yaml

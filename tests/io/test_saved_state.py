@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from subsets import first_by_default
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout

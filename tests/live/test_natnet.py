@@ -11,8 +11,7 @@ import natnet_packets as packets
 import numpy as np
 import pytest
 from brokers import wait
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from srs_twin import InputError
 from srs_twin.live import natnet

@@ -17,8 +17,7 @@ from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.errors import SessionWarning
 from srs_twin.io.files import create_numbered_file
 from srs_twin.io.saved_state import SavedState
-from srs_twin.live import session as sessions
-from srs_twin.live import steering as steering_module
+from srs_twin.live import session as sessions, steering as steering_module
 from srs_twin.live.journal import Journal, journal_messages
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, GO, POSES, STATUS, Message

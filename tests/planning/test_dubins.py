@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 from scipy.optimize import fsolve
 
 from srs_twin.planning.dubins import shortest_path

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from plan_sampling import TOUCH, deepest, misses
 from subsets import first_by_default
 from witnessed_worlds import bodies, walls

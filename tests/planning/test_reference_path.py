@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import EXTENSION_M, ReferencePath, path_from_arcs

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from srs_twin.planning.guidance import NO_HEURISTIC, grid_distance, grid_heuristic
 from srs_twin.planning.search_kernels import NODES, OPEN, cell_slot, empty_frontier, enlarged, pop, push

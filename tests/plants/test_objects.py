@@ -14,8 +14,7 @@ from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import GRAVITY, Friction, RobotSpec
-from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION
-from srs_twin.robot.world import Circle, MovableObject, Polygon, World
+from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION, Circle, MovableObject, Polygon, World
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
 

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.errors import DivergedError, InputError, InputFileError
-from srs_twin.plants.analytical import quasistatic_kernels
-from srs_twin.plants.analytical import spatial_kinematics as kernels
+from srs_twin.plants.analytical import quasistatic_kernels, spatial_kinematics as kernels
 from srs_twin.plants.analytical.quasistatic import make_constants
 from srs_twin.robot.spec import GRAVITY, Skin
 from srs_twin.robot.world import Floor, World

@@ -12,8 +12,7 @@ from snakes import GRAVITY, robot
 from srs_twin import AnalyticalSnake, Gait, InputError, LoadedContact, Numerics, TwinSnake, rollout
 from srs_twin.control.replay import HoldValves
 from srs_twin.robot.spec import Friction
-from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION
-from srs_twin.robot.world import WALL_M, Floor, Polygon, Step, World
+from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION, WALL_M, Floor, Polygon, Step, World
 
 SPEC = robot()
 MU = {"along": SPEC.friction.mu_t, "across": SPEC.friction.mu_n}

@@ -17,8 +17,7 @@ import bag_files
 import c3d
 import numpy as np
 import pytest
-from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
+from mcap.writer import CompressionType, Writer as McapWriter
 from mcap_ros2.writer import Writer as RosWriter
 from recorded import SPEC, motion
 from synthetic_takes import Take, write_motive

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
 from snakes import chain
 from subsets import first_by_default

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import sensor_strips as study
 from benchmark_runs import run_benchmark
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import stats
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout

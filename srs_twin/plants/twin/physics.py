@@ -21,8 +21,12 @@ from srs_twin.plants.twin.contact_loaded import LoadedStepper
 from srs_twin.plants.twin.internal_joints import InternalJoints, bend_joints
 from srs_twin.plants.twin.mjcf.model import scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
-from srs_twin.plants.twin.mjcf.surroundings import hulls as hull_names
-from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_names, place_of
+from srs_twin.plants.twin.mjcf.surroundings import (
+    hulls as hull_names,
+    object_force_sensor,
+    object_names,
+    place_of,
+)
 from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 from srs_twin.pneumatics.chambers import equivalent_linear_pressure, free_extensions, vector_bends

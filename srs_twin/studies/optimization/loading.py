@@ -19,8 +19,7 @@ from srs_twin.io.validation import validate
 from srs_twin.scenario.expectation import MetricName, Words
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.scenario.loading import parse_scenario
-from srs_twin.scenario.modified import Changes as ChangedFields
-from srs_twin.scenario.modified import changed_fields, marked
+from srs_twin.scenario.modified import Changes as ChangedFields, changed_fields, marked
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.loading import (
     base_scenario,

@@ -93,8 +93,7 @@ def sweep(
     """
     runner = study.make_engine()
     from srs_twin.scenario.modified import marked
-    from srs_twin.studies.sweep.execution import select_points
-    from srs_twin.studies.sweep.execution import sweep as run_sweep
+    from srs_twin.studies.sweep.execution import select_points, sweep as run_sweep
     from srs_twin.studies.sweep.loading import load_sweep
 
     loaded = load_sweep(name, set=changed_fields.changes(), plants=parse_plants(plants))
