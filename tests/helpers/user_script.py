@@ -33,6 +33,21 @@ def turned(problem: srs.Problem) -> srs.Plan:
     return srs.plan(problem, planner="greedy")
 
 
+def commands(fits: list[str], folder: str) -> None:
+    """Call the functions of commands, which type checkers read and the test of the script does not run."""
+    assert_type(srs.plan_scenario("follow_fig57").plan, srs.Plan)
+    result = srs.run_scenario("gen2_straight", explain=srs.explain)
+    assert_type(result.trajectories["twin"], srs.Trajectory)
+    assert_type(srs.replay_scenario("walk.csv", "gen2"), srs.Scenario)
+    print(srs.sweep("fig31", out=folder).exit_code, srs.optimize("gen2_speed").files)
+    print(srs.uncertainty("gen2_straight", samples=8).plants, srs.diff("a", "b"))
+    print(srs.inspect("walk.csv").rate_hz, srs.calibrate_robot(fits, "mine").actuator)
+    for fit in (srs.calibrate_friction, srs.calibrate_actuator, srs.calibrate_locomotion):
+        print(fit(["walk.csv"], "gen2").estimate)
+    print(srs.calibrate_design("gen2", {"friction.mu_t": 0.05}), srs.calibrate_margin("follow_fig57"))
+    print(srs.calibrate_footprint("gen2").offsets)
+
+
 spec = srs.load_robot("gen2")
 twin = srs.TwinSnake(spec, contact=srs.LoadedContact(law="wheel"), numerics=srs.Numerics())
 plants: list[srs.Plant] = [twin, srs.AnalyticalSnake(spec, friction="wheel")]
