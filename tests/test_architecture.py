@@ -92,7 +92,7 @@ def test_imports_only_from_the_left():
 def test_importing_the_package_imports_nothing_but_the_registry():
     code = "import sys, srs_twin; print(*sorted(name for name in sys.modules if name.startswith('srs_twin')))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["srs_twin", "srs_twin.extensions"]
+    assert done.stdout.split() == ["srs_twin", "srs_twin.errors", "srs_twin.extensions"]
 
 
 @pytest.mark.parametrize(
