@@ -128,9 +128,9 @@ def show(
     name: Annotated[str, argument("NAME", shipped=["scenario", "robot"])],
     as_json: JsonOption = False,
 ) -> None:
-    """Show all values of a scenario or robot, with sources, or a page of the documentation.
+    """Show a scenario or robot with all sources, or a page.
 
-    Default values are included.
+    Default values are included. Pages are those of the documentation.
 
     Options:
         name: Shipped scenario or robot, a scenario or robot file, or a page such as docs/models.md.

@@ -73,8 +73,11 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
     Raises:
         InputError: there is nothing at either place.
     """
-    beside = folder / text
-    if os.path.lexists(beside):
+    beside: Path | None = folder / text
+    with suppress(OSError):  # a folder may have been removed
+        if os.path.samefile(folder, os.curdir):
+            beside = None
+    if beside is not None and os.path.lexists(beside):
         return str(beside)
     if not os.path.lexists(text):
         suffix = Path(text).suffix or ".yaml"

@@ -210,7 +210,7 @@ def export(
 
     Options:
         run: Folder of a run, or its name in ./runs.
-        file: File to write, as with --out; its suffix may stand for the format.
+        file: File to write, as with --out; its suffix selects the format.
         mcap: ROS 2 messages, for Foxglove, PlotJuggler and ros2 bag.
         csv: Columns of the trajectory in SI units.
         npz: Columns of the trajectory as a NumPy archive.

@@ -148,6 +148,7 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for folder in ("calibration", "scenarios"):
         (tmp_path / folder).symlink_to(ROOT / folder)
+    (tmp_path / "ca.pem").touch()  # certificate of the laboratory's broker
     for each in page.blocks:
         if each.file:
             (tmp_path / each.file).write_text(each.text, "utf-8")

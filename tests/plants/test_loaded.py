@@ -311,7 +311,7 @@ def test_deprecated_keywords_are_checked_as_before():
         ({"contact": "preloaded", "load": "static"}, "load is not allowed with contact 'preloaded'"),
         ({"contact": "preloaded", "friction": "wheel"}, "friction is not allowed with contact 'preloaded'"),
         ({"wheels": "round"}, "wheels 'round' is unknown"),
-        ({"contact": None}, "contact 'None' is unknown"),
+        ({"contact": None}, "contact None is not allowed; it must be a LoadedContact"),
     ):
         with pytest.raises(InputError, match=words):
             TwinSnake(SPEC, **former)

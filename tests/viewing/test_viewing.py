@@ -535,7 +535,7 @@ def test_twin_and_report_need_neither_rerun_nor_pyplot_nor_glfw(monkeypatch):
 
 
 def test_viewer_errors_name_alternatives(tmp_path, recording, monkeypatch):
-    with pytest.raises(InputError, match="no such recording; 'srs-twin run SCENARIO' writes one"):
+    with pytest.raises(InputError, match="no such recording; `srs-twin run SCENARIO` writes one"):
         open_recording(tmp_path / "none.rrd")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
