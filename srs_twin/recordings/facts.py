@@ -85,7 +85,7 @@ class SignalFacts(_Facts):
     name: str
     """Name of the column or topic."""
     looks_like: str
-    """Quantity suggested by its name and values."""
+    """Quantity that its name, its unit or the map states, or "unknown"."""
     understood: bool
     """Whether its name is known without a map."""
     low: Annotated[float, _unit("of the file")] | None = None
@@ -129,7 +129,8 @@ class RecordingFacts(_Facts):
     sha256: str
     """Checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frames or rows per second, from the median step; null if the time does not increase."""
+    """Frames per second, from the median step, or rows of a log per second of its duration; null if the time
+    does not increase."""
     duration_s: Seconds | None = None
     """Time from the first frame or row to the last."""
     starts_s: Seconds | None = None
@@ -138,6 +139,8 @@ class RecordingFacts(_Facts):
     """Rows of a log."""
     steps_back: Count | None = None
     """Number of rows of a log with an earlier time than the previous row."""
+    repeated_times: Count | None = None
+    """Number of rows of a log with the same time as the previous row."""
     frames: Count | None = None
     """Frames in the file."""
     frames_missing: Count | None = None
@@ -240,8 +243,10 @@ def in_words(facts: RecordingFacts) -> str:
     """Return the facts as text, one per line."""
     lines = [f"{facts.file}: {facts.format}, {facts.content}"]
     if facts.rate_hz:
-        count = f"{facts.rows} rows" if facts.frames is None else f"{facts.frames} frames"
-        lines.append(f"{count}, {facts.rate_hz:.4g} Hz, {facts.duration_s:.4g} s")
+        count = f"{facts.frames} frames, {facts.rate_hz:.4g} Hz"
+        if facts.frames is None:
+            count = f"{facts.rows} rows, {facts.rate_hz:.4g} rows per second"
+        lines.append(f"{count}, {facts.duration_s:.4g} s")
     if facts.up is not None:
         noise = "" if facts.noise_mm is None else f"noise {facts.noise_mm:.2g} mm; "
         lines.append(f"up: {facts.up}; {noise}{facts.tracks or 0} lasting markers")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from os.path import commonprefix
 from types import MappingProxyType
@@ -26,7 +26,7 @@ from srs_twin.recordings.body.layout import (
     forward_distance,
 )
 from srs_twin.recordings.body.shape import marker_noise
-from srs_twin.recordings.body.tracking import pairwise_distances, track_markers
+from srs_twin.recordings.body.tracking import pairwise_distances
 from srs_twin.recordings.csv_table import CLOCK, Meaning, read_table
 from srs_twin.recordings.facts import (
     DistanceFacts,
@@ -42,7 +42,12 @@ from srs_twin.recordings.formats.base import MarkerTable, axis_columns, in_unit
 from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
-from srs_twin.recordings.recording import bodies_as_pairs, in_slots, read_motion, without_foreign_tracks
+from srs_twin.recordings.recording import (
+    identified_tracks,
+    in_slots,
+    read_motion,
+    without_foreign_tracks,
+)
 from srs_twin.recordings.recording_map import (
     LOG_NAME,
     QUANTITIES,
@@ -172,7 +177,7 @@ def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> Recor
 
 
 def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts, Scene | None]:
-    frames, with_pairs = frame_grid(table.time), bodies_as_pairs(table)
+    frames = frame_grid(table.time)
     facts = RecordingFacts(
         file=table.name,
         format=table.kind,
@@ -188,7 +193,7 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts
         notes=[*table.corrections, *frames.corrections],
     )
     try:
-        floor = map_to_floor(with_pairs.points, map.up or "auto", table.usual_up)
+        floor = map_to_floor(table.points, map.up or "auto", table.usual_up)
     except InputError as error:
         facts.notes.append(str(error))
         return facts, None
@@ -196,15 +201,15 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts
     has_rotation = np.zeros(len(table.labels), dtype=bool)
     if table.rotations is not None:
         has_rotation = np.isfinite(table.rotations).any(axis=(0, 2))
-    owner = np.repeat(np.arange(len(has_rotation)), 1 + has_rotation)  # rigid bodies have two columns
     facts.notes += floor.corrections
     facts.up = cast(Up, floor.up)
     facts.bodies = [table.labels[k] for k in np.flatnonzero(has_rotation)]
     facts.markers = [
-        _marker_facts(name, points[:, owner == k].mean(axis=1), frames, bool(has_rotation[k]))
+        _marker_facts(name, points[:, k], frames, bool(has_rotation[k]))
         for k, name in enumerate(table.labels)
     ]
-    return facts, _body_facts(with_pairs, points, frames, facts)
+    identified = replace(table, bodies=bool(has_rotation.any()))
+    return facts, _body_facts(identified, points, frames, facts)
 
 
 def _marker_facts(name: str, position: np.ndarray, frames: FrameGrid, rigid_body: bool) -> MarkerFacts:
@@ -236,8 +241,8 @@ def _body_facts(
     near = float(np.nanmedian(nearest))
     if near > _MAX_NEIGHBOUR_M:
         facts.notes.append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
-    longest_gap = max(1, round(_TRACKING_GAP_S / frames.period))
-    tracks, origin, unassigned = track_markers(slots, columns, longest_gap, 2 * near)
+    longest_gap = _TRACKING_GAP_S / frames.period
+    tracks, origin, unassigned = identified_tracks(table, slots, columns, longest_gap, 2 * near)
     tracks, origin, _, notes = without_foreign_tracks(tracks, origin, table)
     facts.notes += notes
     lasting = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= MIN_COVERAGE)
@@ -257,16 +262,18 @@ def _body_facts(
         order = ()
     facts.noise_mm, facts.order = 1e3 * noise, [names[k] for k in order]
     facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
-    # A rigid body is represented by two markers with its name, whose distance is not measured.
-    neighbours = [(a, b) for a, b in pairwise(order) if names[a] != names[b]]
     facts.distances = [
         DistanceFacts(
             markers=[names[a], names[b]], median_mm=1e3 * median[a, b], spread_mm=1e3 * spread[a, b]
         )
-        for a, b in neighbours
+        for a, b in pairwise(order)
     ]
-    connectors = {layout: divmod(count - n.extra, n.per_connector) for layout, n in LAYOUT_SIZES.items()}
-    facts.layouts = {layout: whole for layout, (whole, rest) in connectors.items() if rest == 0}
+    facts.layouts = {"pair": count}  # two points of each rigid body
+    if not table.bodies:
+        connectors = {
+            layout: divmod(count - size.extra, size.per_connector) for layout, size in LAYOUT_SIZES.items()
+        }
+        facts.layouts = {layout: whole for layout, (whole, rest) in connectors.items() if rest == 0}
     heads = _heads(complete[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
     facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
     return Scene(places, names, order, pairs)
@@ -377,7 +384,9 @@ def _log_facts(
         step = np.diff(time)
         facts.starts_s, facts.duration_s = beginning + float(time[0]), float(np.ptp(time))
         facts.rows, facts.steps_back = len(time), int((step < 0).sum())
-        facts.rate_hz = float(1 / np.median(step[step > 0])) if (step > 0).any() else None
+        facts.repeated_times = int((step == 0).sum())
+        if facts.duration_s > 0:
+            facts.rate_hz = (len(time) - 1) / facts.duration_s
     return facts
 
 
@@ -404,37 +413,39 @@ def _signal_facts(name: str, time: np.ndarray | None, values: np.ndarray, map: R
 
 
 def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
-    """Return the suggested quantity of a signal: by a unit in the map or in its name, else by its range."""
-    distinct, low, high, text = set(np.unique(values)[:4].tolist()), values.min(), values.max(), name.lower()
+    """Return the quantity of a signal, known by a unit or by a word in its name or in the map.
+
+    The values alone do not tell a quantity: a force of 40 N and a pressure of 40 kPa look alike.
+    """
     meaning = map.meanings(QUANTITIES).get(name, Meaning(""))
-    pressure_unit, angle_unit = (
-        stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
-        for units in (PRESSURES, ANGLES)
-    )
-    if pressure_unit:
-        return _pressure(pressure_unit, "", low, high, map)
-    if angle_unit:
-        return f"angle, {angle_unit}"
-    pressure = "press" in text or "setpoint" in text
-    if distinct <= {-1.0, 0.0, 1.0} and not pressure:
-        return "valve states" if -1.0 in distinct else "valve states, 0 venting"
-    if low >= 0 and high <= 1 and not pressure:
-        return "duty"
-    if low >= 0 and high <= 100 and any(word in text for word in ("duty", "pwm", "%")):
-        return "duty, per cent"
-    if any(word in text for word in ("bend", "angle", "theta")) or (low < 0 and np.abs(values).max() < 7):
-        return "angle" + (", degrees" if np.abs(values).max() > 7 else ", rad")
-    if pressure or (low > -100 and high > 2):
-        unit = "bar" if high < 8 else "kPa" if high < 2e3 else "Pa"
-        return _pressure(unit, " by its range", low, high, map)
-    return "a number"
+    text = f"{name} {meaning.name}".lower()
+    if unit := _stated_unit(name, meaning, PRESSURES):
+        return _pressure(unit, values, map)
+    if unit := _stated_unit(name, meaning, ANGLES):
+        return f"angle, {unit}"
+    if "press" in text or "setpoint" in text:
+        return "pressure, without a unit"
+    if "duty" in text or "pwm" in text:
+        return "duty" if values.max() <= 1 else "duty, per cent"
+    if "valve" in text or "solenoid" in text:
+        return "valve states" if values.min() < 0 else "valve states, 0 venting"
+    if any(word in text for word in ("bend", "angle", "theta")):
+        return "angle, without a unit"
+    return "unknown"
 
 
-def _pressure(unit: str, why: str, low: float, high: float, map: RecordingMap) -> str:
+def _stated_unit(name: str, meaning: Meaning, units: Mapping[str, float]) -> str:
+    return stated_unit(name, units) or symbol(meaning.unit or meaning.default, units)
+
+
+def _pressure(unit: str, values: np.ndarray, map: RecordingMap) -> str:
     """Return a text on a pressure, with its range in kPa."""
-    smallest, largest = (PRESSURES[unit] * value for value in (low, high))
-    absolute = "; " + ABSOLUTE if not map.ambient and looks_absolute(np.array([smallest])) else ""
-    return f"pressure, {unit}{why}: {smallest / 1e3:g} to {largest / 1e3:g} kPa{absolute}"
+    pressures = PRESSURES[unit] * values
+    low, high = pressures.min() / 1e3, pressures.max() / 1e3
+    text = f"pressure, {unit}: {low:g} to {high:g} kPa"
+    if not map.ambient and looks_absolute(pressures):
+        text += f"; {ABSOLUTE}"
+    return text
 
 
 def markers_view(scene: Scene) -> Figure:

@@ -42,6 +42,8 @@ _PEEK = 1 << 16
 """Number of bytes from which a format is identified."""
 _BLOCK = 8 << 20
 """Number of bytes that Arrow reads at once; no line may be longer."""
+_BLANKS = re.compile(rb"(?<=[,;|\t\n]) +(?=[,;|\t\r\n])|^ +(?=[,;|\t])")
+"""Cells of spaces only."""
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
 _NUMBER = re.compile(
     r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T ][\d:.,Z]+)?\s*", re.IGNORECASE
@@ -106,8 +108,12 @@ class RecordedFile:
 
     @cached_property
     def raw(self) -> bytes:
-        """Contents without a byte order mark."""
-        return self.data.removeprefix(b"\xef\xbb\xbf") if self.body is None else self.body
+        """Contents without a byte order mark, with line ends that contain a line feed."""
+        if self.body is not None:
+            return self.body
+        text = self.data.removeprefix(b"\xef\xbb\xbf")
+        # Files of old Macintosh programs end lines with a carriage return only.
+        return text if b"\n" in text else text.replace(b"\r", b"\n")
 
     @cached_property
     def first_line(self) -> str:
@@ -275,8 +281,16 @@ class RecordedFile:
             column_types=dict.fromkeys(chosen, kind or pa.float64()), include_columns=chosen,
             null_values=BLANK, quoted_strings_can_be_null=True, decimal_point=self.decimal,
         )  # fmt: skip
+
+        def read(rows: memoryview | bytes) -> list[Any]:
+            return list(read_csv(pa.py_buffer(rows), reading, parsing, converting).columns)
+
         try:
-            return list(read_csv(pa.py_buffer(cut), reading, parsing, converting).columns)
+            try:
+                return read(cut)
+            except pa.ArrowInvalid:
+                # Arrow takes a cell of spaces for text. Few files have such cells.
+                return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
                 problem = f"{uneven[0].actual_columns} cells, but the header has {width}"

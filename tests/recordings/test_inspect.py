@@ -95,15 +95,19 @@ def test_facts_of_a_log(tmp_path):
 
 
 @pytest.mark.parametrize(("column", "values", "said"), [
-    ("V1", [0, 1] * 50, "valve states, 0 venting"),
+    ("Valve1", [0, 1] * 50, "valve states, 0 venting"),
     ("PWM 1", [0, 12.5, 50, 100] * 25, "duty, per cent"),
-    ("a", [0.1, 0.4, 0.9, 1.0] * 25, "duty"),
-    ("p1", [0.0, 22.0, 41.0, 48.3] * 25, "pressure, kPa by its range"),
-    ("q", [0.0, 2.2e4, 4.1e4, 4.8e4] * 25, "pressure, Pa by its range"),
-    ("bend_1", [-0.4, 0.1, 0.5, 0.9] * 25, "angle, rad"),
+    ("setpoint 2", [0.0, 22.0, 41.0, 48.3] * 25, "pressure, without a unit"),
+    ("bend_1", [-0.4, 0.1, 0.5, 0.9] * 25, "angle, without a unit"),
     ("note", ["x"] * 100, "text"),
+    # Ranges do not tell a quantity.
+    ("V1", [0, 1] * 50, "unknown"),
+    ("torque", [0.1, 0.4, 0.9, 1.0] * 25, "unknown"),
+    ("force_N", [0.0, 22.0, 41.0, 48.3] * 25, "unknown"),
+    ("battery", [7.2, 7.4, 8.1] * 25, "unknown"),
+    ("velocity", [-0.3, 0.0, 0.2] * 25, "unknown"),
 ])  # fmt: skip
-def test_quantities_are_suggested_for_columns(tmp_path, column, values, said):
+def test_quantities_are_known_by_names_and_units(tmp_path, column, values, said):
     path = tmp_path / "log.csv"
     path.write_text(f"time,{column}\n" + "".join(f"{0.01 * k},{v}\n" for k, v in enumerate(values)))
     assert inspect_file(path, NO_MAP, None)[0].signals[0].looks_like.startswith(said)

@@ -20,6 +20,9 @@ from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 MAX_DISTANCE = 1e3
 """Largest coordinate of a marker, m; larger ones are not positions."""
 
+_MIN_ZEROS = 3
+"""Number of frames on which a marker must have the position 0, 0, 0 to be missing there."""
+
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
     r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?(?:[ _]*" + _UNIT + ")?", re.IGNORECASE
@@ -28,7 +31,7 @@ _AXIS_FIRST = re.compile(r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)(?:[ _]+" + _UN
 _NOT_A_POSITION = set(
     "rot rotation orientation orient quat quaternion q euler angle angles ang angular acc accel acceleration "
     "gyro gyr gyroscope mag magnetometer magnetic vel velocity speed omega force moment torque momentum jerk "
-    "twist wrench dir direction normal std sd var cov err error residual imu".split()
+    "twist linear wrench dir direction normal std sd var cov err error residual imu".split()
 )
 """Words in names of columns with axes that are not positions."""
 
@@ -66,6 +69,8 @@ class MarkerTable:
         header_frames: number of frames that the header states; None if it states none.
         rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN for other columns,
             shape (frames, columns, 4); None without rigid bodies.
+        bodies: whether the columns are rigid bodies, which the file identifies by name on every frame. The
+            two points of each body are adjacent columns with its name.
         epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
         unit: unit of length of the file, as stated, given or assumed.
     """
@@ -80,6 +85,7 @@ class MarkerTable:
     places: tuple[tuple[int, str], ...] = ()
     header_frames: int | None = None
     rotations: np.ndarray | None = None
+    bodies: bool = False
     epoch_ns: int | None = None
     unit: str = "m"
 
@@ -282,6 +288,11 @@ def marker_table(
     if converted:
         notes = [*notes, f"lengths converted from {converted} to m"]
     points = points * np.array([[LENGTHS[symbol]] for symbol in units])
+    rotations = more.get("rotations")
+    unseen = _unseen(points, rotations)
+    if unseen.any():
+        points = np.where(unseen[..., None], np.nan, points)
+        notes = [*notes, f"{int(unseen.sum())} positions are exactly 0, 0, 0: read as missing"]
     incomplete = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
     with np.errstate(invalid="ignore"):
         far = (np.abs(points) > MAX_DISTANCE).any(axis=-1)
@@ -290,12 +301,27 @@ def marker_table(
     for samples, reason in reasons:
         if samples.any():
             notes = [*notes, f"{int(samples.sum())} positions {reason}: read as missing"]
-    if (rotations := more.get("rotations")) is not None:
+    if rotations is not None:
         missing = np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True))
         more["rotations"] = np.where(missing, np.nan, rotations)
     labels = tuple(escape_unprintable(name) or f"point {k}" for k, name in enumerate(names, start=1))
     more["unit"] = ", ".join(sorted({*units}))
     return MarkerTable(file.name, file.sha256, kind, time, points, labels, tuple(notes), **more)
+
+
+def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
+    """Return where a marker has the coordinates 0, 0, 0 that some programs write for a hidden marker.
+
+    A measured position is never exactly 0 on several frames. The pose of a rigid body may be, because
+    odometry begins at the origin.
+    """
+    zero = (points == 0).all(axis=-1)
+    zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False
+    if points.shape[-1] < 3:
+        zero[:] = False
+    if rotations is not None:
+        zero &= ~np.isfinite(rotations).any(axis=(0, 2))
+    return zero
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:

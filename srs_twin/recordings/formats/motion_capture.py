@@ -288,7 +288,7 @@ class Qualisys(Format):
         rate = None if first and given == "EXT" else frame_rate(file, given)
         places, clock = range(first, first + count, 3), range(first)
         time, points, _, notes = marker_rows(file, header, width, places, clock=clock, rate=rate)
-        points[(points == 0).all(axis=-1)] = np.nan
+        points[(points == 0).all(axis=-1)] = np.nan  # also on a single frame, by the format's definition
         notes.append("0,0,0 read as missing")
         frames = announced(fields.get("NO_OF_FRAMES", [""])[0])
         return marker_table(file, self.name, time, points, names, notes, unit="mm", header_frames=frames)

@@ -36,7 +36,7 @@ class Trc(Format):
 
     def recognizes(self, start: RecordedFile) -> bool:
         """Return whether a file starts with the key PathFileType."""
-        return start.title == "PathFileType"
+        return start.title.split(maxsplit=1)[:1] == ["PathFileType"]
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of a TRC file; an empty cell is a missing marker.
@@ -51,8 +51,10 @@ class Trc(Format):
         header = _AXES_LINE + (not any(lines[_AXES_LINE]))
         fields = dict(zip(lines[1], lines[2], strict=False))
         names = [name for name in lines[3][2:] if name]
-        width, required = len(lines[min(header, len(lines) - 1)]), 2 + 3 * len(names)
-        if not names or not 0 <= width - required <= 1:  # a row may end in a tab
+        row = lines[min(header, len(lines) - 1)]
+        width = len(row)
+        required = 2 + 3 * len(names)
+        if not names or width < required or any(row[required:]):  # a row may end in tabs
             raise file.error(
                 f"{width} cells for {len(names)} markers; rows must have {required} cells", header + 1
             )
@@ -71,8 +73,8 @@ _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _MAX_NORM_ERROR = 0.01
 """Largest deviation of the norm of a quaternion from 1."""
 
-_MIN_EPOCH = 1e8
-"""Smallest time that counts as a time since 1970, or of a similar clock, s."""
+_MIN_UPTIME = 1e8
+"""Smallest time that is taken for the reading of a clock that began long before the recording, s."""
 
 
 @final
@@ -92,10 +94,10 @@ class Tum(Format):
             InputError: the file is damaged; the message names line and cell.
         """
         file = laid_out(file, _TUM_POSE)
-        time, points, quaternions, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
-        epoch = None
-        if time.min() > _MIN_EPOCH:
-            epoch = round(1e9 * time[0])
+        _, points, quaternions, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
+        time, clock_notes, epoch = file.times(0, "")
+        notes += clock_notes
+        if epoch is None and time.min() > _MIN_UPTIME:
             notes.append(f"times are relative to the first one, {time[0]:.3f} s")
             time = time - time[0]
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
