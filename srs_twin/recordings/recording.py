@@ -15,7 +15,7 @@ from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.floor import UPS, FloorPlane, map_to_floor
 from srs_twin.recordings.body.layout import LAYOUTS, check_scale, foreign_tracks, robot_markers
 from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody, select_layout, tracked_body
-from srs_twin.recordings.body.tracking import MAX_MARKERS, pack_slots, track_markers
+from srs_twin.recordings.body.tracking import MAX_MARKERS, Tracks, pack_slots, track_markers
 from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.formats.base import MarkerTable
@@ -296,9 +296,13 @@ def _captured_markers(
     slots, columns = in_slots(table, points)
     # A wrong unit is reported before the markers are tracked with distances from the robot.
     check_scale(slots[..., :2], spec)
-    gap_frames = max(1, round(longest_gap_s / frames.period))
-    tracks, columns, unassigned = track_markers(slots, columns, gap_frames, _REACH * geometry.pitch)
+    reach = _REACH * geometry.pitch
+    tracks, columns, unassigned = identified_tracks(
+        table, slots, columns, longest_gap_s / frames.period, reach
+    )
     tracks, columns, foreign, notes = without_foreign_tracks(tracks, columns, table)
+    if table.bodies and layout == "auto":
+        layout = "pair"
     layouts, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout, len(table.places))
     left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
     tracks = tracks[:, chosen]
@@ -352,7 +356,9 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
         points, owners = points + ends, owners + [k] * len(ends)
     labels = tuple(table.labels[k] for k in owners)
     places = tuple(table.places[k] for k in owners) if table.places else ()
-    return replace(table, points=np.stack(points, axis=1), labels=labels, places=places, rotations=None)
+    return replace(
+        table, points=np.stack(points, axis=1), labels=labels, places=places, rotations=None, bodies=True
+    )
 
 
 def _counts(
@@ -404,10 +410,28 @@ def without_foreign_tracks(
     return tracks[:, robot, :2], columns[:, robot], samples, notes
 
 
+def identified_tracks(
+    table: MarkerTable, slots: np.ndarray, columns: np.ndarray, longest_gap: float, reach: float
+) -> Tracks:
+    """Return the tracks of all markers; rigid bodies are identified by their names and not tracked.
+
+    Args:
+        table: the file.
+        slots: positions as from `in_slots`, m.
+        columns: column of each sample, as from `in_slots`.
+        longest_gap: longest gap that is filled, frames.
+        reach: maximum distance of a marker from its expected position, m.
+    """
+    if table.bodies:
+        hidden = np.isnan(slots[..., 0])
+        return Tracks(slots, np.where(hidden, -1, columns), 0)
+    return track_markers(slots, columns, max(1, round(longest_gap)), reach)
+
+
 def in_slots(table: MarkerTable, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return markers in slots; named columns keep their own slots."""
-    count = len(table.places)
-    if not count:
+    """Return markers in slots; rigid bodies and columns with a place keep their own slots."""
+    count = len(table.labels)
+    if not (table.places or table.bodies):
         return pack_slots(points)
     if count > MAX_MARKERS:
         raise InputError(f"{count} markers; at most {MAX_MARKERS} can be tracked")

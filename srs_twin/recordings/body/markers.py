@@ -204,7 +204,11 @@ def _groups_along_body(markers: CapturedMarkers, spec: RobotSpec) -> list[tuple[
     """Return the markers of each station, from one end of the body to the other."""
     if markers.layout != "pair":
         return [(int(k),) for k in body_order(markers.points)]
-    pairs = rigid_pairs(markers.points, spec.geometry.connectors)
+    if markers.table.bodies:
+        by_name = sorted(range(len(markers.main_columns)), key=markers.main_columns.__getitem__)
+        pairs = np.array(by_name).reshape(-1, 2)
+    else:
+        pairs = rigid_pairs(markers.points, spec.geometry.connectors)
     return [tuple(int(k) for k in pairs[j]) for j in body_order(markers.points[:, pairs].mean(axis=2))]
 
 
