@@ -193,7 +193,7 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts
         notes=[*table.corrections, *frames.corrections],
     )
     try:
-        floor = map_to_floor(table.points, map.up or "auto", table.usual_up)
+        floor = map_to_floor(table.points, map.up or "auto", table.usual_up, map.level)
     except InputError as error:
         facts.notes.append(str(error))
         return facts, None

@@ -262,7 +262,8 @@ def read_motion(
     with named_in_errors(table.name):
         table = bodies_as_pairs(map.applied(table))
         frames = frame_grid(table.time)
-        floor = map_to_floor(table.points, map.up if map.up and up == "auto" else up, table.usual_up)
+        given_up = map.up if map.up and up == "auto" else up
+        floor = map_to_floor(table.points, given_up, table.usual_up, map.level)
         points = at_frames(floor.points, frames)
         layouts, markers, notes = _captured_markers(table, spec, frames, points, layout, longest_gap_s)
         markers = select_layout(markers, layouts, spec, head)

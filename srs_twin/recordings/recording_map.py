@@ -71,6 +71,8 @@ class RecordingMap(StrictModel):
     """Size of a pixel, m (for units px)."""
     up: Up | None = None
     """Vertical axis of the file (default: determined from the markers)."""
+    level: bool | None = None
+    """Whether to remove the tilt of the floor (default: where it is certain)."""
     rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Frames per second, for files without times."""
     markers: dict[str, MarkerPlace | Literal["ignore"]] = {}

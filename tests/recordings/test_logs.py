@@ -154,7 +154,9 @@ def test_motion_does_not_depend_on_the_world_frame(tmp_path_factory, x, y, turn,
 
 @pytest.mark.parametrize(("degrees", "levelled"), [(2.9, False), (3.1, True)])
 def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled):
-    flat = np.random.default_rng(0).uniform(-1, 1, (300, 4, 3)) * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
+    random = np.random.default_rng(0)
+    moved = random.uniform(-1, 1, (300, 1, 3)) + random.uniform(-0.1, 0.1, (300, 4, 3))
+    flat = moved * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
     found = map_to_floor(tilted, "auto", "z")

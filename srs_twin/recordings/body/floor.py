@@ -5,7 +5,15 @@ Candidate normals n are cross products d₁ × d₂. The one with the smallest m
 components of the displacements close to its plane. A recording without motion has only the positions of the
 markers, and markers of unequal height tilt a plane through them.
 
-The axis of the file closest to the normal points up. Each map is a rotation, so left and right are preserved:
+The axis of the file closest to the normal points up.
+
+A recording is levelled only where its tilt is certain. The slopes of the floor come from a robust fit of the
+heights of all markers over their positions. A level snake that lifts in step with its motion looks like a
+tilt: a lift of rms L in step with a displacement of rms S gives a slope of L/S. The two directions of the
+principal spreads S are judged one by one: a slope counts as a tilt where it exceeds twice the slope that a
+lift of 1 % of the body would give. A snake that crawls far, or turns, has a large S.
+
+Each map is a rotation, so left and right are preserved:
 
 | up | x    | y    |
 |----|------|------|
@@ -20,11 +28,12 @@ The axis of the file closest to the normal points up. Each map is a rotation, so
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.recordings.body.tracking import pairwise_distances
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 """Axis of a file that points up."""
@@ -43,6 +52,14 @@ _LAG_FRACTIONS = (60, 30, 10)
 """Durations of displacements, as the duration of the recording divided by these numbers."""
 _NORMALS = 400
 """Number of candidate normals."""
+_LIFT_FRACTION = 0.01
+"""Root mean square lift in step with the motion that a tilt must exceed, relative to the body's length."""
+_CERTAIN_RATIO = 2.0
+"""Slope that counts as a tilt, relative to the slope due to a lift in step with the motion."""
+_EXTENT_FRAMES = 200
+"""Number of sampled frames from which the length of the body is computed."""
+_FIT_ITERATIONS = 8
+"""Iterations of the robust fit of the slopes."""
 _MAX_SHIFT = 1e-3
 """Displacement of high markers relative to low ones, by a tilt, above which the recording is levelled, m."""
 _PLANE_RATIO = 3.0
@@ -69,7 +86,7 @@ class FloorPlane:
     corrections: tuple[str, ...]
 
 
-def map_to_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
+def map_to_floor(points: np.ndarray, up: str, usual: str, level: bool | None = None) -> FloorPlane:
     """Transform markers to floor coordinates.
 
     Args:
@@ -77,6 +94,7 @@ def map_to_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
         up: one of `UPS`.
         usual: vertical axis that is usual for the file format; the fallback if the markers do not determine
             it.
+        level: whether to remove the tilt of the floor; None removes it where it is certain.
 
     Raises:
         InputError: a plane file does not have the axis, or the vertical axis cannot be determined.
@@ -91,7 +109,9 @@ def map_to_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
         up = up.replace("auto", "z")
         points = np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1)
     elif up == "auto":
-        up, points, notes = _find_floor(points, usual)
+        up, points, notes = _find_floor(points, usual, level)
+    elif level:
+        points, notes = _levelled(points, "xyz".index(up[-1]), level)
     mapped = np.stack([sign * points[..., axis] for axis, sign in MAPS[up]], axis=-1)
     if up != "z":
         x, y, _ = (("−" if sign < 0 else "") + "XYZ"[axis] for axis, sign in MAPS[up])
@@ -100,7 +120,7 @@ def map_to_floor(points: np.ndarray, up: str, usual: str) -> FloorPlane:
     return FloorPlane(up, mapped, tuple(notes))
 
 
-def _find_floor(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[str]]:
+def _find_floor(points: np.ndarray, usual: str, level: bool | None) -> tuple[str, np.ndarray, list[str]]:
     """Return the vertical axis, the points after levelling, and notes."""
     visible = points[np.isfinite(points).all(axis=-1)]
     visible = visible[:: len(visible) // _SAMPLES + 1]
@@ -130,20 +150,114 @@ def _find_floor(points: np.ndarray, usual: str) -> tuple[str, np.ndarray, list[s
     # The origin is on the floor, where the calibration square was, so the markers are above it.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
-    plane = f"{1e3 * spread[0]:.1f} mm of a plane that is tilted by {np.degrees(tilt):.1f}°"
-    notes = [f"up is {up}: markers stay within {plane}"]
+    notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
     if abs(height) <= 1e-3:
         notes.append(f"the markers have the height 0: {up} is assumed to point up, not down")
-    # All heights are used: there are too few columns for quantiles.
-    ever = np.isfinite(points).any(axis=(0, -1))
-    heights = np.nanmedian(points[:, ever] @ normal, axis=0) if points.ndim > 2 else np.zeros(1)
-    if tilt > _MAX_TILT or tilt * np.ptp(heights) > _MAX_SHIFT:
-        from scipy.spatial.transform import Rotation
+    levelled, tilt_notes = _levelled(points, axis, level)
+    return up, levelled, notes + tilt_notes
 
-        level, _ = Rotation.align_vectors(np.eye(3)[axis], normal)
-        points = (points - centre) @ level.as_matrix().T + centre
+
+def _levelled(points: np.ndarray, axis: int, level: bool | None) -> tuple[np.ndarray, list[str]]:
+    """Return the points without the tilt of the floor, and notes.
+
+    Args:
+        points: shape (frames, columns, 3), m.
+        axis: vertical axis of the file.
+        level: see `map_to_floor`.
+    """
+    horizontal = [k for k in range(3) if k != axis]
+    seen = np.isfinite(points).all(axis=-1).any(axis=0)
+    place = points[:, seen][..., horizontal]
+    height = points[:, seen, axis]
+    slopes, residual = _fit_slopes(place, height)
+    directions = _spreads(place)
+    lift = np.hypot(_LIFT_FRACTION * _body_extent(place), residual)
+    along = directions.axes.T @ slopes
+    certain = np.abs(along) > _CERTAIN_RATIO * lift / directions.spread
+    if level is not None:
+        certain[:] = level
+    removed = directions.axes @ np.where(certain, along, 0.0)
+    suspected = float(np.degrees(np.arctan(np.linalg.norm(slopes - removed))))
+    notes = []
+    tilt = float(np.arctan(np.linalg.norm(removed)))
+    heights = np.nanmedian(height - place @ removed, axis=0)
+    shift = tilt * float(np.nanmax(heights) - np.nanmin(heights))
+    if level or tilt > _MAX_TILT or shift > _MAX_SHIFT:
+        normal = np.zeros(3)
+        normal[horizontal] = -removed
+        normal[axis] = 1.0
+        points = _rotated(points, normal, axis)
         notes.append(f"levelled by {np.degrees(tilt):.1f}°")
-    return up, points, notes
+    if level is None and suspected > np.degrees(_MAX_TILT):
+        notes.append(
+            f"a tilt of {suspected:.1f}° may as well be a lift in step with the motion: not levelled "
+            "(`level: true` in a map levels it)"
+        )
+    return points, notes
+
+
+def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
+    """Return points after the rotation about their median that turns a normal to an axis of the file."""
+    from scipy.spatial.transform import Rotation
+
+    centre = np.nanmedian(points.reshape(-1, 3), axis=0)
+    level, _ = Rotation.align_vectors(np.eye(3)[axis], normal)
+    return np.asarray((points - centre) @ level.as_matrix().T + centre)
+
+
+def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the slopes of the floor and the residual of the heights, m.
+
+    Each marker has its own height above the floor. Markers that move up and down, such as a cap on a head,
+    get little weight.
+
+    Args:
+        place: horizontal positions, shape (frames, columns, 2), m.
+        height: shape (frames, columns), m.
+    """
+    x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
+    z = (height - np.nanmean(height, axis=0)).ravel()
+    known = np.flatnonzero(np.isfinite(x + y + z))
+    known = known[:: len(known) // _SAMPLES + 1]
+    position = np.column_stack([x[known], y[known]])
+    slopes = np.zeros(2)
+    weight = np.ones(len(known))
+    residual = 0.0
+    for _ in range(_FIT_ITERATIONS):
+        weighted = position * weight[:, None]
+        slopes = np.linalg.lstsq(weighted.T @ position, weighted.T @ z[known], rcond=None)[0]
+        deviation = np.abs(z[known] - position @ slopes)
+        residual = float(np.median(deviation))
+        weight = 1 / (1 + (deviation / (3 * residual + 1e-4)) ** 2)
+    return slopes, residual
+
+
+class _Spreads(NamedTuple):
+    """Principal spreads of the horizontal motion of a marker.
+
+    Attributes:
+        spread: root mean squares, ascending, shape (2,), m.
+        axes: directions as columns, shape (2, 2).
+    """
+
+    spread: np.ndarray
+    axes: np.ndarray
+
+
+def _spreads(place: np.ndarray) -> _Spreads:
+    """Return the spreads of a typical marker: the median of its covariance over the markers."""
+    moved = place - np.nanmean(place, axis=0)
+    products = moved[..., :, None] * moved[..., None, :]
+    covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
+    values, axes = np.linalg.eigh(covariance)
+    return _Spreads(np.sqrt(np.maximum(values, 1e-12)), axes)
+
+
+def _body_extent(place: np.ndarray) -> float:
+    """Return the median distance of a marker from the one farthest away on the same frame, m."""
+    distance = pairwise_distances(place, _EXTENT_FRAMES)
+    seen = np.isfinite(distance).any(axis=2)
+    return float(np.median(np.nanmax(distance[seen], axis=-1))) if seen.any() else 0.0
 
 
 def _displacements(points: np.ndarray) -> np.ndarray:
