@@ -76,7 +76,7 @@ ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
 """Engines of batches of twins."""
 
 FORMATS = {
-    "c3d": "srs_twin.recordings.formats.motion_capture:C3d",
+    "c3d": "srs_twin.recordings.formats.c3d_file:C3d",
     "mcap": "srs_twin.recordings.formats.bags:Mcap",
     "ros1": "srs_twin.recordings.formats.bags:Ros1Bag",
     "ros2": "srs_twin.recordings.formats.bags:Ros2Bag",

@@ -16,6 +16,7 @@ import pytest
 from srs_twin import InputError
 from srs_twin.cli import main
 from srs_twin.recordings.formats import read_markers
+from srs_twin.recordings.formats.base import Unstated
 
 RATE = 100.0
 FLOAT_STEP = 2.0**-24  # relative, of single precision
@@ -65,7 +66,9 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
     path.write_bytes(stream.getvalue())
 
 
-def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more=(), counted=None):
+def by_hand(
+    points, processor, *, step=None, first=1, analog=0, units="mm", more=(), group=None, counted=None
+):
     """Return a file in the number format of a processor: 84 Intel, 85 DEC, 86 MIPS."""
     order = ">" if processor == 86 else "<"
     frames, count, _ = points.shape
@@ -93,9 +96,11 @@ def by_hand(points, processor, *, step=None, first=1, analog=0, units="mm", more
         parameter(1, "RATE", 4, [], number(RATE)), parameter(1, "LABELS", -1, [4, count], labels),
     ]  # fmt: skip
     if units:
-        said.append(parameter(1, "UNITS", -1, [len(units)], units.encode()))
+        said.append(parameter(1, "UNITS", -1, [len(units)], units.encode("latin-1")))
     if any(group == 2 for group, *_ in more):
         said.append(named(2, "TRIAL"))
+    if group:
+        said.append(named(*group))
     said += [
         parameter(group, name, size, shape, make(number, word)) for group, name, size, shape, make in more
     ]
@@ -209,7 +214,7 @@ def test_units_of_points_are_converted(tmp_path):
 
 
 def test_missing_analog_scales_are_ignored(tmp_path, capsys):
-    """The library c3d cannot read such files; `inspect --json` prints their contents."""
+    """Other readers need these scales; `inspect --json` prints the contents of the file."""
     points = walk(50, 3)
     by_ezc3d(tmp_path / "a.c3d", points)
     file = ezc3d.c3d(str(tmp_path / "a.c3d"))
@@ -228,6 +233,52 @@ def test_angles_are_skipped(tmp_path):
     found = read_markers(tmp_path / "a.c3d")
     assert found.labels == ("m0", "m2", "m3")
     assert "1 points with angles, forces or similar quantities skipped" in found.corrections
+
+
+def test_of_parameters_that_differ_in_case_the_first_is_used(tmp_path):
+    points = walk()
+    more = [
+        (1, "rate", 4, [], lambda number, word: number(7.0)),
+        (1, "Units", -1, [2], lambda number, word: b"cm"),
+        (1, "DESCRIPTIONS", -1, [2], lambda number, word: b"ab"),
+        (1, "Descriptions", -1, [2], lambda number, word: b"cd"),
+    ]
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, more=more))
+    same(tmp_path / "a.c3d", points)
+
+
+@pytest.mark.parametrize("processor", [84, 85, 86])
+@pytest.mark.parametrize(("analog", "used"), [(12, 4), (0, 12), (12, 0)])
+def test_the_analog_count_that_fills_the_file_is_used(tmp_path, processor, analog, used):
+    """Whichever of header and parameters is right, the points are read."""
+    points = walk()
+    said = [(3, "USED", 2, [], lambda number, word: word(used))]
+    right = by_hand(points, processor, analog=analog, more=said, group=(3, "ANALOG"))
+    (tmp_path / "a.c3d").write_bytes(right)
+    same(tmp_path / "a.c3d", points)
+    wrong = bytearray(by_hand(points, processor, analog=used, more=said, group=(3, "ANALOG")))
+    order = "big" if processor == 86 else "little"
+    wrong[4:6] = analog.to_bytes(2, order)
+    (tmp_path / "b.c3d").write_bytes(wrong)
+    same(tmp_path / "b.c3d", points)
+
+
+def test_an_undecidable_analog_count_is_refused(tmp_path):
+    said = [(3, "USED", 2, [], lambda number, word: word(5))]
+    content = by_hand(walk(), 84, analog=12, more=said, group=(3, "ANALOG"))
+    (tmp_path / "a.c3d").write_bytes(content[:-3000])
+    with pytest.raises(InputError, match="the header states 12 analog values per frame, the parameters 5"):
+        read_markers(tmp_path / "a.c3d")
+
+
+def test_an_unknown_unit_is_settled_by_the_given_one(tmp_path):
+    points = walk()
+    (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, units="m\xfcm"))
+    with pytest.raises(InputError, match="unit of length"):
+        read_markers(tmp_path / "a.c3d")
+    found = read_markers(tmp_path / "a.c3d", Unstated(unit="mm"))
+    assert np.abs(found.points - 1e-3 * points).max() < 1e-4
+    assert any("is not a known unit: mm used, as given" in note for note in found.corrections)
 
 
 def test_damaged_bytes_are_read_or_refused_within_bounds(tmp_path):

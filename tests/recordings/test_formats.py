@@ -656,9 +656,7 @@ def test_missing_files_are_reported(tmp_path):
         identify(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("kind", "package"), [("C3D", "c3d"), ("MCAP", "rosbags.typesys"), ("ROS 1 bag", "rosbags.typesys")]
-)
+@pytest.mark.parametrize(("kind", "package"), [("MCAP", "rosbags.typesys"), ("ROS 1 bag", "rosbags.typesys")])
 def test_a_missing_library_is_reported_with_its_installation(tmp_path, monkeypatch, kind, package):
     monkeypatch.setitem(sys.modules, package, None)
     topics._decoder.cache_clear()

@@ -2,7 +2,7 @@
 
 A format is a `base.Format` or, for containers of messages, a `topics.Bag`; `extensions.FORMATS` lists them.
 Formats from outside, of plug-ins and of other installed packages, are tried before plain tables.
-The libraries `c3d` and `rosbags` are in the extra `recordings`.
+The library `rosbags` is in the extra `recordings`.
 """
 
 from __future__ import annotations

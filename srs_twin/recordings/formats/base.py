@@ -176,6 +176,11 @@ def length_unit(file: RecordedFile, text: str, line: int | None = None, column: 
     return found
 
 
+def is_length_unit(text: str) -> bool:
+    """Return whether a text is a known unit of length."""
+    return bool(symbol(text, LENGTHS))
+
+
 def is_rate(given: str) -> bool:
     """Return whether a text is a frame rate in Hz."""
     try:

@@ -1,0 +1,318 @@
+"""C3D files of motion capture systems: points with labels, rate and unit.
+
+A file has a header of one block, a section of parameters, and a data section of whole frames. The processor
+in the parameter section decides the byte order and the float format. Parameters are named arrays in groups. A
+name may occur twice with different capitals; the first one is used.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple, final
+
+import numpy as np
+
+from srs_twin.recordings.formats.base import (
+    Format,
+    MarkerTable,
+    Unstated,
+    decoding,
+    frame_rate,
+    is_length_unit,
+    length_unit,
+    marker_table,
+)
+from srs_twin.recordings.recorded_file import RecordedFile
+
+_BLOCK = 512
+"""Size of a block, bytes."""
+_DEC = 85
+"""Processor with floats of DEC (VAX), whose words are swapped and whose exponent is larger by 2."""
+_BIG_ENDIAN = 86
+"""Processor with big-endian numbers (MIPS)."""
+
+_MAX_FRAMES = 1 << 22
+"""Maximum number of frames of a C3D file: an hour at 1 kHz."""
+_MAX_COUNTED = 65_535
+"""Maximum number of frames in the 16 bits of the header."""
+_MAX_PARAMETERS = 20_000
+"""Maximum number of groups and parameters."""
+
+_OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
+"""Parameters with labels of points that are not positions (of Vicon's models)."""
+
+_ELEMENT_BYTES: Final = {-1: 1, 1: 1, 2: 2, 4: 4}
+"""Type of a parameter → bytes per element: characters, bytes, integers and floats."""
+
+
+class _Parameter(NamedTuple):
+    """Array of a parameter.
+
+    Attributes:
+        kind: type, a key of `_ELEMENT_BYTES`.
+        shape: dimensions, the fastest first; empty for a single value.
+        data: its bytes.
+    """
+
+    kind: int
+    shape: tuple[int, ...]
+    data: bytes
+
+
+@dataclass(frozen=True)
+class _Contents:
+    """Header and parameters of a file.
+
+    Attributes:
+        data: bytes of the file.
+        processor: processor of its numbers.
+        parameters: parameters by group and name in capitals, such as "POINT:RATE".
+    """
+
+    data: bytes
+    processor: int
+    parameters: dict[str, _Parameter]
+
+    @property
+    def order(self) -> str:
+        """Byte order of integers, as in NumPy."""
+        return ">" if self.processor == _BIG_ENDIAN else "<"
+
+    def header_word(self, byte: int) -> int:
+        """Return an unsigned word of the header."""
+        return int(np.frombuffer(self.data, f"{self.order}u2", 1, byte)[0])
+
+    def floats(self, data: bytes) -> np.ndarray:
+        """Return the floats in some bytes."""
+        if self.processor != _DEC:
+            return np.frombuffer(data, f"{self.order}f4")
+        words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
+        return np.frombuffer(words.tobytes(), "<f4") / 4
+
+    def number(self, key: str, header_byte: int) -> float:
+        """Return a float parameter, or the float of the header if it is missing."""
+        parameter = self.parameters.get(key)
+        if parameter is None or len(parameter.data) < 4:
+            return float(self.floats(self.data[header_byte : header_byte + 4])[0])
+        return float(self.floats(parameter.data[:4])[0])
+
+    def integer(self, key: str) -> int:
+        """Return an integer parameter, stored as a float or as 16-bit words; 0 if it is missing."""
+        parameter = self.parameters.get(key)
+        if parameter is None or len(parameter.data) < 2:
+            return 0
+        if parameter.kind == 4:
+            value = float(self.floats(parameter.data[:4])[0])
+            return int(value) if 0 < value < 1e9 else 0
+        words = np.frombuffer(parameter.data[:4], f"{self.order}u2").tolist()
+        return sum(word << (16 * k) for k, word in enumerate(words))
+
+    def strings(self, key: str) -> list[str]:
+        """Return the strings of a parameter; empty if it is missing."""
+        parameter = self.parameters.get(key)
+        if parameter is None or not parameter.shape:
+            return []
+        size = max(parameter.shape[0], 1)
+        starts = range(0, len(parameter.data), size)
+        texts = [parameter.data[k : k + size].decode("utf-8", "replace") for k in starts]
+        return [text.strip("\0 ") for text in texts]
+
+
+def _contents(file: RecordedFile) -> _Contents:
+    """Read the parameters of a file."""
+    data = file.data
+    start = (data[0] - 1) * _BLOCK
+    processor = data[start + 3]
+    contents = _Contents(data, processor, {})
+    groups: dict[int, str] = {}
+    found: list[tuple[int, str, _Parameter]] = []
+    place = start + 4
+    for _ in range(_MAX_PARAMETERS):
+        length = abs(int.from_bytes(data[place : place + 1], signed=True))
+        group = int.from_bytes(data[place + 1 : place + 2], signed=True)
+        if not length:
+            break
+        name = data[place + 2 : place + 2 + length].decode("latin-1").strip().upper()
+        place += 2 + length
+        step = contents.header_word(place)
+        if group < 0:
+            groups.setdefault(-group, name)
+        else:
+            found.append((group, name, _parameter(data, place + 2)))
+        if not step:
+            break
+        place += step
+    for group, name, parameter in found:
+        contents.parameters.setdefault(f"{groups.get(group, '')}:{name}", parameter)
+    if not found:
+        raise file.error("the C3D file is damaged: it has no parameters; record or export it again")
+    return contents
+
+
+def _parameter(data: bytes, place: int) -> _Parameter:
+    """Return the parameter whose type is at a place in the file."""
+    kind = int.from_bytes(data[place : place + 1], signed=True)
+    first = place + 2 + data[place + 1]
+    shape = tuple(data[place + 2 : first])
+    size = _ELEMENT_BYTES[kind] * int(np.prod(shape, dtype=int))
+    return _Parameter(kind, shape, data[first : first + size])
+
+
+@final
+class C3d(Format):
+    """C3D: the points of a file; analog channels are skipped."""
+
+    name = "C3D"
+    binary = True
+
+    def recognizes(self, start: RecordedFile) -> bool:
+        """Return whether a file starts with the bytes of a C3D header."""
+        raw = start.data
+        return raw[1:2] == b"\x50" and raw[0] < 32 and raw[0] not in b"\0\t\n\r"
+
+    def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
+        """Read the points of a C3D file; frame 1 is at 0 s, and a residual below 0 marks a missing point.
+
+        Raises:
+            InputError: the file is damaged or has no points, rate or unit.
+        """
+        with decoding(file, self.name):
+            contents = _contents(file)
+            rate = contents.number("POINT:RATE", 20) or unstated.rate_hz or 0
+            rate = frame_rate(file, str(float(rate)))
+            frames = _frames(file, contents)
+        samples = frames.samples
+        count = samples.shape[1]
+        keys = ["POINT:LABELS", *(f"POINT:LABELS{k}" for k in range(2, 2 + count // 255))]
+        names = [name for key in keys for name in contents.strings(key)]
+        names = (names + [""] * count)[:count]
+        others = {label for kind in _OTHER_KINDS for label in contents.strings(f"POINT:{kind}") if label}
+        chosen = [k for k in range(count) if names[k] not in others] or list(range(count))
+        units, notes = _units(file, contents, chosen, count, unstated.unit)
+        if len(chosen) < count:
+            skipped = count - len(chosen)
+            notes.append(f"{skipped} points with angles, forces or similar quantities skipped")
+        if len(samples) < frames.announced:
+            notes.append(f"the file ends after {len(samples)} of {frames.announced} frames")
+        time = (np.arange(len(samples)) + max(frames.first - 1, 0)) / rate
+        points = np.where(samples[..., 3:] <= -1, np.nan, samples[..., :3])[:, chosen]
+        labels = [names[k] for k in chosen]
+        return marker_table(
+            file, self.name, time, points, labels, notes,
+            unit=units, header_frames=frames.announced,
+        )  # fmt: skip
+
+
+def _units(
+    file: RecordedFile, contents: _Contents, chosen: list[int], count: int, given: str | None
+) -> tuple[list[str], list[str]]:
+    """Return the unit of each chosen point, and notes. The file has one unit, or one for each point."""
+    stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
+    if not stated:
+        assumed = given or "mm"
+        return [assumed] * len(chosen), [f"POINT:UNITS is missing: {assumed} assumed"]
+    of_points = [stated[k if len(stated) >= count else 0] for k in chosen]
+    unknown = sorted({unit for unit in of_points if not is_length_unit(unit)})
+    if given and unknown:
+        note = f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as given"
+        return [given if unit in unknown else length_unit(file, unit) for unit in of_points], [note]
+    return [length_unit(file, unit) for unit in of_points], []
+
+
+class _Frames(NamedTuple):
+    """Frames of the data section.
+
+    Attributes:
+        samples: x, y, z and residual, shape (frames, points, 4), in the unit of the file.
+        first: number of the first frame.
+        announced: number of frames that the file states.
+    """
+
+    samples: np.ndarray
+    first: int
+    announced: int
+
+
+def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
+    """Return the frames of a file.
+
+    The frame numbers of the header have 16 bits. Longer recordings state their frames in
+    TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words each) or in POINT:LONG_FRAMES, but some of
+    these may be wrong. The largest number that fits into the file is used. If all of them are at most 65,535,
+    the file is read to its end.
+    """
+    scale = contents.number("POINT:SCALE", 12)
+    is_float = scale < 0
+    count = contents.integer("POINT:USED") or contents.header_word(2)
+    block = contents.header_word(16) or contents.integer("POINT:DATA_START")
+    data = file.data[max(block - 1, 1) * _BLOCK :]
+    first, last = contents.header_word(6), contents.header_word(8)
+    by_header = last - first + 1
+    start = contents.integer("TRIAL:ACTUAL_START_FIELD")
+    end = contents.integer("TRIAL:ACTUAL_END_FIELD")
+    stated = [
+        by_header,
+        end and end - start + 1,
+        contents.integer("POINT:LONG_FRAMES"),
+        contents.integer("POINT:FRAMES"),
+    ]
+    counts = [number for number in stated if number > 0]
+    if not count or not counts:
+        raise file.error("the C3D file has no points; export marker trajectories")
+    values = 4 * count + _analog_values(file, contents, count, counts, len(data))
+    width = values * (4 if is_float else 2)
+    room = len(data) // width
+    announced = max((number for number in counts if number <= room), default=counts[0])
+    overflow = last == _MAX_COUNTED and announced in (by_header, _MAX_COUNTED)
+    frames = room if overflow else min(announced, room)
+    if not 0 < frames <= _MAX_FRAMES:
+        raise file.error(
+            f"the C3D file has {frames} whole frames; it must have 1 to {_MAX_FRAMES} (record or "
+            "export it again)"
+        )
+    data = data[: frames * width]
+    numbers = contents.floats(data) if is_float else np.frombuffer(data, f"{contents.order}i2")
+    samples = numbers.reshape(frames, -1)[:, : 4 * count].reshape(frames, count, 4).astype(float)
+    samples[..., :3] *= max(scale, 0.0) or 1.0
+    if overflow:  # the last block is padded with zeros
+        padding = int(samples[::-1].any(axis=(1, 2)).argmax())
+        samples = samples[: frames - min(padding, _BLOCK // width)]
+        announced = max(announced, len(samples))
+    return _Frames(samples, start or first, announced)
+
+
+def _analog_values(file: RecordedFile, contents: _Contents, count: int, counts: list[int], size: int) -> int:
+    """Return the number of analog values per frame.
+
+    Header and parameters state it both. If they contradict each other, the number is used with which the
+    frames fill the data section.
+
+    Args:
+        file: the file.
+        contents: its header and parameters.
+        count: number of points.
+        counts: possible numbers of frames.
+        size: size of the data section, bytes.
+
+    Raises:
+        InputError: none or several of the numbers fill the data section.
+    """
+    by_header = contents.header_word(4)
+    if "ANALOG:USED" not in contents.parameters:
+        return by_header
+    by_parameters = contents.integer("ANALOG:USED") * contents.header_word(18)
+    if by_parameters == by_header:
+        return by_header
+    bytes_per_value = 4 if contents.number("POINT:SCALE", 12) < 0 else 2
+
+    def fills(analog: int) -> bool:
+        width = (4 * count + analog) * bytes_per_value
+        return any(0 <= size - frames * width < _BLOCK for frames in counts)
+
+    filling = [analog for analog in (by_header, by_parameters) if fills(analog)]
+    if len(filling) != 1:
+        raise file.error(
+            f"the header states {by_header} analog values per frame, the parameters {by_parameters}, "
+            "and the size of the file does not decide between them; export it again"
+        )
+    return filling[0]
