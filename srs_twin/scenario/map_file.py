@@ -49,6 +49,8 @@ _OTHERS = re.compile(
     re.DOTALL,
 )
 """Signatures of other formats, for error messages."""
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_QUOTED_LIST = re.compile(rf"\s*\[?\s*{_NUMBER.pattern}(?:\s*,\s*{_NUMBER.pattern}){{2}}\s*\]?\s*")
 _BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
 _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
 """Booleans of YAML 1.1."""
@@ -72,6 +74,15 @@ class MapFile(StrictModel):
     @classmethod
     def _any_case(cls, mode: object) -> object:
         return mode.lower() if isinstance(mode, str) else mode
+
+    @field_validator("origin", mode="before")
+    @classmethod
+    def _unquoted(cls, value: object) -> object:
+        """Return the list in a text such as "[0.0, 0.0, 0.0]", as some map editors write it."""
+        if isinstance(value, str) and _QUOTED_LIST.fullmatch(value):
+            value = [float(number) for number in _NUMBER.findall(value)]
+        # A strict model accepts only a tuple from a validator in Python.
+        return tuple(value) if isinstance(value, list) else value
 
     @field_validator("negate", mode="before")
     @classmethod

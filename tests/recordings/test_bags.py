@@ -210,3 +210,15 @@ def test_foreign_databases_are_refused(tmp_path):
         base.execute(f"CREATE VIEW messages (topic_id) AS {endless}")
     with pytest.raises(InputError, match="not a ROS 2 bag"):
         read_markers(tmp_path / "c.db3")
+
+
+@pytest.mark.parametrize("zeros", [1, 4, 8, 4096])
+def test_zeros_before_the_index_of_a_ros1_bag_are_skipped(tmp_path, zeros):
+    path = written(tmp_path, "bag", everything)
+    content = path.read_bytes()
+    whole = read_topics(path)
+    place = content.index(b"index_pos=") + len(b"index_pos=")
+    index = int.from_bytes(content[place : place + 8], "little")
+    path.write_bytes(content[:index] + bytes(zeros) + content[index:])
+    padded = read_topics(path)
+    assert np.array_equal(padded.markers.points, whole.markers.points)

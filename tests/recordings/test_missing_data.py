@@ -144,3 +144,13 @@ def test_a_map_settles_unknown_signals(tmp_path):
     facts, _ = inspect_file(path, known, None)
     assert facts.signals[1].looks_like == "pressure, kPa: 22 to 22 kPa"
     assert read_valves(path, load_robot("gen2"), known).values.max() == pytest.approx(22e3)
+
+
+def test_a_static_trc_has_y_up(tmp_path):
+    """Without motion, OpenSim's convention decides."""
+    place = np.random.default_rng(0).uniform(0.1, 1.8, (6, 3))
+    head = TRC.replace("\ta\t\t\tb\t\t\n", "".join(f"\tm{k}\t\t" for k in range(6)) + "\n")
+    cells = "\t".join(f"{value:.1f}" for value in 1e3 * place.ravel())
+    text = head + "".join(f"{k + 1}\t{k / 100}\t{cells}\n" for k in range(20))
+    facts, _ = inspect_file(written(tmp_path, "a.trc", text), NO_MAP, None)
+    assert facts.up == "y"

@@ -57,6 +57,14 @@ def test_rectangles_cover_occupied_cells_once(tmp_path, suffix):
     assert len(polygons) < len(cells(grey))
 
 
+@pytest.mark.parametrize("quoted", ['"[5.0, -1.0, 1.5e-1]"', "'5, -1, 0.15'"])
+def test_a_quoted_origin_is_read(tmp_path, quoted):
+    path = drawn(tmp_path, [[0, 255], [255, 255]], x=5.0, y=-1.0, turn=0.15)
+    (plain,) = read_map(path)
+    path.write_text(path.read_text().replace("[5.0, -1.0, 0.15]", quoted))
+    assert read_map(path) == (plain,)
+
+
 def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
     (tmp_path / "room.pgm").write_text("P2\n# another program's\n3 2\n255\n0 255 255\n255 255 255\n")
     path = tmp_path / "room.yaml"

@@ -163,13 +163,15 @@ class Ros1Bag(Bag):
 
 
 def _ros1_records(data: memoryview) -> Iterator[tuple[dict[str, bytes], memoryview]]:
-    """Yield the header fields and the content of successive records."""
-    blocks = _blocks(data)
-    for header in blocks:
-        content = next(blocks, None)
-        if content is None:
-            raise CutError("the file ends in a record")
+    """Yield the header fields and the content of successive records; zeros between records are skipped."""
+    while data:
+        header = _block(data)
+        if not len(header):
+            data = memoryview(bytes(data).lstrip(b"\0"))
+            continue
+        content = _block(data[4 + len(header) :])
         yield _fields(header), content
+        data = data[8 + len(header) + len(content) :]
 
 
 def _fields(header: memoryview) -> dict[str, bytes]:
@@ -181,11 +183,17 @@ def _fields(header: memoryview) -> dict[str, bytes]:
 def _blocks(data: memoryview) -> Iterator[memoryview]:
     """Yield blocks that are preceded by their lengths."""
     while data:
-        end = 4 + _number(data[:4])
-        if end > len(data):
-            raise CutError("the file ends in a record")
-        yield data[4:end]
-        data = data[end:]
+        block = _block(data)
+        yield block
+        data = data[4 + len(block) :]
+
+
+def _block(data: memoryview) -> memoryview:
+    """Return the first block, which is preceded by its length."""
+    end = 4 + _number(data[:4])
+    if end > len(data):
+        raise CutError("the file ends in a record")
+    return data[4:end]
 
 
 def _number(data: bytes | memoryview) -> int:

@@ -92,7 +92,7 @@ class MarkerTable:
     @property
     def usual_up(self) -> str:
         """Axis that is usually vertical in such files."""
-        return "y" if self.kind.startswith("Motive") else "z"
+        return "y" if self.kind.startswith(("Motive", "TRC")) else "z"
 
 
 class Format(ABC):
