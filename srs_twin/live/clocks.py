@@ -20,7 +20,15 @@ from srs_twin.live.messages import BENDS, COMMAND, VALVES, Message
 WINDOW_S = 10.0
 """Interval over which the offset is estimated."""
 STEP_S = 1.0
-"""Change of the offset above which the clock was set or its sender restarted."""
+"""Difference from the offset above which the time of a message cannot be used before it is confirmed, s."""
+AGREEMENT_S = 0.05
+"""Difference from the offset up to which a message confirms it, s."""
+CONFIRMING = 3
+"""Number of messages that confirm another offset."""
+CONFIRMING_S = 0.4
+"""Time without an agreeing message after which a higher offset is confirmed, s."""
+MOST_DELAY_S = 15.0
+"""Step of the offset that cannot be a longer transport, s."""
 KEPT = 5000
 """Largest number of messages in the window."""
 MOST_HOLD_S = 0.1
@@ -36,25 +44,81 @@ _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
 class SenderClock:
     """The clock of one sender.
 
+    Messages whose delays agree with the offset within `AGREEMENT_S` confirm it. Others may be single wrong
+    stamps. The offset follows a lower delay after `CONFIRMING` successive messages, and a higher one after
+    `CONFIRMING_S` without any message that agrees. A sender whose clock was set back and a transport that
+    became slower look the same, so the age of its messages is then uncertain by the difference.
+
     Attributes:
         offset: our clock minus the sender's clock, including the minimum delay, s.
-        jumps: number of times that the sender's clock was set.
+        jumps: number of times that the offset changed by more than `AGREEMENT_S`.
+        uncertainty: uncertainty of the age of messages, due to steps of the offset, s.
     """
 
     def __init__(self) -> None:
         """Create a clock without any messages."""
-        self.offset, self.jumps = math.nan, 0
+        self.offset = math.nan
+        self.jumps = 0
+        self.uncertainty = 0.0
+        self._agreed = -math.inf
         self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
         # Candidates for the minimum in the window, the smallest first.
         self._least: deque[tuple[float, float]] = deque()
+        # Arrivals and delays of successive messages that are earlier, or later, than the offset allows.
+        self._early: deque[tuple[float, float]] = deque(maxlen=CONFIRMING)
+        self._late: deque[tuple[float, float]] = deque(maxlen=KEPT)
 
-    def update(self, sent: float, arrived: float) -> float:
-        """Add the times of a message (s); return its sending time on our clock, s."""
+    def update(self, sent: float, arrived: float) -> float | None:
+        """Add the times of a message (s).
+
+        Returns:
+            Its sending time on our clock, s; None if its time is off by more than `STEP_S` and no other
+            messages confirm it.
+        """
         delay = arrived - sent
-        if self._seen and abs(delay - self.offset) > STEP_S:
-            self._seen.clear()
-            self._least.clear()
-            self.jumps += 1
+        excess = delay - self.offset
+        if math.isnan(excess):
+            self._accept(arrived, delay)
+        elif excess < -AGREEMENT_S:
+            self._early.append((arrived, delay))
+            self._follow(self._early, confirmed=len(self._early) == CONFIRMING)
+        else:
+            self._early.clear()
+            if excess <= AGREEMENT_S:
+                self._late.clear()
+                self._agreed = arrived
+            else:
+                self._late.append((arrived, delay))
+                silent = arrived - self._agreed >= CONFIRMING_S
+                self._follow(self._late, confirmed=silent and len(self._late) >= CONFIRMING)
+            if excess <= STEP_S:
+                self._accept(arrived, delay)
+        if abs(delay - self.offset) > STEP_S:
+            return None
+        # A stamp ahead of its clock cannot make the message newer than its arrival.
+        return min(sent + self.offset, arrived)
+
+    def _follow(self, messages: deque[tuple[float, float]], *, confirmed: bool) -> None:
+        """Restart with the offset that successive messages agree on, if they confirm it."""
+        delays = [delay for _, delay in messages]
+        lowest = min(delays)
+        agreeing = [delay for delay in delays if delay - lowest <= STEP_S]
+        if not confirmed or len(agreeing) < CONFIRMING:
+            return
+        step = lowest - self.offset
+        if step < MOST_DELAY_S:
+            self.uncertainty = max(0.0, self.uncertainty + step)
+        self.jumps += 1
+        self._seen.clear()
+        self._least.clear()
+        for arrived, delay in list(messages):
+            self._accept(arrived, delay)
+        self._early.clear()
+        self._late.clear()
+        self._agreed = self._seen[-1][0]
+
+    def _accept(self, arrived: float, delay: float) -> None:
+        """Add a delay to the window and update the offset."""
         self._seen.append((arrived, delay))
         while self._seen[0][0] < arrived - WINDOW_S:
             self._seen.popleft()
@@ -65,7 +129,6 @@ class SenderClock:
             self._least.popleft()
         # The smallest delay in the window is closest to the true offset, as transport only adds delay.
         self.offset = self._least[0][1]
-        return sent + self.offset
 
     def delay_quantile(self, share: float) -> float:
         """Return a quantile of the jitter, s."""
@@ -99,22 +162,25 @@ class ReorderBuffer:
         self._waiting: list[tuple[float, int, int, Message]] = []
         self._number = itertools.count()
         self._known: dict[tuple[str, str], deque[float]] = {}
-        self._odd: dict[str, float] = {}
 
     def push(self, message: Message) -> None:
         """Add a message."""
+        sender = f"{message.source}, {message.kind}" if message.kind == COMMAND else message.source
+        clock = self.clocks.setdefault(sender, SenderClock())
+        jumps = clock.jumps
+        time = clock.update(message.sent, message.arrived)
+        if clock.jumps > jumps:
+            # The stamps of a clock that was set back repeat.
+            self._known = {key: sent for key, sent in self._known.items() if key[0] != message.source}
         known = self._known.setdefault((message.source, message.kind), deque(maxlen=200))
         if message.sent in known:
             self.counts[message.source, message.kind, "duplicate"] += 1
             return
         # A broker may deliver a message more than once.
         known.append(message.sent)
-        sender = f"{message.source}, {message.kind}" if message.kind == COMMAND else message.source
-        clock = self.clocks.setdefault(sender, SenderClock())
-        if not self._plausible(sender, clock, message):
+        if time is None:
             self.counts[message.source, message.kind, "off its clock"] += 1
             return
-        time = clock.update(message.sent, message.arrived)
         if time < self._handed:
             self.counts[message.source, message.kind, "late"] += 1
             return
@@ -124,17 +190,6 @@ class ReorderBuffer:
     def waiting(self, kind: str) -> list[tuple[float, Message]]:
         """Return the held messages of a kind with their times on our clock (s), unordered."""
         return [(time, message) for time, _, _, message in self._waiting if message.kind == kind]
-
-    def _plausible(self, sender: str, clock: SenderClock, message: Message) -> bool:
-        """Return whether the time of a message agrees with the clock, or with the message before it.
-
-        One message with a wrong time must not change the clock; two successive ones that agree do.
-        """
-        delay, odd = message.arrived - message.sent, self._odd.pop(sender, math.nan)
-        if math.isnan(clock.offset) or abs(delay - clock.offset) <= STEP_S or abs(delay - odd) <= STEP_S:
-            return True
-        self._odd[sender] = delay
-        return False
 
     def pop_until(self, now: float) -> list[tuple[float, Message]]:
         """Return the messages that are due at `now` (our clock, s), with their times on our clock."""

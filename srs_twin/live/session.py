@@ -20,6 +20,7 @@ from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import create_numbered_file, display_path
 from srs_twin.io.saved_state import SavedState
+from srs_twin.live.clocks import AGREEMENT_S
 from srs_twin.live.estimate import Estimate, Prediction
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link, MqttLink
@@ -88,7 +89,12 @@ def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[s
         if what != "taken":
             dropped[f"{kind} {what}"] += count
     clocks = {
-        sender: {"offset_s": clock.offset, "jitter_s": clock.jitter}
+        sender: {
+            "offset_s": clock.offset,
+            "jitter_s": clock.jitter,
+            "jumps": clock.jumps,
+            "age_uncertainty_s": clock.uncertainty,
+        }
         for sender, clock in shadow.buffer.clocks.items()
     }
     found: dict[str, object] = {
@@ -265,6 +271,7 @@ class Session:
             done += 1
             if done % _every(_WATCHED_S) == 0:
                 self._watch()
+                self._report_clocks()
             left = start + done * TICK_S - time.monotonic()
             if left > 0:
                 time.sleep(left)
@@ -297,6 +304,15 @@ class Session:
                 f"falling behind: ticks take {1e3 * np.median(durations):.0f} ms instead of "
                 f"{1e3 * TICK_S:.0f}; estimates are up to {self.lag:.2f} s old"
             )
+
+    def _report_clocks(self) -> None:
+        """Warn of messages whose age cannot be known any more."""
+        for sender, clock in self.shadow.buffer.clocks.items():
+            if clock.uncertainty > AGREEMENT_S:
+                self._report(
+                    f"{sender}: its clock was set back, or its messages take longer than before; "
+                    f"their age is uncertain by {clock.uncertainty:.1f} s"
+                )
 
     def _show(self, estimate: Estimate) -> None:
         before = time.monotonic()
