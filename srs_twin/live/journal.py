@@ -63,8 +63,8 @@ class Journal:
             self._file = path.open("wb")
         except OSError as error:
             raise InputError(f"{display_path(path)}: cannot be written: {error.strerror}") from error
-        # Small chunks, so that a killed process loses about one second.
-        self._writer = Writer(self._file, chunk_size=16_384, compression=CompressionType.NONE)
+        # Without chunks, so that a killed process loses only what came after the last `flush`.
+        self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
         self._writer.start(profile="", library="srs_twin")
         self._path, self.trouble = path, ""
         self._channels: dict[tuple[str, str], int] = {}

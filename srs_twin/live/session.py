@@ -136,20 +136,21 @@ def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
     return {"median": float(np.median(durations)), "p99": float(np.quantile(durations, 0.99))}
 
 
-PREDICTION_INTERVAL_S = 0.5
-VIEW_INTERVAL_S = 0.12
-FLUSH_INTERVAL_S = 1.0
-SAVE_INTERVAL_S = 5.0
+INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
+"""Intervals of the periodic work, s: predictions, views, writing the journal to the disk, saving the state,
+and warnings."""
+_MOST_OVERRUNS = 0.5
+"""Fraction of slow ticks above which the session warns."""
+_WATCHED_TICKS = 50
+"""Number of ticks of which slow ones are counted."""
+_WORK_S = 0.05
+"""Time per tick after which messages wait for the next one, so that a slow machine still obeys, s."""
 STALE_S = 0.2
 """Age of an estimate above which the chambers are vented."""
 TOO_SLOW_S = 1.0
 """Age of an estimate above which the steering ends."""
 JOURNALS = "journal-{}.mcap"
 RECORDINGS = "recording-{}.rrd"
-_WATCHED_S = 1.0
-"""Interval over which slow ticks are counted, s."""
-_MOST_OVERRUNS = 0.5
-"""Share of slow ticks above which the session warns."""
 _RESTART_S = 1.0
 """Delay above which missed ticks are skipped, s."""
 _KEPT = 1_000_000
@@ -180,9 +181,20 @@ def warm_up(spec: RobotSpec) -> None:
     shadow.predict()
 
 
-def _every(seconds: float) -> int:
-    """Return the number of ticks in an interval."""
-    return round(seconds / TICK_S)
+class Interval:
+    """Interval between two runs of periodic work."""
+
+    def __init__(self, seconds: float) -> None:
+        """Begin the first interval at the first call of `is_over`."""
+        self._seconds = seconds
+        self._next = math.inf
+
+    def is_over(self, now: float) -> bool:
+        """Return whether the work is due at a time (s), and begin the next interval if it is."""
+        over = now >= self._next
+        if over or math.isinf(self._next):
+            self._next = now + self._seconds
+        return over
 
 
 class Session:
@@ -239,6 +251,8 @@ class Session:
         self._table = EstimateTable(shadow.spec)
         self._prediction: Prediction | None = None
         self._start, self._stopped, self._slow = 0.0, False, False
+        self._intervals = {work: Interval(seconds) for work, seconds in INTERVALS_S.items()}
+        self._skipped = self._behind = 0.0
         # Two threads, so that one slow task, such as a new plan, does not delay the predictions.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
@@ -264,12 +278,12 @@ class Session:
         while not stop() and (tick := time.monotonic()) - self._start < duration and not self._over():
             self._tick(clock(), tick - self._start)
             self._collect()
-            self._submit(done)
-            if self.estimate is not None and done % _every(VIEW_INTERVAL_S) == 0:
+            self._submit(tick)
+            if self.estimate is not None and self._intervals["view"].is_over(tick):
                 self._show(self.estimate)
             self.ticks.append(time.monotonic() - tick)
             done += 1
-            if done % _every(_WATCHED_S) == 0:
+            if self._intervals["watch"].is_over(tick):
                 self._watch()
                 self._report_clocks()
             left = start + done * TICK_S - time.monotonic()
@@ -279,31 +293,37 @@ class Session:
                 # After a long pause, such as a suspended machine, missed ticks are not made up for.
                 start = time.monotonic() - done * TICK_S
 
-    def _submit(self, done: int) -> None:
+    def _submit(self, now: float) -> None:
         """Start periodic work on other threads."""
-        if (
-            self.estimate is not None
-            and self._predicting is None
-            and done % _every(PREDICTION_INTERVAL_S) == 0
-        ):
+        intervals = self._intervals
+        if self.estimate is not None and self._predicting is None and intervals["predict"].is_over(now):
             self._predicting = self._pool.submit(self.shadow.prediction_task())
-        if self._journal is not None and done % _every(FLUSH_INTERVAL_S) == 0:
+        if self._journal is not None and intervals["flush"].is_over(now):
             self._journal.flush()
-        if self._out is not None and self._saving is None and done % _every(SAVE_INTERVAL_S) == 0:
+        if self._out is not None and self._saving is None and intervals["save"].is_over(now):
             # The state is collected here; only the file is written on the other thread.
             self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
 
     def _watch(self) -> None:
-        """Warn if the machine is too slow: ticks longer than `TICK_S` delay all later ones."""
-        if self._commands is None or self._slow:
-            return
-        durations = np.array([self.ticks[-k] for k in range(1, _every(_WATCHED_S) + 1)])
-        if (durations > TICK_S).mean() > _MOST_OVERRUNS:
+        """Warn if the machine is too slow, and end the steering if it stays so."""
+        skipped = self.shadow.skipped - self._skipped
+        self._skipped = self.shadow.skipped
+        self._behind = self._behind + skipped if skipped else 0.0
+        if skipped:
+            self._report(
+                "falling behind: the machine is too slow for all messages, so some are skipped, and "
+                "the position is unknown until the next frame of motion capture"
+            )
+        durations = [self.ticks[-k] for k in range(1, min(len(self.ticks), _WATCHED_TICKS) + 1)]
+        slow = float(np.mean(np.array(durations) > TICK_S)) > _MOST_OVERRUNS
+        if slow and self._commands is not None and not self._slow:
             self._slow = True
             self._report(
                 f"falling behind: ticks take {1e3 * np.median(durations):.0f} ms instead of "
                 f"{1e3 * TICK_S:.0f}; estimates are up to {self.lag:.2f} s old"
             )
+        if self._steering is not None and self._steering.begun and self._behind > TOO_SLOW_S:
+            self._steering.give_up(TOO_SLOW)
 
     def _report_clocks(self) -> None:
         """Warn of messages whose age cannot be known any more."""
@@ -363,7 +383,7 @@ class Session:
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
-        self.estimate = estimate = self.shadow.update(now, messages)
+        self.estimate = estimate = self.shadow.update(now, messages, work_s=_WORK_S)
         hold = self.shadow.buffer.hold
         # The estimate uses a message only after the buffer has held it.
         self.latency.extend(now - message.arrived + hold for message in messages if message.kind == BENDS)
@@ -428,7 +448,7 @@ class Session:
             "seconds": seconds, "resumed": self.resumed,
             "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
             "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
-            **timing(self.ticks, self.latency), "lag_s": self.lag,
+            **timing(self.ticks, self.latency), "lag_s": self.lag, "skipped_s": self.shadow.skipped,
             "view_share": self.view_s / max(seconds, 1e-9),
         }  # fmt: skip
         if self._steering is not None:

@@ -8,10 +8,10 @@ of day: `update` gets both messages and time.
 
 from __future__ import annotations
 
-import itertools
 import math
-import operator
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from time import monotonic
 
 import numpy as np
 
@@ -51,6 +51,8 @@ MISSING_FRAMES = 8
 """Number of successive frames after which a missing body is lost."""
 HORIZON_S = 1.0
 """Horizon of predictions."""
+MOST_BEHIND_S = 0.3
+"""Age above which messages are skipped that could not be processed in time."""
 _PREDICTION_STEP_S = 0.1
 """Interval between the predicted poses."""
 _PREDICTION_MEMBERS = 16
@@ -81,6 +83,7 @@ class Shadow:
         prediction_calibration: errors of earlier predictions.
         buffer: messages that wait for earlier ones.
         time: time of the filter, our clock, s; NaN before the first message.
+        skipped: duration of the messages that were skipped because the machine was too slow, s.
     """
 
     def __init__(
@@ -104,6 +107,8 @@ class Shadow:
         self.ensemble.set_modules(*self.faults.modules())
         self.buffer, self.time = ReorderBuffer(), math.nan
         self._frames = frames or {f"connector_{i}": i for i in range(1, n + 2)}
+        self._due: deque[tuple[float, Message]] = deque()
+        self.skipped = 0.0
         self._commands = CommandHistory(n)
         self._heard = dict.fromkeys(_KINDS, -math.inf)
         # Sending time of the last used measurement of each sender.
@@ -116,19 +121,25 @@ class Shadow:
         self.prediction_calibration = PredictionCalibration()
         self._intervals = IntervalCalibration((n, 2, 1))
 
-    def update(self, now: float, messages: Iterable[Message]) -> Estimate | None:
+    def update(self, now: float, messages: Iterable[Message], *, work_s: float = math.inf) -> Estimate | None:
         """Update with the messages that arrived until now (our clock, s).
+
+        Args:
+            now: time on our clock, s.
+            messages: new messages.
+            work_s: time of the call after which messages wait for the next call. If they would wait for more
+                than `MOST_BEHIND_S`, they are skipped, s.
 
         Returns:
             Estimate for now; None before the first message of the robot.
         """
-        if not self.receive(now, messages):
+        if not self.receive(now, messages, work_s=work_s):
             return None
         estimate = self._estimate(now)
         self.prediction_calibration.observe(now, estimate.pose)
         return estimate
 
-    def receive(self, now: float, messages: Iterable[Message]) -> bool:
+    def receive(self, now: float, messages: Iterable[Message], *, work_s: float = math.inf) -> bool:
         """Advance the filters like `update`, without an estimate for now.
 
         Returns:
@@ -137,10 +148,17 @@ class Shadow:
         for message in messages:
             if message.kind in _KINDS:
                 self.buffer.push(message)
-        used = [timed for timed in self.buffer.pop_until(now) if self._needed(timed[1])]
-        # Messages of one time are used together, because the order of their corrections matters.
-        for time, simultaneous in itertools.groupby(used, key=operator.itemgetter(0)):
-            self._use(time, [message for _, message in simultaneous])
+        self._due.extend(timed for timed in self.buffer.pop_until(now) if self._needed(timed[1]))
+        deadline = monotonic() + work_s
+        while self._due and monotonic() < deadline:
+            # Messages of one time are used together, because the order of their corrections matters.
+            at = self._due[0][0]
+            simultaneous = []
+            while self._due and self._due[0][0] == at:
+                simultaneous.append(self._due.popleft()[1])
+            self._use(at, simultaneous)
+        if self._due and now - self._due[0][0] > MOST_BEHIND_S:
+            self._skip_due()
         if math.isnan(self.time):
             return False
         # Do not advance the filter yet: a message for this time is expected soon.
@@ -195,6 +213,22 @@ class Shadow:
             "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": [*self._saved_parts()],
             "products": len(self.ensemble.odometry.connection.weights),
         }  # fmt: skip
+
+    def _skip_due(self) -> None:
+        """Give up the measurements that wait, and continue at the time of the last one."""
+        newest = self._due[-1][0]
+        for at, message in self._due:
+            if message.kind in (COMMAND, VALVES):
+                self._commands.add(at, message)
+        self._due.clear()
+        if math.isnan(self.time):
+            return
+        gap = min(newest - self.time, LOST_AFTER_S)
+        self.skipped += newest - self.time
+        # The valves may have switched, and the robot moved, in any way.
+        self.faults.inflate(np.ones((self.spec.segments, 2)), gap)
+        self.ensemble.placed = False
+        self.time = newest
 
     def _needed(self, message: Message) -> bool:
         """Return whether a message is used; measurements at a shorter interval are skipped."""

@@ -46,13 +46,16 @@ class Wire(Link):
 
     def received(self) -> list[Message]:
         if self._still:
-            now, self._count = clock(), self._count + 1
-            rows = np.zeros((self._segments + 1, 4))
-            rows[:, 0] = -0.1 * np.arange(self._segments + 1)
-            names = tuple(f"connector_{i}" for i in range(1, self._segments + 2))
-            self.tell(Message(BENDS, "robot", now, now, np.zeros(self._segments)))
-            self.tell(Message(POSES, "natnet", now, now, rows, names))
+            self._tell_of_rest(clock())
         return super().received()
+
+    def _tell_of_rest(self, now: float) -> None:
+        self._count += 1
+        rows = np.zeros((self._segments + 1, 4))
+        rows[:, 0] = -0.1 * np.arange(self._segments + 1)
+        names = tuple(f"connector_{i}" for i in range(1, self._segments + 2))
+        self.tell(Message(BENDS, "robot", now, now, np.zeros(self._segments)))
+        self.tell(Message(POSES, "natnet", now, now, rows, names))
 
     def tell(self, message: Message) -> None:
         self._take(message)
@@ -86,8 +89,22 @@ def compiled():
     sessions.warm_up(load_robot("gen4"))
 
 
-def session(out: Path | None = None, **more) -> tuple[Session, Wire]:
-    wire = Wire()
+class SteadyWire(Wire):
+    """Wire whose messages arrive 50 times per second, however rarely they are received."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._due = clock()
+
+    def received(self) -> list[Message]:
+        while self._due <= clock():
+            self._tell_of_rest(self._due)
+            self._due += 0.02
+        return Link.received(self)
+
+
+def session(out: Path | None = None, wire: Wire | None = None, **more) -> tuple[Session, Wire]:
+    wire = wire or Wire()
     shadow = Shadow(load_robot("gen4"), members=8)
     return Session(shadow, [wire], out=out, steering=Steering(), commands=wire, **more), wire
 
@@ -172,7 +189,7 @@ def full(*_, **__):
 
 
 def test_a_full_disk_is_reported_once_and_the_session_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(sessions, "SAVE_INTERVAL_S", 0.1)
+    monkeypatch.setitem(sessions.INTERVALS_S, "save", 0.1)
     monkeypatch.setattr(np, "savez_compressed", full)
     found, wire = session(tmp_path / "lab")
     begun = clock()
@@ -322,12 +339,12 @@ def slowed(found: Session, seconds: float, ticks: range) -> None:
     """Delay the filter of a session in some ticks."""
     take, count = found.shadow.update, 0
 
-    def slow(now, messages):
+    def slow(now, messages, **options):
         nonlocal count
         count += 1
         if count in ticks:
             time.sleep(seconds)
-        return take(now, messages)
+        return take(now, messages, **options)
 
     found.shadow.update = slow  # type: ignore[method-assign]
 
@@ -372,3 +389,60 @@ def test_ticks_that_take_too_long_are_warned_of_once():
     assert len([each for each in warned if "falling behind" in str(each.message)]) == 1
     assert len(told["problems"]) == 1
     assert told["following"]["ending"] == "stopped"
+
+
+def burdened(found, seconds):
+    """Let each use of messages in the filter take a time, as on a machine that is too slow."""
+    use = found.shadow._use
+
+    def slow(*arguments):
+        time.sleep(seconds)
+        use(*arguments)
+
+    found.shadow._use = slow
+
+
+@pytest.mark.parametrize("overload", [2, 5])
+def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(tmp_path, overload):
+    """Messages need a multiple of the available time, which made each tick longer than the one before."""
+    found, wire = session(tmp_path / "lab", SteadyWire())
+    burdened(found, overload * sessions.TICK_S)
+    begun = clock()
+    asked = []
+
+    def stop() -> bool:
+        if clock() - begun > 3.0 and not asked:
+            wire.tell(Message(CONTROL, "robot", clock(), clock(), np.zeros(0), ("stop",)))
+            asked.append(clock())
+        return clock() - begun > 60.0
+
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        told = found.run(stop=stop)
+    assert clock() - asked[0] < 3.0  # a safety factor of ten for a busy machine
+    assert told["skipped_s"] > 0.5
+    assert any("some are skipped" in problem for problem in told["problems"])
+    was_made_safe(wire)
+
+
+def test_a_steered_robot_is_given_up_if_messages_are_skipped_for_long(watched):
+    found, wire = session(wire=SteadyWire())
+    burdened(found, 5 * sessions.TICK_S)
+    with warnings.catch_warnings(record=True):
+        warnings.simplefilter("always")
+        told = found.run(60.0)
+    was_made_safe(wire)
+    assert told["following"]["ending"] == "estimate_too_old"
+    assert told["seconds"] < 50.0
+
+
+def test_a_killed_session_loses_only_messages_since_the_last_flush(tmp_path):
+    path = tmp_path / "journal.mcap"
+    journal = Journal(path)
+    for k in range(20):
+        journal.write(Message(BENDS, "robot", k / 50, k / 50, np.zeros(4)))
+    journal.flush()
+    kept = path.read_bytes()  # what a kill leaves
+    journal.close()
+    (tmp_path / "killed.mcap").write_bytes(kept)
+    assert len(list(journal_messages(tmp_path / "killed.mcap", "robot", 4))) == 20
