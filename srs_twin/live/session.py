@@ -300,7 +300,8 @@ class Session:
             self._predicting = self._pool.submit(self.shadow.prediction_task())
         if self._journal is not None and intervals["flush"].is_over(now):
             self._journal.flush()
-        if self._out is not None and self._saving is None and intervals["save"].is_over(now):
+        is_first = not self.ticks
+        if self._out is not None and self._saving is None and (intervals["save"].is_over(now) or is_first):
             # The state is collected here; only the file is written on the other thread.
             self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
 

@@ -326,7 +326,7 @@ def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
         zero[:] = False
     if rotations is not None:
         zero &= ~np.isfinite(rotations).any(axis=(0, 2))
-    return zero
+    return np.asarray(zero)
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
