@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from dm_environments import dm_environments
 from snakes import robot
 from test_rollout import Clock, Scripted
 
@@ -36,7 +37,6 @@ from srs_twin import (
     run_many,
 )
 from srs_twin.compute import claims
-from srs_twin.envs import dm
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
 from srs_twin.rollout import run_scripts
 
@@ -366,7 +366,7 @@ def vector_env() -> Any:
 
 
 def dm_env() -> Any:
-    env = dm.load("GoTo", seed=1)
+    env = dm_environments().load("GoTo", seed=1)
     env.reset()
     return env
 
