@@ -384,7 +384,9 @@ class Session:
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
-        self.estimate = estimate = self.shadow.update(now, messages, work_s=_WORK_S)
+        # A journal may be played faster than its messages can be used; none of them is skipped.
+        work_s = math.inf if self._commands is None else _WORK_S
+        self.estimate = estimate = self.shadow.update(now, messages, work_s=work_s)
         hold = self.shadow.buffer.hold
         # The estimate uses a message only after the buffer has held it.
         self.latency.extend(now - message.arrived + hold for message in messages if message.kind == BENDS)
