@@ -50,7 +50,7 @@ from srs_twin.identification.static_tables import (
 )
 from srs_twin.io.arguments import checked
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import check_file_name
+from srs_twin.io.files import check_file_name, path_from
 from srs_twin.recordings.formats import UnknownFormatError
 from srs_twin.recordings.takes import RecordingReader, logs_of
 from srs_twin.robot.file import load_robot
@@ -107,7 +107,7 @@ class Calibration:
             self.estimate,
             name=name,
             title=self.title[:200],
-            robot=self.robot,
+            robot=path_from(path.parent, self.robot),
             method=self.method,
             command=command,
             versions=versions(),

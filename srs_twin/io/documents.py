@@ -160,7 +160,7 @@ class Document:
 
         Args:
             loc: path of the value in the data.
-            kind: kind of shipped files whose name may be given instead; empty: the text is always a path.
+            kind: kind of shipped files whose name may be given instead; empty: a text is always a path.
         """
         text, position = self.get(*loc), self.values.get(loc, (0, 0))
         if self.folder is None or position <= (0, 0) or not isinstance(text, str) or not text:

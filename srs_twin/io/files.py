@@ -63,7 +63,7 @@ def is_path(text: str) -> bool:
 
 
 def place_of(text: str, folder: Path, kind: str = "") -> str:
-    """Return the place of a path that a file gives: beside that file, or else in the current folder.
+    """Return the place of a path that a file gives: relative to that file, or else to the current folder.
 
     Args:
         text: the path, relative or absolute.
@@ -84,6 +84,16 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
         names = shipped_names(kind) if kind else ()
         require_file(Path(text), suffix=suffix, names=names, beside=beside)
     return text
+
+
+def path_from(folder: Path, name_or_path: str) -> str:
+    """Return a path relative to the folder of the file that will contain it; see `place_of`.
+
+    Names of shipped files and absolute paths do not change.
+    """
+    if not is_path(name_or_path) or os.path.isabs(name_or_path):
+        return name_or_path
+    return Path(os.path.relpath(name_or_path, folder)).as_posix()
 
 
 def find_file(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
@@ -192,7 +202,7 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
 
 
 def decode_text(raw: bytes, name: str) -> str:
-    """Return the text of UTF-8 bytes without a byte order mark.
+    """Decode UTF-8 bytes and drop a byte order mark.
 
     Args:
         raw: content of a file.
