@@ -116,7 +116,7 @@ class InputFileError(InputError):
 
 
 class UnitWarning(UserWarning):
-    """A number of a robot file does not fit the others; it may be in another unit."""
+    """A number of a robot file is implausible; it may be in another unit."""
 
 
 class EngineWarning(UserWarning):
@@ -247,7 +247,7 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     for name in available:
         name_section, candidate = _split_name(name)
         closeness = _similarity(last, candidate)
-        if not section and name_section:  # the text may be the beginning of the full name
+        if not section and name_section:  # it may be the beginning of the full name
             closeness = max(closeness, _similarity(last, name.lower()))
         if closeness >= _MIN_SIMILARITY:
             similarity[name] = closeness + (0.5 * _ratio(section, name_section) if section else 0.0)

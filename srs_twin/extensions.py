@@ -88,8 +88,8 @@ FORMATS = {
     "deeplabcut": "srs_twin.recordings.formats.tables:DeepLabCut",
     "plain": "srs_twin.recordings.formats.tables:PlainCsv",
 }
-"""File formats of motion recordings (`recordings.formats.base.Format`). The first one that recognizes a file
-reads it; `plain` accepts most tables and is last."""
+"""File formats of motion recordings (`recordings.formats.base.Format`). A file is read by the first format
+that recognizes it; `plain` accepts most tables and is last."""
 
 LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
 """Functions that read and check a kind of file."""
@@ -161,7 +161,7 @@ def lazy(package: str) -> None:
     """Make a package import its public names when they are used.
 
     Its source imports them below ``TYPE_CHECKING`` as themselves (``from module import name as name``), where
-    type checkers and editors find them. This function reads the source, so that each name stands there once.
+    type checkers and editors find them. This function reads them from the source, so that each name is written once.
     """
     module = sys.modules[package]
     homes = {
@@ -240,7 +240,7 @@ sys.meta_path.append(_PluginFinder)
 
 def owners() -> dict[str, Any]:
     """Return package → installed distribution, for those that declare entry points ``srs_twin.*``."""
-    # An empty entry is the current folder, whose files may be from anybody.
+    # An empty entry is the current folder, whose files are not trusted.
     return _owners(tuple(filter(None, sys.path)))
 
 

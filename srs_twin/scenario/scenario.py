@@ -76,7 +76,7 @@ class Scenario:
     world: World
     file: ScenarioFile
     document: Mapping[str, Any] = field(repr=False)
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = field(default=(), compare=False)
     products: Mapping[str, object] = field(default_factory=dict, compare=False, repr=False)
     source: str = field(default="", compare=False)
 

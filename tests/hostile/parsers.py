@@ -37,8 +37,8 @@ from srs_twin.trajectory import Trajectory
 ROBOT = (shipped_folder("robot") / "gen2.yaml").read_bytes()
 _PRIOR = st.none() | scenarios.block(kind="normal", sd=st.floats(1e-9, 1e3), source=scenarios.TEXT)
 _RANGES = {
-    "friction.mu_t": (0.0, 10.0), "friction.mu_n": (0.0, 10.0), "actuator.tau_fill_s": (1e-6, 100.0),
-    "bending.stiffness_nm_per_rad": (1e-4, 1e6),
+    "friction.mu_t": (0.0, 10.0), "friction.mu_n": (0.0, 10.0), "actuator.tau_fill_s": (1e-3, 4.0),
+    "bending.stiffness_nm_per_rad": (4e-3, 50.0),
 }  # fmt: skip
 _ROBOT_VALUES: dict[str, Any] = {"title": scenarios.TEXT}
 for _path, (_low, _high) in _RANGES.items():

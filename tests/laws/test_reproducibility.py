@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -53,13 +54,16 @@ print(arithmetic(), hashlib.sha256(run["com_x"].tobytes() + run["heading"].tobyt
 
 @pytest.mark.slow
 def test_bits_are_independent_of_the_blas_kernel():
-    """OpenBLAS replaces kernels that the processor cannot execute, and reports the replacement's name."""
+    """OpenBLAS replaces a kernel that the processor cannot execute, or the process ends at its first use."""
     digests: dict[str, set[str]] = {}
     for kernel in ("Haswell", "SkylakeX", "Sandybridge", "Nehalem"):
         environment = {**os.environ, "OPENBLAS_CORETYPE": kernel}
         done = subprocess.run(
-            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=True
+            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=False
         )
+        if done.returncode == -signal.SIGILL:
+            continue
+        done.check_returncode()
         name, digest = done.stdout.split()
         digests.setdefault(name, set()).add(digest)
     assert len(digests) > 1, "OPENBLAS_CORETYPE selects no other kernel here"
