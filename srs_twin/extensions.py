@@ -161,7 +161,8 @@ def lazy(package: str) -> None:
     """Make a package import its public names when they are used.
 
     Its source imports them below ``TYPE_CHECKING`` as themselves (``from module import name as name``), where
-    type checkers and editors find them. This function reads them from the source, so that each name is written once.
+    type checkers and editors find them. This function reads them from the source, so that each name is
+    written once.
     """
     module = sys.modules[package]
     homes = {
