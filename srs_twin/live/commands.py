@@ -27,7 +27,7 @@ _GAP_FACTOR = 1.5
 
 def are_states(values: np.ndarray) -> bool:
     """Return whether the values of a command are valve states (−1 or 1), not duties."""
-    return bool(np.isin(values, (-1.0, 1.0)).all())
+    return bool((np.abs(values) == 1.0).all())
 
 
 def duty(values: np.ndarray) -> np.ndarray:

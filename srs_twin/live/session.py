@@ -253,6 +253,7 @@ class Session:
         self._start, self._stopped, self._slow = 0.0, False, False
         self._intervals = {work: Interval(seconds) for work, seconds in INTERVALS_S.items()}
         self._skipped = self._behind = 0.0
+        self._uncertain: set[str] = set()
         # Two threads, so that one slow task, such as a new plan, does not delay the predictions.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
@@ -296,7 +297,9 @@ class Session:
     def _submit(self, now: float) -> None:
         """Start periodic work on other threads."""
         intervals = self._intervals
-        if self.estimate is not None and self._predicting is None and intervals["predict"].is_over(now):
+        # While messages are skipped, the processor time is needed for the others.
+        can_predict = self.estimate is not None and self._predicting is None and not self._behind
+        if can_predict and intervals["predict"].is_over(now):
             self._predicting = self._pool.submit(self.shadow.prediction_task())
         if self._journal is not None and intervals["flush"].is_over(now):
             self._journal.flush()
@@ -329,7 +332,8 @@ class Session:
     def _report_clocks(self) -> None:
         """Warn of messages whose age cannot be known any more."""
         for sender, clock in self.shadow.buffer.clocks.items():
-            if clock.uncertainty > AGREEMENT_S:
+            if clock.uncertainty > AGREEMENT_S and sender not in self._uncertain:
+                self._uncertain.add(sender)
                 self._report(
                     f"{sender}: its clock was set back, or its messages take longer than before; "
                     f"their age is uncertain by {clock.uncertainty:.1f} s"

@@ -159,6 +159,7 @@ class Shadow:
             self._use(at, simultaneous)
         if self._due and now - self._due[0][0] > MOST_BEHIND_S:
             self._skip_due()
+            return not math.isnan(self.time)
         if math.isnan(self.time):
             return False
         # Do not advance the filter yet: a message for this time is expected soon.
@@ -218,7 +219,7 @@ class Shadow:
         """Give up the measurements that wait, and continue at the time of the last one."""
         newest = self._due[-1][0]
         for at, message in self._due:
-            if message.kind in (COMMAND, VALVES):
+            if message.kind in (COMMAND, VALVES) and at > newest - KEPT_S:
                 self._commands.add(at, message)
         self._due.clear()
         if math.isnan(self.time):

@@ -1,0 +1,200 @@
+"""Live twins with too little processor time: when they end, what their journals lack, what they say.
+
+    uv run python benchmarks/live_shortage.py [--shares 0.1 0.2 0.5] [--seconds 120]
+
+An emulated robot obeys a gait, and live twins listen to it. The processor time per second that one of them
+needs is measured first. Then three of them get a share of it: a process that has used its share is stopped
+until it may use more. At the end one gets SIGKILL, one SIGTERM and one the word `stop`. Needs mosquitto.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import paho.mqtt.client as mqtt
+from grid import table
+
+from srs_twin import Gait, load_robot
+from srs_twin.live.journal import journal_messages
+from srs_twin.live.messages import COMMAND, CONTROL, encode, topic
+
+SRS_TWIN = str(Path(sys.executable).with_name("srs-twin"))
+ROBOT = "gen4"
+TICK_S = 0.02
+PERIOD_S = 0.1  # longest time for which unused processor time can be saved
+CHECK_S = 0.003
+START_S = 30.0  # compiling, learning the clocks
+MEASURE_S = 20.0
+PATIENCE_S = 120.0
+
+
+def free_port() -> int:
+    """Return a port of the loopback device that nobody uses."""
+    with socket.socket() as own:
+        own.bind(("127.0.0.1", 0))
+        return int(own.getsockname()[1])
+
+
+@contextlib.contextmanager
+def broker(folder: Path, port: int) -> Iterator[None]:
+    """Run a broker while the block runs."""
+    program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
+    if program is None:
+        raise SystemExit("mosquitto is not installed")
+    settings = folder / "broker.conf"
+    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\nuser root\n")
+    process = subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL)
+    time.sleep(1.0)
+    try:
+        yield
+    finally:
+        process.kill()
+        process.wait()
+
+
+def walk(client: mqtt.Client, ended: threading.Event) -> None:
+    """Publish the commands of a gait every tick."""
+    gait = Gait(1.0)
+    gait.reset(load_robot(ROBOT), TICK_S)
+    begin = time.monotonic()
+    while not ended.wait(TICK_S):
+        now = time.monotonic()
+        valves = gait.valves_at(now - begin)
+        client.publish(topic(ROBOT, COMMAND), encode(COMMAND, now, valves.reshape(-1, *valves.shape[-2:])[0]))
+
+
+@contextlib.contextmanager
+def walking_robot(folder: Path) -> Iterator[tuple[mqtt.Client, list[str]]]:
+    """Run a broker and an emulated robot under a gait; give a client and the options of a live twin."""
+    broker_port, natnet_port = free_port(), free_port()
+    options = ["--mqtt", f"127.0.0.1:{broker_port}", "--natnet", f"127.0.0.1:{natnet_port}"]
+    with broker(folder, broker_port):
+        emulator = subprocess.Popen([SRS_TWIN, "emulate", ROBOT, *options, "--quiet"])
+        client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
+        client.connect("127.0.0.1", broker_port)
+        client.loop_start()
+        ended = threading.Event()
+        walker = threading.Thread(target=walk, args=(client, ended))
+        walker.start()
+        try:
+            yield client, options
+        finally:
+            ended.set()
+            walker.join()
+            client.loop_stop()
+            emulator.terminate()
+            emulator.wait()
+
+
+class Listener:
+    """Live twin in a process of its own, which can get less processor time than it needs.
+
+    Attributes:
+        folder: its output folder.
+        process: its process.
+    """
+
+    def __init__(self, folder: Path, options: list[str]) -> None:
+        folder.mkdir()
+        self.folder = folder
+        self._said = (folder / "said.txt").open("wb")
+        command = [SRS_TWIN, "shadow", ROBOT, *options, "--out", str(folder / "out")]
+        self.process = subprocess.Popen(command, stdout=self._said, stderr=subprocess.STDOUT)
+
+    def processor_time(self) -> float:
+        """Return the processor time of its threads so far, s."""
+        threads = Path(f"/proc/{self.process.pid}/task").glob("*/schedstat")
+        return 1e-9 * sum(int(thread.read_text().split()[0]) for thread in threads)
+
+    def throttle(self, share: float) -> None:
+        """Allow only this share of a core from now on."""
+        threading.Thread(target=self._limit, args=(share,), daemon=True).start()
+
+    def _limit(self, share: float) -> None:
+        """Stop the process whenever it has used its share, and continue it later."""
+        began, used = time.monotonic(), self.processor_time()
+        with contextlib.suppress(ProcessLookupError, FileNotFoundError):
+            while self.process.poll() is None:
+                due = self.processor_time() - used - share * (time.monotonic() - began)
+                # A process that did not get its share, because the machine is busy, does not get it later.
+                used += min(due + share * PERIOD_S, 0.0)
+                os.kill(self.process.pid, signal.SIGSTOP if due > 0 else signal.SIGCONT)
+                time.sleep(CHECK_S)
+
+    def said(self) -> str:
+        """Return what the session printed about its lateness."""
+        text = (self.folder / "said.txt").read_text("utf-8", "replace")
+        lines = [line for line in re.split(r"[\r\n]+", text) if re.search(r"skip|behind|too_old|slow", line)]
+        return "; ".join(dict.fromkeys(lines)) or "–"
+
+    def last_arrival(self) -> float:
+        """Return when the last message of the journal arrived, s."""
+        (journal,) = self.folder.rglob("*.mcap")
+        return max(message.arrived for message in journal_messages(journal, ROBOT, 4))
+
+
+def obedience(listener: Listener, asked: float) -> str:
+    """Return after which time a live twin stopped listening and its process ended.
+
+    Args:
+        listener: live twin that was asked to end.
+        asked: when it was asked, s.
+    """
+    try:
+        listener.process.wait(PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        listener.process.kill()
+        return f"more than {PATIENCE_S:.0f} s"
+    ended = time.monotonic() - asked
+    return f"{listener.last_arrival() - asked:.2f} s; {ended:.1f} s"
+
+
+def main() -> None:
+    """Print one row for each share."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.2, 0.5])
+    parser.add_argument("--seconds", type=float, default=120.0)
+    given = parser.parse_args()
+    rows = []
+    with tempfile.TemporaryDirectory() as name, walking_robot(Path(name)) as (client, options):
+        for share in given.shares:
+            listeners = [Listener(Path(name) / f"{share}-{end}", options) for end in ("kill", "term", "stop")]
+            killed, terminated, stopped = listeners
+            time.sleep(START_S)
+            used = killed.processor_time()
+            time.sleep(MEASURE_S)
+            need = (killed.processor_time() - used) / MEASURE_S
+            for listener in listeners:
+                listener.throttle(share * need)
+            time.sleep(given.seconds)
+            killed.process.kill()
+            death = time.monotonic()
+            killed.process.wait()
+            lost = death - killed.last_arrival()
+            terminated.process.terminate()
+            after_signal = obedience(terminated, time.monotonic())
+            client.publish(topic(ROBOT, CONTROL), b"stop")
+            after_word = obedience(stopped, time.monotonic())
+            said = stopped.said()
+            rows.append([f"{share:g} of {need:.2f}", after_word, after_signal, f"{lost:.2f} s", said])
+            print(rows[-1], flush=True)
+    print(
+        table(["processor", "`stop`: obeyed; ended", "SIGTERM: obeyed; ended", "journal lost", "said"], rows)
+    )
+
+
+if __name__ == "__main__":
+    main()
