@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import os
-import zipfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -29,7 +28,8 @@ from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.observed import STEP_S
 from srs_twin.envs.task import Task
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.files import atomic_write, data_root, require_file
+from srs_twin.io.files import atomic_write, data_root
+from srs_twin.io.untrusted import read_arrays
 from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint_file import load_footprint
@@ -108,17 +108,25 @@ def load_policy(name_or_path: str | os.PathLike[str]) -> NetworkPolicy:
         if path.name not in names:
             raise UnknownNameError("policy", path.name, names)
         path = data_root() / SHIPPED / f"{path.name}.npz"
-    require_file(path, suffix=".npz")
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            count = sum(key.startswith("weights_") for key in arrays)
-            layers = tuple(
-                (arrays[f"weights_{k}"].astype(float), arrays[f"biases_{k}"].astype(float))
-                for k in range(count)
+    arrays = read_arrays(path, "policy file")
+
+    def get(name: str, what: str, axes: int, kinds: str) -> np.ndarray:
+        array = arrays.get(name)
+        if array is None or array.ndim != axes or array.dtype.kind not in kinds:
+            raise InputError(
+                f"{path}: not a policy file (no {what} '{name}'); examples/train_ppo.py writes one"
             )
-            policy = NetworkPolicy(str(arrays["task"]), tuple(map(str, arrays["observations"])), layers)
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: not a policy file ({error}); examples/train_ppo.py writes one") from error
+        return array
+
+    layers = tuple(
+        (
+            get(f"weights_{k}", "matrix of numbers", 2, "fiu").astype(float),
+            get(f"biases_{k}", "vector of numbers", 1, "fiu").astype(float),
+        )
+        for k in range(sum(name.startswith("weights_") for name in arrays))
+    )
+    observations = tuple(map(str, get("observations", "list of texts", 1, "U")))
+    policy = NetworkPolicy(str(get("task", "text", 0, "U")), observations, layers)
     sizes = [len(policy.observations), *(len(biases) for _, biases in layers)]
     shapes = [weights.shape for weights, _ in layers]
     finite = all(np.isfinite(array).all() for layer in layers for array in layer)

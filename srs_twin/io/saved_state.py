@@ -37,6 +37,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, display_path
+from srs_twin.io.untrusted import read_arrays
 
 VERSION = 3
 """Version of the state format; increased when the format or the module of a saved class changes."""
@@ -44,8 +45,8 @@ VERSION = 3
 _DOCUMENT = "state"
 """Name of the JSON document in the archive."""
 
-_MAX_UNPACKED_BYTES = 256 << 20
-"""Largest unpacked size of an archive, against archives that unpack to far more than their own size."""
+_MAX_DOCUMENT = 16 << 20
+"""Largest number of characters of the JSON document."""
 
 _PACKAGE = __name__.partition(".")[0] + "."
 
@@ -221,20 +222,20 @@ class SavedState:
         Raises:
             InputError: the file cannot be read, or is not a saved state.
         """
+        arrays = read_arrays(path, "saved state")
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                unpacked = sum(member.file_size for member in archive.zip.infolist())
-                if unpacked > _MAX_UNPACKED_BYTES:
-                    raise ValueError(f"{unpacked} bytes unpacked; the limit is {_MAX_UNPACKED_BYTES}")
-                document = json.loads(str(archive[_DOCUMENT]))
-                _check_version(display_path(path), document["version"])
-                content = _decode(document["content"], archive)
-                return SavedState(document["of"], content, document["version"])
+            text = str(arrays[_DOCUMENT])
+            if len(text) > _MAX_DOCUMENT:
+                raise ValueError(f"{len(text)} characters of settings; the limit is {_MAX_DOCUMENT}")
+            document = json.loads(text)
+            _check_version(display_path(path), document["version"])
+            content = _decode(document["content"], arrays)
+            if not (isinstance(document["of"], dict) and isinstance(content, dict)):
+                raise ValueError("settings and content must be mappings")
+            return SavedState(document["of"], content, document["version"])
         except InputError:
             raise
-        except OSError as error:
-            raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
-        except Exception as error:  # damaged archives raise many kinds of errors, including those of zlib
+        except Exception as error:  # classes raise many kinds of errors if their values are wrong
             reason = f"{type(error).__name__}: {error}"
             raise InputError(f"{display_path(path)}: not a saved state ({reason})") from error
 

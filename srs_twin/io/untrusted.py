@@ -1,21 +1,29 @@
-"""Strict readers of untrusted JSON and Parquet files, with limits on size and depth.
+"""Strict readers of untrusted JSON, Parquet and NumPy files, with limits on size and depth.
 
 JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not JSON, reads ``1e999``
 as infinity, keeps the last of two equal keys, and exhausts its stack on deep nesting.
 
 Parquet: a file of 200 kB can contain a hundred million rows, so sizes in the footer are checked before data
 are read. Pages are verified against their checksums if the writer stored them, as this package does.
+
+NumPy: an archive can unpack to a thousand times its size, and the header of an array can declare any size,
+which `numpy.load` allocates.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import os
+import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import decode_text, display_path, require_file
@@ -28,6 +36,9 @@ MAX_DEPTH = 64
 
 MAX_JSON_BYTES = 64 << 20
 """Largest size of a file; a reproduction of all claims has 1 MB."""
+
+MAX_ARCHIVE_BYTES = 256 << 20
+"""Largest unpacked size of a NumPy archive."""
 
 
 def read_json(path: Path) -> Any:
@@ -232,3 +243,60 @@ def _read(file: Any) -> pyarrow.Table:
                 raise ValueError(f"column {name}: {column_error}") from error
         raise
     return table
+
+
+def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
+    """Read a NumPy archive (npz) of numbers and texts, name → array.
+
+    Args:
+        path: path of the archive.
+        what: kind of file in messages, such as "policy file".
+
+    Raises:
+        InputError: the file is missing, not readable, damaged or too large, or contains objects.
+    """
+    with require_file(path, suffix=".npz").open("rb") as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                members = archive.infolist()
+                unpacked = sum(member.file_size for member in members)
+                if unpacked > MAX_ARCHIVE_BYTES:
+                    raise ValueError(f"{unpacked} bytes unpacked; the limit is {MAX_ARCHIVE_BYTES}")
+                if any(member.compress_type not in _PACKING for member in members):
+                    raise ValueError("packed by another method than that of NumPy")
+                return {
+                    member.filename.removesuffix(".npy"): _parse_array(archive.read(member))
+                    for member in members
+                }
+        except OSError as error:
+            raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
+        # zipfile raises RuntimeError for an encrypted member.
+        except (ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise InputError(f"{display_path(path)}: not a {what} ({error})") from error
+
+
+_PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+
+
+def _parse_array(raw: bytes) -> np.ndarray:
+    """Return the array of a .npy file.
+
+    Raises:
+        ValueError: the header is damaged, or declares another size than the file has.
+    """
+    stream = io.BytesIO(raw)
+    try:
+        version = np.lib.format.read_magic(stream)
+        read_header = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, _, kind = read_header(stream)
+    # The header is parsed as Python, which raises many kinds of errors.
+    except Exception as error:
+        raise ValueError(f"the header of an array is damaged: {type(error).__name__}") from error
+    numbers = math.prod(shape)
+    stored = len(raw) - stream.tell()
+    if min(shape, default=0) < 0 or max(shape, default=0) > len(raw) or numbers * kind.itemsize != stored:
+        raise ValueError(f"an array of shape {shape} and type {kind} in {stored} bytes")
+    stream.seek(0)
+    return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import malformed_archives
 import malformed_json
 import malformed_mjcf
 import malformed_parquet
@@ -22,9 +23,11 @@ from malformed_yaml import STRUCTURE, arbitrary_values, edited, not_numbers, var
 from mjcf_server import check, raise_faults
 from pydantic import BaseModel
 
+from srs_twin.envs.policy import load_policy
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import shipped_folder
+from srs_twin.io.saved_state import SavedState
 from srs_twin.io.untrusted import read_json
 from srs_twin.plants.twin.mjcf.check import check_mjcf
 from srs_twin.robot.file import RobotFile, load_robot_file
@@ -101,6 +104,7 @@ def scenario_parser(
 
 
 S, T, P, M, J = scenarios, studies, malformed_parquet, malformed_mjcf, malformed_json
+A = malformed_archives
 PARSERS: tuple[Parser, ...] = (
     scenario_parser("scenario", S.SCENARIO, STRUCTURE + not_numbers(S.SCENARIO, "frequency_hz", "controller.frequency_hz")
                     + references("robot", "gen2", S.SCENARIO), S.SCENARIOS),
@@ -124,6 +128,10 @@ PARSERS: tuple[Parser, ...] = (
            command="models check {}", quick=lambda path: raise_faults(path, check(path))),
     Parser("JSON", ".json", J.GOOD, read_json, J.MALFORMED, J.VALUES, function="srs_twin.io.untrusted:read_json",
            round_trip=RoundTrip(J.DATA, lambda data: json.dumps(data).encode())),
+    Parser("policy", ".npz", A.archive(A.POLICY), load_policy, A.POLICY_MALFORMED, A.POLICY_VALUES,
+           function="srs_twin.envs.policy:load_policy", same=lambda one, other: repr(one) == repr(other)),
+    Parser("saved state", ".npz", A.archive(A.STATE), SavedState.read, A.STATE_MALFORMED, A.STATE_VALUES,
+           function="srs_twin.io.saved_state:SavedState.read", same=lambda one, other: repr(one) == repr(other)),
     *(Parser(name, ".csv", good, parse, malformed, tables.values(good), function=function, same=tables.same)
       for name, good, parse, malformed, function in tables.TABLES),
 )  # fmt: skip
