@@ -153,6 +153,10 @@ class TaskFailedError(SrsError):
     """Unexpected exception of a task in a worker process. Exit code 4."""
 
     def __init__(self, error: BaseException) -> None:
+        if isinstance(error, MemoryError):
+            wanted = f": {error}" if str(error) else ""
+            super().__init__(f"the memory is exhausted{wanted}; close other programs, or use fewer --workers")
+            return
         fault = (
             "This is a bug in srs-twin, not in your files: please report it with the command and your files"
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -113,7 +114,9 @@ def design(
         try:
             targets[name] = float(share.removesuffix("%") or 10) / 100
         except ValueError:
-            raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%") from None
+            targets[name] = math.nan
+        if not 0 < targets[name] < math.inf:
+            raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%")
     with interruptible("nothing was chosen"):
         plan = calibrate_design(robot, targets)
     if as_json:

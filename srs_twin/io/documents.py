@@ -7,6 +7,7 @@ documents are rejected. PyYAML's own loaders are not suitable: they have no posi
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -130,6 +131,9 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
+            elif isinstance(inner, bool | int | float) and k == 0:
+                text = f"{key}: must be a block of keys, not {json.dumps(inner)}"
+                self.problems.append((self.values[loc], text))
             data[key] = data = inner if isinstance(inner, dict | list) else {}
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)

@@ -6,10 +6,13 @@ Output folders are checked before a run starts. `file_sets` replaces several fil
 from __future__ import annotations
 
 import errno
+import functools
 import os
+import platform
 import re
 import secrets
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -274,16 +277,19 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield a temporary path that replaces ``path`` when the `with` block ends without an error.
 
     Missing folders are created. Readers of ``path`` see either the old file or the complete new one. After an
-    error the temporary file and the new folders are removed.
+    error the temporary file and the new folders are removed; a temporary file that a killed process left is
+    removed by the next writer of ``path``.
 
     Raises:
         InputError: the file cannot be written.
     """
     target = Path(path)
     # Keep the suffix at the end, because some writers choose their format by it.
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+    owner = f"{_host_digest()}-{os.getpid()}"
+    temporary = target.with_name(f".{target.stem}.{owner}-{secrets.token_hex(4)}.part{target.suffix}")
     try:
         with make_folder(target.parent):
+            _remove_abandoned(target)
             try:
                 yield temporary
                 temporary.replace(target)
@@ -293,6 +299,36 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
                     temporary.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"{display_path(target)}: cannot be written ({error.strerror or error})") from error
+
+
+@functools.cache
+def _host_digest() -> str:
+    """Return eight hexadecimal digits for this machine, whose processes alone can be examined."""
+    return f"{zlib.crc32(platform.node().encode()):08x}"
+
+
+def _remove_abandoned(target: Path) -> None:
+    """Remove the temporary files of a file that processes of this machine left when they were killed."""
+    name = re.compile(
+        rf"\.{re.escape(target.stem)}\.{_host_digest()}-(\d+)-[0-9a-f]{{8}}\.part{re.escape(target.suffix)}"
+    )
+    for entry in os.listdir(target.parent):
+        if (found := name.fullmatch(entry)) and not _is_running(int(found[1])):
+            with suppress(OSError):
+                (target.parent / entry).unlink()
+
+
+def _is_running(process: int) -> bool:
+    """Return whether a process of this machine exists."""
+    if os.name != "posix":  # a signal would end a process of Windows
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def create_numbered_file(folder: Path, name: str) -> Path:

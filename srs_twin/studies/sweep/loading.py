@@ -194,7 +194,9 @@ def changed_base(
         written: sweep or study file as plain data.
         locs: paths of the changed fields of the scenario.
     """
-    before = replace(experiment, base=scenario.document).with_fixed(written.get("fixed") or {})
+    fixed = written.get("fixed")
+    original = replace(experiment, base=scenario.document)
+    before = original.with_fixed(fixed if isinstance(fixed, dict) else {})
     return changed_fields(before, experiment.base, locs)
 
 
