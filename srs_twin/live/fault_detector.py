@@ -127,21 +127,17 @@ class FaultDetector(Stateful):
         supply: filter for the supply pressure.
         leaks: balances of air.
         naming: detected faults.
-        time: since the start, s.
+        time: since the start of the robot, s.
     """
 
     state_attributes = (
         "probability",
         "mean",
         "_covariance",
-        "_pressure",
-        "_delayed",
         "_levels",
-        "_last",
         "naming",
         "leaks",
         "supply",
-        "time",
     )
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float) -> None:
@@ -155,7 +151,7 @@ class FaultDetector(Stateful):
         self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
         count, kinds = spec.segments, len(HYPOTHESES)
         self.supply, self._gain = SupplyFilter(supply_pa), chamber_gains(spec)
-        # The initial pressures of a robot that already moves are unknown.
+        # The pressures of a robot that already moves, or that restarted, are unknown at first.
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
@@ -192,6 +188,11 @@ class FaultDetector(Stateful):
         else:
             self.probability[number - 1] = 0.0
             self.probability[number - 1, 0] = 1.0
+
+    def restart(self) -> None:
+        """Begin again with unknown pressures, as after a restart of the robot; keep all that was learnt."""
+        self.time, self._level = 0.0, math.nan
+        self.leaks.drop(np.ones(self.leaks.learnt.shape, dtype=bool))
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
         """Inflate the variance for unknown switching times of valves.

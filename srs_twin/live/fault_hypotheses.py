@@ -98,7 +98,7 @@ _LEAK_THRESHOLD = 0.99
 _LEAK_PATIENCE_S = 0.08
 """Required time for leaks, s; it may be short, because one message can decide."""
 START_S = 2.0
-"""Time after the start in which no fault is detected, s."""
+"""Time after a start of the robot in which no fault is detected, s."""
 _DOUBT = 0.5
 """Probability of no fault below which a segment is suspect."""
 _PATIENCE_FACTOR = 3.0
@@ -160,6 +160,7 @@ class FaultNaming(Stateful):
         """
         pairs = self.pairs
         if time < START_S:
+            self._since[:] = self._either_since[:] = np.inf
             return
         likely = probability @ HAS_NAME
         # Segments seldom fail together: if several are suspect, they may have a common cause.

@@ -22,6 +22,7 @@ from srs_twin.io.files import create_numbered_file, display_path
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live.clocks import AGREEMENT_S
 from srs_twin.live.estimate import Estimate, Prediction
+from srs_twin.live.fault_hypotheses import START_S
 from srs_twin.live.journal import Journal
 from srs_twin.live.links import Link, MqttLink
 from srs_twin.live.messages import (
@@ -35,7 +36,7 @@ from srs_twin.live.messages import (
     VALVES,
     Message,
 )
-from srs_twin.live.shadow import Shadow
+from srs_twin.live.shadow import LOST_AFTER_S, Shadow
 from srs_twin.live.steering import TOO_SLOW, EstimateSteering
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -286,7 +287,7 @@ class Session:
             done += 1
             if self._intervals["watch"].is_over(tick):
                 self._watch()
-                self._report_clocks()
+                self._report_robot()
             left = start + done * TICK_S - time.monotonic()
             if left > 0:
                 time.sleep(left)
@@ -329,8 +330,13 @@ class Session:
         if self._steering is not None and self._steering.begun and self._behind > TOO_SLOW_S:
             self._steering.give_up(TOO_SLOW)
 
-    def _report_clocks(self) -> None:
-        """Warn of messages whose age cannot be known any more."""
+    def _report_robot(self) -> None:
+        """Warn of interruptions, and of messages whose age cannot be known any more."""
+        if self.shadow.interruptions:
+            self._report(
+                f"interruption {self.shadow.interruptions}: the robot restarted, or was silent for more than "
+                f"{LOST_AFTER_S:g} s; no fault is detected in the {START_S:g} s after it"
+            )
         for sender, clock in self.shadow.buffer.clocks.items():
             if clock.uncertainty > AGREEMENT_S and sender not in self._uncertain:
                 self._uncertain.add(sender)

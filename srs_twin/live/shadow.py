@@ -84,6 +84,7 @@ class Shadow:
         buffer: messages that wait for earlier ones.
         time: time of the filter, our clock, s; NaN before the first message.
         skipped: duration of the messages that were skipped because the machine was too slow, s.
+        interruptions: number of times that the robot restarted, or was silent for more than `LOST_AFTER_S`.
     """
 
     def __init__(
@@ -108,7 +109,7 @@ class Shadow:
         self.buffer, self.time = ReorderBuffer(), math.nan
         self._frames = frames or {f"connector_{i}": i for i in range(1, n + 2)}
         self._due: deque[tuple[float, Message]] = deque()
-        self.skipped = 0.0
+        self.skipped, self.interruptions = 0.0, 0
         self._commands = CommandHistory(n)
         self._heard = dict.fromkeys(_KINDS, -math.inf)
         # Sending time of the last used measurement of each sender.
@@ -235,10 +236,14 @@ class Shadow:
         """Return whether a message is used; measurements at a shorter interval are skipped."""
         if message.kind not in _MEASURED:
             return True
-        last = self._used.get(message.source, -math.inf)
-        if 0 < message.sent - last < _LEAST_INTERVAL_S:
+        interval = message.sent - self._used.get(message.source, -math.inf)
+        if 0 < interval < _LEAST_INTERVAL_S:
             return False
         self._used[message.source] = message.sent
+        if message.kind != POSES and abs(interval) > LOST_AFTER_S:
+            # The stamps of a robot that restarts begin anew, and its chambers are empty.
+            self.faults.restart()
+            self.interruptions += math.isfinite(interval)
         return True
 
     def _use(self, time: float, messages: Sequence[Message]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import live_runs
 import numpy as np
 import pytest
 from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, recorded, shadowed, steered
@@ -12,7 +13,7 @@ from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, recorde
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live.clocks import ReorderBuffer
-from srs_twin.live.messages import BENDS, COMMAND, Message
+from srs_twin.live.messages import BENDS, COMMAND, POSES, Message
 from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.live.steering import LEAST_MARGIN, EstimateSteering, differences
 
@@ -169,6 +170,50 @@ def test_what_was_learnt_survives_a_restart(tmp_path):
     assert new.faults.parameters()["gain"][0] == pytest.approx(shadow.faults.parameters()["gain"][0])
     with pytest.raises(InputError, match="the saved state has other settings"):
         Shadow(load_robot("gen2"), members=8).restore(SavedState.read(tmp_path / "state.npz"))
+
+
+PAUSE_S = 3.0
+
+
+def restarted(run, pause):
+    """Yield the updates of a robot that restarts at the end of a run, and stands still for a pause (s).
+
+    The robot begins again at rest, and its stamps where they first began. The controller commands on.
+    """
+    updates = recorded(replace(run, supply="")).updates
+    yield from updates
+    then = updates[-1][0]
+    for shift, known in ((then, updates), (then + pause, recorded(run).updates)):
+        for time, messages in known:
+            if shift == then and time > pause:
+                break
+            yield (
+                time + shift,
+                [
+                    replace(
+                        each,
+                        arrived=each.arrived + shift,
+                        sent=each.sent + (shift if each.kind in (COMMAND, POSES) else 0.0),
+                    )
+                    for each in messages
+                    if shift > then or each.kind == COMMAND
+                ],
+            )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [11, 12, 13])
+@pytest.mark.parametrize(("pause", "supply"), [(0.5, ""), (PAUSE_S, ""), (PAUSE_S, "outage")])
+def test_a_restart_of_the_robot_is_not_a_fault(seed, pause, supply, monkeypatch):
+    monkeypatch.setattr(live_runs, "OUTAGE", (0.05, 1.0))
+    run = Run(seed, 5.0, supply=supply, changes_s=0.0)
+    shadow, named = Shadow(load_robot(run.robot), members=4), {}
+    for time, messages in restarted(run, pause):
+        shadow.receive(time, messages)
+        named |= {name: time for name in shadow.faults.named.values()}
+    assert named == {}
+    assert shadow.faults.supply.share > 0.9
+    assert shadow.interruptions == 1
 
 
 def test_bodies_have_names():
