@@ -225,7 +225,9 @@ class ContactObserver(Stateful):
             self._compare(None)
             return None
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
-        estimate = self._estimate(sample, k) if self._samples >= self._learnt and self._bins.all() else None
+        # Samples may be missing, but the scatter of those that are there must be known.
+        learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
+        estimate = self._estimate(sample, k) if learnt and self._samples >= self._learnt else None
         if estimate is None or estimate.score < _LEARNING_SCORE:
             self._learn(sample, k)
         return estimate if len(self._window) == self._length else None

@@ -27,6 +27,7 @@ from srs_twin.live.messages import (
     Message,
     decode,
     encode,
+    strict_json,
     topic,
 )
 from srs_twin.live.natnet import is_place
@@ -122,8 +123,7 @@ def _nanoseconds(time: float) -> int:
 
 
 def _poses(message: Message) -> bytes:
-    rows = [[value if math.isfinite(value) else None for value in row] for row in message.values.tolist()]
-    return json.dumps({"t": message.sent, "names": message.names, "poses": rows}).encode()
+    return strict_json({"t": message.sent, "names": message.names, "poses": message.values.tolist()})
 
 
 def journal_messages(

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from pydantic_core import to_json
 
 from srs_twin.live.contact_observer import ContactEstimate
 
@@ -91,17 +92,23 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
         time: time on our clock, s.
         values: as in `Message`; for `status` and `control` the text.
     """
+    content: dict[str, object]
     if isinstance(values, str):
-        return json.dumps({"t": time, "text": values}).encode()
-    if kind == BENDS:
-        axes = np.atleast_2d(np.asarray(values).T).tolist()
-        bends = ([None if math.isnan(bend) else bend for bend in axis] for axis in axes)
-        return json.dumps({"t": time, **dict(zip(_BEND_KEYS, bends, strict=False))}).encode()
-    if kind == SUPPLY:
-        return json.dumps({"t": time, "kpa": round(float(values) / _PA_PER_KPA, 6)}).encode()
-    sides = np.asarray(values, dtype=float) / (_PA_PER_KPA if kind == PRESSURES else 1.0)
-    keys = _chamber_keys(0 if sides.shape[1] == len(_SIDES) else sides.shape[1])
-    return json.dumps({"t": time, **dict(zip(keys, map(_plain, sides.T), strict=True))}).encode()
+        content = {"text": values}
+    elif kind == BENDS:
+        content = dict(zip(_BEND_KEYS, np.atleast_2d(np.asarray(values).T).tolist(), strict=False))
+    elif kind == SUPPLY:
+        content = {"kpa": round(float(values) / _PA_PER_KPA, 6)}
+    else:
+        sides = np.asarray(values, dtype=float) / (_PA_PER_KPA if kind == PRESSURES else 1.0)
+        keys = _chamber_keys(0 if sides.shape[1] == len(_SIDES) else sides.shape[1])
+        content = dict(zip(keys, map(_plain, sides.T), strict=True))
+    return strict_json({"t": time} | content)
+
+
+def strict_json(document: Mapping[str, object]) -> bytes:
+    """Return a document as JSON, which has null for every number that is not finite."""
+    return to_json(document, inf_nan_mode="null")
 
 
 def _chamber_keys(chambers: int) -> tuple[str, ...]:
@@ -114,11 +121,11 @@ def encode_contact(time: float, contact: ContactEstimate) -> bytes:
     keys: dict[str, object] = {"t": time, "touched": contact.touched, "score": contact.score}
     values = {"n": contact.force, "n_interval": contact.force_interval}
     values |= {"m": contact.place, "m_interval": contact.place_interval}
-    return json.dumps(keys | (values if contact.touched else dict.fromkeys(values))).encode()
+    return strict_json(keys | (values if contact.touched else dict.fromkeys(values)))
 
 
 def _plain(values: np.ndarray) -> list[float]:
-    return [int(value) if value == int(value) else round(value, 6) for value in values.tolist()]
+    return [int(value) if value.is_integer() else round(value, 6) for value in values.tolist()]
 
 
 def decode(

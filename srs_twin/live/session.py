@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
-from pydantic_core import from_json, to_json
+from pydantic_core import from_json
 
 from srs_twin.errors import InputError, SessionWarning
 from srs_twin.io.file_sets import replace_files
@@ -35,6 +35,7 @@ from srs_twin.live.messages import (
     STOP,
     VALVES,
     Message,
+    strict_json,
 )
 from srs_twin.live.shadow import LOST_AFTER_S, Shadow
 from srs_twin.live.steering import TOO_SLOW, EstimateSteering
@@ -127,7 +128,7 @@ def write_results(folder: Path, found: Mapping[str, object], table: EstimateTabl
     with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
         if len(table):
             table.trajectory().to_parquet(fresh / ESTIMATE)
-        (fresh / SUMMARY).write_text(json.dumps(found, indent=1) + "\n", "utf-8")
+        (fresh / SUMMARY).write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
 
 
 def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
@@ -466,8 +467,7 @@ class Session:
         }  # fmt: skip
         if self._steering is not None:
             document["following"] = self._steering.summary()
-        # JSON has no number that is not finite.
-        self._summary = from_json(to_json(document, inf_nan_mode="null"))
+        self._summary = from_json(strict_json(document))
 
     def _write(self) -> None:
         """Write the summary and the estimates."""

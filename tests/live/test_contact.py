@@ -36,6 +36,10 @@ def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fit
     assert not contact.estimate.touched
 
 
+def test_score_that_is_no_number_is_null():
+    assert json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=np.nan)))["score"] is None
+
+
 def test_message_has_null_for_force_and_place_without_a_contact():
     free = json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=2.0)))
     assert free == {"t": 1.5, "touched": False, "score": 2.0} | dict.fromkeys(

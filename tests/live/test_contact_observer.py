@@ -131,6 +131,21 @@ def test_another_gait_is_learnt_again():
     assert observer.period == PERIOD
 
 
+@pytest.mark.parametrize("period", [PERIOD, 600])
+def test_estimates_begin_after_the_noise_has_been_measured(period):
+    """Messages are missing while the observer learns, or a period is longer than the time for learning."""
+    rng, observer, scores = np.random.default_rng(3), ContactObserver(GEN2, SAMPLE_S, period), []
+    for k in range(1500):
+        if 123 < k < 700 and period == PERIOD:
+            observer.skip(1)
+            continue
+        command, pressure, _ = gait_sample(k)
+        estimate = observer.update(command, pressure, air_bend(GEN2, pressure) + 0.006 * rng.normal(size=N))
+        scores += [estimate.score] if estimate is not None else []
+    assert len(scores) > 100
+    assert np.isfinite(scores).all() and max(scores) < 6.0
+
+
 def test_missing_samples_do_not_shift_the_phase():
     results = observed(0.6, 2.0, lost=0.1)
     assert not any(result.touched for result in results[:-22] if result is not None)

@@ -17,6 +17,7 @@ from srs_twin.live.messages import (
     LARGEST_BYTES,
     PRESSURES,
     STATUS,
+    SUPPLY,
     VALVES,
     WORDS,
     BadMessageError,
@@ -45,6 +46,14 @@ def test_units_and_names_of_keys_are_the_fixed_ones():
     assert said == {"t": 0.25, "plus": [20], "minus": [0]}
     assert json.loads(encode(COMMAND, 1.0, np.array([[1, -1]]))) == {"t": 1.0, "plus": [1], "minus": [-1]}
     assert json.loads(encode(BENDS, 1.0, np.array([0.5, math.nan]))) == {"t": 1.0, "rad": [0.5, None]}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("wrong", [math.nan, math.inf])
+def test_whatever_is_sent_is_strict_json(kind, wrong):
+    values = {SUPPLY: np.array(wrong), BENDS: np.full(2, wrong), STATUS: "fine", CONTROL: "stop"}
+    payload = encode(kind, wrong, values.get(kind, np.full((2, 2), wrong)))
+    assert json.loads(payload, parse_constant=pytest.fail)["t"] is None
 
 
 def test_a_bend_that_nobody_read_is_none():
