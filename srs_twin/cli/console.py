@@ -12,6 +12,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Self
 
 from srs_twin.io.files import data_root, escape_unprintable
@@ -57,6 +58,13 @@ def say(*lines: str, quiet: bool = False) -> None:
     """
     for line in () if quiet else lines:
         print(escape_unprintable(as_started(line), keep="\n\t"), file=sys.stderr, flush=True)
+
+
+def handle_signals(handler: Callable[[int, FrameType | None], object], *signals: int) -> None:
+    """Install a handler for signals, except for those that the caller ignores, as `nohup` ignores SIGHUP."""
+    for number in signals:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, handler)
 
 
 @contextmanager

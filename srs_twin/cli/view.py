@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli.catalogue import is_robot
-from srs_twin.cli.console import ScenarioProgress
+from srs_twin.cli.console import ScenarioProgress, handle_signals
 from srs_twin.cli.options import ChangeOptions, QuietOption, argument, option
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, escape_unprintable
@@ -63,7 +63,7 @@ def _serve(recording: Path, port: int) -> None:
     """Serve a recording until an interrupt, which is the normal end."""
     from srs_twin.viewing.rerun.viewer import serve_recordings
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    handle_signals(signal.default_int_handler, signal.SIGTERM)
     try:
         with serve_recordings([recording], port) as (address, serve):
             typer.echo(address)

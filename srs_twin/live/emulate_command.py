@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from srs_twin.cli.console import say
+from srs_twin.cli.console import handle_signals, say
 from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotArgument, option, print_json
 from srs_twin.errors import InputError
 
@@ -54,8 +54,7 @@ def broker_link(
 def interruption() -> threading.Event:
     """Return an event that Ctrl-C and signals that end the process set from now on."""
     over = threading.Event()
-    for ends in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(ends, lambda *_: over.set())
+    handle_signals(lambda *_: over.set(), signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     return over
 
 

@@ -12,6 +12,7 @@ import time
 import urllib.error
 import urllib.request
 from io import BytesIO
+from pathlib import Path
 
 import browser
 import psutil
@@ -22,7 +23,7 @@ from matplotlib.image import imread
 from screenshot import screenshots
 from viewing_runs import pair, robot
 
-from srs_twin.cli.view import name_recordings
+from srs_twin.cli.view import _serve, name_recordings
 from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputError
 from srs_twin.viewing.content import RunContent
@@ -146,6 +147,21 @@ def test_page_is_served_until_interrupted(recordings, end):
     assert (started.returncode, out, said) == (0, "", "")
     with pytest.raises(urllib.error.URLError):
         OPENER.open(address, timeout=5)
+
+
+def test_page_does_not_handle_signals_that_the_caller_ignores(monkeypatch):
+    before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr("srs_twin.viewing.rerun.viewer.serve_recordings", interrupted)
+            _serve(Path("recording.rrd"), 0)
+        assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt
 
 
 def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):

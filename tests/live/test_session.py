@@ -14,11 +14,13 @@ import numpy as np
 import pytest
 from brokers import broker, free_port, needs_broker, wait
 
+from srs_twin.live.emulate_command import interruption
 from srs_twin.live.journal import journal_messages
 from srs_twin.live.links import MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS
 from srs_twin.trajectory import Trajectory
 
+ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 SCRIPT = Path(sys.executable).with_name("srs-twin")
 
 
@@ -131,6 +133,26 @@ def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_p
         assert twin.returncode == 0
         told = json.loads((tmp_path / "lab" / "shadow.json").read_text())
         assert told["following"]["ending"] == "stopped" and told["error"] is None
+
+
+@pytest.mark.parametrize("ignored", [[signal.SIGHUP], [signal.SIGINT, signal.SIGTERM], []])
+def test_a_signal_that_the_caller_ignores_ends_nothing(ignored):
+    """`nohup` ignores SIGHUP, and shells ignore SIGINT for commands in the background of a script."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in ENDINGS}
+    try:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
+        over = interruption()
+        for number in ignored:
+            signal.raise_signal(number)
+        assert not over.is_set()
+        for number in set(ENDINGS) - set(ignored):
+            signal.raise_signal(number)
+            assert over.is_set()
+            over.clear()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def hears(lab: Path, known: set[Path]) -> bool:
