@@ -28,7 +28,7 @@ from srs_twin.live.member_dynamics import STEP_S, MemberDynamics, ValveInput
 from srs_twin.live.odometry import LocalConnection, Odometry
 from srs_twin.live.pressure_table import PressureRates
 from srs_twin.pneumatics.chambers import AMBIENT_PA
-from srs_twin.robot.geometry import body_shape, relative_headings
+from srs_twin.robot.geometry import body_shape, measured_bend, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 _OUTLIER = 4.0
@@ -335,9 +335,9 @@ class EnsembleFilter:
         if not seen.any():
             return
         heading, noise = self._of("heading")[:, 0], self.noise
-        turn = poses[seen, 2] - self.poses()[:, seen, 2]
-        # The circular mean is correct even if the angles are close to ±π.
-        heading += np.arctan2(np.sin(turn).mean(axis=1), np.cos(turn).mean(axis=1))
+        turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
+        # All members turn to the same side, even if the angles are close to ±π.
+        heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
         self.members[:, :2] += (poses[seen, :2] - self.poses()[:, seen, :2]).mean(axis=1)
         draws = self._rng.normal(size=(len(self.members), 3))
         place = _PLACE_FACTOR * noise.place

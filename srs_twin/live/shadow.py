@@ -39,6 +39,7 @@ from srs_twin.live.fault_hypotheses import (
 )
 from srs_twin.live.member_dynamics import STEP_S, ValveInput
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
+from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
@@ -299,9 +300,7 @@ class Shadow:
             return
         self._missing = np.where(seen, 0, self._missing + 1)
         self._lost_markers = ~seen & (self._lost_markers | (self._missing >= MISSING_FRAMES))
-        bends = -np.diff(poses[:, 2])
-        # Bend angles are far below π, so the wrapped angle is the right one.
-        bends = np.remainder(bends + np.pi, 2 * np.pi) - np.pi
+        bends = measured_bend(poses[:-1, 2], poses[1:, 2])
         self.faults.update(markers=bends, heading_noise_scale=self.ensemble.heading_noise_scale)
         self._note_innovation(POSES, self.ensemble.update_poses(poses))
 

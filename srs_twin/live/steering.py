@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
@@ -210,6 +211,7 @@ class EstimateSteering:
         follower.conditions = replace(follower.conditions, camera=camera, delay=0.0, lag=lag)
         follower.reset(shadow.spec, self._tick, seed=self._seed)
         x, y, heading = estimate.pose
-        distance, turn = np.hypot(x - self._start.x, y - self._start.y), abs(heading - self._start.heading)
-        if distance > _NEAR_M or turn > _NEAR_RAD:
+        distance = math.hypot(x - self._start.x, y - self._start.y)
+        turn = math.remainder(heading - self._start.heading, 2 * math.pi)
+        if distance > _NEAR_M or abs(turn) > _NEAR_RAD:
             follower.renew("start")

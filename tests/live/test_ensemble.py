@@ -97,6 +97,18 @@ def test_first_frame_places_the_members():
     assert ensemble.mean("heading") == pytest.approx(turn, abs=0.02)
 
 
+@pytest.mark.parametrize("turn", [np.pi, -np.pi, 3 * np.pi])
+def test_members_are_placed_on_the_same_turn(turn):
+    ensemble = EnsembleFilter(load_robot("gen4"), members=32)
+    ensemble.predict(ValveInput(np.zeros((1, 4, 2)), np.full(4, 48e3), np.zeros((4, 2))), 0.2)
+    seen = ensemble.poses().mean(axis=0)
+    seen = np.column_stack([-seen[:, :2], seen[:, 2] + turn])
+    seen[1:] = np.nan  # the members differ in the heading of the head relative to the mean heading
+    ensemble.update_poses(seen)
+    assert ensemble.sd("heading") < 0.1
+    assert np.cos(ensemble.mean("heading") - turn) == pytest.approx(1.0, abs=0.01)
+
+
 def test_diverged_members_restart():
     ensemble = EnsembleFilter(load_robot("gen4"), members=8)
     ensemble.placed = True

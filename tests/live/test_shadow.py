@@ -4,6 +4,7 @@ steering."""
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import live_runs
 import numpy as np
@@ -242,6 +243,17 @@ def test_a_plan_without_margin_is_refused_unless_pressing_on():
             == least
         )
     assert LEAST_MARGIN > 0
+
+
+def test_heading_at_the_start_counts_modulo_whole_turns():
+    shadow, scenario = Shadow(load_robot("gen2"), members=8), load_scenario("follow_orifice")
+    x, y, heading = scenario.pose
+    for turn, renewed in ((2 * np.pi, False), (-2 * np.pi, False), (np.pi, True)):
+        steering = EstimateSteering(scenario, shadow, 0.02)
+        reasons: list[str] = []
+        steering.follower.renew = reasons.append
+        steering._begin(SimpleNamespace(pose=(x, y, heading + turn)), shadow)
+        assert bool(reasons) == renewed, turn
 
 
 def test_robots_of_equal_parts_are_equal_whatever_their_names_and_modules():
