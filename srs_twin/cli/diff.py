@@ -9,7 +9,7 @@ import typer
 
 from srs_twin.cli.console import console, new_table, say
 from srs_twin.cli.junit import TestCase, report_path, write_report
-from srs_twin.cli.options import JsonOption, argument, option, print_json
+from srs_twin.cli.options import JsonOption, argument, print_json
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -26,10 +26,10 @@ _MAX_ROWS = 40
 def diff(
     a: Annotated[str, argument("A")],
     b: Annotated[str, argument("B")],
-    rel: Annotated[float | None, option("--rel NUMBER")] = None,
-    abs_: Annotated[float | None, option("--abs NUMBER")] = None,
-    tolerances: Annotated[str | None, option("--tolerances FILE")] = None,
-    junit: Annotated[str | None, option("--junit FILE")] = None,
+    rel: float | None = None,
+    abs_: float | None = None,
+    tolerances: str | None = None,
+    junit: str | None = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare two sets of results value by value.
@@ -40,10 +40,10 @@ def diff(
     Options:
         a: Reference results: a folder or a file.
         b: Results to compare with the reference.
-        rel: Relative tolerance of all metrics. [default: 1e-6]
-        abs_: Absolute tolerance of all metrics. [default: 1e-9]
-        tolerances: YAML file with tolerances per metric (see docs/ci.md).
-        junit: Write a JUnit XML report of the differences.
+        --rel NUMBER: Relative tolerance of all metrics. [default: 1e-6]
+        --abs NUMBER: Absolute tolerance of all metrics. [default: 1e-9]
+        --tolerances FILE: YAML file with tolerances per metric (see docs/ci.md).
+        --junit FILE: Write a JUnit XML report of the differences.
     """
     from srs_twin.comparison.diff import Tolerances, diff as compare_results, load_tolerances
     from srs_twin.errors import InputError

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli.console import as_started
-from srs_twin.cli.options import JsonOption, argument, expand_option_groups, option, print_json
+from srs_twin.cli.options import Bounds, JsonOption, argument, expand_option_groups, print_json
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -22,10 +22,10 @@ app = typer.Typer(rich_markup_mode=None, no_args_is_help=True, help="MJCF models
 @expand_option_groups
 def export(
     names: Annotated[list[str] | None, argument("NAME", shipped=["robot"])] = None,
-    out: Annotated[str, option("--out DIR")] = "models",
-    contact: Annotated[str, option("--contact NAME")] = "preloaded",
-    pressure: Annotated[float, option("--pressure KPA", min=0.0, max=2000.0)] = 0.0,
-    linear: Annotated[bool, option("--linear")] = False,
+    out: str = "models",
+    contact: str = "preloaded",
+    pressure: Annotated[float, Bounds(0.0, 2000.0)] = 0.0,
+    linear: bool = False,
 ) -> None:
     """Write robots as MJCF, one folder per robot.
 
@@ -33,10 +33,10 @@ def export(
 
     Options:
         names: Robots on wheels, or their files; default all.
-        out: Output folder; each robot gets a subfolder.
-        contact: Contact model; MJCF files support only `preloaded`.
-        pressure: Highest pressure of the controls, kPa; at least the limits of the robot are used.
-        linear: Export robots with a dead zone for controls that you convert (models/README.md).
+        --out DIR: Output folder; each robot gets a subfolder.
+        --contact NAME: Contact model; MJCF files support only `preloaded`.
+        --pressure KPA: Highest pressure of the controls, kPa; at least the limits of the robot are used.
+        --linear: Export robots with a dead zone for controls that you convert (models/README.md).
     """
     from srs_twin.cli.console import say
     from srs_twin.io.files import check_output_folder, escape_unprintable

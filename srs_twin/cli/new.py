@@ -16,7 +16,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 
 from srs_twin.cli.console import launcher, say
-from srs_twin.cli.options import argument, expand_option_groups, option
+from srs_twin.cli.options import Bounds, argument, expand_option_groups, option
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.extensions import LOADERS, allow_plugin, load
 
@@ -57,22 +57,23 @@ class RobotOptions:
     """Size and kind of a robot.
 
     Options:
-        length: Body length, m. [default: generation 2]
-        mass: Mass of the whole robot, kg. [default: scaled from generation 2]
-        segments: Number of segments. [default: generation 2]
-        pressure: Supply pressure (gauge), kPa. [default: generation 2]
-        bend: Bend of one segment at the supply pressure, or of a joint, rad. [default: 1.57; joints 0.6]
-        skin: A body that slides on its belly, without wheels.
-        servo: Rigid links with servo joints, without air.
+        --length M: Body length, m. [default: generation 2]
+        --mass KG: Mass of the whole robot, kg. [default: scaled from generation 2]
+        --segments N: Number of segments. [default: generation 2]
+        --pressure KPA: Supply pressure (gauge), kPa. [default: generation 2]
+        --bend RAD: Bend of one segment at the supply pressure, or of a joint, rad. [default:
+            1.57; joints 0.6]
+        --skin: A body that slides on its belly, without wheels.
+        --servo: Rigid links with servo joints, without air.
     """
 
-    length: Annotated[float | None, option("--length M")] = None
-    mass: Annotated[float | None, option("--mass KG")] = None
-    segments: Annotated[int | None, option("--segments N", max=63)] = None
-    pressure: Annotated[float | None, option("--pressure KPA")] = None
-    bend: Annotated[float | None, option("--bend RAD")] = None
-    skin: Annotated[bool, option("--skin")] = False
-    servo: Annotated[bool, option("--servo")] = False
+    length: float | None = None
+    mass: float | None = None
+    segments: Annotated[int | None, Bounds(max=63)] = None
+    pressure: float | None = None
+    bend: float | None = None
+    skin: bool = False
+    servo: bool = False
 
     def ask(self) -> RobotSize:
         """Return the size of the robot; prompt for values that no option sets.
@@ -207,17 +208,17 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
 
 def scenario(
     name: NameArgument,
-    robot: Annotated[str, option("--robot -r ROBOT")] = "gen2",
-    frequency: Annotated[float, option("--frequency HZ")] = 1.5,
-    duration: Annotated[float, option("--duration S")] = 5.0,
+    robot: str = "gen2",
+    frequency: float = 1.5,
+    duration: float = 5.0,
     out: OutOption = None,
 ) -> None:
     """Write a scenario file: a robot, a gait and expectations.
 
     Options:
-        robot: Shipped robot or robot file.
-        frequency: Gait frequency, Hz.
-        duration: Simulated time, s.
+        --robot -r ROBOT: Shipped robot or robot file.
+        --frequency HZ: Gait frequency, Hz.
+        --duration S: Simulated time, s.
     """
     title = f"{name}: straight at {frequency:g} Hz"
     from srs_twin.scenario.loading import load_scenario
@@ -229,13 +230,13 @@ def scenario(
 
 def study(
     name: NameArgument,
-    scenario: Annotated[str, option("--scenario SCENARIO")] = "gen2_straight",
+    scenario: str = "gen2_straight",
     out: OutOption = None,
 ) -> None:
     """Write a study file: the fastest gait of a scenario.
 
     Options:
-        scenario: Shipped scenario or scenario file.
+        --scenario SCENARIO: Shipped scenario or scenario file.
     """
     check, title = load(LOADERS["study"]), f"{name}: fastest gait"
     path = _write("study.yaml", name, out, check, title=title, scenario=json.dumps(scenario))

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import wraps
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_type_hints
 
 import typer
 
@@ -31,6 +31,13 @@ def option(declaration: str, help: str | None = None, **settings: Any) -> Any:
     flags = [word for word in words if word.startswith("-")]
     metavar = " ".join(word for word in words if not word.startswith("-"))
     return typer.Option(*flags, metavar=metavar or None, help=help, **settings)
+
+
+class Bounds(NamedTuple):
+    """Smallest and largest value of an option that a docstring declares, see `expand_option_groups`."""
+
+    min: float | None = None
+    max: float | None = None
 
 
 def argument(metavar: str, help: str | None = None, *, shipped: Sequence[str] = ()) -> Any:
@@ -101,14 +108,14 @@ class ChangeOptions:
     """Options that override fields of a scenario.
 
     Options:
-        set: Override a scenario field, e.g. controller.frequency_hz=1.5 (repeatable).
-        duration: Simulated time, s.
-        seed: Random seed.
+        --set FIELD=VALUE: Override a scenario field, e.g. controller.frequency_hz=1.5 (repeatable).
+        --duration S: Simulated time, s.
+        --seed N: Random seed.
     """
 
-    set: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None
-    duration: Annotated[str | None, option("--duration S")] = None
-    seed: Annotated[str | None, option("--seed N")] = None
+    set: list[str] | None = None
+    duration: str | None = None
+    seed: str | None = None
 
     def changes(self) -> list[Override]:
         """Return the overridden fields.
@@ -137,11 +144,12 @@ def expand_option_groups(command: Callable[..., None], *, plugins: bool = False)
 
     With `plugins`, the command has the option ``--plugin``: its files may name parts from outside.
 
-    Typer supports neither groups of options nor help texts in docstrings. A parameter whose type is a
-    dataclass is therefore replaced by the fields of the dataclass, and a help text that the annotation lacks
-    is taken from the section "Options:" in the docstring of the command or of the dataclass.
+    Typer supports neither groups of options nor options in docstrings. A parameter whose type is a dataclass
+    is therefore replaced by the fields of the dataclass. The section "Options:" in the docstring of the
+    command or of the dataclass declares the options, "--out DIR: Output folder." for the parameter `out`. A
+    parameter that is annotated with `option` or `argument` only has its help text there, by its name.
     """
-    description, help_texts = _parse_docstring(command)
+    description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
     keyword = inspect.Parameter.KEYWORD_ONLY
     groups = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
@@ -152,15 +160,14 @@ def expand_option_groups(command: Callable[..., None], *, plugins: bool = False)
             members = list(inspect.signature(groups[name]).parameters.values())
             annotations = get_type_hints(groups[name], include_extras=True)
             for kind in groups[name].__mro__[:-1]:
-                help_texts |= _parse_docstring(kind)[1]
-        parameters += [
-            member.replace(kind=keyword, annotation=annotations[member.name]) for member in members
-        ]
+                options |= _parse_docstring(kind)[1]
+        for member in members:
+            annotation = _with_option(
+                annotations[member.name], *options.get(member.name.rstrip("_"), ("", ""))
+            )
+            parameters.append(member.replace(kind=keyword, annotation=annotation))
     if plugins:
         parameters.append(inspect.Parameter("plugin", keyword, default=None, annotation=PluginOption))
-    for parameter in parameters:
-        for info in getattr(parameter.annotation, "__metadata__", ()):
-            info.help = info.help or help_texts.get(parameter.name)
 
     @wraps(command)
     def run(**values: Any) -> None:
@@ -175,8 +182,20 @@ def expand_option_groups(command: Callable[..., None], *, plugins: bool = False)
     return run
 
 
-def _parse_docstring(documented: object) -> tuple[str, dict[str, str]]:
-    """Return a docstring without its section "Options:", and the help text of each option in it."""
+def _with_option(annotation: Any, declaration: str, text: str) -> Any:
+    """Return the annotation of a parameter with its option, or with the help text of its option."""
+    (info,) = getattr(annotation, "__metadata__", (None,))
+    if declaration.startswith("-"):
+        return Annotated[annotation, option(declaration, text, **(info._asdict() if info else {}))]
+    if info is not None:
+        info.help = info.help or text
+    return annotation
+
+
+def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
+    """Return a docstring without its section "Options:", and parameter → declaration and help text."""
     description, _, section = (inspect.getdoc(documented) or "").partition("\n\nOptions:\n")
-    entries = re.findall(r"^ {4}(\w+): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
-    return description, {name: " ".join(text.split()) for name, text in entries}
+    entries = re.findall(r"^ {4}((?:--)?([\w-]+).*?): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    return description, {
+        name.replace("-", "_"): (declaration, " ".join(text.split())) for declaration, name, text in entries
+    }

@@ -286,14 +286,14 @@ def compare(
     strict: StrictOption = False,
     junit: JunitOption = None,
     quiet: QuietOption = False,
-    explain: Annotated[bool, option("--explain")] = False,
+    explain: bool = False,
     changed: ChangeOptions = NO_CHANGES,
     as_json: JsonOption = False,
 ) -> None:
     """Run a scenario on both plants and measure the difference.
 
     Options:
-        explain: Attribute the difference to modelling assumptions.
+        --explain: Attribute the difference to modelling assumptions.
     """
     run_all(
         make_cases([scenario]),
@@ -310,12 +310,12 @@ def compare(
 
 def run(
     scenarios: Annotated[list[str], argument("SCENARIO", shipped=["scenario"])],
-    out: Annotated[str | None, option("--out DIR")] = None,
+    out: str | None = None,
     check: CheckOption = False,
     strict: StrictOption = False,
     junit: JunitOption = None,
     jobs: JobsOption = None,
-    plants: Annotated[str | None, option("--plants LIST")] = None,
+    plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -324,8 +324,8 @@ def run(
 
     Options:
         scenarios: Shipped scenarios, scenario files, or folders of files.
-        out: Output folder; several scenarios get one subfolder each. [default: runs/SCENARIO]
-        plants: Plants to run: analytical, twin, or both separated by a comma. [default: those of the
+        --out DIR: Output folder; several scenarios get one subfolder each. [default: runs/SCENARIO]
+        --plants LIST: Plants to run: analytical, twin, or both separated by a comma. [default: those of the
             scenario]
     """
     run_all(

@@ -16,7 +16,7 @@ import typer
 
 from srs_twin.cli.catalogue import is_robot
 from srs_twin.cli.console import ScenarioProgress, handle_signals
-from srs_twin.cli.options import ChangeOptions, QuietOption, argument, option
+from srs_twin.cli.options import Bounds, ChangeOptions, QuietOption, argument
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, escape_unprintable
 
@@ -31,15 +31,15 @@ if TYPE_CHECKING:
 
 def view(
     runs: Annotated[list[str], argument("RUN")],
-    web: Annotated[bool, option("--web")] = False,
-    port: Annotated[int | None, option("--port N", min=1, max=65535)] = None,
+    web: bool = False,
+    port: Annotated[int | None, Bounds(1, 65535)] = None,
 ) -> None:
     """Open recordings of runs in Rerun.
 
     Options:
         runs: Run folders, recordings, or names of folders in runs/; several are shown side by side.
-        web: Serve the viewer to a browser on this machine until Ctrl-C.
-        port: TCP port of the web viewer. [default: free]
+        --web: Serve the viewer to a browser on this machine until Ctrl-C.
+        --port N: TCP port of the web viewer. [default: free]
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
@@ -112,7 +112,7 @@ def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
 
 def play(
     name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
-    set_: Annotated[list[str] | None, option("--set FIELD=VALUE")] = None,
+    set_: list[str] | None = None,
 ) -> None:
     """Play a scenario, or steer a robot by keyboard, in MuJoCo.
 
@@ -122,7 +122,7 @@ def play(
 
     Options:
         name: Shipped scenario or robot, or a scenario or robot file.
-        set_: Override a field, e.g. robot.friction.mu_t=0.1 (repeatable).
+        --set FIELD=VALUE: Override a field, e.g. robot.friction.mu_t=0.1 (repeatable).
     """
     from srs_twin.scenario.modified import changes_text
 
@@ -182,32 +182,32 @@ _MAX_SIDE_PX = 4096
 
 def render(
     runs: Annotated[list[str], argument("RUN")],
-    video: Annotated[str | None, option("--video FILE.mp4")] = None,
-    image: Annotated[str | None, option("--image t=2.5")] = None,
-    strobe: Annotated[bool, option("--strobe")] = False,
-    ghost: Annotated[bool, option("--ghost")] = False,
-    out: Annotated[str | None, option("--out FILE.png")] = None,
-    size: Annotated[str, option("--size WxH")] = "1280x720",
-    fps: Annotated[int, option("--fps N", min=1, max=120)] = 30,
-    speed: Annotated[float, option("--speed X", min=0.001, max=1000)] = 1.0,
-    from_: Annotated[float | None, option("--from S")] = None,
-    to: Annotated[float | None, option("--to S")] = None,
+    video: str | None = None,
+    image: str | None = None,
+    strobe: bool = False,
+    ghost: bool = False,
+    out: str | None = None,
+    size: str = "1280x720",
+    fps: Annotated[int, Bounds(1, 120)] = 30,
+    speed: Annotated[float, Bounds(0.001, 1000)] = 1.0,
+    from_: float | None = None,
+    to: float | None = None,
     quiet: QuietOption = False,
 ) -> None:
     """Render a video or image of finished runs with MuJoCo.
 
     Options:
         runs: Run folders, or names of folders in runs/.
-        video: Output video; with several runs, output folder.
-        image: Render an image at this time, s.
-        strobe: Render several times in one image from above.
-        ghost: Also draw the analytical model, translucently.
-        out: Output image; with several runs, output folder. [default: the run's folder]
-        size: Width and height, pixels; --strobe uses the width only.
-        fps: Frame rate of the video, Hz.
-        speed: Playback speed of the video; 0.25: slow motion.
-        from_: Start of the video or of the strobe picture, s. [default: start of the run]
-        to: End of the video or of the strobe picture, s. [default: end of the run]
+        --video FILE.mp4: Output video; with several runs, output folder.
+        --image t=2.5: Render an image at this time, s.
+        --strobe: Render several times in one image from above.
+        --ghost: Also draw the analytical model, translucently.
+        --out FILE.png: Output image; with several runs, output folder. [default: the run's folder]
+        --size WxH: Width and height, pixels; --strobe uses the width only.
+        --fps N: Frame rate of the video, Hz.
+        --speed X: Playback speed of the video; 0.25: slow motion.
+        --from S: Start of the video or of the strobe picture, s. [default: start of the run]
+        --to S: End of the video or of the strobe picture, s. [default: end of the run]
     """
     _check_options(video, image, strobe=strobe, ghost=ghost, out=out, is_cut=(from_, to) != (None, None))
     from srs_twin.viewing.mujoco.opengl import usable_opengl

@@ -11,6 +11,7 @@ import typer
 
 from srs_twin.cli.console import console, interruptible, new_table, say
 from srs_twin.cli.options import (
+    Bounds,
     FloorOption,
     JsonOption,
     OverwriteOption,
@@ -18,7 +19,6 @@ from srs_twin.cli.options import (
     RobotArgument,
     argument,
     expand_option_groups,
-    option,
     print_json,
 )
 from srs_twin.errors import InputError
@@ -61,8 +61,8 @@ def friction(
     files: FilesArgument,
     robot: RobotOption,
     validate: ValidateOption = None,
-    law: Annotated[str, option("--law NAME")] = "wheel",
-    wheel_inertia: Annotated[bool, option("--wheel-inertia/--no-wheel-inertia")] = True,
+    law: str = "wheel",
+    wheel_inertia: bool = True,
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
@@ -71,8 +71,8 @@ def friction(
     Pulls are a table of spring deformations, measured with a spring car; coasting tests are recordings.
 
     Options:
-        law: Friction law of coasting tests: wheel, axis or ellipse (skids).
-        wheel_inertia: Include the rotational inertia of the wheels in coasting tests.
+        --law NAME: Friction law of coasting tests: wheel, axis or ellipse (skids).
+        --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels in coasting tests.
     """
     output = FitOutput.from_options(context, "friction", robot, fit)
     from srs_twin.identification.calibration import calibrate_friction
@@ -95,7 +95,7 @@ def friction(
 @with_options
 def design(
     robot: RobotArgument,
-    want: Annotated[str, option("--want NAMES")],
+    want: str,
     as_json: JsonOption = False,
 ) -> None:
     """Choose the recordings for a requested accuracy.
@@ -103,7 +103,7 @@ def design(
     Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait runs.
 
     Options:
-        want: Parameters and target half-widths of their 95 % intervals, e.g.
+        --want NAMES: Parameters and target half-widths of their 95 % intervals, e.g.
             friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     from srs_twin.identification.design import calibrate_design
@@ -143,8 +143,8 @@ def actuator(
     data: DataOptions,
     find: FindOption = None,
     offset: OffsetOption = None,
-    static: Annotated[bool, option("--static")] = False,
-    starts: Annotated[int, option("--starts N", min=1, max=100)] = 1,
+    static: bool = False,
+    starts: Annotated[int, Bounds(1, 100)] = 1,
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
@@ -153,8 +153,8 @@ def actuator(
     Data are recordings of step responses, or tables or recordings of constant pressures (gains only).
 
     Options:
-        static: Fit plateaus of constant pressure in recordings, and write them to NAME.table.csv.
-        starts: Number of searches.
+        --static: Fit plateaus of constant pressure in recordings, and write them to NAME.table.csv.
+        --starts N: Number of searches.
     """
     output = FitOutput.from_options(context, "actuator", data.robot, fit)
     from srs_twin.identification.calibration import calibrate_actuator
@@ -185,11 +185,11 @@ def locomotion(
     files: FilesArgument,
     data: DataOptions,
     find: FindOption = _LOCOMOTION,
-    plant: Annotated[str, option("--plant NAME")] = "analytical",
-    model: Annotated[str | None, option("--model NAME")] = None,
+    plant: str = "analytical",
+    model: str | None = None,
     law: FloorOption = None,
-    against: Annotated[str, option("--against WHAT")] = "both",
-    starts: Annotated[int | None, option("--starts N", min=1, max=100)] = None,
+    against: str = "both",
+    starts: Annotated[int | None, Bounds(1, 100)] = None,
     frequency: FrequencyOption = None,
     offset: OffsetOption = None,
     markers: ReadingOptions = _DEFAULT_READING,
@@ -200,10 +200,10 @@ def locomotion(
     If there are markers, the rigid gap (or the length of a segment) is measured from them.
 
     Options:
-        plant: Simulated plant: analytical or twin.
-        model: Analytical model. [default: compliant]
-        against: Compared signals: averages, shapes or both.
-        starts: Number of searches. [default: 3; 1 with the twin's shapes]
+        --plant NAME: Simulated plant: analytical or twin.
+        --model NAME: Analytical model. [default: compliant]
+        --against WHAT: Compared signals: averages, shapes or both.
+        --starts N: Number of searches. [default: 3; 1 with the twin's shapes]
     """
     output = FitOutput.from_options(context, "locomotion", data.robot, fit)
     from srs_twin.identification.calibration import calibrate_locomotion
@@ -230,9 +230,9 @@ def locomotion(
 @with_options
 def robot(
     fits: Annotated[list[str], argument("FIT")],
-    name: Annotated[str, option("--name NAME")],
-    out: Annotated[str | None, option("--out FILE.yaml")] = None,
-    weak: Annotated[bool, option("--weak/--no-weak")] = True,
+    name: str,
+    out: str | None = None,
+    weak: bool = True,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -241,9 +241,9 @@ def robot(
 
     Options:
         fits: Fit files of one robot; later ones override earlier ones.
-        name: Name of the new robot and its file.
-        out: Robot file. [default: robots/NAME.yaml]
-        weak: Include weakly identified parameters.
+        --name NAME: Name of the new robot and its file.
+        --out FILE.yaml: Robot file. [default: robots/NAME.yaml]
+        --weak/--no-weak: Include weakly identified parameters.
     """
     from srs_twin.identification.fitted_robot import calibrate_robot
 

@@ -67,14 +67,14 @@ class FitOptions:
     """Output files of a fit, and how it is reported.
 
     Options:
-        name: Name of the fit and its file. [default: ROBOT_WHAT]
-        out: Fit file. [default: calibration/fits/NAME.yaml]
-        overwrite: Replace an existing fit that another command wrote.
+        --name NAME: Name of the fit and its file. [default: ROBOT_WHAT]
+        --out FILE.yaml: Fit file. [default: calibration/fits/NAME.yaml]
+        --overwrite: Replace an existing fit that another command wrote.
     """
 
-    name: Annotated[str | None, option("--name NAME")] = None
-    out: Annotated[str | None, option("--out FILE.yaml")] = None
-    overwrite: Annotated[bool, option("--overwrite")] = False
+    name: str | None = None
+    out: str | None = None
+    overwrite: bool = False
     quiet: QuietOption = False
     as_json: JsonOption = False
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 from srs_twin.cli.console import RunCounter, console, interruptible, new_table, say
 from srs_twin.cli.options import (
     NO_CHANGES,
+    Bounds,
     ChangeOptions,
     JobsOption,
     JsonOption,
@@ -18,7 +19,6 @@ from srs_twin.cli.options import (
     RobotArgument,
     ScenarioArgument,
     jobs_option,
-    option,
     parse_plants,
     print_json,
 )
@@ -36,20 +36,20 @@ FOOTPRINTS = "calibration/footprints"
 
 def footprint(
     robot: RobotArgument,
-    controller: Annotated[str, option("--controller NAME")] = "gait",
-    frequency: Annotated[float | None, option("--frequency HZ")] = None,
+    controller: str = "gait",
+    frequency: float | None = None,
     pressure: PressureOption = None,
-    target: Annotated[float, option("--target RAD")] = 0.7,
-    plant: Annotated[str, option("--plant NAME")] = "twin",
-    contact: Annotated[str | None, option("--contact NAME")] = None,
-    chambers: Annotated[str, option("--chambers NAME")] = "lag",
-    offsets: Annotated[str | None, option("--offsets LIST")] = None,
-    transients: Annotated[bool, option("--transients/--no-transients")] = True,
-    periods: Annotated[int, option("--periods N")] = 6,
-    phases: Annotated[int, option("--phases N")] = 4,
+    target: float = 0.7,
+    plant: str = "twin",
+    contact: str | None = None,
+    chambers: str = "lag",
+    offsets: str | None = None,
+    transients: bool = True,
+    periods: int = 6,
+    phases: int = 4,
     threads: Annotated[int | None, jobs_option("--threads -j N")] = None,
-    out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
-    name: Annotated[str | None, option("--name NAME")] = None,
+    out: str = FOOTPRINTS,
+    name: str | None = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -59,18 +59,18 @@ def footprint(
     With --transients, the area swept during changes of offset is measured as well.
 
     Options:
-        controller: Controller: gait (open loop) or ilc (learning).
-        frequency: Gait frequency. [default: 2, ilc 1.5]
-        target: Target bend amplitude of ilc, rad.
-        plant: Simulated plant: twin or analytical.
-        contact: Contact of the twin, loaded or preloaded. [default: the twin's]
-        chambers: Pneumatic model: lag, or orifice for compressible flow.
-        offsets: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
-        transients: Also measure changes of offset.
-        periods: Measured gait periods of each run.
-        phases: Runs per offset, with different initial phases.
-        out: Output folder.
-        name: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
+        --controller NAME: Controller: gait (open loop) or ilc (learning).
+        --frequency HZ: Gait frequency. [default: 2, ilc 1.5]
+        --target RAD: Target bend amplitude of ilc, rad.
+        --plant NAME: Simulated plant: twin or analytical.
+        --contact NAME: Contact of the twin, loaded or preloaded. [default: the twin's]
+        --chambers NAME: Pneumatic model: lag, or orifice for compressible flow.
+        --offsets LIST: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
+        --transients/--no-transients: Also measure changes of offset.
+        --periods N: Measured gait periods of each run.
+        --phases N: Runs per offset, with different initial phases.
+        --out DIR: Output folder.
+        --name NAME: Name of the footprint and its file. [default: ROBOT_CONTROLLER]
     """
     from srs_twin.robot.file import load_robot
 
@@ -108,10 +108,10 @@ def footprint(
 
 def margin(
     scenario: ScenarioArgument,
-    runs: Annotated[int, option("--runs N", min=20, max=10_000)] = 100,
-    plants: Annotated[str | None, option("--plants LIST")] = None,
+    runs: Annotated[int, Bounds(20, 10_000)] = 100,
+    plants: str | None = None,
     jobs: JobsOption = None,
-    out: Annotated[str, option("--out DIR")] = FOOTPRINTS,
+    out: str = FOOTPRINTS,
     changes: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -122,9 +122,9 @@ def margin(
     file, from which planner.margin_probability derives a margin.
 
     Options:
-        runs: Number of runs on each plant.
-        plants: Plants: analytical, twin or both. [default: the scenario's]
-        out: Output folder of the footprint file.
+        --runs N: Number of runs on each plant.
+        --plants LIST: Plants: analytical, twin or both. [default: the scenario's]
+        --out DIR: Output folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
     from srs_twin.planning.footprint_file import excursion_quantile, load_footprint_file

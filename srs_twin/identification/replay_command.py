@@ -18,7 +18,6 @@ from srs_twin.cli.options import (
     QuietOption,
     StrictOption,
     argument,
-    option,
     parse_plants,
 )
 from srs_twin.cli.run import RUNS_FOLDER, failing_verdicts, run_all
@@ -30,22 +29,22 @@ _DEFAULT_READING = ReadingOptions()
 
 def replay(
     motion: Annotated[str, argument("MOTION")],
-    robot: Annotated[str, option("--robot -r ROBOT")],
-    valves: Annotated[str | None, option("--valves LOG")] = None,
-    fit: Annotated[list[str] | None, option("--fit FIT")] = None,
-    expect: Annotated[str | None, option("--expect FILE.yaml")] = None,
+    robot: str,
+    valves: str | None = None,
+    fit: list[str] | None = None,
+    expect: str | None = None,
     check: CheckOption = False,
     strict: StrictOption = False,
-    bench: Annotated[bool, option("--bench")] = False,
+    bench: bool = False,
     pressure: PressureOption = None,
-    plants: Annotated[str, option("--plants LIST")] = "analytical,twin",
-    model: Annotated[str, option("--model NAME")] = "complete",
+    plants: str = "analytical,twin",
+    model: str = "complete",
     law: FloorOption = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
     markers: ReadingOptions = _DEFAULT_READING,
     changed: ChangeOptions = NO_CHANGES,
-    out: Annotated[str | None, option("--out DIR")] = None,
+    out: str | None = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -56,14 +55,14 @@ def replay(
 
     Options:
         motion: Motion capture, or bends on a bench.
-        robot: Shipped robot or robot file.
-        valves: Log of valves or pressures. [default: NAME.valves.csv in the same folder]
-        fit: Fit file of this robot (repeatable).
-        expect: File of expectations, as in a scenario: `expect: …`.
-        bench: Robot (or single module) on a bench, clamped at its head, instead of on the floor.
-        plants: Plants: analytical, twin or both.
-        model: Model of the analytical plant.
-        out: Output folder. [default: runs/MOTION]
+        --robot -r ROBOT: Shipped robot or robot file.
+        --valves LOG: Log of valves or pressures. [default: NAME.valves.csv in the same folder]
+        --fit FIT: Fit file of this robot (repeatable).
+        --expect FILE.yaml: File of expectations, as in a scenario: `expect: …`.
+        --bench: Robot (or single module) on a bench, clamped at its head, instead of on the floor.
+        --plants LIST: Plants: analytical, twin or both.
+        --model NAME: Model of the analytical plant.
+        --out DIR: Output folder. [default: runs/MOTION]
     """
     from srs_twin.identification.replay import replay_scenario
     from srs_twin.io.files import results_name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -17,7 +17,6 @@ from srs_twin.cli.options import (
     OneOutOption,
     QuietOption,
     ScenarioArgument,
-    option,
 )
 from srs_twin.cli.run import RUNS_FOLDER
 from srs_twin.io.files import display_path
@@ -30,8 +29,8 @@ if TYPE_CHECKING:
 def plan(
     scenario: ScenarioArgument,
     out: OneOutOption = None,
-    check: Annotated[bool, option("--check")] = False,
-    search: Annotated[bool, option("--search")] = False,
+    check: bool = False,
+    search: bool = False,
     changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -39,8 +38,8 @@ def plan(
     """Plan the path of a scenario without simulating it.
 
     Options:
-        check: Exit with 1 if an expectation of the plan fails or no plan is found.
-        search: Also write a picture and a recording of the explored and rejected arcs.
+        --check: Exit with 1 if an expectation of the plan fails or no plan is found.
+        --search: Also write a picture and a recording of the explored and rejected arcs.
     """
     from srs_twin.cli.table import STATE_LABELS
     from srs_twin.planning.planned import PLAN, plan_scenario

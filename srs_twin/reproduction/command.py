@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.junit import TestCase, write_report
-from srs_twin.cli.options import JobsOption, JsonOption, QuietOption, option
+from srs_twin.cli.options import JobsOption, JsonOption, QuietOption
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,14 +31,14 @@ _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
 
 def reproduce(
-    only: Annotated[list[str] | None, option("--only ID")] = None,
-    quick: Annotated[bool, option("--quick")] = False,
-    out: Annotated[Path, option("--out DIR")] = OUT,
+    only: list[str] | None = None,
+    quick: bool = False,
+    out: Path = OUT,
     jobs: JobsOption = None,
-    no_figures: Annotated[bool, option("--no-figures")] = False,
-    write_baseline: Annotated[bool, option("--write-baseline")] = False,
-    scorecard: Annotated[bool, option("--scorecard")] = False,
-    others: Annotated[bool, option("--others")] = False,
+    no_figures: bool = False,
+    write_baseline: bool = False,
+    scorecard: bool = False,
+    others: bool = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -47,13 +47,13 @@ def reproduce(
     The command runs what the claims need, judges every row, and compares the verdicts with the baseline.
 
     Options:
-        only: Name of a row, or a prefix of several names, e.g. gen3 (repeatable).
-        quick: Judge only the rows with short runs, laws first.
-        out: Output folder, which also stores finished runs.
-        no_figures: Omit the figures and their runs.
-        write_baseline: Write the verdicts as the new baseline.
-        scorecard: Print only the credibility grades according to NASA-STD-7009, without any run.
-        others: Print only predicted and published motion of robots that others built, without any run.
+        --only ID: Name of a row, or a prefix of several names, e.g. gen3 (repeatable).
+        --quick: Judge only the rows with short runs, laws first.
+        --out DIR: Output folder, which also stores finished runs.
+        --no-figures: Omit the figures and their runs.
+        --write-baseline: Write the verdicts as the new baseline.
+        --scorecard: Print only the credibility grades according to NASA-STD-7009, without any run.
+        --others: Print only predicted and published motion of robots that others built, without any run.
     """
     if others:
         _print_others(as_json=as_json)

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from srs_twin.cli.console import as_started
-from srs_twin.cli.options import JsonOption, option, print_json
+from srs_twin.cli.options import JsonOption, print_json
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 
 def doctor(
-    out: Annotated[str, option("--out DIR")] = "runs",
+    out: str = "runs",
     as_json: JsonOption = False,
 ) -> None:
     """Check the installation and this machine, with remedies.
 
     Options:
-        out: Output folder to check for write access and disk space.
+        --out DIR: Output folder to check for write access and disk space.
     """
     from srs_twin.cli.doctor.checks import failed_checks
     from srs_twin.cli.doctor.examination import run_checks

@@ -12,7 +12,6 @@ from srs_twin.cli.options import (
     JsonOption,
     QuietOption,
     argument,
-    option,
     print_json,
 )
 from srs_twin.studies.sweep.command import DEFAULT_STUDY, StudyOptions
@@ -30,7 +29,7 @@ _MAX_COLUMNS = 6
 
 def optimize(
     name: Annotated[str, argument("STUDY", shipped=["study"])],
-    out: Annotated[str | None, option("--out DIR")] = None,
+    out: str | None = None,
     options: StudyOptions = DEFAULT_STUDY,
     changed_fields: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
@@ -43,7 +42,7 @@ def optimize(
 
     Options:
         name: Shipped study or study file.
-        out: Output folder. [default: runs/studies/STUDY]
+        --out DIR: Output folder. [default: runs/studies/STUDY]
     """
     runner = options.make_engine()
     from srs_twin.studies.optimization.loading import load_study

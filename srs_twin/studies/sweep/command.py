@@ -16,7 +16,6 @@ from srs_twin.cli.options import (
     QuietOption,
     argument,
     jobs_option,
-    option,
     parse_plants,
     print_json,
 )
@@ -44,15 +43,15 @@ class StudyOptions:
     """Options of commands that run many points.
 
     Options:
-        engine: Engine for the runs: local, ray, or warp (twins on an accelerator).
-        address: Address of a Ray cluster, or Warp device, e.g. cuda:0. [default: local]
-        changed: Resume in a folder of another version; keep the rows that still apply.
+        --engine NAME: Engine for the runs: local, ray, or warp (twins on an accelerator).
+        --address HOST:PORT: Address of a Ray cluster, or Warp device, e.g. cuda:0. [default: local]
+        --changed: Resume in a folder of another version; keep the rows that still apply.
     """
 
-    engine: Annotated[str, option("--engine NAME")] = "local"
+    engine: str = "local"
     workers: Annotated[int | None, jobs_option("--workers N")] = None
-    address: Annotated[str | None, option("--address HOST:PORT")] = None
-    changed: Annotated[bool, option("--changed")] = False
+    address: str | None = None
+    changed: bool = False
 
     def make_engine(self) -> Engine:
         """Return the engine; raises as `studies.sweep.execution.make_engine`."""
@@ -71,11 +70,11 @@ DEFAULT_STUDY = StudyOptions()
 
 def sweep(
     name: Annotated[str, argument("SWEEP", shipped=["sweep"])],
-    out: Annotated[str | None, option("--out DIR")] = None,
+    out: str | None = None,
     study: StudyOptions = DEFAULT_STUDY,
-    retry_failed: Annotated[bool, option("--retry-failed")] = False,
-    without: Annotated[list[str] | None, option("--without FIELD=VALUE")] = None,
-    plants: Annotated[str | None, option("--plants LIST")] = None,
+    retry_failed: bool = False,
+    without: list[str] | None = None,
+    plants: str | None = None,
     changed_fields: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -86,10 +85,10 @@ def sweep(
 
     Options:
         name: Shipped sweep or sweep file.
-        out: Output folder. [default: runs/sweeps/SWEEP]
-        retry_failed: Run failed points again.
-        without: Leave out the points with this value (repeatable).
-        plants: Plants: analytical, twin or both. [default: the sweep's]
+        --out DIR: Output folder. [default: runs/sweeps/SWEEP]
+        --retry-failed: Run failed points again.
+        --without FIELD=VALUE: Leave out the points with this value (repeatable).
+        --plants LIST: Plants: analytical, twin or both. [default: the sweep's]
     """
     runner = study.make_engine()
     from srs_twin.scenario.modified import marked

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
+    Bounds,
     ChangeOptions,
     JsonOption,
     QuietOption,
     ScenarioArgument,
-    option,
     parse_plants,
     print_json,
 )
@@ -34,14 +34,14 @@ _NOTHING = 5e-4
 
 def uncertainty(
     scenario: ScenarioArgument,
-    out: Annotated[str | None, option("--out DIR")] = None,
-    plants: Annotated[str | None, option("--plants LIST")] = None,
-    samples: Annotated[int, option("--samples N", min=16, max=65536)] = 2048,
-    twin: Annotated[int, option("--twin N", min=16, max=65536)] = 64,
-    without: Annotated[list[str] | None, option("--without NAME")] = None,
-    form: Annotated[list[str] | None, option("--form FIELD=A,B")] = None,
+    out: str | None = None,
+    plants: str | None = None,
+    samples: Annotated[int, Bounds(16, 65536)] = 2048,
+    twin: Annotated[int, Bounds(16, 65536)] = 64,
+    without: list[str] | None = None,
+    form: list[str] | None = None,
     options: StudyOptions = DEFAULT_STUDY,
-    write: Annotated[bool, option("--write")] = False,
+    write: bool = False,
     changes: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -52,13 +52,13 @@ def uncertainty(
     causes and suggests what to measure next. An interrupted study resumes in the same folder.
 
     Options:
-        out: Output folder. [default: runs/uncertainty/SCENARIO]
-        plants: Plants: analytical, twin or both. [default: the scenario's]
-        samples: Number of robots drawn from the distributions.
-        twin: Number of runs of the twin, if the model compliant runs all samples.
-        without: Parameter to keep at its value in the robot file, e.g. friction.drag_n (repeatable).
-        form: Equally likely values of a field, e.g. pneumatics.kind=lag,orifice (repeatable).
-        write: Write the intervals to calibration/intervals, for expectations.
+        --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
+        --plants LIST: Plants: analytical, twin or both. [default: the scenario's]
+        --samples N: Number of robots drawn from the distributions.
+        --twin N: Number of runs of the twin, if the model compliant runs all samples.
+        --without NAME: Parameter to keep at its value in the robot file, e.g. friction.drag_n (repeatable).
+        --form FIELD=A,B: Equally likely values of a field, e.g. pneumatics.kind=lag,orifice (repeatable).
+        --write: Write the intervals to calibration/intervals, for expectations.
     """
     runner = options.make_engine()
     from srs_twin.scenario.loading import load_scenario
