@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     )
     from srs_twin.plants.twin.snake import TwinSnake as TwinSnake
     from srs_twin.recordings.inspection import inspect as inspect
+    from srs_twin.reproduction.reproduce import reproduce as reproduce
     from srs_twin.robot.file import load_robot as load_robot
     from srs_twin.robot.spec import RobotSpec as RobotSpec
     from srs_twin.rollout import (

@@ -131,6 +131,17 @@ def test_uncertainty_gives_the_document_of_the_command(command, place, capsys):
         found.keep()
 
 
+def test_claims_have_the_verdicts_of_the_command(command, place, capsys):
+    seen = []
+    found = srs.reproduce(["eq33", "actuator-90"], figures=False, progress=lambda *each: seen.append(each))
+    assert files(place) == {"small.yaml"} and capsys.readouterr() == ("", "")
+    assert [(part, row is None) for part, _, row in seen] == [("runs", True)] + [("runs", False)] * seen[0][1]
+    printed = command("reproduce --only eq33 --only actuator-90 --no-figures --out out --json")
+    verdicts = {row.claim.id: row.outcomes["alone"].verdict for row in found.rows}
+    assert verdicts == {row["id"]: row["outcomes"]["alone"]["verdict"] for row in printed["rows"]}
+    assert list(found.changes) == printed["changed_from_baseline"]
+
+
 def test_a_plan_is_that_of_the_command(command, place, capsys):
     found = srs.plan_scenario("follow_fig57", set={"seed": 3})
     assert files(place) == {"small.yaml"} and capsys.readouterr() == ("", "")
@@ -260,6 +271,7 @@ def test_a_footprint_is_that_of_its_file(place, capsys):
         (lambda: srs.calibrate_margin("gen2_straight"), "planner"),
         (lambda: srs.calibrate_footprint("gen2", supply_pa=48.3, frequency_hz=9), "frequency 9 Hz"),
         (lambda: srs.diff("nowhere", "nowhere"), "nowhere"),
+        (lambda: srs.reproduce(["table88"]), "unknown claim 'table88'; did you mean"),
     ],
 )
 def test_wrong_names_have_the_messages_of_the_commands(call, words):

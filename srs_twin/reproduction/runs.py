@@ -22,6 +22,7 @@ from srs_twin.io.files import check_output_folder, shipped_folder
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import digest_of, run_key, source_digests, versions
+from srs_twin.studies.sweep.execution import Progress, quiet
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
 from srs_twin.studies.sweep.store import RowStore
@@ -32,9 +33,6 @@ Document = dict[str, Any]
 
 DocumentChange = Callable[[Document], Document]
 """Function that changes a scenario document; tests inject faults with it."""
-
-ProgressFactory = Callable[[int], Callable[[Row], None]]
-"""Function called with the number of missing runs; returns a function to call with each finished row."""
 
 
 @dataclass(frozen=True)
@@ -173,17 +171,18 @@ class RunStore:
     def run(
         self,
         jobs: Iterable[ReproductionJob],
+        part: str = "runs",
         *,
         workers: int | None = None,
-        progress: ProgressFactory | None = None,
+        progress: Progress = quiet,
     ) -> None:
         """Run missing jobs and store each result as it finishes; an error gives a failed row.
 
         Args:
             jobs: jobs from `jobs`.
+            part: name of these jobs for `progress`.
             workers: number of processes; default: one per processor.
-            progress: called with the number of missing jobs, if there are any; returns a function that is
-                called with each row.
+            progress: function that follows the missing jobs, if there are any.
 
         Raises:
             InputError: a row cannot be stored.
@@ -194,7 +193,7 @@ class RunStore:
         missing.sort(key=lambda job: job.steps, reverse=True)
         if not missing:
             return
-        on_row = progress(len(missing)) if progress is not None else None
+        progress(part, len(missing), None)
         start_server("srs_twin.studies.sweep.warm")
 
         def keep(row: Row) -> None:
@@ -202,8 +201,7 @@ class RunStore:
                 self._rows[row.key] = row
             else:
                 self._failures[row.key] = row.reason or "it failed"
-            if on_row is not None:
-                on_row(row)
+            progress(part, len(missing), row)
 
         finished = run_tasks(run_job, missing, workers=workers)
         self._store.collect(finished, [job.key for job in missing], keep)

@@ -16,8 +16,9 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import data_root, display_path, write_text
 from srs_twin.io.untrusted import read_json
 from srs_twin.reproduction.claims import TRACES, Cause, Claim, Measure
-from srs_twin.reproduction.runs import ProgressFactory, ReproductionJob, RunStore
+from srs_twin.reproduction.runs import ReproductionJob, RunStore
 from srs_twin.scenario.provenance import versions
+from srs_twin.studies.sweep.execution import Progress, quiet
 
 MET: Final = "met"
 EXPLAINED: Final = "explained"
@@ -236,7 +237,7 @@ def judge(
     store: RunStore,
     *,
     workers: int | None = None,
-    progress: ProgressFactory | None = None,
+    progress: Progress = quiet,
 ) -> tuple[JudgedClaim, ...]:
     """Run and judge claims; then run variants with switched assumptions that may explain missed claims.
 
@@ -244,8 +245,7 @@ def judge(
         claims: claims.
         store: store of runs.
         workers: number of processes; default: one per processor.
-        progress: called with the number of missing runs before each round; returns a function that is called
-            with each finished row.
+        progress: function that follows the missing runs of each round.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.

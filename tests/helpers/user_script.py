@@ -45,7 +45,7 @@ def commands(fits: list[str], folder: str) -> None:
     for fit in (srs.calibrate_friction, srs.calibrate_actuator, srs.calibrate_locomotion):
         print(fit(["walk.csv"], "gen2").estimate)
     print(srs.calibrate_design("gen2", {"friction.mu_t": 0.05}), srs.calibrate_margin("follow_fig57"))
-    print(srs.calibrate_footprint("gen2").offsets)
+    print(srs.calibrate_footprint("gen2").offsets, srs.reproduce(quick=True).changes)
 
 
 spec = srs.load_robot("gen2")

@@ -14,7 +14,7 @@ from reproduction import judged_claims, markdown, replace_between, table
 
 from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
-from srs_twin.reproduction.command import _short_text
+from srs_twin.reproduction.printing import _short_text
 from srs_twin.reproduction.report import TITLES, by_category, count_verdicts
 from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
 

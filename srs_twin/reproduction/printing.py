@@ -1,0 +1,89 @@
+"""Printed results of `srs-twin reproduce`: verdicts, credibility grades, and robots that others built."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from srs_twin.cli.options import print_json
+from srs_twin.identification.fitting import print_table
+from srs_twin.reproduction.claims import load_claims
+from srs_twin.reproduction.others import load_predicted_quantities
+from srs_twin.reproduction.report import (
+    FACTORS,
+    TITLES,
+    UNVALIDATED,
+    by_category,
+    error_text,
+    number_text,
+    outcome_text,
+    published_text,
+    scorecard,
+    summary_line,
+    verdict_text,
+)
+from srs_twin.reproduction.verdicts import JudgedClaim, Outcome, load_baseline
+
+_FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
+
+
+def print_scorecard(*, as_json: bool) -> None:
+    """Print the grades of all capabilities and their reasons."""
+    grades = scorecard(load_claims(), load_baseline())
+    if as_json:
+        print_json(
+            {name: {factor: asdict(grade) for factor, grade in row.items()} for name, row in grades.items()}
+        )
+        return
+    for name, row in grades.items():
+        lines = (
+            (factor, str(row[factor].grade), row[factor].why.removesuffix(f"; {UNVALIDATED}"))
+            for factor in FACTORS
+        )
+        print_table((name, "grade", "because"), lines, left=(0, 2))
+    print(f"Grades 0 to 4 after NASA-STD-7009. Everything here is {UNVALIDATED}.")
+
+
+def print_others(*, as_json: bool) -> None:
+    """Print the predicted and published motion of robots that others built."""
+    rows = load_predicted_quantities()
+    if as_json:
+        print_json({"robots": [row.document() for row in rows]})
+        return
+    compared = [row for row in rows if row.published is not None]
+    headings = ("robot", "quantity", "95 % interval", "published", "result")
+    print_table(headings, (row.cells() for row in compared), left=(0, 1, 4))
+    for robot in dict.fromkeys(row.robot for row in compared):
+        first = next(row for row in compared if row.robot == robot)
+        commits = [commit or "(none)" for commit in (first.prediction_commit, first.comparison_commit)]
+        print(f"{robot}: predicted in commit {commits[0]}, compared in commit {commits[1]}")
+    print("known: before the prediction; simulated: by the builders of the robot")
+    print(f"{len(rows) - len(compared)} predicted quantities without a published value: --json")
+
+
+def print_rows(rows: Sequence[JudgedClaim]) -> None:
+    """Print a line per row, by category with the headline first, and the numbers of rows that are met."""
+    print(_FORMAT.format("row", "published", "analytical", "twin", "error", "verdict"))
+    for name, category_rows in by_category(rows).items():
+        if category_rows:
+            print(f"\n{TITLES[name]}")
+        for row in category_rows:
+            twin = row.outcomes.get("twin")
+            first = row.outcomes.get("analytical") or row.outcomes.get("alone")
+            published, error = published_text(row.claim), error_text(row.claim, twin or first)
+            verdict = verdict_text(row) + (" (fitted)" if name == "fit" else "")
+            print(
+                _FORMAT.format(row.claim.id, published, _short_text(first), _short_text(twin), error, verdict)
+            )
+    print(f"\n{summary_line(rows)}")
+
+
+def _short_text(outcome: Outcome | None) -> str:
+    """Return an outcome in at most 11 characters; for an ordering its first and last value."""
+    if outcome is None:
+        return ""
+    text = outcome_text(outcome)
+    if len(text) <= 11:
+        return text
+    first, last = (f"{float(number_text(outcome.values[k])):.2g}" for k in (0, -1))
+    return f"{first}…{last}"

@@ -1,0 +1,96 @@
+"""`reproduce`: judge the dissertation's claims on both plants, and write the report."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from matplotlib.figure import Figure
+
+from srs_twin.cli.junit import TestCase, write_report
+from srs_twin.errors import InputError
+from srs_twin.io.arguments import checked
+from srs_twin.io.file_sets import replace_files
+from srs_twin.io.files import StrPath, folder_or_temporary
+from srs_twin.reproduction import verdicts
+from srs_twin.reproduction.claims import Claim, load_claims, select_claims
+from srs_twin.reproduction.figures import FigureEntry, draw_figures, figure_jobs, load_figures
+from srs_twin.reproduction.report import outcome_text, write_html, write_json
+from srs_twin.reproduction.runs import HTML, JSON, JUNIT, open_store
+from srs_twin.reproduction.verdicts import MET, JudgedClaim, Outcome, judge, load_baseline
+from srs_twin.studies.sweep.execution import Progress, quiet
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """Claims with their verdicts.
+
+    Attributes:
+        rows: judged claims.
+        changes: verdicts that differ from the baseline, as text.
+    """
+
+    rows: tuple[JudgedClaim, ...]
+    changes: tuple[str, ...]
+
+
+@checked
+def reproduce(
+    only: Sequence[str] = (),
+    *,
+    quick: bool = False,
+    out: StrPath | None = None,
+    workers: int | None = None,
+    figures: bool = True,
+    write_baseline: bool = False,
+    progress: Progress = quiet,
+) -> Reproduction:
+    """Judge the dissertation's claims on both plants, as `srs-twin reproduce`.
+
+    Args:
+        only: names of rows, or prefixes of several names; default: all rows.
+        quick: whether only the rows with short runs are judged.
+        out: output folder, which also stores finished runs; None: nothing is kept.
+        workers: number of parallel runs; None: one per processor.
+        figures: whether the figures are drawn.
+        write_baseline: whether the verdicts become the new baseline.
+        progress: function that follows the runs.
+
+    Raises:
+        InputError: there is no such row, or the folder cannot be used.
+    """
+    if write_baseline and (only or quick):
+        raise InputError("--write-baseline needs all rows; remove --only and --quick")
+    claims = select_claims(load_claims(), tuple(only), quick=quick)
+    drawn: list[tuple[FigureEntry, Figure]] = []
+    with folder_or_temporary(out) as folder, open_store(folder) as store:
+        rows = judge(claims, store, workers=workers, progress=progress)
+        if figures:
+            entries = load_figures()
+            if not (only or quick):
+                jobs = figure_jobs(entries, store)
+                store.run(jobs, "runs for figures", workers=workers, progress=progress)
+            drawn = list(draw_figures(entries, store))
+        if write_baseline:
+            verdicts.write_baseline(rows)
+        changes = load_baseline().changes(rows)
+        with replace_files(folder, (JSON, HTML, JUNIT)) as fresh:
+            write_report(fresh / JUNIT, "srs-twin reproduce", _test_suites(rows))
+            write_html(fresh / HTML, rows, drawn, changes)
+            write_json(fresh / JSON, rows, changes)
+    return Reproduction(rows, tuple(changes))
+
+
+def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCase]]]:
+    """Yield a test suite per use, with a test case per row and column; missed or explained is a failure."""
+
+    def test_case(claim: Claim, column: str, outcome: Outcome) -> TestCase:
+        if outcome.verdict == MET:
+            return TestCase(claim.id, column)
+        message = f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed}"
+        text = "\n".join([claim.says, claim.source, outcome.why])
+        return TestCase(claim.id, column, 0.0, "failure", message, outcome.verdict, text)
+
+    for use in dict.fromkeys(row.claim.use for row in rows):
+        suite = [row for row in rows if row.claim.use == use]
+        yield use, [test_case(row.claim, *outcome) for row in suite for outcome in row.outcomes.items()]
