@@ -26,9 +26,10 @@ from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.extensions import reading
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Override, dump_yaml
+from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import (
+    StrPath,
     check_output_folder,
     data_root,
     display_path,
@@ -382,7 +383,7 @@ class ComparedRuns(Comparison):
 
 @checked
 def compare(
-    reference: Trajectory | Scenario | str | os.PathLike[str],
+    reference: Trajectory | Scenario | StrPath,
     candidate: Trajectory | None = None,
     *,
     set: Mapping[str, object] | None = None,
@@ -453,10 +454,10 @@ def check_run(scenario: Scenario, out: Path) -> None:
 
 @checked
 def run_scenario(
-    scenario: str | os.PathLike[str] | Scenario,
-    out: str | os.PathLike[str] | None = None,
+    scenario: StrPath | Scenario,
+    out: StrPath | None = None,
     *,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    set: Overrides = (),
     plants: Sequence[str] | None = None,
     progress: Progress | None = None,
     explain: Explain | None = None,

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.arguments import checked
-from srs_twin.io.files import display_path, require_file
+from srs_twin.io.files import StrPath, display_path, require_file
 from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
@@ -66,7 +66,7 @@ class Tolerances(Tolerance):
         return next((self.metrics[name] for name in tolerance_names(metric) if name in self.metrics), self)
 
 
-def load_tolerances(path: str | os.PathLike[str]) -> Tolerances:
+def load_tolerances(path: StrPath) -> Tolerances:
     """Load a tolerances file.
 
     Raises:
@@ -145,8 +145,8 @@ def _json_value(value: object) -> object:
 
 @checked
 def diff(
-    a: str | os.PathLike[str] | Results,
-    b: str | os.PathLike[str] | Results,
+    a: StrPath | Results,
+    b: StrPath | Results,
     tolerances: Tolerances | None = None,
 ) -> Difference:
     """Compare two sets of results, as `srs-twin diff`.
@@ -189,7 +189,7 @@ def tolerance_names(metric: str) -> tuple[str, str, str]:
     return metric, without_plant, _NUMBERED.sub("", without_plant)
 
 
-def read_results(path: str | os.PathLike[str]) -> Results:
+def read_results(path: StrPath) -> Results:
     """Read the results of `run`, `compare`, `replay`, `sweep` or `reproduce`.
 
     Args:

@@ -28,7 +28,7 @@ from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.observed import STEP_S
 from srs_twin.envs.task import Task
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.files import atomic_write, data_root
+from srs_twin.io.files import StrPath, atomic_write, data_root
 from srs_twin.io.untrusted import read_arrays
 from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
@@ -84,7 +84,7 @@ class NetworkPolicy:
         indices = [names.index(name) for name in self.observations]
         return lambda observation: self(np.asarray(observation)[indices])
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: StrPath) -> None:
         """Write the policy as an npz file, weights in single precision."""
         arrays: dict[str, np.ndarray] = {
             "task": np.array(self.task), "observations": np.array(self.observations)
@@ -95,7 +95,7 @@ class NetworkPolicy:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
 
-def load_policy(name_or_path: str | os.PathLike[str]) -> NetworkPolicy:
+def load_policy(name_or_path: StrPath) -> NetworkPolicy:
     """Load a policy by path, or a shipped one by name ("goto").
 
     Raises:

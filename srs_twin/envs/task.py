@@ -18,8 +18,9 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from srs_twin.envs.variation import Path, Ranges, Robot, Variation
+from srs_twin.envs.variation import Ranges, Robot, Variation
 from srs_twin.errors import DivergedError, InputError, UnknownNameError, check_choice, count_steps
+from srs_twin.io.files import StrPath
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
@@ -178,7 +179,7 @@ class Task(ABC):
         robot: Robot,
         limit_s: float,
         *,
-        fit: Path | None = None,
+        fit: StrPath | None = None,
         ranges: Ranges | None = None,
         rewards: Mapping[str, float] | None = None,
         observations: Sequence[str] | None = None,

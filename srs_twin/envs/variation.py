@@ -19,11 +19,11 @@ from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.io.documents import Document
+from srs_twin.io.files import StrPath
 from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.spec import RobotSpec
 
-Path = str | os.PathLike[str]
-Robot = Path | Mapping[str, Any]
+Robot = StrPath | Mapping[str, Any]
 Ranges = Mapping[str, tuple[float, float]]
 
 _SEED_COUNT = 2**32
@@ -45,7 +45,7 @@ class Variation:
     ranges: Ranges = field(default_factory=dict)
 
     @classmethod
-    def load(cls, robot: Robot, fit: Path | None = None, ranges: Ranges | None = None) -> Variation:
+    def load(cls, robot: Robot, fit: StrPath | None = None, ranges: Ranges | None = None) -> Variation:
         """Load the variation of a robot.
 
         Args:

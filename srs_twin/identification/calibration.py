@@ -50,15 +50,15 @@ from srs_twin.identification.static_tables import (
 )
 from srs_twin.io.arguments import checked
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import check_file_name, path_from
+from srs_twin.io.files import StrPath, check_file_name, path_from
 from srs_twin.recordings.formats import UnknownFormatError
 from srs_twin.recordings.takes import RecordingReader, logs_of
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.provenance import versions
 
-Paths = Sequence[str | os.PathLike[str]]
-Robot = str | os.PathLike[str] | RobotSpec
+Paths = Sequence[StrPath]
+Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
 """Function called with a note about each recording, before the search."""
 
@@ -130,7 +130,7 @@ def calibrate_friction(
     law: str = "wheel",
     wheel_inertia: bool = True,
     reader: RecordingReader = _READER,
-    out: str | os.PathLike[str] | None = None,
+    out: StrPath | None = None,
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
@@ -187,7 +187,7 @@ def calibrate_actuator(
     static: bool = False,
     starts: int = 1,
     reader: RecordingReader = _READER,
-    out: str | os.PathLike[str] | None = None,
+    out: StrPath | None = None,
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
@@ -250,7 +250,7 @@ def calibrate_locomotion(
     against: str = "both",
     starts: int | None = None,
     reader: RecordingReader = _READER,
-    out: str | os.PathLike[str] | None = None,
+    out: StrPath | None = None,
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:

@@ -17,7 +17,6 @@ the difference between `compliant` and the twin, however long the run is.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -30,6 +29,7 @@ from srs_twin.errors import InputError
 from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.identification.priors import Priors
 from srs_twin.io.arguments import checked
+from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
@@ -231,7 +231,7 @@ class ExperimentDesign:
 
 
 @checked
-def calibrate_design(robot: str | os.PathLike[str], want: Mapping[str, float]) -> ExperimentDesign:
+def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDesign:
     """Choose the recordings for a requested accuracy, as `srs-twin calibrate design`.
 
     Args:

@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from srs_twin.compute.workers import run_tasks
 from srs_twin.errors import InputError
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Override
-from srs_twin.io.files import check_output_folder, find_file, read_text
+from srs_twin.io.documents import Override, Overrides
+from srs_twin.io.files import StrPath, check_output_folder, find_file, read_text
 from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import ENDINGS, Follower
 from srs_twin.planning.footprint_file import LOST_M, ExcursionsFile, load_footprint_file, save_footprint
@@ -128,10 +126,10 @@ NO_MARGIN = Override("a margin to be measured", ("planner", "margin_probability"
 
 @checked
 def calibrate_margin(
-    scenario: str | os.PathLike[str] | Scenario,
+    scenario: StrPath | Scenario,
     *,
-    out: str | os.PathLike[str] | None = None,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    out: StrPath | None = None,
+    set: Overrides = (),
     runs: int = 100,
     plants: Sequence[str] | None = None,
     workers: int | None = None,

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +22,7 @@ from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.estimate import FitEstimate, Parameter, Role, Verdict
 from srs_twin.identification.parameters import parameter_unit
 from srs_twin.io.documents import Loc, dump_yaml
-from srs_twin.io.files import require_file, write_text
+from srs_twin.io.files import StrPath, require_file, write_text
 from srs_twin.io.validation import StrictModel, load_model
 from srs_twin.robot.sourced import bounded
 from srs_twin.trajectory import HtmlResult, Trajectory
@@ -322,7 +321,7 @@ def fit_file(estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any) ->
     )
 
 
-def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
+def write_fit(file: FitFile, path: StrPath) -> Path:
     """Write a fit file atomically.
 
     Raises:
@@ -332,7 +331,7 @@ def write_fit(file: FitFile, path: str | os.PathLike[str]) -> Path:
     return Path(path)
 
 
-def load_fit(path: str | os.PathLike[str]) -> FitFile:
+def load_fit(path: StrPath) -> FitFile:
     """Load and validate a fit file.
 
     Raises:

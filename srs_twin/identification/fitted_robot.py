@@ -20,7 +20,7 @@ from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
 from srs_twin.identification.parameters import free_parameters, is_parameter, with_values
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, dump_yaml
-from srs_twin.io.files import check_output_folder, display_path, write_text
+from srs_twin.io.files import StrPath, check_output_folder, display_path, write_text
 from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
 from srs_twin.robot.sections import SPREAD_KEYS
 from srs_twin.robot.sourced import split_unit
@@ -182,9 +182,7 @@ def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
     return source if len(source) <= 1000 else source[:997] + "..."
 
 
-def merge_overrides(
-    fits: Sequence[str | os.PathLike[str]], *, base: str | None = None, weak: bool = True
-) -> dict[str, Any]:
+def merge_overrides(fits: Sequence[StrPath], *, base: str | None = None, weak: bool = True) -> dict[str, Any]:
     """Return the robot block of a scenario with the results of several fits.
 
     Args:
@@ -219,7 +217,7 @@ def merge_overrides(
     return block
 
 
-def fitted_robot(fits: Sequence[str | os.PathLike[str]], name: str, *, weak: bool = True) -> RobotFile:
+def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> RobotFile:
     """Return a complete robot: the base of the fits with their results.
 
     Args:
@@ -242,10 +240,10 @@ def fitted_robot(fits: Sequence[str | os.PathLike[str]], name: str, *, weak: boo
 
 @checked
 def calibrate_robot(
-    fits: Sequence[str | os.PathLike[str]],
+    fits: Sequence[StrPath],
     name: str,
     *,
-    out: str | os.PathLike[str] | None = None,
+    out: StrPath | None = None,
     weak: bool = True,
     overwrite: bool = False,
 ) -> RobotFile:
@@ -274,7 +272,7 @@ def calibrate_robot(
     return robot
 
 
-def write_robot(robot: RobotFile, path: str | os.PathLike[str]) -> None:
+def write_robot(robot: RobotFile, path: StrPath) -> None:
     """Write a robot file atomically.
 
     Raises:

@@ -19,7 +19,7 @@ from srs_twin.identification.footprint import (
 )
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.arguments import checked
-from srs_twin.io.files import check_file_name, check_output_folder, display_path, read_text
+from srs_twin.io.files import StrPath, check_file_name, check_output_folder, display_path, read_text
 from srs_twin.planning.footprint import Transient
 from srs_twin.planning.footprint_file import FootprintFile, TransientFile, save_footprint
 from srs_twin.robot.file import load_robot
@@ -74,9 +74,9 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
 
 @checked
 def calibrate_footprint(
-    robot: str | os.PathLike[str] | RobotSpec,
+    robot: StrPath | RobotSpec,
     *,
-    out: str | os.PathLike[str] | None = None,
+    out: StrPath | None = None,
     name: str | None = None,
     overwrite: bool = False,
     controller: str = "gait",

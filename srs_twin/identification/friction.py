@@ -21,7 +21,6 @@ velocity in that direction is set to 0.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,6 +40,7 @@ from srs_twin.identification.estimate import (
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles, trajectory_hash
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
+from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.recordings.body.trajectories import moving_slope
 from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_table
@@ -173,7 +173,7 @@ PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 """First line of a table of pulls."""
 
 
-def is_pull_table(path: str | os.PathLike[str]) -> bool:
+def is_pull_table(path: StrPath) -> bool:
     """Return whether the first line of a file names a column of pulls.
 
     Raises:
@@ -186,7 +186,7 @@ def is_pull_table(path: str | os.PathLike[str]) -> bool:
     )
 
 
-def read_pull_table(path: str | os.PathLike[str]) -> Pulls:
+def read_pull_table(path: StrPath) -> Pulls:
     """Read a table of pulls.
 
     Raises:

@@ -12,8 +12,8 @@ from typing import Any
 from srs_twin.errors import InputError
 from srs_twin.identification.fitted_robot import merge_overrides
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Document, Override
-from srs_twin.io.files import require_file, results_name
+from srs_twin.io.documents import Document, Overrides
+from srs_twin.io.files import StrPath, require_file, results_name
 from srs_twin.io.validation import load_model
 from srs_twin.plants.base import TICK_S
 from srs_twin.recordings.recording_map import read_map
@@ -32,13 +32,13 @@ _BENCH_RECORD_HZ = 1000
 
 @checked
 def replay_scenario(
-    motion: str | os.PathLike[str],
-    robot: str | os.PathLike[str],
+    motion: StrPath,
+    robot: StrPath,
     *,
     recording: Mapping[str, Any] = MappingProxyType({}),
-    set: Mapping[str, Any] | Sequence[Override] = (),
-    fits: Sequence[str | os.PathLike[str]] = (),
-    expect: str | os.PathLike[str] | None = None,
+    set: Overrides = (),
+    fits: Sequence[StrPath] = (),
+    expect: StrPath | None = None,
     bench: bool = False,
     supply_pa: float | None = None,
     plants: Sequence[str] | None = None,
@@ -86,7 +86,7 @@ def replay_scenario(
     return parse_scenario(document, name="replay", set=set)
 
 
-def _load_robot(robot: str | os.PathLike[str], fits: Sequence[str | os.PathLike[str]]) -> RobotFile:
+def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
     """Return a robot with the results of fits."""
     if not fits:
         return load_robot_file(robot)
@@ -118,7 +118,7 @@ def _plants(names: Sequence[str] | None, model: str, law: str | None, bench: boo
     return {name: settings[name] for name in names or settings}
 
 
-def _expectations(path: str | os.PathLike[str]) -> list[Any]:
+def _expectations(path: StrPath) -> list[Any]:
     """Return the expectations of a file.
 
     Raises:

@@ -22,7 +22,6 @@ it is assumed to be common to all frames, such as by marker offsets, and is not 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -43,7 +42,7 @@ from srs_twin.identification.estimate import FitEstimate, Residual, Role, correl
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import free_parameters, per_segment, with_values
-from srs_twin.io.files import write_text
+from srs_twin.io.files import StrPath, write_text
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.csv_table import first_line_names, read_table
 from srs_twin.recordings.recorded_file import read_file
@@ -237,7 +236,7 @@ def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
     return StaticTable(", ".join(table.name for table in tables), array_hash(*arrays), *arrays)
 
 
-def write_static_table(table: StaticTable, path: str | os.PathLike[str]) -> None:
+def write_static_table(table: StaticTable, path: StrPath) -> None:
     """Write a table as a file for `read_static_table`, at full precision."""
     points, segments = table.bend.shape
     header = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
@@ -248,7 +247,7 @@ def write_static_table(table: StaticTable, path: str | os.PathLike[str]) -> None
     write_text(path, "\n".join([",".join(header), *lines, ""]))
 
 
-def is_static_table(path: str | os.PathLike[str]) -> bool:
+def is_static_table(path: StrPath) -> bool:
     """Return whether the first line of a file names bends but no time, as a static table does.
 
     Raises:
@@ -259,7 +258,7 @@ def is_static_table(path: str | os.PathLike[str]) -> bool:
     return not has_time and any(name.startswith("bend_") for name in names)
 
 
-def read_static_table(path: str | os.PathLike[str], spec: RobotSpec) -> StaticTable:
+def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     """Read a static table.
 
     Raises:

@@ -78,11 +78,15 @@ class Override:
         return cls(label, loc, parse_yaml(value, label).data)
 
     @classmethod
-    def list_of(cls, changes: Mapping[str, Any] | Sequence[Override]) -> Sequence[Override]:
+    def list_of(cls, changes: Overrides) -> Sequence[Override]:
         """Return overrides that are given as dotted field → value, or as a list already."""
         if not isinstance(changes, Mapping):
             return changes
         return [cls(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
+
+
+Overrides = Mapping[str, Any] | Sequence[Override]
+"""Overrides, or the dotted names of the fields → their values."""
 
 
 @dataclass

@@ -22,6 +22,9 @@ from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 MAX_BYTES = 64 * 1024
 """Largest size of a hand-written file, bytes; a larger file is probably the wrong one."""
 
+StrPath = str | os.PathLike[str]
+"""Path as users give it."""
+
 _FOLDERS = {
     "robot": "calibration/robots",
     "footprint": "calibration/footprints",
@@ -99,7 +102,7 @@ def path_from(folder: Path, name_or_path: str) -> str:
     return Path(os.path.relpath(name_or_path, folder)).as_posix()
 
 
-def find_file(kind: str, name_or_path: str | os.PathLike[str]) -> Path:
+def find_file(kind: str, name_or_path: StrPath) -> Path:
     """Return the path of a file that is given by its path or by the name of a shipped file.
 
     A text with a slash or with the suffix .yaml or .yml is a path, relative to the current folder. Any other
@@ -164,7 +167,7 @@ def _escape(character: str) -> str:
     return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(character)[1:-1]
 
 
-def check_printable(argument: str | os.PathLike[str]) -> None:
+def check_printable(argument: StrPath) -> None:
     """Check that a path or an argument of a command can be written to the result files, UTF-8 YAML.
 
     Raises:
@@ -247,7 +250,7 @@ def remove_empty_folders(folders: Iterable[Path]) -> None:
 
 
 @contextmanager
-def folder_or_temporary(folder: str | os.PathLike[str] | None) -> Iterator[Path]:
+def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
     """Yield an output folder; without one, a temporary folder that is removed after the `with` block."""
     if folder is not None:
         yield Path(folder)
@@ -273,7 +276,7 @@ def make_folder(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_write(path: StrPath) -> Iterator[Path]:
     """Yield a temporary path that replaces ``path`` when the `with` block ends without an error.
 
     Missing folders are created. Readers of ``path`` see either the old file or the complete new one. After an
@@ -357,7 +360,7 @@ def create_numbered_file(folder: Path, name: str) -> Path:
             return path
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
+def write_text(path: StrPath, text: str) -> None:
     """Write a text file atomically.
 
     Raises:

@@ -23,7 +23,7 @@ from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, Loc, dump_yaml
-from srs_twin.io.files import find_file, write_text
+from srs_twin.io.files import StrPath, find_file, write_text
 from srs_twin.io.validation import StrictModel, load_model
 from srs_twin.planning.footprint import COLUMNS, Footprint, Transient, find_problems
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
@@ -255,7 +255,7 @@ class FootprintFile(StrictModel):
             yield (_KEYS[name], "value"), message
 
 
-def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
+def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
     """Load and check a footprint file, given by a shipped name (gen4_table8) or a path.
 
     Raises:
@@ -265,7 +265,7 @@ def load_footprint_file(name_or_path: str | os.PathLike[str]) -> FootprintFile:
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
-def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
+def load_footprint(name_or_path: StrPath) -> Footprint:
     """Load a footprint, given by a shipped name (gen4_table8) or a path.
 
     Raises:
@@ -274,7 +274,7 @@ def load_footprint(name_or_path: str | os.PathLike[str]) -> Footprint:
     return load_footprint_file(name_or_path).footprint()
 
 
-def save_footprint(file: FootprintFile, path: str | os.PathLike[str], *, header: Sequence[str] = ()) -> None:
+def save_footprint(file: FootprintFile, path: StrPath, *, header: Sequence[str] = ()) -> None:
     """Write a footprint file atomically.
 
     Args:

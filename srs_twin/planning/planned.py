@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Override
+from srs_twin.io.documents import Overrides
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import check_output_folder
+from srs_twin.io.files import StrPath, check_output_folder
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.metrics import plan_metrics
 from srs_twin.planning.problem import Plan
@@ -98,10 +95,10 @@ class ScenarioPlan:
 
 @checked
 def plan_scenario(
-    scenario: str | os.PathLike[str] | Scenario,
+    scenario: StrPath | Scenario,
     *,
-    out: str | os.PathLike[str] | None = None,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    out: StrPath | None = None,
+    set: Overrides = (),
     search: bool = False,
 ) -> ScenarioPlan:
     """Plan the path of a scenario without simulating it, as `srs-twin plan`.

@@ -6,7 +6,6 @@ The published robots are in calibration/robots; `sections` describes the section
 from __future__ import annotations
 
 import math
-import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from typing import Annotated, Any, get_args
@@ -16,7 +15,7 @@ from pydantic import Field
 from srs_twin.errors import InputError, InputFileError, UnitWarning, UnknownNameError
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, Loc, child, load_yaml, parse_path
-from srs_twin.io.files import find_file
+from srs_twin.io.files import StrPath, find_file
 from srs_twin.io.validation import StrictModel, validate
 from srs_twin.robot.plausibility import Doubt, find_doubts, likely_unit
 from srs_twin.robot.scale import Scale
@@ -353,7 +352,7 @@ def section_units(section: str) -> dict[str, str]:
     return {key: split_unit(key)[1] for key in keys if key not in _PLAIN_KEYS}
 
 
-def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
+def load_robot_file(name_or_path: StrPath) -> RobotFile:
     """Load and validate a robot file, with a `UnitWarning` for each number whose unit is in doubt.
 
     Raises:
@@ -366,7 +365,7 @@ def load_robot_file(name_or_path: str | os.PathLike[str]) -> RobotFile:
     return file
 
 
-def _read_robot_file(name_or_path: str | os.PathLike[str]) -> tuple[RobotFile, list[str]]:
+def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
     """Return a robot file, and a warning for each number whose unit is in doubt."""
     document = load_yaml(find_file("robot", name_or_path))
     file = validate(RobotFile, document, document.data)
@@ -377,7 +376,7 @@ def _read_robot_file(name_or_path: str | os.PathLike[str]) -> tuple[RobotFile, l
 
 
 @checked
-def load_robot(robot: str | os.PathLike[str] | RobotSpec) -> RobotSpec:
+def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
     """Load a robot by the name of a shipped one (gen1 to gen4, gen4_module) or the path of a robot file.
 
     A loaded robot is returned unchanged.

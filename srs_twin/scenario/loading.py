@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import copy
 import json
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Document, Override, format_path, load_yaml
-from srs_twin.io.files import find_file, is_path, results_name
+from srs_twin.io.documents import Document, Override, Overrides, format_path, load_yaml
+from srs_twin.io.files import StrPath, find_file, is_path, results_name
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, resolve_robot
 from srs_twin.robot.sourced import replace_value
@@ -39,9 +38,7 @@ from srs_twin.scenario.scenario import Scenario, ignored_obstacles
 
 
 @checked
-def load_scenario(
-    scenario: str | os.PathLike[str] | Scenario, *, set: Mapping[str, Any] | Sequence[Override] = ()
-) -> Scenario:
+def load_scenario(scenario: StrPath | Scenario, *, set: Overrides = ()) -> Scenario:
     """Load a scenario, given by a shipped name (gen2_straight) or the path of a scenario file.
 
     Args:
@@ -58,9 +55,7 @@ def load_scenario(
     return _scenario(load_yaml(path), results_name(path), set)
 
 
-def parse_scenario(
-    data: Mapping[str, Any], *, name: str = "scenario", set: Mapping[str, Any] | Sequence[Override] = ()
-) -> Scenario:
+def parse_scenario(data: Mapping[str, Any], *, name: str = "scenario", set: Overrides = ()) -> Scenario:
     """Return the scenario of plain data, as in `Scenario.document`.
 
     Args:
@@ -74,7 +69,7 @@ def parse_scenario(
     return _scenario(Document(name, copy.deepcopy(dict(data)) if set else data), name, set)
 
 
-def _scenario(document: Document, name: str, changes: Mapping[str, Any] | Sequence[Override]) -> Scenario:
+def _scenario(document: Document, name: str, changes: Overrides) -> Scenario:
     """Return the scenario of a document with changed fields; `name` is the default of its name."""
     changes = Override.list_of(changes)
     unmodified = copy.deepcopy(document) if changes else document

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -13,8 +12,8 @@ from pydantic import Field, model_validator
 
 from srs_twin.comparison.metrics import METRICS_LISTED, metric_units
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml
-from srs_twin.io.files import find_file, results_name
+from srs_twin.io.documents import Document, Loc, Override, Overrides, format_path, load_yaml
+from srs_twin.io.files import StrPath, find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.scenario.expectation import MetricName, Words
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
@@ -251,9 +250,9 @@ class OptimizationStudy:
 
 
 def load_study(
-    study: str | os.PathLike[str] | OptimizationStudy,
+    study: StrPath | OptimizationStudy,
     *,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    set: Overrides = (),
 ) -> OptimizationStudy:
     """Load a study by its shipped name (gen2_speed) or the path of a study file.
 

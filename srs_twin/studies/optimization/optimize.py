@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Override
-from srs_twin.io.files import folder_or_temporary
+from srs_twin.io.documents import Overrides
+from srs_twin.io.files import StrPath, folder_or_temporary
 from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
 from srs_twin.studies.optimization.result import StudyResult
 from srs_twin.studies.optimization.runs import StudyRuns
@@ -20,10 +17,10 @@ from srs_twin.studies.sweep.task import Row
 
 @checked
 def optimize(
-    study: str | os.PathLike[str] | OptimizationStudy,
+    study: StrPath | OptimizationStudy,
     *,
-    out: str | os.PathLike[str] | None = None,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    out: StrPath | None = None,
+    set: Overrides = (),
     engine: str | Engine = "local",
     workers: int | None = None,
     changed: bool = False,

@@ -12,7 +12,7 @@ import logging
 import os
 import warnings
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -22,9 +22,9 @@ from srs_twin.compute.workers import TaskResult, run_tasks, start_server
 from srs_twin.errors import EngineWarning, InputError, SrsError, UnknownNameError
 from srs_twin.extensions import PLUGINS
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Override, dump_yaml
+from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import check_output_folder, display_path, folder_or_temporary
+from srs_twin.io.files import StrPath, check_output_folder, display_path, folder_or_temporary
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
 from srs_twin.scenario.loading import parse_scenario
@@ -181,10 +181,10 @@ def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
 
 @checked
 def sweep(
-    sweep: str | os.PathLike[str] | Sweep,
+    sweep: StrPath | Sweep,
     *,
-    out: str | os.PathLike[str] | None = None,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    out: StrPath | None = None,
+    set: Overrides = (),
     plants: Sequence[str] | None = None,
     without: Sequence[str] = (),
     engine: str | Engine = "local",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,8 +13,8 @@ import numpy as np
 from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRICS_LISTED, metric_units
 from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, format_names
 from srs_twin.extensions import SECTIONS
-from srs_twin.io.documents import Document, Loc, Override, format_path, load_yaml, parse_path
-from srs_twin.io.files import find_file, results_name
+from srs_twin.io.documents import Document, Loc, Override, Overrides, format_path, load_yaml, parse_path
+from srs_twin.io.files import StrPath, find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
@@ -115,9 +114,9 @@ def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
 
 
 def load_sweep(
-    sweep: str | os.PathLike[str] | Sweep,
+    sweep: StrPath | Sweep,
     *,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    set: Overrides = (),
     plants: Sequence[str] | None = None,
 ) -> Sweep:
     """Load a sweep by its shipped name (fig31) or the path of a sweep file.

@@ -9,7 +9,6 @@ and runs at all samples. The twin runs only at the first of them; `predict_twin`
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
@@ -23,9 +22,9 @@ from srs_twin.errors import InputError
 from srs_twin.experiment import INTERVALS, twin_contact
 from srs_twin.identification.priors import Priors
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Override
+from srs_twin.io.documents import Overrides
 from srs_twin.io.file_sets import remove_completion_mark, replace_files
-from srs_twin.io.files import check_output_folder, folder_or_temporary, write_text
+from srs_twin.io.files import StrPath, check_output_folder, folder_or_temporary, write_text
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
@@ -386,10 +385,10 @@ def propagate(
 
 @checked
 def uncertainty(
-    scenario: str | os.PathLike[str] | Scenario,
+    scenario: StrPath | Scenario,
     *,
-    out: str | os.PathLike[str] | None = None,
-    set: Mapping[str, Any] | Sequence[Override] = (),
+    out: StrPath | None = None,
+    set: Overrides = (),
     plants: Sequence[str] | None = None,
     samples: int = 2048,
     twin: int = 64,
