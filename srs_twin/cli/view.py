@@ -149,7 +149,7 @@ def play(
 def _changed_robot(name: str, overrides: Sequence[Override]) -> tuple[RobotSpec, Changes]:
     """Return a robot with overridden fields, and the changes."""
     from srs_twin.io.documents import Document
-    from srs_twin.robot.file import load_robot_file, resolve_robot
+    from srs_twin.robot.file import load_robot_file, robot_in
     from srs_twin.scenario.modified import changed_fields
 
     document = Document(name, {"robot": name})
@@ -157,9 +157,7 @@ def _changed_robot(name: str, overrides: Sequence[Override]) -> tuple[RobotSpec,
         if override.loc[0] != "robot":
             raise InputError(f"{override.label}: a robot has no scenario; set a field of robot")
         document.apply(override)
-    robot_file = resolve_robot(document, document.get("robot"), prefix=("robot",))
-    document.raise_problems()
-    assert robot_file is not None, "`raise_problems` raises if the robot is invalid"
+    robot_file = robot_in(document, "robot")
     before = {"robot": load_robot_file(name).model_dump(mode="json")}
     after = {"robot": robot_file.model_dump(mode="json")}
     return robot_file.spec(), changed_fields(before, after, [override.loc for override in overrides])

@@ -20,7 +20,7 @@ from srs_twin.identification.fit_file import FitFile, load_fit
 from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.io.documents import Document
 from srs_twin.io.files import StrPath
-from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.file import RobotFile, load_robot_file, robot_in
 from srs_twin.robot.spec import RobotSpec
 
 Robot = StrPath | Mapping[str, Any]
@@ -57,8 +57,11 @@ class Variation:
             InputError: a file does not exist, the fit is for another robot, or a range is not allowed.
         """
         fit_file = None if fit is None else load_fit(fit)
-        file = _changed_robot(robot) if isinstance(robot, Mapping) else load_robot_file(robot)
-        name = file.name if isinstance(robot, Mapping) else os.fspath(robot)
+        if isinstance(robot, Mapping):
+            file = robot_in(Document("robot", robot))
+            name = file.name
+        else:
+            file, name = load_robot_file(robot), os.fspath(robot)
         if fit_file is not None and fit_file.robot != name:
             raise InputError(f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'")
         variation = cls(file, fit_file, dict(ranges or {}))
@@ -78,19 +81,6 @@ class Variation:
         if self.fit is not None:
             spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
         return with_values(spec, {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()})
-
-
-def _changed_robot(keys: Mapping[str, Any]) -> RobotFile:
-    """Return the robot of a mapping with `base` and changed keys.
-
-    Raises:
-        InputError: the base does not exist, or a key is invalid.
-    """
-    document = Document("robot", keys)
-    file = resolve_robot(document, keys, prefix=())
-    document.raise_problems()
-    assert file is not None, "without problems"
-    return file
 
 
 def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from srs_twin.cli.console import console, interruptible, new_table, say
+from srs_twin.cli.console import interruptible, say
 from srs_twin.cli.options import (
     Bounds,
     FloorOption,
@@ -31,6 +31,7 @@ from srs_twin.identification.fitting import (
     RobotOption,
     ValidateOption,
     parse_names,
+    print_table,
 )
 from srs_twin.identification.footprint_command import footprint, margin
 from srs_twin.io.files import display_path
@@ -77,18 +78,15 @@ def friction(
     output = FitOutput.from_options(context, "friction", robot, fit)
     from srs_twin.identification.calibration import calibrate_friction
 
-    with output.progress() as watch:
-        result = calibrate_friction(
-            files,
-            robot,
-            validate=validate or (),
-            law=law,
-            wheel_inertia=wheel_inertia,
-            reader=markers.reader(),
-            notify=output.say,
-            progress=watch,
-        )
-    output.finish(result)
+    output.run(
+        calibrate_friction,
+        files,
+        robot,
+        validate=validate or (),
+        law=law,
+        wheel_inertia=wheel_inertia,
+        reader=markers.reader(),
+    )
 
 
 @app.command()
@@ -122,12 +120,12 @@ def design(
     if as_json:
         print_json(plan.document())
         return
-    table = new_table("half of the 95 % interval", "min", *(name.partition(".")[2] for name in targets))
-    table.add_row("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))
+    headings = ("half of the 95 % interval", "min", *(name.partition(".")[2] for name in targets))
+    rows = [("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))]
     for k, experiment in enumerate(plan.chosen):
         after = (f"{100 * row[k]:.1f} %" for row in plan.after.values())
-        table.add_row(f"after {k + 1}", f"{experiment.minutes:g}", *after)
-    console().print(table)
+        rows.append((f"after {k + 1}", f"{experiment.minutes:g}", *after))
+    print_table(headings, rows, left=(0,))
     for k, experiment in enumerate(plan.chosen, start=1):
         print(f"{k}. {experiment.description}")
     print("The model is assumed to be right.")
@@ -160,19 +158,16 @@ def actuator(
     from srs_twin.identification.calibration import calibrate_actuator
     from srs_twin.identification.static_tables import write_static_table
 
-    with output.progress() as watch:
-        result = calibrate_actuator(
-            files,
-            data.robot,
-            **data.given(),
-            find=parse_names(find),
-            static=static,
-            starts=starts,
-            reader=markers.reader(offset_s=offset),
-            notify=output.say,
-            progress=watch,
-        )
-    output.finish(result)
+    result = output.run(
+        calibrate_actuator,
+        files,
+        data.robot,
+        **data.given(),
+        find=parse_names(find),
+        static=static,
+        starts=starts,
+        reader=markers.reader(offset_s=offset),
+    )
     if result.plateaus is not None:
         write_static_table(result.plateaus, path := output.path.with_suffix(".table.csv"))
         output.say(f"{len(result.plateaus.bend)} plateaus in {display_path(path)}")
@@ -208,22 +203,19 @@ def locomotion(
     output = FitOutput.from_options(context, "locomotion", data.robot, fit)
     from srs_twin.identification.calibration import calibrate_locomotion
 
-    with output.progress() as watch:
-        result = calibrate_locomotion(
-            files,
-            data.robot,
-            **data.given(),
-            find=parse_names(find) or (),
-            plant=plant,
-            model=model,
-            law=law,
-            against=against,
-            starts=starts,
-            reader=markers.reader(offset_s=offset, gait_frequency_hz=frequency),
-            notify=output.say,
-            progress=watch,
-        )
-    output.finish(result)
+    output.run(
+        calibrate_locomotion,
+        files,
+        data.robot,
+        **data.given(),
+        find=parse_names(find) or (),
+        plant=plant,
+        model=model,
+        law=law,
+        against=against,
+        starts=starts,
+        reader=markers.reader(offset_s=offset, gait_frequency_hz=frequency),
+    )
 
 
 @app.command()

@@ -21,7 +21,7 @@ from srs_twin.identification.parameters import free_parameters, is_parameter, wi
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.files import StrPath, check_output_folder, display_path, write_text
-from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.file import RobotFile, load_robot_file, robot_in
 from srs_twin.robot.sections import SPREAD_KEYS
 from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
@@ -231,11 +231,7 @@ def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> Ro
     """
     block = merge_overrides(fits, weak=weak)
     title = f"{block['base']}, fitted: {', '.join(Path(path).stem for path in fits)}"
-    document = Document(name, block | {"name": name, "title": title[:200]})
-    robot = resolve_robot(document, document.data, prefix=())
-    document.raise_problems()
-    assert robot is not None, "a document without problems gives a robot"
-    return robot
+    return robot_in(Document(name, block | {"name": name, "title": title[:200]}))
 
 
 @checked

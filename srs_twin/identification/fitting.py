@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -225,18 +224,17 @@ class FitOutput:
         check_output_folder(path.parent, (path.name, path.with_suffix(".html").name))
         return cls(checked, path, robot, command, options.quiet, options.as_json)
 
-    @contextmanager
-    def progress(self) -> Iterator[FitProgress]:
-        """Show the progress of the search; an interrupt ends the command and nothing is written."""
-        with interruptible(NOTHING_WRITTEN), FitProgress(self.name, quiet=self.quiet) as progress:
-            yield progress
-
     def say(self, text: str) -> None:
         """Print a note on stderr."""
         say(text, quiet=self.quiet)
 
-    def finish(self, result: Calibration) -> None:
-        """Write report and fit file, and print the result."""
+    def run(self, function: Callable[..., Calibration], *arguments: Any, **settings: Any) -> Calibration:
+        """Fit with a function of `calibration`, write report and fit file, and print the result.
+
+        An interrupt of the search ends the command, and nothing is written.
+        """
+        with interruptible(NOTHING_WRITTEN), FitProgress(self.name, quiet=self.quiet) as progress:
+            result = function(*arguments, notify=self.say, progress=progress, **settings)
         fit = result.write(self.path, self.name, self.command)
         if self.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
@@ -244,6 +242,7 @@ class FitOutput:
             print_estimate(result.estimate)
         report = display_path(self.path.with_suffix(".html"))
         self.say(f"fit in {display_path(self.path)}, residuals in {report}")
+        return result
 
 
 def _check_same_command(path: Path, command: str) -> None:

@@ -6,7 +6,7 @@ from dataclasses import astuple
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from srs_twin.cli.console import RunCounter, console, interruptible, new_table, say
+from srs_twin.cli.console import RunCounter, interruptible, say
 from srs_twin.cli.options import (
     NO_CHANGES,
     Bounds,
@@ -143,13 +143,12 @@ def margin(
     if as_json:
         print_json([result.model_dump(mode="json", exclude_none=True) for result in measured])
     elif not quiet:
-        table = new_table("plant", "half of the runs", "90 %", "95 %", "all, mm")
+        rows = []
         for result in measured:
-            quantiles = [excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)] + [
-                result.path_m[-1]
-            ]
-            table.add_row(result.conditions.plant, *(f"{1000 * value:.0f}" for value in quantiles))
-        console().print(table)
+            quantiles = [excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)]
+            widths = (f"{1000 * value:.0f}" for value in (*quantiles, result.path_m[-1]))
+            rows.append((result.conditions.plant, *widths))
+        print_table(("plant", "half of the runs", "90 %", "95 %", "all, mm"), rows, left=(0,))
     name = load_footprint_file(loaded.file.section("planner").footprint).name
     say(f"excursions in {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet)
 

@@ -18,7 +18,7 @@ from srs_twin.io.validation import load_model
 from srs_twin.plants.base import TICK_S
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.recordings.takes import RecordingReader, logs_of
-from srs_twin.robot.file import RobotFile, load_robot_file, resolve_robot
+from srs_twin.robot.file import RobotFile, load_robot_file, robot_in
 from srs_twin.scenario.expectation import ExpectationsFile
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
@@ -90,11 +90,7 @@ def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
     """Return a robot with the results of fits."""
     if not fits:
         return load_robot_file(robot)
-    document = Document("--fit", merge_overrides(fits, base=os.fspath(robot)))
-    robot_file = resolve_robot(document, document.data, prefix=())
-    document.raise_problems()
-    assert robot_file is not None, "a document without problems gives a robot"
-    return robot_file
+    return robot_in(Document("--fit", merge_overrides(fits, base=os.fspath(robot))))
 
 
 def _duration(recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]) -> float:

@@ -428,6 +428,18 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
     return changed
 
 
+def robot_in(document: Document, *loc: str) -> RobotFile:
+    """Return the robot at a path of a document, see `resolve_robot`.
+
+    Raises:
+        InputFileError: the robot is not valid; lists all problems of the document.
+    """
+    robot = resolve_robot(document, document.get(*loc), prefix=loc)
+    document.raise_problems()
+    assert robot is not None, "a document without problems gives a robot"
+    return robot
+
+
 def _add_warnings(document: Document, prefix: Loc, mistakes: Mapping[str, str]) -> None:
     for path, text in mistakes.items():
         loc = document.user_path(prefix, (*parse_path(path), "value"))
