@@ -42,12 +42,7 @@ from srs_twin.recordings.formats.base import MarkerTable, axis_columns, in_unit
 from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
-from srs_twin.recordings.recording import (
-    identified_tracks,
-    in_slots,
-    read_motion,
-    without_foreign_tracks,
-)
+from srs_twin.recordings.recording import LONGEST_GAP, in_slots, read_motion, robot_tracks
 from srs_twin.recordings.recording_map import (
     LOG_NAME,
     QUANTITIES,
@@ -74,8 +69,6 @@ if TYPE_CHECKING:
 
 _RIGID_NOISE_RATIO = 1.3
 """Variation of a distance, divided by that from noise, below which two markers are on one rigid part, 1."""
-_TRACKING_GAP_S = 0.2
-"""Longest gap over which markers are tracked, s."""
 _DISTANCE_FRAMES = 2000
 """Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
@@ -233,22 +226,20 @@ def _body_facts(
     table: MarkerTable, points: np.ndarray, frames: FrameGrid, facts: RecordingFacts
 ) -> Scene | None:
     """Add order, distances, layouts and head to the facts, as far as the markers determine them."""
-    slots, columns = in_slots(table, points)
-    nearest = np.fmin.reduce(pairwise_distances(slots[..., :2], _DISTANCE_FRAMES), axis=2)
+    slots = in_slots(table, points)
+    nearest = np.fmin.reduce(pairwise_distances(slots.points[..., :2], _DISTANCE_FRAMES), axis=2)
     if np.isnan(nearest).all():
         facts.notes.append("no frame has two visible markers")
         return None
     near = float(np.nanmedian(nearest))
     if near > _MAX_NEIGHBOUR_M:
         facts.notes.append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
-    longest_gap = _TRACKING_GAP_S / frames.period
-    tracks, origin, unassigned = identified_tracks(table, slots, columns, longest_gap, 2 * near)
-    tracks, origin, _, notes = without_foreign_tracks(tracks, origin, table)
+    tracks, notes = robot_tracks(table, slots, LONGEST_GAP / frames.period, 2 * near)
     facts.notes += notes
-    lasting = np.flatnonzero((~np.isnan(tracks[..., 0])).mean(axis=0) >= MIN_COVERAGE)
-    places, count = tracks[:, lasting], len(lasting)
-    names = _marker_names(origin[:, lasting], table.labels, facts)
-    facts.tracks, facts.positions_of_nothing = count, int(unassigned)
+    lasting = np.flatnonzero((~np.isnan(tracks.points[..., 0])).mean(axis=0) >= MIN_COVERAGE)
+    places, count = tracks.points[:, lasting], len(lasting)
+    names = _marker_names(tracks.columns[:, lasting], table.labels, facts)
+    facts.tracks, facts.positions_of_nothing = count, tracks.unassigned
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
         facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")

@@ -294,25 +294,23 @@ def _captured_markers(
         longest_gap_s: longest gap that is filled, s.
     """
     geometry = spec.geometry
-    slots, columns = in_slots(table, points)
+    slots = in_slots(table, points)
     # A wrong unit is reported before the markers are tracked with distances from the robot.
-    check_scale(slots[..., :2], spec)
-    reach = _REACH * geometry.pitch
-    tracks, columns, unassigned = identified_tracks(
-        table, slots, columns, longest_gap_s / frames.period, reach
-    )
-    tracks, columns, foreign, notes = without_foreign_tracks(tracks, columns, table)
+    check_scale(slots.points[..., :2], spec)
+    tracks, notes = robot_tracks(table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch)
     if table.bodies and layout == "auto":
         layout = "pair"
-    layouts, chosen = robot_markers(tracks, geometry.connectors, geometry.pitch, layout, len(table.places))
-    left_out = int((~np.isnan(np.delete(tracks, chosen, axis=1)[..., 0])).sum())
-    tracks = tracks[:, chosen]
-    jumps = outliers(tracks, _MIN_JUMP * geometry.pitch)
-    tracks[jumps] = np.nan
-    kept = _kept_frames(frames, tracks, longest_gap_s)
-    time = frames.time[kept]
-    origin = np.where(np.isnan(tracks[kept][..., 0]), -1, columns[kept][:, chosen])
-    filled, other = fill_gaps(time, tracks[kept], 3), foreign + left_out + unassigned
+    layouts, chosen = robot_markers(
+        tracks.points, geometry.connectors, geometry.pitch, layout, len(table.places)
+    )
+    places = tracks.points[:, chosen]
+    other = int(np.isfinite(slots.points[..., 0]).sum() - np.isfinite(places[..., 0]).sum())
+    jumps = outliers(places, _MIN_JUMP * geometry.pitch)
+    places[jumps] = np.nan
+    kept = _kept_frames(frames, places, longest_gap_s)
+    time, places = frames.time[kept], places[kept]
+    origin = np.where(np.isnan(places[..., 0]), -1, tracks.columns[kept][:, chosen])
+    filled = fill_gaps(time, places, 3)
     markers = CapturedMarkers(table, layouts[0], time, filled, origin, int(jumps.sum()), other)
     return layouts, markers, notes
 
@@ -387,53 +385,41 @@ def _counts(
     )
 
 
-def without_foreign_tracks(
-    tracks: np.ndarray, columns: np.ndarray, table: MarkerTable
-) -> tuple[np.ndarray, np.ndarray, int, list[str]]:
-    """Remove the tracks that do not belong to the robot, and all height coordinates.
+def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
+    """Return markers in slots; rigid bodies and columns with a place keep their own slots.
 
-    Args:
-        tracks: in floor coordinates, shape (frames, tracks, 3), m.
-        columns: column of the file from which each sample came, −1 where it is hidden, (frames, tracks).
-        table: the file; columns with a place on the robot belong to it.
-
-    Returns:
-        Remaining tracks, shape (frames, tracks, 2), m; their columns; number of removed samples; notes.
+    Raises:
+        InputError: there are more slots than can be tracked.
     """
-    foreign = {} if table.places else foreign_tracks(tracks)
-    robot = np.array([k for k in range(tracks.shape[1]) if k not in foreign], dtype=int)
-    samples, notes = 0, []
-    for k, reason in foreign.items():
-        visible = columns[columns[:, k] >= 0, k]
-        samples += visible.size
-        if visible.size >= MIN_FRAMES:
-            notes.append(f"marker '{table.labels[np.bincount(visible).argmax()]}' left out: {reason}")
-    return tracks[:, robot, :2], columns[:, robot], samples, notes
+    slots = Tracks(points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0)
+    if not (table.places or table.bodies):
+        slots = pack_slots(points)
+    if (count := slots.points.shape[1]) > MAX_MARKERS:
+        raise InputError(f"{count} markers on the same frame; at most {MAX_MARKERS} can be tracked")
+    return slots
 
 
-def identified_tracks(
-    table: MarkerTable, slots: np.ndarray, columns: np.ndarray, longest_gap: float, reach: float
-) -> Tracks:
-    """Return the tracks of all markers; rigid bodies are identified by their names and not tracked.
+def robot_tracks(
+    table: MarkerTable, slots: Tracks, longest_gap: float, reach: float
+) -> tuple[Tracks, list[str]]:
+    """Return the tracks that may belong to the robot, without heights, and notes on the other tracks.
+
+    Rigid bodies are identified by their names and not tracked. Columns with a place belong to the robot.
 
     Args:
         table: the file.
-        slots: positions as from `in_slots`, m.
-        columns: column of each sample, as from `in_slots`.
+        slots: positions as from `in_slots`.
         longest_gap: longest gap that is filled, frames.
         reach: maximum distance of a marker from its expected position, m.
     """
-    if table.bodies:
-        hidden = np.isnan(slots[..., 0])
-        return Tracks(slots, np.where(hidden, -1, columns), 0)
-    return track_markers(slots, columns, max(1, round(longest_gap)), reach)
-
-
-def in_slots(table: MarkerTable, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return markers in slots; rigid bodies and columns with a place keep their own slots."""
-    count = len(table.labels)
-    if not (table.places or table.bodies):
-        return pack_slots(points)
-    if count > MAX_MARKERS:
-        raise InputError(f"{count} markers; at most {MAX_MARKERS} can be tracked")
-    return points, np.broadcast_to(np.arange(count), (len(points), count))
+    tracks = slots
+    if not table.bodies:
+        tracks = track_markers(slots.points, slots.columns, max(1, round(longest_gap)), reach)
+    foreign = {} if table.places else foreign_tracks(tracks.points)
+    notes = []
+    for k, reason in foreign.items():
+        visible = tracks.columns[tracks.columns[:, k] >= 0, k]
+        if visible.size >= MIN_FRAMES:
+            notes.append(f"marker '{table.labels[np.bincount(visible).argmax()]}' left out: {reason}")
+    points, columns = (np.delete(values, list(foreign), axis=1) for values in tracks[:2])
+    return Tracks(points[..., :2], columns, tracks.unassigned), notes

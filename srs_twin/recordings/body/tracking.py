@@ -54,18 +54,29 @@ _FORBIDDEN_COST = 1e6
 """Cost of an assignment beyond the reach, m."""
 
 
-def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+class Tracks(NamedTuple):
+    """Markers in tracks, or in slots before they are tracked.
+
+    Attributes:
+        points: NaN where a marker is hidden, shape (frames, tracks, 2 or 3), m.
+        columns: column of the file from which each sample came, −1 where it is hidden, shape (frames,
+            tracks).
+        unassigned: number of samples that belong to no track.
+    """
+
+    points: np.ndarray
+    columns: np.ndarray
+    unassigned: int
+
+
+def pack_slots(points: np.ndarray) -> Tracks:
     """Join columns into as few slots as there are markers on the same frame.
 
     Args:
         points: shape (frames, columns, 2 or 3), m.
 
-    Returns:
-        Positions in slots, shape (frames, slots, 2 or 3), m, and the column from which each sample comes, −1
-        for none, shape (frames, slots).
-
     Raises:
-        InputError: there is no marker, or there are more than `MAX_MARKERS` slots.
+        InputError: there is no marker.
     """
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
@@ -83,15 +94,13 @@ def pack_slots(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             slot = len(ends)
         slot_of[k] = slot
         heapq.heappush(ends, (int(last[k]), slot))
-    if len(ends) > MAX_MARKERS:
-        raise InputError(f"{len(ends)} markers on the same frame; at most {MAX_MARKERS} can be tracked")
     slots = np.full((len(points), len(ends), points.shape[-1]), np.nan)
     columns = np.full((len(points), len(ends)), -1)
     for k, slot in enumerate(slot_of):
         frames = slice(first[k], last[k] + 1)
         slots[frames, slot] = points[frames, used[k]]
         columns[frames, slot] = used[k]
-    return slots, columns
+    return Tracks(slots, columns, 0)
 
 
 def sample_frames(count: int, limit: int) -> np.ndarray:
@@ -137,21 +146,6 @@ def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
         other = np.linalg.norm(np.roll(points, shift, axis=1) - expected, axis=-1)
         np.fmin(nearest, other, out=nearest)
     return np.asarray((error < gate) & (2 * error < nearest))
-
-
-class Tracks(NamedTuple):
-    """Tracked markers.
-
-    Attributes:
-        points: NaN where a marker is hidden, shape (frames, tracks, 2 or 3), m.
-        columns: column of the file from which each sample came, −1 where it is hidden, shape (frames,
-            tracks).
-        unassigned: number of samples that belong to no track.
-    """
-
-    points: np.ndarray
-    columns: np.ndarray
-    unassigned: int
 
 
 def track_markers(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
