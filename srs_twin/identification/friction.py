@@ -196,7 +196,7 @@ def read_pull_table(path: StrPath) -> Pulls:
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
     columns = {column.name: column for column in table.columns}
     for column in table.columns:
-        if column.number or column.letter:
+        if column.number:
             raise table.error(column, f"{column.text}: these columns have no numbers; {PULL_COLUMNS}")
     if not columns.keys() & set(_DIRECTIONS):
         raise table.file.error(f"neither 'along' nor 'across'; a table of pulls has {PULL_COLUMNS}", 1)

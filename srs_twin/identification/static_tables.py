@@ -269,7 +269,7 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
     table = read_table(read_file(path), units)
     for column in table.columns:
-        if not 1 <= column.number <= spec.segments or column.letter:
+        if not 1 <= column.number <= spec.segments:
             raise table.error(column, f"{column.text}: {spec.name} has segments 1 to {spec.segments}")
     if not any(column.name == "bend" for column in table.columns):
         example = "pressure_plus_1,pressure_minus_1,bend_1,…"

@@ -23,7 +23,7 @@ CLOCK = {"time": TIMES}
 
 _LISTED = 5
 """Largest number of columns in a message."""
-_NAME = re.compile(r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3})([a-z])?)?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?")
+_NAME = re.compile(r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3}))?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?")
 
 
 class TimedRows(NamedTuple):
@@ -59,7 +59,6 @@ class CsvColumn:
         place: index, counted from 0.
         name: base name, for example "x".
         number: 1 or more; 0 if the name has none.
-        letter: letter after the number ("a", "b" for two markers), or empty.
         unit: symbol of the unit in the name or a map; empty if there is none.
         factor: factor to SI.
         text: full name.
@@ -68,7 +67,6 @@ class CsvColumn:
     place: int
     name: str
     number: int
-    letter: str
     unit: str
     factor: float
     text: str
@@ -198,7 +196,7 @@ def read_table(
         clocks = [text for text in file.names if is_clock(text) and text not in meanings]
         clock = min(clocks, key=lambda text: text.lower() not in ("time", "t"), default="")
         meanings |= {clock: Meaning("time")} if clock else {}
-    seen: dict[tuple[str, int, str], CsvColumn] = {}
+    seen: dict[tuple[str, int], CsvColumn] = {}
     unused, notes = [], []
     for index, text in enumerate(file.names):
         meaning = meanings.get(text)
@@ -212,7 +210,7 @@ def read_table(
         if column is None:
             unused.append(text[:40])
             continue
-        first = seen.setdefault((column.name, column.number, column.letter), column)
+        first = seen.setdefault((column.name, column.number), column)
         if first is not column:
             problem = f"{text}: the same as column '{file.names[first.place]}'"
             raise file.error(problem, file.header_lines or 1, index + 1)
@@ -225,7 +223,7 @@ def _column(
     """Return a known column, and a note on its unit."""
     bare, bracket = bracketed(text)
     match = _NAME.fullmatch(meaning.name if meaning else bare)
-    name, number, letter, trailing = match.groups() if match else [""] * 4
+    name, number, trailing = match.groups() if match else [""] * 3
     unit, note = trailing or bracket or "", ""
     if name.lower() not in known and trailing and number is None:
         name, unit = f"{name}_{trailing}", bracket  # the last word of the name, not a unit
@@ -237,4 +235,4 @@ def _column(
     elif meaning is None and unit and not symbol(unit, units):
         raise InputError(f"{text}: unit '{unit}' is not known; allowed: {', '.join(units) or 'none'}")
     unit, number = symbol(unit, units), int(number or 0)
-    return CsvColumn(place, name.lower(), number, letter or "", unit, units.get(unit, 1.0), text), note
+    return CsvColumn(place, name.lower(), number, unit, units.get(unit, 1.0), text), note

@@ -146,7 +146,7 @@ def _file_facts(
     kind = PlainCsv.name if timed else identify(path, map.dialect)
     if kind == PlainCsv.name:
         file = laid_out(read_file(path), map.dialect)
-        if not axis_columns(file.names) and not any(name.lower().startswith("x_1") for name in file.names):
+        if not axis_columns(file.names):
             return _table_facts(file, map), None
     topics = read_topics(path)
     markers = topics.markers if topics else None

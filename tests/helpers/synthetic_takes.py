@@ -16,9 +16,11 @@ from srs_twin.errors import check_choice
 from srs_twin.io.files import atomic_write
 from srs_twin.recordings.body.floor import MAPS
 from srs_twin.recordings.body.layout import LAYOUTS
-from srs_twin.recordings.formats.motion_capture import MOTIVE_LENGTHS
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.trajectory import Trajectory
+
+MOTIVE_LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in", "Feet": "ft"}
+"""Words after 'Length Units' in a Motive export."""
 
 
 @dataclass(frozen=True)

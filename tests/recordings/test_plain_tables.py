@@ -268,7 +268,7 @@ def test_markers_with_unusual_names_are_kept():
     names += ["x_arm", "y_arm", "c1_xmm", "c1_ymm", "c2 X [cm]", "c2 Y [cm]", "c3[x] (mm)", "c3[y] (mm)"]
     found = axis_columns(names)
     assert list(found) == ["Motor", "rotor", "accu", "arm", "c1", "c2", "c3"]
-    assert [found[name]["x"][1] for name in ("arm", "c1", "c2", "c3")] == ["", "mm", "cm", "mm"]
+    assert [found[name]["x"].unit for name in ("arm", "c1", "c2", "c3")] == ["", "mm", "cm", "mm"]
 
 
 VALVES = "time,valve_plus_1,valve_minus_1\n"

@@ -14,6 +14,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, did_you_mean
 from srs_twin.io.files import escape_unprintable
+from srs_twin.recordings.csv_table import CsvColumn
 from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
@@ -126,14 +127,14 @@ class Format(ABC):
         """
 
 
-def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
-    """Return marker → axis → column and unit, for a header whose names end or begin with x, y or z.
+def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
+    """Return marker → axis → column, for a header whose names end or begin with x, y or z.
 
     Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Markers without x and y are left out. So
     are rotations, velocities, accelerations and forces (``c1_rot_x``), and columns whose unit is not a
     length.
     """
-    markers: dict[str, dict[str, tuple[int, str]]] = {}
+    markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
         bare, bracket = bracketed(clean(cell.strip(' "')))
         unit = symbol(bracket, LENGTHS)
@@ -145,8 +146,9 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, tuple[int, str]]]:
         if match and not _NOT_A_POSITION & {
             word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"])
         }:
+            axis, unit = match["axis"].lower(), unit or symbol(match["unit"] or "", LENGTHS)
             markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
-                match["axis"].lower(), (index, unit or symbol(match["unit"] or "", LENGTHS))
+                axis, CsvColumn(index, axis, 0, unit, LENGTHS.get(unit, 1.0), cell)
             )
     return {name: axes for name, axes in markers.items() if {"x", "y"} <= axes.keys()}
 

@@ -10,7 +10,6 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from srs_twin.errors import did_you_mean
 from srs_twin.io.files import escape_unprintable
 from srs_twin.recordings.formats.base import (
     Format,
@@ -25,9 +24,6 @@ from srs_twin.recordings.formats.base import (
 )
 from srs_twin.recordings.recorded_file import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.signals.units import ANGLES
-
-MOTIVE_LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in", "Feet": "ft"}
-"""Words after 'Length Units' in a Motive export."""
 
 MOTIVE_KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
 """Types of columns with positions on the robot; the first type that a file has is used."""
@@ -75,7 +71,7 @@ class Motive(Format):
             raise file.error(f"Format Version '{version[:20]}' cannot be read; {allowed}", 1, 2)
         top, positions, quaternions = _columns(file, lines)
         kind, notes = _kind_to_read(file, positions, top)
-        unit = _motive_unit(file, header.get("Length Units", ""))
+        unit = length_unit(file, header.get("Length Units", ""), 1)
         rates = (header.get(f"{name} Frame Rate", "") for name in ("Export", "Capture"))
         rate = next((float(text) for text in rates if is_rate(text)), None)
         markers = [column for column in positions if column.kind == kind]
@@ -118,14 +114,6 @@ def _kind_to_read(file: RecordedFile, positions: list[_Column], top: int) -> tup
     if kind != MOTIVE_KINDS[0]:
         notes.append(f"no columns of type {MOTIVE_KINDS[0]}: positions of type {kind} used")
     return kind, notes
-
-
-def _motive_unit(file: RecordedFile, given: str) -> str:
-    unit = MOTIVE_LENGTHS.get(given.capitalize())
-    if unit is None:
-        hint, allowed = did_you_mean(given, MOTIVE_LENGTHS), ", ".join(MOTIVE_LENGTHS)
-        raise file.error(f"Length Units '{given[:20]}' is not known{hint}; allowed: {allowed}", 1)
-    return unit
 
 
 def _columns(file: RecordedFile, lines: list[list[str]]) -> tuple[int, list[_Column], list[_Column]]:

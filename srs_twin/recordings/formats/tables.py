@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from string import ascii_letters
 from typing import final
 
 import numpy as np
@@ -168,6 +169,7 @@ class DeepLabCut(Format):
 
 
 _NUMBERED = re.compile(r"[xyz]_\d+(?![A-Za-z0-9]{2})", re.IGNORECASE)
+_CONNECTOR = re.compile(r"\d+[A-Za-z]?")
 
 
 @final
@@ -182,8 +184,7 @@ class PlainCsv(Format):
 
     def recognizes(self, start: RecordedFile) -> bool:
         """Return whether a file starts with the names of columns of a time or of positions."""
-        names = start.names
-        return any(_NUMBERED.match(name) or is_clock(name) for name in names) or bool(axis_columns(names))
+        return any(map(is_clock, start.names)) or bool(axis_columns(start.names))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of a plain CSV file.
@@ -194,10 +195,10 @@ class PlainCsv(Format):
         """
         rate_hz, unit = unstated.rate_hz, unstated.unit
         file = laid_out(file, unstated.dialect)
-        numbered = any(_NUMBERED.match(name) for name in file.names)
-        table = read_table(file, CLOCK | dict.fromkeys("xyz" if numbered else "", LENGTHS))
+        numbered = any(map(_NUMBERED.match, file.names))
+        table = read_table(file, CLOCK)
+        clock = [*table.columns]
         markers = _marker_columns(table, numbered)
-        clock = [column for column in table.columns if column.name in CLOCK]
         if not clock and not rate_hz:
             raise file.error(
                 "no column 'time' (the first line must name the columns: time,x_1,y_1,x_2,y_2,…), and no "
@@ -226,9 +227,7 @@ class PlainCsv(Format):
             notes.append(f"{len(without)} columns without a unit assumed to be in s and m ({without[0]}, …)")
         others = {*range(len(file.names))} - {column.place for column in used}
         notes += not_used([file.names[index] or "''" for index in sorted(others)])
-        places: tuple[tuple[int, str], ...] = ()
-        if numbered:
-            places = tuple((2 * (columns[0].number - 1), "") for columns in markers.values())
+        places = tuple((2 * (number - 1), "") for number, _ in map(_place, markers if numbered else ()))
         points = values.reshape(len(time), len(markers), -1)
         result = marker_table(
             file, self.name, time, points, list(markers), notes, places=places, epoch_ns=epoch_ns
@@ -236,33 +235,35 @@ class PlainCsv(Format):
         return replace(result, unit=unit or min({column.unit for column in chosen} - {""}, default="m"))
 
 
+def _place(marker: str) -> tuple[int, str]:
+    """Return the number of the connector of a marker of numbered columns, and the letter: 1, 1a or 1b."""
+    number = marker.rstrip(ascii_letters)
+    return int(number), marker[len(number) :]
+
+
 def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
     """Return the columns x, y and, if they exist, z of each marker; numbered markers head first."""
     file, line = table.file, table.file.header_lines or 1
-    markers: dict[str, dict[str, CsvColumn]] = {}
-    columns = [column for column in table.columns if column.name not in CLOCK]
-    for column in sorted(columns, key=lambda column: (column.number, column.letter)):
-        if column.number == 0:
-            raise table.error(column, f"{column.text} needs a number: {column.name}_1 at the head")
-        markers.setdefault(f"{column.number}{column.letter}", {})[column.name] = column
-    for name, axes in {} if numbered else axis_columns(file.names).items():
-        for axis, (index, unit) in axes.items():
-            column = CsvColumn(index, axis, 0, "", unit, LENGTHS.get(unit, 1.0), file.names[index])
-            markers.setdefault(name, {})[axis] = column
-            if file.names.count(column.text) > 1:
-                raise table.error(column, f"{column.text}: two columns have this name")
+    names = [name if not numbered or _NUMBERED.match(name) else "" for name in file.names]
+    markers = axis_columns(names)
+    if numbered:
+        markers = {name: markers[name] for name in sorted(filter(_CONNECTOR.fullmatch, markers), key=_place)}
     if not markers:
         required = "columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y"
         raise file.error(f"the file has no positions; it must have {required}", line)
-    letters = "xyz" if any("z" in marker for marker in markers.values()) else "xy"
-    missing = ((name, axis) for name, marker in markers.items() for axis in letters if axis not in marker)
-    for name, axis in missing:
-        if numbered:
-            first = next(iter(markers[name].values()))
-            raise table.error(first, f"{first.text}: {axis}_{name} is missing")
-        raise file.error(f"{name}_{axis} is missing, although other markers have one", line)
-    numbers = {column.number for marker in markers.values() for column in marker.values()}
-    if numbered and len(numbers) < max(numbers):
-        first_missing = min({*range(1, max(numbers))} - numbers)
-        raise file.error(f"x_{first_missing} is missing; connectors are numbered from 1 at the head", line)
-    return {name: [marker[axis] for axis in letters] for name, marker in markers.items()}
+    used = {column.place for axes in markers.values() for column in axes.values()}
+    for place, name in enumerate(names):
+        if file.names.count(name) > 1:
+            raise file.error(f"{name}: two columns have this name", line, place + 1)
+        if numbered and name and place not in used:
+            required = f"each marker has x and y, once, in {', '.join(LENGTHS)}"
+            raise file.error(f"{name} belongs to no marker: {required}", line, place + 1)
+    numbers = [_place(name)[0] for name in markers if numbered]
+    if missing := {*range(1, max(numbers, default=0))} - {*numbers}:
+        problem = f"x_{min(missing)} is missing; connectors are numbered from 1 at the head"
+        raise file.error(problem, line)
+    letters = "xyz" if any("z" in axes for axes in markers.values()) else "xy"
+    for name, axes in markers.items():
+        if letters[-1] not in axes:
+            raise file.error(f"{name}_z is missing, although other markers have one", line)
+    return {name: [axes[axis] for axis in letters] for name, axes in markers.items()}
