@@ -101,10 +101,10 @@ if __name__ == "__main__":
 
 def test_type_checkers_understand_a_users_script_and_a_new_controller(srs_twin, tmp_path, request):
     """Unused ignores are errors: mypy must find each mistake and nothing else."""
-    assert srs_twin("new", "controller", "wiggle", cwd=tmp_path).returncode == 0
+    assert srs_twin("new", "controller", "wriggle", cwd=tmp_path).returncode == 0
     (tmp_path / "mistakes.py").write_text(MISTAKES, "utf-8")
     (tmp_path / USER_SCRIPT.name).write_bytes(USER_SCRIPT.read_bytes())
-    scripts = ("mistakes.py", USER_SCRIPT.name, "wiggle.py")
+    scripts = ("mistakes.py", USER_SCRIPT.name, "wriggle.py")
     cache = request.config.cache.mkdir("mypy")
     command = (sys.executable, "-m", "mypy", "--strict", "--cache-dir", cache, *scripts)
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
