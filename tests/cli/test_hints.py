@@ -79,7 +79,7 @@ def test_every_command_in_a_message_is_in_backticks():
     }
     # These are printed with the launcher, or are names and whole commands in files.
     allowed = {"new.py", "catalogue.py", "footprint_report.py", "diff.py", "command.py"}
-    allowed |= {"probes.py", "facts.py"}
+    allowed |= {"probes.py", "facts.py", "reproduce.py"}
     assert {name for name, _ in found} <= allowed, found
 
 
