@@ -187,6 +187,11 @@ class ReorderBuffer:
         self.counts[message.source, message.kind, "taken"] += 1
         heapq.heappush(self._waiting, (time, _RANKS.get(message.kind, 2), next(self._number), message))
 
+    @property
+    def waits(self) -> bool:
+        """Whether messages are held."""
+        return bool(self._waiting)
+
     def waiting(self, kind: str) -> list[tuple[float, Message]]:
         """Return the held messages of a kind with their times on our clock (s), unordered."""
         return [(time, message) for time, _, _, message in self._waiting if message.kind == kind]

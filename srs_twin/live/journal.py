@@ -36,6 +36,8 @@ from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
 LONGEST_GAP_S = 60.0
 """Longest pause of a journal that playback reproduces, s; longer ones are skipped."""
 _NOT_IN_ORDER = "a record whose time does not follow that of the one before"
+_FULL_S = 0.01
+"""Interval at which a full queue is checked again, s."""
 _MOST_HEAD = 100_000
 """Number of motion capture frames that are buffered before the robot's first message."""
 
@@ -254,12 +256,16 @@ class McapLink(Link):
         self._speed, self._over = speed, threading.Event()
         self._messages = self._of_the_robot(path, robot, segments)
         self._first = self._begun = math.nan
+        self._next = math.inf
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
 
     def clock(self) -> float:
-        """Return the current time in the recording, s; NaN before the first message."""
-        return self._first + (clock() - self._begun) * self._speed
+        """Return the current time in the recording, s; NaN before the first message.
+
+        The time is never later than that of the next message, even if the playback is too slow.
+        """
+        return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
     def _of_the_robot(self, path: Path, robot: str, segments: int) -> Iterator[Message]:
         """Return a journal's messages; find the robot's first one now, as errors cannot be raised later.
@@ -285,15 +291,20 @@ class McapLink(Link):
     def _play(self) -> None:
         try:
             for message in self._messages:
-                ahead = message.arrived - self.clock()
+                self._next = message.arrived
+                ahead = message.arrived - self._first - (clock() - self._begun) * self._speed
                 if not ahead <= LONGEST_GAP_S:  # also NaN, at first
                     self._first, self._begun = message.arrived, clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
+                while self._queue.full():  # messages are used more slowly than they are played
+                    if self._over.wait(_FULL_S):
+                        return
                 self._take(message)
         except Exception as error:  # the thread ends here, so the error must be counted
             self._refuse(error)
         finally:
+            self._next = math.inf
             self.counts["over"] += 1
 
     def close(self) -> None:

@@ -80,6 +80,11 @@ class Link(ABC):
                 messages.append(self._queue.get_nowait())
         return messages
 
+    @property
+    def over(self) -> bool:
+        """Whether a journal has ended, and all of its messages were received."""
+        return self.counts["over"] > 0 and self._queue.empty()
+
     def clock(self) -> float:
         """Return the time on the clock of the arrival times, s."""
         return clock()

@@ -354,7 +354,8 @@ class Session:
 
     def _over(self) -> bool:
         steered = self._steering is not None and self._steering.finished
-        return self._stopped or steered or all(link.counts["over"] for link in self._links)
+        played = all(link.over for link in self._links) and not self.shadow.waits
+        return self._stopped or steered or played
 
     def _collect(self) -> None:
         """Use the results of other threads, and report their errors and those of the journal."""
@@ -385,13 +386,13 @@ class Session:
             now: time on the clock of the links, s; NaN while a journal waits.
             since: time from the start of the session, s.
         """
+        if math.isnan(now):
+            return
         messages = [message for link in self._links for message in link.received()]
         if self._commands is not None:  # a journal's control messages are history
             typed = [message.names[0] for message in messages if message.kind == CONTROL]
             for word in [*self._keys(), *typed]:
                 self._obey(word)
-        if math.isnan(now):
-            return
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)

@@ -169,6 +169,11 @@ class Shadow:
             self._advance(now - self.buffer.hold)
         return True
 
+    @property
+    def waits(self) -> bool:
+        """Whether messages have been received that are not used yet."""
+        return self.buffer.waits or bool(self._due)
+
     def predict(self) -> Prediction:
         """Return the predicted path of the next second, assuming that the commands repeat."""
         return self.prediction_calibration.widened(self.prediction_task()())

@@ -162,6 +162,18 @@ def test_times_out_of_order_are_refused_and_gaps_passed_over(tmp_path, times, pl
     assert link.counts[bad] == len(times) - len(played)
 
 
+def test_a_journal_waits_for_whoever_uses_its_messages(tmp_path, monkeypatch):
+    said = written(tmp_path / "a.mcap", 40)
+    monkeypatch.setattr("srs_twin.live.links._MOST_WAITING", 10)
+    found = []
+    with McapLink(tmp_path / "a.mcap", "r", 2, speed=math.inf) as link:
+        time.sleep(0.1)
+        wait(lambda: found.extend(link.received()) or link.over)
+    assert len(found) == len(said)
+    with McapLink(tmp_path / "a.mcap", "r", 2, speed=math.inf):
+        pass  # nobody waits for its end
+
+
 def test_an_error_while_a_journal_is_played_ends_it_by_name(tmp_path, monkeypatch):
     written(tmp_path / "a.mcap", 3)
     monkeypatch.setattr(McapLink, "_take", lambda *_: 1 / 0)

@@ -18,7 +18,7 @@ from srs_twin.errors import SessionWarning
 from srs_twin.io.files import create_numbered_file
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live import session as sessions, steering as steering_module
-from srs_twin.live.journal import Journal, journal_messages
+from srs_twin.live.journal import Journal, McapLink, journal_messages
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, GO, POSES, STATUS, Message
 from srs_twin.live.session import Session
@@ -426,6 +426,23 @@ def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(tmp_path, mo
     assert told["skipped_s"] > 0.5
     assert any("some are skipped" in problem for problem in told["problems"])
     was_made_safe(wire)
+
+
+@pytest.mark.parametrize("speed", [2.0, 50.0, 1000.0])
+def test_every_message_of_a_journal_is_used_at_any_speed(tmp_path, monkeypatch, speed):
+    """On a machine that needs a multiple of the time in which the messages are played."""
+    spec, count, used = load_robot("gen4"), 60, []
+    with Journal(tmp_path / "a.mcap") as journal:
+        for k in range(count):
+            journal.write(Message(BENDS, "robot", k / 50, 100 + k / 50, np.zeros(4)))
+    with McapLink(tmp_path / "a.mcap", "robot", 4, speed=speed) as link:
+        found = Session(Shadow(spec, members=8), [link])
+        burdened(found, 2 * sessions.TICK_S, monkeypatch)
+        use = found.shadow._use
+        monkeypatch.setattr(found.shadow, "_use", lambda *given: (used.append(given), use(*given)))
+        told = found.run(60.0)
+    assert len(used) == count and told["skipped_s"] == 0
+    assert told["messages"] == {BENDS: count, "over": 1}
 
 
 def test_a_steered_robot_is_given_up_if_messages_are_skipped_for_long(watched, monkeypatch):
