@@ -103,7 +103,7 @@ POLICY = {
 
 
 def _policy(message: str, **changed: Any) -> Malformed:
-    return Malformed(f"{message}: {changed}"[:60], archive(POLICY | changed), message)
+    return Malformed(" ".join(f"{changed}: {message}".split()), archive(POLICY | changed), message)
 
 
 _NO_FIT = "the layers of the policy do not fit together, or have no finite numbers"
