@@ -6,15 +6,13 @@ Output folders are checked before a run starts. `file_sets` replaces several fil
 from __future__ import annotations
 
 import errno
-import functools
+import fcntl
 import os
-import platform
 import re
 import secrets
 import tempfile
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
@@ -280,58 +278,48 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     """Yield a temporary path that replaces ``path`` when the `with` block ends without an error.
 
     Missing folders are created. Readers of ``path`` see either the old file or the complete new one. After an
-    error the temporary file and the new folders are removed; a temporary file that a killed process left is
-    removed by the next writer of ``path``.
+    error the temporary file and the new folders are removed; the next writer of ``path`` overwrites the
+    temporary file of a killed one.
 
     Raises:
         InputError: the file cannot be written.
     """
     target = Path(path)
-    # Keep the suffix at the end, because some writers choose their format by it.
-    owner = f"{_host_digest()}-{os.getpid()}"
-    temporary = target.with_name(f".{target.stem}.{owner}-{secrets.token_hex(4)}.part{target.suffix}")
     try:
-        with make_folder(target.parent):
-            _remove_abandoned(target)
-            try:
-                yield temporary
-                temporary.replace(target)
-            finally:
-                # Suppress further errors in an unusable folder, which would hide the first one.
-                with suppress(OSError):
-                    temporary.unlink(missing_ok=True)
+        with make_folder(target.parent), _temporary_file(target) as temporary:
+            yield temporary
+            temporary.replace(target)
     except OSError as error:
         raise InputError(f"{display_path(target)}: cannot be written ({error.strerror or error})") from error
 
 
-@functools.cache
-def _host_digest() -> str:
-    """Return eight hexadecimal digits for this machine, whose processes alone can be examined."""
-    return f"{zlib.crc32(platform.node().encode()):08x}"
+@contextmanager
+def _temporary_file(target: Path) -> Iterator[Path]:
+    """Yield the path of a hidden file in the folder of a target; after an error remove the file.
 
-
-def _remove_abandoned(target: Path) -> None:
-    """Remove the temporary files of a file that processes of this machine left when they were killed."""
-    name = re.compile(
-        rf"\.{re.escape(target.stem)}\.{_host_digest()}-(\d+)-[0-9a-f]{{8}}\.part{re.escape(target.suffix)}"
-    )
-    for entry in os.listdir(target.parent):
-        if (found := name.fullmatch(entry)) and not _is_running(int(found[1])):
+    All writers of a target use the same name, so that the next one overwrites the file of a killed one. The
+    file of a live writer is locked until its process ends; meanwhile other writers use a random name.
+    """
+    # Keep the suffix at the end, because some writers choose their format by it.
+    temporary = target.with_name(f".{target.stem}.part{target.suffix}")
+    with ExitStack() as stack:
+        try:
+            lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            stack.callback(os.close, lock)
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # Another writer may have renamed the file between the two calls.
+            is_usable = os.path.samestat(os.fstat(lock), temporary.stat())
+        except OSError:  # locked, without support for locks, or not writable
+            is_usable = False
+        if not is_usable:
+            temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+        try:
+            yield temporary
+        except BaseException:
+            # Suppress further errors in an unusable folder, which would hide the first one.
             with suppress(OSError):
-                (target.parent / entry).unlink()
-
-
-def _is_running(process: int) -> bool:
-    """Return whether a process of this machine exists."""
-    if os.name != "posix":  # a signal would end a process of Windows
-        return True
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
+                temporary.unlink(missing_ok=True)
+            raise
 
 
 def create_numbered_file(folder: Path, name: str) -> Path:
