@@ -123,13 +123,15 @@ class Stateful(DeepCopied):
         """Set the state to one that `state_dict` returned for this or another object.
 
         Raises:
-            InputError: an attribute is missing; the object is unchanged.
+            InputError: an attribute is missing or of another kind than the present one.
         """
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
                 f"{type(self).__name__}: the state is incomplete; it has no {', '.join(missing)}"
             )
+        for name in self._state_names():
+            check_kind(f"{type(self).__name__}.{name}", state[name], getattr(self, name, None))
         for name in self._state_names():
             value = getattr(self, name, None)
             if isinstance(value, Stateful):
@@ -157,6 +159,19 @@ class Stateful(DeepCopied):
     def _state_names(cls) -> tuple[str, ...]:
         names = (name for base in cls.__mro__ for name in vars(base).get("state_attributes", ()))
         return tuple(dict.fromkeys(names))
+
+
+def check_kind(label: str, saved: object, present: object) -> None:
+    """Check that a saved value can replace a present one, if that is an array or has a state of its own.
+
+    Raises:
+        InputError: the saved value is no array with as many dimensions, or no nested state.
+    """
+    if isinstance(present, np.ndarray):
+        if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
+            raise InputError(f"{label}: the saved state has no array of {present.ndim} dimensions for it")
+    elif isinstance(present, Stateful) and not isinstance(saved, Mapping):
+        raise InputError(f"{label}: the saved state has no nested state for it")
 
 
 def _copy_state(value: object) -> object:
@@ -233,7 +248,7 @@ class SavedState:
             if not (isinstance(document["of"], dict) and isinstance(content, dict)):
                 raise ValueError("settings and content must be mappings")
             return SavedState(document["of"], content, document["version"])
-        except InputError:
+        except (InputError, MemoryError):
             raise
         except Exception as error:  # classes raise many kinds of errors if their values are wrong
             reason = f"{type(error).__name__}: {error}"

@@ -16,7 +16,7 @@ from time import monotonic
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import SavedState, Stateful, short_digest
+from srs_twin.io.saved_state import SavedState, Stateful, check_kind, short_digest
 from srs_twin.live.clocks import ReorderBuffer
 from srs_twin.live.commands import KEPT_S, SLOT_S, CommandHistory, CommandPeriod
 from srs_twin.live.ensemble import EnsembleFilter
@@ -205,10 +205,13 @@ class Shadow:
         """Restore learnt values and detected faults.
 
         Raises:
-            InputError: the state belongs to another robot.
+            InputError: the state belongs to another robot, or is incomplete.
         """
         state.check("shadow", self._identity())
-        for name, part in self._saved_parts().items():
+        parts = self._saved_parts()
+        for name, present in (parts | {"gone": self._lost_markers}).items():
+            check_kind(name, state.content.get(name), present)
+        for name, part in parts.items():
             part.load_state_dict(state.content[name])
         self._lost_markers = np.array(state.content["gone"])
 

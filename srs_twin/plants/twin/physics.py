@@ -356,9 +356,16 @@ class SnakePhysics(Stateful):
         return super().state_dict() | {"engine": engine}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore a saved state."""
+        """Restore a saved state.
+
+        Raises:
+            InputError: the state is incomplete, or of another kind.
+        """
+        engine = np.asarray(state.get("engine"))
+        if engine.shape != (mujoco.mj_stateSize(self.model, _SAVED_STATE),):
+            raise InputError("the saved state has no state of MuJoCo, or that of another model")
         super().load_state_dict(state)
-        mujoco.mj_setState(self.model, self.data, state["engine"], _SAVED_STATE)
+        mujoco.mj_setState(self.model, self.data, engine, _SAVED_STATE)
         self.refresh()
 
     def _move_to_pose(self, pose: Pose) -> None:
