@@ -125,14 +125,15 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         )
         for k in range(sum(name.startswith("weights_") for name in arrays))
     )
-    observations = tuple(map(str, get("observations", "list of texts", 1, "U")))
-    policy = NetworkPolicy(str(get("task", "text", 0, "U")), observations, layers)
-    sizes = [len(policy.observations), *(len(biases) for _, biases in layers)]
+    task = get("task", "text", 0, "U")
+    # A small file can contain millions of empty names, so their number is compared before they are copied.
+    observations = get("observations", "list of texts", 1, "U")
+    sizes = [observations.size, *(len(biases) for _, biases in layers)]
     shapes = [weights.shape for weights, _ in layers]
     finite = all(np.isfinite(array).all() for layer in layers for array in layer)
     if not layers or not finite or shapes != [(after, before) for before, after in pairwise(sizes)]:
         raise InputError(f"{path}: the layers of the policy do not fit together, or have no finite numbers")
-    return policy
+    return NetworkPolicy(str(task), tuple(map(str, observations)), layers)
 
 
 FOOTPRINT = "gen2_gait"

@@ -255,8 +255,12 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
     Raises:
         InputError: the file is missing, not readable, damaged or too large, or contains objects.
     """
-    with require_file(path, suffix=".npz").open("rb") as file:
-        try:
+    try:
+        with require_file(path, suffix=".npz").open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            # The directory of an archive can be as large as the file, and is read at once.
+            if size > MAX_ARCHIVE_BYTES:
+                raise ValueError(f"{size} bytes; the limit is {MAX_ARCHIVE_BYTES}")
             with zipfile.ZipFile(file) as archive:
                 members = archive.infolist()
                 unpacked = sum(member.file_size for member in members)
@@ -268,11 +272,11 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
                     member.filename.removesuffix(".npy"): _parse_array(archive.read(member))
                     for member in members
                 }
-        except OSError as error:
-            raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
-        # zipfile raises RuntimeError for an encrypted member.
-        except (ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise InputError(f"{display_path(path)}: not a {what} ({error})") from error
+    except OSError as error:
+        raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
+    # zipfile raises RuntimeError for an encrypted member.
+    except (ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise InputError(f"{display_path(path)}: not a {what} ({error})") from error
 
 
 _PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -294,9 +298,9 @@ def _parse_array(raw: bytes) -> np.ndarray:
     # The header is parsed as Python, which raises many kinds of errors.
     except Exception as error:
         raise ValueError(f"the header of an array is damaged: {type(error).__name__}") from error
-    numbers = math.prod(shape)
     stored = len(raw) - stream.tell()
-    if min(shape, default=0) < 0 or max(shape, default=0) > len(raw) or numbers * kind.itemsize != stored:
+    is_possible = all(0 <= length <= len(raw) for length in shape)
+    if not is_possible or math.prod(shape) * kind.itemsize != stored:
         raise ValueError(f"an array of shape {shape} and type {kind} in {stored} bytes")
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
