@@ -153,9 +153,8 @@ class TaskFailedError(SrsError):
     """Unexpected exception of a task in a worker process. Exit code 4."""
 
     def __init__(self, error: BaseException) -> None:
-        if isinstance(error, MemoryError):
-            wanted = f": {error}" if str(error) else ""
-            super().__init__(f"the memory is exhausted{wanted}; close other programs, or use fewer --workers")
+        if _is_memory_shortage(error):
+            super().__init__(f"the memory is exhausted ({describe_error(error)}); close other programs")
             return
         fault = (
             "This is a bug in srs-twin, not in your files: please report it with the command and your files"
@@ -163,6 +162,14 @@ class TaskFailedError(SrsError):
         if _frames(error, OUTSIDE):
             fault = "This file is not part of srs-twin: correct it, or report the error to its authors"
         super().__init__(f"internal error: {describe_error(error)}. {fault}")
+
+
+_SHORTAGE = "cannot allocate memory|could not allocate|failed to map segment|can't start new thread"
+
+
+def _is_memory_shortage(error: BaseException) -> bool:
+    """Return whether an error is due to a lack of memory, which libraries report in different ways."""
+    return isinstance(error, MemoryError) or re.search(_SHORTAGE, str(error), re.IGNORECASE) is not None
 
 
 class WorkerDiedError(SrsError):

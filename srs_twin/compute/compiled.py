@@ -268,21 +268,21 @@ def _why_unsafe(folder: Path) -> str | None:
         if status.st_mode & stat.S_IWOTH and not sticky:
             return f"{path} can be written by all users"
         if status.st_mode & stat.S_IWGRP and not sticky and not _is_own_group(status.st_gid):
-            return f"{path} can be written by its group; chmod g-w would prevent that"
+            return f"{path} can be written by its group (chmod g-w forbids it)"
     return None
 
 
 def _is_own_group(number: int) -> bool:
-    """Return whether a group has no members but this user, as the groups that many systems give each user."""
+    """Return whether a group is the one of the same name that many systems give each user."""
     import grp
     import pwd
 
     try:
-        user = pwd.getpwuid(os.getuid())
+        user = pwd.getpwuid(os.getuid()).pw_name
         group = grp.getgrgid(number)
     except KeyError:
         return False
-    return user.pw_gid == number and set(group.gr_mem) <= {user.pw_name}
+    return group.gr_name == user and set(group.gr_mem) <= {user}
 
 
 def _warn(reason: str, requirement: str = "that you can write to") -> None:

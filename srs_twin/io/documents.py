@@ -135,8 +135,9 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
-            elif isinstance(inner, bool | int | float) and k == 0:
-                text = f"{key}: must be a block of keys, not {json.dumps(inner)}"
+            # A number may be written in place of a block with its `value`.
+            elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != ("value",):
+                text = f"{format_path(loc)}: must be a block of keys, not {json.dumps(inner)}"
                 self.problems.append((self.values[loc], text))
             data[key] = data = inner if isinstance(inner, dict | list) else {}
         data[key] = override.value

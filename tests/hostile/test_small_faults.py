@@ -2,22 +2,38 @@
 
 from __future__ import annotations
 
+import copy
+import errno
 import os
 import resource
 import subprocess
 import sys
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
+from malformed_archives import POLICY, archive
 
+from srs_twin import AnalyticalSnake, InputError, TwinSnake, load_robot
 from srs_twin.cli import main
-from srs_twin.compute.compiled import _why_unsafe
+from srs_twin.compute.compiled import _is_own_group, _why_unsafe
+from srs_twin.envs.policy import load_policy
 from srs_twin.errors import TaskFailedError
 from srs_twin.io.files import atomic_write
 
 ROOT = Path(__file__).parents[2]
 SWEEP = "scenario: gen2_straight\n{fixed}vary: {{controller.frequency_hz: [1, 2]}}\n"
+SCENARIO = """title: Mine
+robot: {base: gen2, friction: 3}
+duration_s: 1
+controller: {kind: gait, frequency_hz: 1.0}
+plants: {analytical: {}}
+"""
 
 
 def refused(capfd, *words: str) -> str:
@@ -37,15 +53,33 @@ def test_fixed_values_that_are_no_block_are_refused_with_set(tmp_path, capfd, fi
     assert f"mine.yaml:2:8: fixed: must be a block of keys, not {fixed}" in error
 
 
+def test_a_number_in_place_of_an_inner_block_is_refused_with_set(tmp_path, capfd):
+    path = tmp_path / "mine.yaml"
+    path.write_text(SCENARIO)
+    error = refused(
+        capfd, "run", str(path), "--set", "robot.friction.mu_n=0.4", "--out", str(tmp_path / "out")
+    )
+    assert "mine.yaml:2:31: robot.friction: must be a block of keys, not 3" in error
+
+
 @pytest.mark.parametrize("share", ["1e400%", "nan", "-5%", "0%", "inf", "much"])
 def test_impossible_accuracy_is_refused(capfd, share):
     error = refused(capfd, "calibrate", "design", "gen2", "--want", f"friction.mu_t={share}")
     assert "must be NAME=PERCENT" in error
 
 
-def test_exhausted_memory_is_no_bug_of_the_program():
-    text = str(TaskFailedError(MemoryError("Unable to allocate 3.00 GiB for an array")))
-    assert "the memory is exhausted: Unable to allocate 3.00 GiB" in text
+@pytest.mark.parametrize(
+    "error",
+    [
+        MemoryError("Unable to allocate 3.00 GiB for an array"),
+        OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)),
+        RuntimeError("can't start new thread"),
+        ImportError("libopenblas.so: failed to map segment from shared object"),
+    ],
+)
+def test_exhausted_memory_is_no_bug_of_the_program(error):
+    text = str(TaskFailedError(error))
+    assert "the memory is exhausted" in text and str(error) in text
     assert "bug" not in text
 
 
@@ -58,7 +92,7 @@ def test_command_with_too_little_memory_says_so(tmp_path):
     code += "app.command = lambda: lambda **_: np.zeros(1 << 32)\nmain([])\n"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, preexec_fn=limit)
     assert done.returncode == 4
-    assert "the memory is exhausted: Unable to allocate 32.0 GiB" in done.stderr
+    assert "the memory is exhausted (" in done.stderr and "Unable to allocate 32.0 GiB" in done.stderr
 
 
 KILLED = """
@@ -77,10 +111,23 @@ def test_next_write_removes_the_temporary_file_of_a_killed_one(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED, str(target)], check=False)
     (left,) = set(tmp_path.iterdir()) - {foreign}
     with atomic_write(target) as first, atomic_write(target) as second:
+        assert first == left, "the file of the killed process is overwritten"
         first.write_text("first")
         second.write_text("second")
     assert set(tmp_path.iterdir()) == {foreign, target}
-    assert not left.exists()
+
+
+def test_file_of_a_live_writer_is_kept_by_other_writers(tmp_path):
+    target = tmp_path / "result.yaml"
+    with atomic_write(target) as first:
+        first.write_text("first")
+        with atomic_write(target) as second:
+            second.write_text("second")
+        assert target.read_text() == "second"
+        with pytest.raises(ZeroDivisionError), atomic_write(target) as third:
+            third.write_text(str(1 / 0))
+    assert target.read_text() == "first"
+    assert [*tmp_path.iterdir()] == [target]
 
 
 def test_kernels_of_a_folder_that_a_group_can_write_are_not_trusted(tmp_path, monkeypatch):
@@ -93,11 +140,21 @@ def test_kernels_of_a_folder_that_a_group_can_write_are_not_trusted(tmp_path, mo
     assert _why_unsafe(folder) is None
 
 
+def test_a_group_that_others_may_share_is_not_the_users_own(monkeypatch):
+    own = SimpleNamespace(pw_name="ann", pw_gid=100)
+    monkeypatch.setattr("pwd.getpwuid", lambda number: own)
+    groups = {100: ("users", []), 1000: ("ann", []), 1001: ("ann", ["ann", "bob"])}
+    monkeypatch.setattr("grp.getgrgid", lambda number: SimpleNamespace(
+        gr_name=groups[number][0], gr_mem=groups[number][1]))  # fmt: skip
+    assert [_is_own_group(number) for number in groups] == [False, True, False]
+
+
 def test_output_of_the_action_cannot_be_a_workflow_command(tmp_path):
     action = yaml.safe_load((ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8"))
     (script,) = (step["run"] for step in action["runs"]["steps"] if step.get("id") == "run")
     program = tmp_path / "uv"
-    program.write_text("#!/bin/sh\nprintf '::error::forged\\n```\\n# forged\\n'\n")
+    text = "::error::forged\\n```\\n# forged\\n"
+    program.write_text(f"#!/bin/sh\nprintf '{text}'\nprintf '{text}' >&2\n")
     program.chmod(0o755)
     environment = os.environ | {
         "PATH": f"{tmp_path}:{os.environ['PATH']}", "PROJECT": ".", "SCENARIOS": "s", "ARGUMENTS": "--check",
@@ -115,5 +172,41 @@ def test_output_of_the_action_cannot_be_a_workflow_command(tmp_path):
     first, *inside, last = done.stdout.splitlines()
     command, _, token = first.removeprefix("::").partition("::")
     assert command == "stop-commands" and len(token) == 64 and last == f"::{token}::"
-    assert "::error::forged" in inside
+    assert inside.count("::error::forged") == 2
     assert all(line.startswith("    ") for line in (tmp_path / "s").read_text().splitlines())
+
+
+def test_sparse_file_with_a_large_directory_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "large.npz"
+    path.write_bytes(archive(POLICY))
+    os.truncate(path, 3 << 30)
+    with pytest.raises(InputError, match="3221225472 bytes; the limit is"):
+        load_policy(path)
+
+
+@pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
+def test_number_in_place_of_an_array_of_a_state_is_refused(plant):
+    """Each array of a saved state, also of nested ones, is replaced by a number once."""
+    snake = plant(load_robot("gen2"))
+    snake.reset()
+    state = snake.save()
+    arrays = [*array_places(state.content)]
+    assert len(arrays) > 5
+    for place in arrays:
+        content = copy.deepcopy(dict(state.content))
+        inner = content
+        for name in place[:-1]:
+            inner = inner[name]
+        inner[place[-1]] = 1.0
+        with pytest.raises(InputError, match="saved state has no"):
+            snake.restore(replace(state, content=content))
+    assert snake.restore(state).time == 0.0
+
+
+def array_places(content: Mapping[str, Any], place: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+    """Yield the names that lead to each array of nested states."""
+    for name, value in content.items():
+        if isinstance(value, np.ndarray):
+            yield (*place, name)
+        elif isinstance(value, Mapping):
+            yield from array_places(value, (*place, name))
