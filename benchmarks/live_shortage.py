@@ -1,4 +1,4 @@
-"""Live twins with too little processor time: when they end, what their journals lack, what they say.
+"""Live twins with too little processor time: time to obey, lost part of the journal, and warnings.
 
     uv run python benchmarks/live_shortage.py [--shares 0.1 0.2 0.5] [--seconds 120]
 
@@ -13,9 +13,7 @@ import argparse
 import contextlib
 import os
 import re
-import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -26,6 +24,9 @@ from pathlib import Path
 
 import paho.mqtt.client as mqtt
 from grid import table
+
+sys.path.append(str(Path(__file__).parents[1] / "tests/live"))
+from brokers import broker, free_port
 
 from srs_twin import Gait, load_robot
 from srs_twin.live.journal import journal_messages
@@ -41,30 +42,6 @@ MEASURE_S = 20.0
 PATIENCE_S = 120.0
 
 
-def free_port() -> int:
-    """Return a port of the loopback device that nobody uses."""
-    with socket.socket() as own:
-        own.bind(("127.0.0.1", 0))
-        return int(own.getsockname()[1])
-
-
-@contextlib.contextmanager
-def broker(folder: Path, port: int) -> Iterator[None]:
-    """Run a broker while the block runs."""
-    program = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
-    if program is None:
-        raise SystemExit("mosquitto is not installed")
-    settings = folder / "broker.conf"
-    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\nuser root\n")
-    process = subprocess.Popen([program, "-c", str(settings)], stderr=subprocess.DEVNULL)
-    time.sleep(1.0)
-    try:
-        yield
-    finally:
-        process.kill()
-        process.wait()
-
-
 def walk(client: mqtt.Client, ended: threading.Event) -> None:
     """Publish the commands of a gait every tick."""
     gait = Gait(1.0)
@@ -73,12 +50,13 @@ def walk(client: mqtt.Client, ended: threading.Event) -> None:
     while not ended.wait(TICK_S):
         now = time.monotonic()
         valves = gait.valves_at(now - begin)
-        client.publish(topic(ROBOT, COMMAND), encode(COMMAND, now, valves.reshape(-1, *valves.shape[-2:])[0]))
+        first_slot = valves.reshape(-1, *valves.shape[-2:])[0]
+        client.publish(topic(ROBOT, COMMAND), encode(COMMAND, now, first_slot))
 
 
 @contextlib.contextmanager
 def walking_robot(folder: Path) -> Iterator[tuple[mqtt.Client, list[str]]]:
-    """Run a broker and an emulated robot under a gait; give a client and the options of a live twin."""
+    """Run a broker and an emulated robot under a gait; yield a client and the options of a live twin."""
     broker_port, natnet_port = free_port(), free_port()
     options = ["--mqtt", f"127.0.0.1:{broker_port}", "--natnet", f"127.0.0.1:{natnet_port}"]
     with broker(folder, broker_port):
@@ -110,9 +88,9 @@ class Listener:
     def __init__(self, folder: Path, options: list[str]) -> None:
         folder.mkdir()
         self.folder = folder
-        self._said = (folder / "said.txt").open("wb")
+        self._printed = (folder / "printed.txt").open("wb")
         command = [SRS_TWIN, "shadow", ROBOT, *options, "--out", str(folder / "out")]
-        self.process = subprocess.Popen(command, stdout=self._said, stderr=subprocess.STDOUT)
+        self.process = subprocess.Popen(command, stdout=self._printed, stderr=subprocess.STDOUT)
 
     def processor_time(self) -> float:
         """Return the processor time of its threads so far, s."""
@@ -125,7 +103,8 @@ class Listener:
 
     def _limit(self, share: float) -> None:
         """Stop the process whenever it has used its share, and continue it later."""
-        began, used = time.monotonic(), self.processor_time()
+        began = time.monotonic()
+        used = self.processor_time()
         with contextlib.suppress(ProcessLookupError, FileNotFoundError):
             while self.process.poll() is None:
                 due = self.processor_time() - used - share * (time.monotonic() - began)
@@ -134,9 +113,9 @@ class Listener:
                 os.kill(self.process.pid, signal.SIGSTOP if due > 0 else signal.SIGCONT)
                 time.sleep(CHECK_S)
 
-    def said(self) -> str:
-        """Return what the session printed about its lateness."""
-        text = (self.folder / "said.txt").read_text("utf-8", "replace")
+    def warnings(self) -> str:
+        """Return the warnings about a slow machine."""
+        text = (self.folder / "printed.txt").read_text("utf-8", "replace")
         lines = [line for line in re.split(r"[\r\n]+", text) if re.search(r"skip|behind|too_old|slow", line)]
         return "; ".join(dict.fromkeys(lines)) or "–"
 
@@ -146,7 +125,7 @@ class Listener:
         return max(message.arrived for message in journal_messages(journal, ROBOT, 4))
 
 
-def obedience(listener: Listener, asked: float) -> str:
+def time_to_obey(listener: Listener, asked: float) -> str:
     """Return after which time a live twin stopped listening and its process ended.
 
     Args:
@@ -185,14 +164,16 @@ def main() -> None:
             killed.process.wait()
             lost = death - killed.last_arrival()
             terminated.process.terminate()
-            after_signal = obedience(terminated, time.monotonic())
+            after_signal = time_to_obey(terminated, time.monotonic())
             client.publish(topic(ROBOT, CONTROL), b"stop")
-            after_word = obedience(stopped, time.monotonic())
-            said = stopped.said()
-            rows.append([f"{share:g} of {need:.2f}", after_word, after_signal, f"{lost:.2f} s", said])
+            after_word = time_to_obey(stopped, time.monotonic())
+            warnings = stopped.warnings()
+            rows.append([f"{share:g} of {need:.2f}", after_word, after_signal, f"{lost:.2f} s", warnings])
             print(rows[-1], flush=True)
     print(
-        table(["processor", "`stop`: obeyed; ended", "SIGTERM: obeyed; ended", "journal lost", "said"], rows)
+        table(
+            ["processor", "`stop`: obeyed; ended", "SIGTERM: obeyed; ended", "journal lost", "warnings"], rows
+        )
     )
 
 

@@ -288,7 +288,7 @@ class Session:
             done += 1
             if self._intervals["watch"].is_over(tick):
                 self._watch()
-                self._report_robot()
+                self._report_senders()
             left = start + done * TICK_S - time.monotonic()
             if left > 0:
                 time.sleep(left)
@@ -331,7 +331,7 @@ class Session:
         if self._steering is not None and self._steering.begun and self._behind > TOO_SLOW_S:
             self._steering.give_up(TOO_SLOW)
 
-    def _report_robot(self) -> None:
+    def _report_senders(self) -> None:
         """Warn of interruptions, and of messages whose age cannot be known any more."""
         if self.shadow.interruptions:
             self._report(
@@ -396,6 +396,8 @@ class Session:
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
+        if self._stopped:
+            return
         # A journal may be played faster than its messages can be used; none of them is skipped.
         work_s = math.inf if self._commands is None else _WORK_S
         self.estimate = estimate = self.shadow.update(now, messages, work_s=work_s)

@@ -162,7 +162,7 @@ def test_times_out_of_order_are_refused_and_gaps_passed_over(tmp_path, times, pl
     assert link.counts[bad] == len(times) - len(played)
 
 
-def test_a_journal_waits_for_whoever_uses_its_messages(tmp_path, monkeypatch):
+def test_playback_waits_while_the_queue_is_full(tmp_path, monkeypatch):
     said = written(tmp_path / "a.mcap", 40)
     monkeypatch.setattr("srs_twin.live.links._MOST_WAITING", 10)
     found = []
@@ -171,7 +171,7 @@ def test_a_journal_waits_for_whoever_uses_its_messages(tmp_path, monkeypatch):
         wait(lambda: found.extend(link.received()) or link.over)
     assert len(found) == len(said)
     with McapLink(tmp_path / "a.mcap", "r", 2, speed=math.inf):
-        pass  # nobody waits for its end
+        pass  # closing ends the playback, although the queue is full
 
 
 def test_an_error_while_a_journal_is_played_ends_it_by_name(tmp_path, monkeypatch):

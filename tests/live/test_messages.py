@@ -50,7 +50,7 @@ def test_units_and_names_of_keys_are_the_fixed_ones():
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
-def test_whatever_is_sent_is_strict_json(kind, wrong):
+def test_every_message_is_strict_json(kind, wrong):
     values = {SUPPLY: np.array(wrong), BENDS: np.full(2, wrong), STATUS: "fine", CONTROL: "stop"}
     payload = encode(kind, wrong, values.get(kind, np.full((2, 2), wrong)))
     assert json.loads(payload, parse_constant=pytest.fail)["t"] is None
