@@ -79,8 +79,12 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
         told = {"messages": 0, "packets": 0, "times": 0, "stop": 0.0}
 
         def stop() -> bool:
-            """Deliver twenty of each between two ticks; at the end a stop."""
+            """Deliver twenty of each between two ticks; at the end a stop, and nothing after it."""
             if len(session.ticks) < 10 or told["stop"]:
+                return False
+            if told["messages"] >= count:
+                deliver(link, CONTROL, b"stop")
+                told["stop"] = clock()
                 return False
             for _ in range(20):
                 deliver(link, *hostile.message(draw, SEGMENTS))
@@ -91,9 +95,6 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
             wrong = hostile.valid(BENDS, SEGMENTS, draw.uniform(1e7, 8e9))
             deliver(link, BENDS, json.dumps(wrong).encode())
             told["times"] += 1
-            if told["messages"] >= count:
-                deliver(link, CONTROL, b"stop")
-                told["stop"] = clock()
             return False
 
         found = session.run(60.0, stop)
