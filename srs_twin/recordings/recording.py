@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, check_choice
+from srs_twin.io.files import StrPath
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.floor import UPS, FloorPlane, map_to_floor
@@ -224,7 +224,7 @@ def named_in_errors(file: str) -> Iterator[None]:
 
 
 def read_motion(
-    path: str | os.PathLike[str],
+    path: StrPath,
     spec: RobotSpec,
     *,
     up: str = "auto",

@@ -225,8 +225,7 @@ def _groups_along_body(markers: CapturedMarkers, layout: str, spec: RobotSpec) -
     if layout != "pair":
         return [(int(k),) for k in body_order(markers.points)]
     if markers.table.bodies:
-        by_name = sorted(range(len(markers.main_columns)), key=markers.main_columns.__getitem__)
-        pairs = np.array(by_name).reshape(-1, 2)
+        pairs = np.arange(len(markers.main_columns)).reshape(-1, 2)
     else:
         pairs = rigid_pairs(markers.points, spec.geometry.connectors)
     return [tuple(int(k) for k in pairs[j]) for j in body_order(markers.points[:, pairs].mean(axis=2))]
