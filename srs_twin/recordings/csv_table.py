@@ -6,7 +6,6 @@ A plain table names its columns in the first line: ``x_1``, ``x_1_mm``, ``pressu
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.io.files import StrPath
 from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile, laid_out, read_file
 from srs_twin.recordings.signals.units import TIMES, bracketed, clean, is_clock, symbol, unit_of
 
@@ -42,7 +42,7 @@ class TimedRows(NamedTuple):
     epoch_ns: int | None
 
 
-def first_line_names(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> list[str]:
+def first_line_names(path: StrPath, dialect: Dialect = AS_FOUND) -> list[str]:
     """Return the names of a table's columns in lower case; empty if it has none.
 
     Raises:

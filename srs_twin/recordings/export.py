@@ -14,6 +14,7 @@ Times are simulated seconds since the start; stamps and log times are equal.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -130,64 +131,60 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     }
 
 
-def _messages(runs: Mapping[str, Trajectory], store: object) -> Iterator[tuple[str, str, int, object]]:
+def _messages(runs: Mapping[str, Trajectory], store: Any) -> Iterator[tuple[str, str, int, object]]:
     """Yield topic, type, time (ns) and message, in the order of time."""
+    types = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
     times = sorted(
         (round(time * _NS), plant, k) for plant, run in runs.items() for k, time in enumerate(run.time)
     )
-    samples = {plant: _Sample(plant, run, store) for plant, run in runs.items()}
     for time, plant, k in times:
-        for topic, kind, message in samples[plant].messages(k, time):
+        columns = runs[plant].columns
+        sample = {name: float(column[k]) for name, column in columns.items()}
+        for topic, kind, message in _sample_messages(plant, sample, time, types):
             yield topic, kind, time, message
 
 
-class _Sample:
-    """Messages of the samples of one plant."""
+def _sample_messages(
+    plant: str, sample: Mapping[str, float], time: int, make: Mapping[str, Any]
+) -> Iterator[tuple[str, str, object]]:
+    """Yield topic, type and message of a sample.
 
-    def __init__(self, plant: str, run: Trajectory, store: Any) -> None:
-        self._plant, self._run = plant, run
-        self._types = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
-        names = ["com", *(f"connector_{i}" for i in range(1, run.position.shape[1] + 1))]
-        places = np.concatenate([run.com[:, None], run.position], axis=1)
-        angles = np.concatenate([run["heading"][:, None], run.stack("theta")], axis=1)
-        self._bodies = list(zip(names, np.moveaxis(places, 1, 0), angles.T, strict=True))
-        self._bends = run.stack("bend")
-        self._sides = [side for side in _SIDES if run.has(f"pressure_{side}")]
-        self._pressures = {side: run.stack(f"pressure_{side}") for side in self._sides}
-        valves = run.has("valve_plus") and run.has("valve_minus")
-        self._valves = np.stack([run.stack(f"valve_{s}") for s in _SIDES], axis=-1) if valves else None
+    Args:
+        plant: name of the plant.
+        sample: column → value.
+        time: time of the sample, ns.
+        make: message type → its class.
+    """
 
-    def messages(self, k: int, time: int) -> Iterator[tuple[str, str, object]]:
-        """Yield topic, type and message of a sample; time in ns."""
-        make, plant = self._types, self._plant
-        stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
-        header = make["Header"](stamp=stamp, frame_id=WORLD)
-        transforms = []
-        for name, places, angles in self._bodies:
-            x, y, half = float(places[k, 0]), float(places[k, 1]), float(angles[k]) / 2
-            turn = make["Quaternion"](x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half)))
-            pose = make["Pose"](position=make["Point"](x=x, y=y, z=0.0), orientation=turn)
-            message = make["PoseStamped"](header=header, pose=pose)
-            yield f"/{plant}/{name}/pose", "geometry_msgs/msg/PoseStamped", message
-            transform = make["Transform"](translation=make["Vector3"](x=x, y=y, z=0.0), rotation=turn)
-            child = f"{plant}/{name}"
-            transforms.append(
-                make["TransformStamped"](header=header, child_frame_id=child, transform=transform)
-            )
-        yield "/tf", "tf2_msgs/msg/TFMessage", make["TFMessage"](transforms=transforms)
-        nothing = np.zeros(0)
-        names = [f"segment_{j}" for j in range(1, self._bends.shape[1] + 1)]
-        joints = make["JointState"](
-            header=header, name=names, position=self._bends[k], velocity=nothing, effort=nothing
-        )
-        yield f"/{plant}/bends", "sensor_msgs/msg/JointState", joints
-        for side in self._sides:
-            for j, gauge in enumerate(self._pressures[side][k].tolist(), start=1):
-                message = make["FluidPressure"](
-                    header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0
-                )
-                yield f"/{plant}/pressure_{side}_{j}", "sensor_msgs/msg/FluidPressure", message
-        if self._valves is not None:
-            layout = make["MultiArrayLayout"](dim=[], data_offset=0)
-            states = make["Int8MultiArray"](layout=layout, data=self._valves[k].reshape(-1).astype(np.int8))
-            yield f"/{plant}/valves", "std_msgs/msg/Int8MultiArray", states
+    def numbered(name: str) -> list[float]:
+        return [sample[key] for j in range(1, len(sample)) if (key := f"{name}_{j}") in sample]
+
+    stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
+    header = make["Header"](stamp=stamp, frame_id=WORLD)
+    poses = zip(numbered("x"), numbered("y"), numbered("theta"), strict=True)
+    bodies = {f"connector_{i}": pose for i, pose in enumerate(poses, start=1)}
+    bodies["com"] = (sample["com_x"], sample["com_y"], sample["heading"])
+    transforms = []
+    for name, (x, y, angle) in bodies.items():
+        turn = make["Quaternion"](x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2))
+        pose = make["Pose"](position=make["Point"](x=x, y=y, z=0.0), orientation=turn)
+        message = make["PoseStamped"](header=header, pose=pose)
+        yield f"/{plant}/{name}/pose", "geometry_msgs/msg/PoseStamped", message
+        transform = make["Transform"](translation=make["Vector3"](x=x, y=y, z=0.0), rotation=turn)
+        child = f"{plant}/{name}"
+        transforms.append(make["TransformStamped"](header=header, child_frame_id=child, transform=transform))
+    yield "/tf", "tf2_msgs/msg/TFMessage", make["TFMessage"](transforms=transforms)
+    bends = np.array(numbered("bend"))
+    names = [f"segment_{j}" for j in range(1, len(bends) + 1)]
+    nothing = np.zeros(0)
+    joints = make["JointState"](header=header, name=names, position=bends, velocity=nothing, effort=nothing)
+    yield f"/{plant}/bends", "sensor_msgs/msg/JointState", joints
+    for side in _SIDES:
+        for j, gauge in enumerate(numbered(f"pressure_{side}"), start=1):
+            message = make["FluidPressure"](header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0)
+            yield f"/{plant}/pressure_{side}_{j}", "sensor_msgs/msg/FluidPressure", message
+    states = np.array([numbered(f"valve_{side}") for side in _SIDES], dtype=np.int8)
+    if states.size:
+        layout = make["MultiArrayLayout"](dim=[], data_offset=0)
+        message = make["Int8MultiArray"](layout=layout, data=states.T.reshape(-1))
+        yield f"/{plant}/valves", "std_msgs/msg/Int8MultiArray", message

@@ -9,7 +9,6 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from os.path import commonprefix
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, cast
 
@@ -17,6 +16,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.arguments import checked
+from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.floor import Up, map_to_floor
 from srs_twin.recordings.body.layout import (
     LAYOUT_SIZES,
@@ -100,10 +100,10 @@ class Scene:
 
 @checked
 def inspect(
-    path: str | os.PathLike[str],
+    path: StrPath,
     *,
-    map: str | os.PathLike[str] | Mapping[str, Any] = MappingProxyType({}),
-    robot: str | os.PathLike[str] | RobotSpec | None = None,
+    map: StrPath | Mapping[str, Any] = MappingProxyType({}),
+    robot: StrPath | RobotSpec | None = None,
 ) -> RecordingFacts:
     """Describe a recording and propose a map, as `srs-twin inspect`.
 
@@ -120,7 +120,7 @@ def inspect(
 
 
 def inspect_file(
-    path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec | None
+    path: StrPath, map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts of a file, and its markers if it has any.
 
@@ -138,7 +138,7 @@ def inspect_file(
 
 
 def _file_facts(
-    path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec | None
+    path: StrPath, map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts of a file without the proposed map, and its markers; as `inspect_file`."""
     start = start_of(path, map.dialect)
@@ -308,7 +308,7 @@ def _heads(
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
-def _robot_facts(path: str | os.PathLike[str], map: RecordingMap, spec: RobotSpec) -> RobotFacts:
+def _robot_facts(path: StrPath, map: RecordingMap, spec: RobotSpec) -> RobotFacts:
     """Return the result of reading the file as a recording of a robot."""
     try:
         recording = read_motion(path, spec, map=map)
@@ -440,8 +440,8 @@ def _pressure(unit: str, values: np.ndarray, map: RecordingMap) -> str:
 
 
 def markers_view(scene: Scene) -> Figure:
-    """Plot the markers from above: paths, the chain at three times, rigid pairs, direction of motion."""
-    from srs_twin.viewing.plots.style import GOAL_COLOR, PLUS_COLOR, finish, panels
+    """Plot the markers from above: paths, the chain at three times, rigid pairs."""
+    from srs_twin.viewing.plots.style import PLUS_COLOR, finish, panels
 
     places = scene.places
     low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
@@ -458,15 +458,8 @@ def markers_view(scene: Scene) -> Figure:
             )
             for pair in scene.rigid:
                 axes.plot(*places[moment, list(pair)].T, color=PLUS_COLOR, linewidth=2.5, zorder=3)
-        same = len(commonprefix(scene.names)) if len(scene.names) > 1 else 0
         for name, place in zip(scene.names, places[complete[0]], strict=True):
-            said = name[same:] or name
-            axes.annotate(said, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7)
-        start, end = (places[complete[k]].mean(axis=0) for k in (0, -1))
-        if np.hypot(*(end - start)) > 0.05 * wide:
-            axes.annotate(
-                "", end, start, arrowprops={"arrowstyle": "->", "color": GOAL_COLOR, "linewidth": 1.2}
-            )
+            axes.annotate(name, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7)
     axes.set_aspect("equal", adjustable="datalim")
     title = f"{places.shape[1]} markers; lines: order along the body at the first, middle and last frame"
     finish(axes, "y (m)", "x (m)", title=title)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import decode_text, display_path, require_file
+from srs_twin.io.files import StrPath, decode_text, display_path, require_file
 from srs_twin.recordings.signals.units import TIMES, clean
 
 MAX_BYTES = 256 << 20
@@ -192,11 +191,6 @@ class RecordedFile:
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(f"line {line}, the last one, has no line end and may be cut: left out")
-        # The first row is checked before the remaining ones are parsed.
-        first = raw[start : max(raw.find(b"\n", start, stop), start)]
-        cells = first.count(self.separator.encode()) + 1
-        if first.strip() and b'"' not in first and cells != width:
-            raise self.error(f"{cells} cells, but the header has {width}", header_lines + 1)
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
             limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
@@ -317,7 +311,7 @@ class RecordedFile:
         return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
 
 
-def recording_file(path: str | os.PathLike[str]) -> Path:
+def recording_file(path: StrPath) -> Path:
     """Return the file of a recording; the file of a ROS 2 bag is inside a folder.
 
     Raises:
@@ -334,7 +328,7 @@ def recording_file(path: str | os.PathLike[str]) -> Path:
     return require_file(bags[0] if bags else place, suffix=".csv")
 
 
-def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> RecordedFile:
+def start_of(path: StrPath, dialect: Dialect = AS_FOUND) -> RecordedFile:
     """Read the first bytes of a file as a table.
 
     Raises:
@@ -344,7 +338,7 @@ def start_of(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> Recor
     return laid_out(RecordedFile(display_path(place), _bytes(place, _PEEK)), dialect)
 
 
-def read_bytes(path: str | os.PathLike[str]) -> RecordedFile:
+def read_bytes(path: StrPath) -> RecordedFile:
     """Read a recorded file of any kind.
 
     Raises:
@@ -369,7 +363,7 @@ def _bytes(place: Path, limit: int) -> bytes:
         raise InputError(f"{display_path(place)}: cannot be read ({error.strerror})") from error
 
 
-def read_file(path: str | os.PathLike[str]) -> RecordedFile:
+def read_file(path: StrPath) -> RecordedFile:
     """Read a recorded text file.
 
     Raises:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -10,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, check_choice
+from srs_twin.io.files import StrPath
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.floor import UPS, FloorPlane, map_to_floor
 from srs_twin.recordings.body.layout import LAYOUTS, check_scale, foreign_tracks, robot_markers
-from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody, select_layout, tracked_body
+from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody, tracked_body
 from srs_twin.recordings.body.tracking import MAX_MARKERS, Tracks, pack_slots, track_markers
 from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
 from srs_twin.recordings.formats import read_markers
@@ -224,7 +224,7 @@ def named_in_errors(file: str) -> Iterator[None]:
 
 
 def read_motion(
-    path: str | os.PathLike[str],
+    path: StrPath,
     spec: RobotSpec,
     *,
     up: str = "auto",
@@ -265,8 +265,7 @@ def read_motion(
         given_up = map.up if map.up and up == "auto" else up
         floor = map_to_floor(table.points, given_up, table.usual_up, map.level)
         points = at_frames(floor.points, frames)
-        layouts, markers, notes = _captured_markers(table, spec, frames, points, layout, longest_gap_s)
-        markers = select_layout(markers, layouts, spec, head)
+        markers, notes = _captured_markers(table, spec, frames, points, layout, longest_gap_s)
         body = tracked_body(markers, spec, head)
         texts = *table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections
         counts, hidden = _counts(frames, floor, markers, body), int(markers.missing.sum())
@@ -282,8 +281,8 @@ def _captured_markers(
     points: np.ndarray,
     layout: str,
     longest_gap_s: float,
-) -> tuple[list[str], CapturedMarkers, list[str]]:
-    """Return the possible layouts, the markers of the robot with the first of them, and notes.
+) -> tuple[CapturedMarkers, list[str]]:
+    """Return the markers of the robot, and notes.
 
     Args:
         table: the file.
@@ -311,8 +310,7 @@ def _captured_markers(
     time, places = frames.time[kept], places[kept]
     origin = np.where(np.isnan(places[..., 0]), -1, tracks.columns[kept][:, chosen])
     filled = fill_gaps(time, places, 3)
-    markers = CapturedMarkers(table, layouts[0], time, filled, origin, int(jumps.sum()), other)
-    return layouts, markers, notes
+    return CapturedMarkers(table, layouts, time, filled, origin, int(jumps.sum()), other), notes
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
@@ -370,7 +368,7 @@ def _counts(
         header_frames=table.header_frames,
         frames_missing=int((frames.rows < 0).sum()),
         columns=len(table.labels),
-        layout=markers.layout,
+        layout=body.layout,
         head=body.head,
         up=floor.up,
         samples_seen=int((~np.isnan(at_frames(floor.points, frames)[..., 0])).sum()),

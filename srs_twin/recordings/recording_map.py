@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.documents import Document, load_yaml
+from srs_twin.io.documents import Document
 from srs_twin.io.validation import StrictModel, load_model, validate
 from srs_twin.recordings.body.floor import Up
 from srs_twin.recordings.csv_table import Meaning
@@ -200,8 +200,7 @@ def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[st
     """
     data: dict[str, Any] = {}
     if path is not None:
-        load_model(RecordingMap, Path(path))
-        data = dict(load_yaml(Path(path)).data)
+        data = load_model(RecordingMap, Path(path)).model_dump(exclude_unset=True)
     data |= {key: value for key, value in options.items() if value is not None}
     separator_names = {character: name for name, character in _SEPARATORS.items()}
     if data.get("separator") in separator_names:

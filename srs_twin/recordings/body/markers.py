@@ -6,9 +6,10 @@ Errors raised here do not name the file; `read_motion` adds its name.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,7 +48,7 @@ class CapturedMarkers:
 
     Attributes:
         table: the file.
-        layout: one of `LAYOUTS`, or "named".
+        layouts: layouts with this number of markers, or ["named"].
         time: shape (frames,), s.
         points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
         columns: column of the file from which each sample came, −1 where it is hidden, (frames, markers).
@@ -56,7 +57,7 @@ class CapturedMarkers:
     """
 
     table: MarkerTable
-    layout: str
+    layouts: list[str]
     time: np.ndarray
     points: np.ndarray
     columns: np.ndarray
@@ -88,6 +89,7 @@ class TrackedBody:
     """Shape of the robot in a recording.
 
     Attributes:
+        layout: one of `LAYOUTS`, or "named".
         shape: connectors, headings, bends and lengths, with errors.
         missing: connectors with a hidden marker, shape (frames, N).
         spacing: largest distance of adjacent connectors, shape (segments,), m.
@@ -95,11 +97,20 @@ class TrackedBody:
         corrections: texts on results and assumptions.
     """
 
+    layout: str
     shape: BodyShape
     missing: np.ndarray
     spacing: np.ndarray
     head: str
     corrections: tuple[str, ...]
+
+
+class _Assignment(NamedTuple):
+    """Layout, places of the markers, and a text on how the head was determined."""
+
+    layout: str
+    places: Places
+    head: str
 
 
 def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> TrackedBody:
@@ -111,19 +122,28 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
         head: name of a column at the head, or None.
 
     Raises:
-        InputError: the markers do not fit this robot or do not determine its shape, or the head cannot be
-            determined.
+        InputError: the markers do not fit this robot or do not determine its shape, or layout or head cannot
+            be determined.
         UnknownNameError: no column has the name given as the head.
     """
-    places, head_note = _places_from_head(markers, spec, head)
-    shape, station, notes = _fit_body(markers, spec, places)
+    options: list[_Assignment] = []
+    refused: list[str] = []
+    for layout in markers.layouts:
+        try:
+            options += _assignments(markers, layout, spec, head)
+        except InputError as error:
+            if len(markers.layouts) == 1 or isinstance(error, UnknownNameError):
+                raise
+            refused.append(f"{layout}: {error}")
+    chosen = options[0] if len(options) == 1 else _best_fit(markers, spec, options, refused)
+    shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
     # A hidden marker at the middle of a segment makes both connectors of the segment uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:
             missing[:, connector] |= shape.missing[:, k]
-    return TrackedBody(shape, missing, spacing, head_note, tuple(notes))
+    return TrackedBody(chosen.layout, shape, missing, spacing, chosen.head, tuple(notes))
 
 
 def _fit_body(
@@ -200,13 +220,12 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
     return notes
 
 
-def _groups_along_body(markers: CapturedMarkers, spec: RobotSpec) -> list[tuple[int, ...]]:
+def _groups_along_body(markers: CapturedMarkers, layout: str, spec: RobotSpec) -> list[tuple[int, ...]]:
     """Return the markers of each station, from one end of the body to the other."""
-    if markers.layout != "pair":
+    if layout != "pair":
         return [(int(k),) for k in body_order(markers.points)]
     if markers.table.bodies:
-        by_name = sorted(range(len(markers.main_columns)), key=markers.main_columns.__getitem__)
-        pairs = np.array(by_name).reshape(-1, 2)
+        pairs = np.arange(len(markers.main_columns)).reshape(-1, 2)
     else:
         pairs = rigid_pairs(markers.points, spec.geometry.connectors)
     return [tuple(int(k) for k in pairs[j]) for j in body_order(markers.points[:, pairs].mean(axis=2))]
@@ -221,11 +240,13 @@ def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
     return places | {marker: (step * k, "") for k, group in enumerate(groups) for marker in group}
 
 
-def _places_from_head(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> tuple[Places, str]:
-    """Return station and side of each marker, and a text on how the head was determined."""
+def _assignments(
+    markers: CapturedMarkers, layout: str, spec: RobotSpec, head: str | None
+) -> list[_Assignment]:
+    """Return the possible assignments with a layout: one, or one from each end of the body."""
     if markers.table.places:
-        return _named_places(markers, spec), "connector 1 of the file"
-    groups, layout, labels = _groups_along_body(markers, spec), markers.layout, markers.table.labels
+        return [_Assignment(layout, _named_places(markers, spec), "connector 1 of the file")]
+    groups, labels = _groups_along_body(markers, layout, spec), markers.table.labels
     options = [_stations(layout, order) for order in (groups, groups[::-1])]
     if head is not None:
         if head not in labels:
@@ -233,71 +254,53 @@ def _places_from_head(markers: CapturedMarkers, spec: RobotSpec, head: str | Non
         heads = [[markers.name(k) for k, (station, _) in places.items() if not station] for places in options]
         if head not in heads[0] + heads[1]:
             raise InputError(f"marker '{head}' is at neither end of the body")
-        return options[head not in heads[0]], f"marker '{head}'"
-    ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
+        return [_Assignment(layout, options[head not in heads[0]], f"marker '{head}'")]
     if "head" in layout:
-        best, _ = _best_fit([partial(_fit_thinned, markers, spec, places) for places in options])
-        if best is None:
-            raise InputError(
-                "the end with the second marker of the head cannot be determined; give --head with the name "
-                f"of the marker ({ends})"
-            )
-        return options[best], "the end with a second marker"
+        return [_Assignment(layout, places, "the end with a second marker") for places in options]
     centres = np.stack([markers.points[:, list(group)].mean(axis=1) for group in groups], axis=1)
     crawled = forward_distance(float(np.median(np.diff(markers.time))), centres)
     required = _MIN_CRAWLED * spec.geometry.body_length
     if abs(crawled) < required:
+        ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
         raise InputError(
             f"the head cannot be determined, because the body crawled {1e3 * abs(crawled):.3g} mm along "
             f"itself, less than {1e3 * required:.3g} mm; give --head with the name of a marker at the head "
             f"({ends})"
         )
-    return options[crawled < 0], f"the end towards which it crawled ({abs(crawled):.3g} m)"
+    reason = f"the end towards which it crawled ({abs(crawled):.3g} m)"
+    return [_Assignment(layout, options[crawled < 0], reason)]
 
 
-def select_layout(
-    markers: CapturedMarkers, layouts: Sequence[str], spec: RobotSpec, head: str | None
-) -> CapturedMarkers:
-    """Return the markers with the layout that fits best.
+def _best_fit(
+    markers: CapturedMarkers, spec: RobotSpec, options: Sequence[_Assignment], refused: Sequence[str]
+) -> _Assignment:
+    """Return the assignment that fits a sample of the frames with clearly less noise than the others.
+
+    Args:
+        markers: markers of the robot.
+        spec: the robot.
+        options: possible assignments.
+        refused: texts on layouts without an assignment, for the error.
 
     Raises:
-        InputError: no layout fits, or several fit about equally well.
+        InputError: none fits, or several fit about equally well.
     """
-    if len(layouts) == 1:
-        return replace(markers, layout=layouts[0])
-    thinned = markers.thinned()
-
-    def fit(layout: str) -> BodyShape:
-        return tracked_body(replace(thinned, layout=layout), spec, head).shape
-
-    best, notes = _best_fit([partial(fit, layout) for layout in layouts])
-    if best is None:
-        listed = "; ".join(f"{layout}: {note}" for layout, note in zip(layouts, notes, strict=True))
-        raise InputError(f"the layout of the markers cannot be determined ({listed}); give --layout")
-    return replace(markers, layout=layouts[best])
-
-
-def _best_fit(fits: Sequence[Callable[[], BodyShape]]) -> tuple[int | None, list[str]]:
-    """Return the index of the fit with the smallest noise, or None if another one is similar, and notes."""
-    noises, notes = [], []
-    for fit in fits:
+    thinned, noises, notes = markers.thinned(), list[float](), [*refused]
+    for option in options:
         try:
-            noise = fit().noise
-            notes.append(f"residual of {1e3 * noise:.2g} mm")
-        except UnknownNameError:
-            raise
+            noises.append(_fit_body(thinned, spec, option.places)[0].noise)
+            note = f"residual of {1e3 * noises[-1]:.2g} mm"
         except InputError as error:
-            noise = np.inf
-            notes.append(str(error))
-        noises.append(noise)
-    best, second = np.sort(noises)[:2]
-    clear = np.isfinite(best) and second > _CLEAR_NOISE_RATIO * best
-    return (int(np.argmin(noises)) if clear else None), notes
-
-
-def _fit_thinned(markers: CapturedMarkers, spec: RobotSpec, places: Places) -> BodyShape:
-    """Return the shape that fits a sample of the frames."""
-    return _fit_body(markers.thinned(), spec, places)[0]
+            noises.append(np.inf)
+            note = str(error)
+        notes.append(f"{option.layout} with '{markers.name(next(iter(option.places)))}' at the head: {note}")
+    best, second = np.sort([*noises, np.inf, np.inf])[:2]
+    if not (np.isfinite(best) and second > _CLEAR_NOISE_RATIO * best):
+        raise InputError(
+            f"layout and head of the markers cannot be determined ({'; '.join(notes)}); give --layout, or "
+            "--head with the name of the marker at the head"
+        )
+    return options[int(np.argmin(noises))]
 
 
 def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:

@@ -7,14 +7,13 @@ The library `rosbags` is in the extra `recordings`.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from srs_twin import extensions
 from srs_twin.errors import InputError
-from srs_twin.io.files import escape_unprintable
+from srs_twin.io.files import StrPath, escape_unprintable
 from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, in_unit
 from srs_twin.recordings.formats.topics import Bag, RecordedTopics
 from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, read_bytes, read_file, start_of
@@ -55,7 +54,7 @@ class UnknownFormatError(InputError):
     """A file of no known format of motion recordings."""
 
 
-def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
+def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
     """Return the format of a recording, usually one of `FORMATS`, by its first bytes.
 
     Args:
@@ -68,7 +67,7 @@ def identify(path: str | os.PathLike[str], dialect: Dialect = AS_FOUND) -> str:
     return _format(path, dialect).name
 
 
-def read_markers(path: str | os.PathLike[str], unstated: Unstated = _NOTHING) -> MarkerTable:
+def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
     """Read the markers of a recording in any of `FORMATS`.
 
     Args:
@@ -92,7 +91,7 @@ def _formats() -> Iterator[Format]:
     yield plain
 
 
-def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:
+def _format(path: StrPath, dialect: Dialect) -> Format:
     start = start_of(path, dialect)
     name, raw = start.name, start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
@@ -115,7 +114,7 @@ def _format(path: str | os.PathLike[str], dialect: Dialect) -> Format:
     )
 
 
-def read_topics(path: str | os.PathLike[str]) -> RecordedTopics | None:
+def read_topics(path: StrPath) -> RecordedTopics | None:
     """Read poses, points and signals of a bag; None if the file is not a bag. See `Bag.read_topics`.
 
     Raises:

@@ -6,7 +6,7 @@ import re
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
@@ -178,28 +178,16 @@ def length_unit(file: RecordedFile, text: str, line: int | None = None, column: 
     return found
 
 
-def is_length_unit(text: str) -> bool:
-    """Return whether a text is a known unit of length."""
-    return bool(symbol(text, LENGTHS))
-
-
-def is_rate(given: str) -> bool:
-    """Return whether a text is a frame rate in Hz."""
-    try:
-        return 0 < float(given) < 1e6
-    except ValueError:
-        return False
-
-
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
     """Return the frame rate that a file or a map states, Hz.
 
     Raises:
         InputError: it is not a positive number.
     """
-    if not is_rate(given):
-        raise file.error(f"frame rate '{given[:20]}' is not allowed; it must be frames per second", line)
-    return float(given)
+    with suppress(ValueError):
+        if 0 < float(given) < 1e6:
+            return float(given)
+    raise file.error(f"frame rate '{given[:20]}' is not allowed; it must be frames per second", line)
 
 
 class Rows(NamedTuple):

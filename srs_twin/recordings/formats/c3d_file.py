@@ -18,11 +18,11 @@ from srs_twin.recordings.formats.base import (
     Unstated,
     decoding,
     frame_rate,
-    is_length_unit,
     length_unit,
     marker_table,
 )
 from srs_twin.recordings.recorded_file import RecordedFile
+from srs_twin.recordings.signals.units import LENGTHS, symbol
 
 _BLOCK = 512
 """Size of a block, bytes."""
@@ -212,7 +212,7 @@ def _units(
         assumed = given or "mm"
         return [assumed] * len(chosen), [f"POINT:UNITS is missing: {assumed} assumed"]
     of_points = [stated[k if len(stated) >= count else 0] for k in chosen]
-    unknown = sorted({unit for unit in of_points if not is_length_unit(unit)})
+    unknown = sorted({unit for unit in of_points if not symbol(unit, LENGTHS)})
     if given and unknown:
         note = f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as given"
         return [given if unit in unknown else length_unit(file, unit) for unit in of_points], [note]

@@ -17,7 +17,6 @@ from srs_twin.recordings.formats.base import (
     Unstated,
     announced,
     frame_rate,
-    is_rate,
     length_unit,
     marker_rows,
     marker_table,
@@ -72,8 +71,8 @@ class Motive(Format):
         top, positions, quaternions = _columns(file, lines)
         kind, notes = _kind_to_read(file, positions, top)
         unit = length_unit(file, header.get("Length Units", ""), 1)
-        rates = (header.get(f"{name} Frame Rate", "") for name in ("Export", "Capture"))
-        rate = next((float(text) for text in rates if is_rate(text)), None)
+        stated = header.get("Export Frame Rate") or header.get("Capture Frame Rate")
+        rate = frame_rate(file, stated, 1) if stated else None
         markers = [column for column in positions if column.kind == kind]
         rotation_columns = {
             column.name: column.place for column in quaternions if column.kind == kind == MOTIVE_KINDS[-1]

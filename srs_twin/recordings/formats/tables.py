@@ -74,9 +74,6 @@ _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _MAX_NORM_ERROR = 0.01
 """Largest deviation of the norm of a quaternion from 1."""
 
-_MIN_UPTIME = 1e8
-"""Smallest time that is taken for the reading of a clock that began long before the recording, s."""
-
 
 @final
 class Tum(Format):
@@ -98,9 +95,6 @@ class Tum(Format):
         _, points, quaternions, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
         time, clock_notes, epoch = file.times(0, "")
         notes += clock_notes
-        if epoch is None and time.min() > _MIN_UPTIME:
-            notes.append(f"times are relative to the first one, {time[0]:.3f} s")
-            time = time - time[0]
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
             raise file.error(
                 "eight numbers per line are read as time, x, y, z and a quaternion, but its norm is not 1"

@@ -14,7 +14,6 @@ straight body whose centre of mass is at the origin.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,6 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.trajectories import (
     LogSummary,
     measured_trajectory,
@@ -70,7 +70,7 @@ _MAX_CLAMP_TURN = np.radians(5.0)
 """Largest rotation of a clamped head."""
 
 
-def is_bend_log(path: str | os.PathLike[str], map: RecordingMap = NO_MAP) -> bool:
+def is_bend_log(path: StrPath, map: RecordingMap = NO_MAP) -> bool:
     """Return whether the first line of a file names bends, directly or by a map.
 
     Raises:
@@ -84,7 +84,7 @@ def is_bend_log(path: str | os.PathLike[str], map: RecordingMap = NO_MAP) -> boo
 
 
 def read_bends(
-    path: str | os.PathLike[str],
+    path: StrPath,
     spec: RobotSpec,
     *,
     longest_gap_s: float,
@@ -135,7 +135,7 @@ def read_bends(
     return Recording(trajectory, summary, epoch_ns=epoch_ns)
 
 
-def _table(path: str | os.PathLike[str], map: RecordingMap, kinds: Sequence[str]) -> CsvTable:
+def _table(path: StrPath, map: RecordingMap, kinds: Sequence[str]) -> CsvTable:
     """Return a table with the columns of these quantities, by their names or by a map."""
     file = laid_out(read_file(path), map.dialect)
     known = {
@@ -167,7 +167,7 @@ def _clamped_body(time: np.ndarray, bend: np.ndarray, spec: RobotSpec) -> dict[s
     }
 
 
-def read_valves(path: str | os.PathLike[str], spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
+def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> ValveLog:
     """Read a log of valves, duties or pressures.
 
     Args:
