@@ -374,10 +374,10 @@ class Shadow:
         for i in np.flatnonzero(self._lost_markers):
             yield f"connector {i + 1}", "lost_marker", 1.0
 
-    def _lost(self, now: float, pose_sd: np.ndarray) -> str:
+    def _lost(self, now: float, placed: bool, pose_sd: np.ndarray) -> str:
         if now - self._heard[BENDS] > LOST_AFTER_S:
             return "no message from the robot"
-        if not self.ensemble.placed:
+        if not placed:
             return "motion capture has not seen the robot"
         if math.hypot(*pose_sd[:2]) > LARGEST_SD_M:
             return "the position is too uncertain"
@@ -405,7 +405,7 @@ class Shadow:
             parameters=self.faults.parameters(),
             faults=tuple(self.detected()),
             off=dict(self._innovation),
-            lost=self._lost(now, pose_sd),
+            lost=self._lost(now, ensemble.placed, pose_sd),
         )
 
 

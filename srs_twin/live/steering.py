@@ -37,6 +37,11 @@ half of a margin of 80 mm, 52 to 93 % a quarter of it at some time.
 """
 _LARGEST_SD_M = 0.0125
 """Largest position uncertainty at which steering is allowed: half of the usual margin to obstacles."""
+_UNCERTAIN_S = 0.2
+"""Time above `_LARGEST_SD_M` after which the robot is vented.
+
+A late frame of motion capture raises the uncertainty for some ticks. Generation 2 crawls 45 mm in this time.
+"""
 _SETTLING_S = 1.0
 """Time at the start in which the robot stands and its pose is estimated."""
 _NEAR_M = 0.03
@@ -114,7 +119,7 @@ class EstimateSteering:
         self._seed = scenario.seed
         self._stuck = np.zeros(shadow.spec.segments, dtype=int)
         self._steps = self._waited = 0
-        self._lost_s = self._empty_s = self._paused_s = 0.0
+        self._lost_s = self._uncertain_s = self._empty_s = self._paused_s = 0.0
         self._given_up, self._control = "", GO
         self._events: list[tuple[float, str]] = []
         self._pressure = np.zeros((shadow.spec.segments, 2))
@@ -162,7 +167,7 @@ class EstimateSteering:
         self._events.append((self._steps * self._tick, text))
 
     def _command(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
-        if estimate is None or estimate.lost or np.hypot(*estimate.pose_sd[:2]) > _LARGEST_SD_M:
+        if estimate is None or estimate.lost or self._is_uncertain(estimate):
             self._lost_s += self._tick
             # Before the first step the robot may wait for motion capture without limit.
             if self._steps and self._lost_s > PATIENCE_S:
@@ -175,6 +180,14 @@ class EstimateSteering:
                 return self._last
             self.control(VENT)
         return self.vented() if self._control == VENT else self._steer(estimate, shadow)
+
+    def _is_uncertain(self, estimate: Estimate) -> bool:
+        """Return whether the position is too uncertain for steering."""
+        if np.hypot(*estimate.pose_sd[:2]) <= _LARGEST_SD_M:
+            self._uncertain_s = 0.0
+            return False
+        self._uncertain_s += self._tick
+        return not self._steps or self._uncertain_s > _UNCERTAIN_S
 
     def _steer(self, estimate: Estimate, shadow: Shadow) -> np.ndarray:
         self._waited += 1

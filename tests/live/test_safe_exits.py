@@ -75,7 +75,7 @@ class Steering(EstimateSteering):
     def __init__(self, segments: int = 4) -> None:
         self._pressure, self._given_up, self.follower = np.zeros((segments, 2)), "", Following()
         self._control, self._last, self._events, self._steps, self._tick = GO, self.vented(), [], 0, 0.02
-        self._lost_s = self._paused_s = 0.0
+        self._lost_s = self._uncertain_s = self._paused_s = 0.0
 
     def _steer(self, found, shadow) -> np.ndarray:
         self._steps += 1

@@ -14,6 +14,7 @@ from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, recorde
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live.clocks import ReorderBuffer
+from srs_twin.live.member_dynamics import MemberDynamics
 from srs_twin.live.messages import BENDS, COMMAND, POSES, Message
 from srs_twin.live.shadow import Shadow, frames_of
 from srs_twin.live.steering import LEAST_MARGIN, EstimateSteering, differences
@@ -141,6 +142,23 @@ def test_commands_that_wait_already_bend_the_estimate():
             )
         bends.append(found.bend)
     assert (bends[1] > bends[0] + 0.02).all()
+
+
+@pytest.mark.slow
+def test_ringing_bends_do_not_lose_the_position():
+    """Generation 2 turns with up to 50 rad/s after a valve has switched."""
+    moments = shadowed(Run(12, 6.0, robot="gen2", frequency=2.0), members=8)
+    assert not [moment.time for moment in moments if moment.time > 1.0 and moment.estimate.lost]
+
+
+def test_an_estimate_whose_prediction_diverges_is_lost(monkeypatch):
+    for moment in shadowed(Run(2, 0.5), members=8):
+        pass
+    assert not moment.estimate.lost
+    monkeypatch.setattr(
+        MemberDynamics, "bend", lambda _, pose, bend, *__: (bend, np.zeros(len(bend), dtype=bool))
+    )
+    assert moment.shadow.update(moment.time + 0.01, []).lost == "motion capture has not seen the robot"
 
 
 @pytest.mark.slow
@@ -272,6 +290,25 @@ def test_a_robot_is_steered_to_the_goal(fault):
     done = steered((run, "follow_orifice"))
     assert done["ending"] == "goal_reached", done
     assert done["clearance_m"] > 0
+
+
+def test_a_robot_is_vented_once_its_position_has_been_uncertain_for_a_while():
+    for moment in shadowed(Run(2, 0.5), members=8):
+        pass
+    scenario = load_scenario("follow_gen4_a")
+    steering = EstimateSteering(scenario, Shadow(scenario.robot, members=8), 0.02)
+    steering._steer = lambda *_: np.ones((4, 2))
+    steering._steps = 1
+    uncertain = replace(moment.estimate, pose_sd=np.array([0.02, 0.0, 0.0]), lost="")
+
+    def vented_ticks(estimate, ticks: int) -> int:
+        return sum(bool((steering.step(estimate, moment.shadow) == -1).all()) for _ in range(ticks))
+
+    assert vented_ticks(uncertain, 10) == 0
+    assert vented_ticks(uncertain, 5) == 5
+    assert vented_ticks(replace(uncertain, pose_sd=np.zeros(3)), 1) == 0
+    assert vented_ticks(uncertain, 10) == 0
+    assert vented_ticks(replace(uncertain, lost="no message from the robot"), 1) == 1
 
 
 @pytest.mark.slow
