@@ -152,8 +152,7 @@ def test_ringing_bends_do_not_lose_the_position():
 
 
 def test_an_estimate_whose_prediction_diverges_is_lost(monkeypatch):
-    for moment in shadowed(Run(2, 0.5), members=8):
-        pass
+    *_, moment = shadowed(Run(2, 0.5), members=8)
     assert not moment.estimate.lost
     monkeypatch.setattr(
         MemberDynamics, "bend", lambda _, pose, bend, *__: (bend, np.zeros(len(bend), dtype=bool))
@@ -293,8 +292,7 @@ def test_a_robot_is_steered_to_the_goal(fault):
 
 
 def test_a_robot_is_vented_once_its_position_has_been_uncertain_for_a_while():
-    for moment in shadowed(Run(2, 0.5), members=8):
-        pass
+    *_, moment = shadowed(Run(2, 0.5), members=8)
     scenario = load_scenario("follow_gen4_a")
     steering = EstimateSteering(scenario, Shadow(scenario.robot, members=8), 0.02)
     steering._steer = lambda *_: np.ones((4, 2))
