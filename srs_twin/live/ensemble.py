@@ -94,7 +94,7 @@ class EnsembleFilter:
         spec: the robot, from its file.
         members: states, one row per member.
         columns: columns by name: x, y, heading, motion (forward, lateral, yaw rate, bend rates), bend,
-            pressure, disturbance, gain, bias.
+            pressure, lagged (pressures that the free bends have followed), disturbance, gain, bias.
         rates: learnt corrections of the pressure rates.
         odometry: motion of the body due to the change of its bends.
         placed: whether motion capture has determined the position.
@@ -117,8 +117,8 @@ class EnsembleFilter:
         self._rng = np.random.default_rng((seed, 0xE5))
         n = self._segments = spec.segments
         sizes = {
-            "x": 1, "y": 1, "heading": 1, "motion": 3 + n, "bend": n, "pressure": 2 * n, "disturbance": n,
-            "gain": 2 * n, "bias": n,
+            "x": 1, "y": 1, "heading": 1, "motion": 3 + n, "bend": n, "pressure": 2 * n, "lagged": 2 * n,
+            "disturbance": n, "gain": 2 * n, "bias": n,
         }  # fmt: skip
         ends = np.cumsum([0, *sizes.values()])
         self.columns: Mapping[str, slice] = {
@@ -302,7 +302,8 @@ class EnsembleFilter:
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
             bend[j, own] = pressure[np.ix_([2 * j, 2 * j + 1], own)] = 1.0
             for k in (2 * j, 2 * j + 1):
-                bend[j, first["pressure"] + k] = pressure[k, first["pressure"] + k] = 1.0
+                for name in ("pressure", "lagged"):
+                    bend[j, first[name] + k] = pressure[k, first[name] + k] = 1.0
         pose = np.zeros(width)
         for name in ("x", "y", "heading", "bend", "disturbance"):
             pose[self.columns[name]] = 1.0
@@ -347,13 +348,17 @@ class EnsembleFilter:
     def _run(self, valves: ValveInput, dt: float, step: float) -> None:
         """Advance chambers and bodies."""
         shape = len(self.members), self._segments, 2
-        pressure, gain = (self._of(name).reshape(shape) for name in ("pressure", "gain"))
+        pressure, lagged, gain = (
+            self._of(name).reshape(shape).copy() for name in ("pressure", "lagged", "gain")
+        )
         noise = self._random("pressure").reshape(shape)
-        drive, pressure, h = self._dynamics.drive(valves, dt, step, pressure, gain, self.rates, noise)
-        self._of("pressure")[:] = pressure.reshape(len(self.members), -1)
+        air = pressure, lagged
+        linear, speed, h = self._dynamics.drive(valves, dt, step, air, gain, self.rates, noise)
+        for name, values in (("pressure", pressure), ("lagged", lagged)):
+            self._of(name)[:] = values.reshape(len(self.members), -1)
         bias, velocity = self._of("bias") + self._of("disturbance"), self._of("motion").copy()
         pose, bend = self.members[:, _POSE], self._of("bend")
-        bend[:], valid = self._dynamics.bend(pose, bend, velocity, drive, bias, h)
+        bend[:], valid = self._dynamics.bend(pose, bend, velocity, (linear, speed), bias, h)
         self._of("motion")[:] = velocity
         if not valid.any():
             self._restart()

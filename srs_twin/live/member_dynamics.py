@@ -13,8 +13,8 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.compliant_kernels import CompliantModel, WorkArrays
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
-from srs_twin.pneumatics.chambers import free_bends
-from srs_twin.pneumatics.lag import relaxation_of, relaxed
+from srs_twin.pneumatics.chambers import apply_bend_law, bend_law
+from srs_twin.pneumatics.lag import followed, relaxation_of, relaxed
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
@@ -46,12 +46,12 @@ class ValveInput(NamedTuple):
 class MemberDynamics:
     r"""Chambers and bodies of members.
 
-    The moment of segment j is
+    The free bend of segment j is
 
-    $$ \tau_j = k\,\bigl(b_j + \varphi(G\,(g_j^+ p_j^+ - g_j^- p_j^-)) + d_j\bigr), $$
+    $$ q_{f,j} = b_j + \varphi(G\,(g_j^+ \hat p_j^+ - g_j^- \hat p_j^-)) + d_j , $$
 
-    and the pressures obey the first-order law of `pneumatics.lag`, corrected by the learnt rates of
-    `pressure_table`.
+    where p̂ follows the pressures with the time constant τ₂. The pressures obey the first-order law of
+    `pneumatics.lag`, corrected by the learnt rates of `pressure_table`.
 
     Attributes:
         mass: mass of each connector with its share of the segments, kg.
@@ -70,8 +70,8 @@ class MemberDynamics:
         self._model = CompliantModel.of(solid, spec.bending.stiffness, spec.bending.damping, floor)
 
     def drive(
-        self, valves: ValveInput, dt: float, step: float, pressure: np.ndarray, gain: np.ndarray,
-        rates: PressureRates, noise: np.ndarray,
+        self, valves: ValveInput, dt: float, step: float, air: tuple[np.ndarray, np.ndarray],
+        gain: np.ndarray, rates: PressureRates, noise: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
         """Advance the pressures.
 
@@ -79,36 +79,39 @@ class MemberDynamics:
             valves: input of the chambers.
             dt: duration, s.
             step: longest time step, s.
-            pressure: at the start, shape (members, segments, 2), Pa.
+            air: pressures p and lagged pressures p̂, in place, shapes (members, segments, 2), Pa.
             gain: gains of the chambers, same shape.
             rates: learnt rates of the pressures.
             noise: standard normal numbers, same shape.
 
         Returns:
-            Linear drives at the two stages of each step, shape (steps, 2, members, segments), rad; the
-            pressures at the end, Pa; and the time step, s.
+            Linear bends (rad) and their rates (rad/s) at the start and at the two stages of each step, shapes
+            (1 + 2 steps, members, segments), and the time step, s.
         """
         actuator, slots = self._spec.actuator, len(valves.duty)
         steps = math.ceil(dt / slots / step - 1e-6)
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
-        gain = actuator.gain * gain
+        signed, (pressure, lagged) = actuator.gain * gain * [1.0, -1.0], air
         # Interpolate the random walk of the pressures over the steps, so that it also acts on the bends.
         noise = noise / math.sqrt(dt)
-        drives = []
+        traces, lags = [pressure[None].copy()], [lagged[None].copy()]
         for duty in valves.duty:
             index = rates.advance(duty, dt / slots)
             change = rates.rate[index] + noise * np.sqrt(rates.wander[index])
             fill, vent = duty / actuator.tau_fill, (1 - duty) / actuator.tau_vent
             rate, end = relaxation_of(fill, vent, valves.supply[:, None], valves.leak, change)
-            trace = relaxed(pressure, rate, end, stages[:, None, None, None])
-            drives.append(gain[..., 0] * trace[..., 0] - gain[..., 1] * trace[..., 1])
-            pressure = trace[-1]
-        return np.reshape(drives, (slots * steps, 2, *pressure.shape[:2])), pressure, h
+            start, after = (traces[-1][-1], lags[-1][-1]), stages[:, None, None, None]
+            traces.append(relaxed(start[0], rate, end, after))
+            lags.append(followed(start[1], start[0], (rate, end), actuator.tau_mode, after))
+        whole, behind = np.concatenate(traces), np.concatenate(lags)
+        pressure[:], lagged[:] = whole[-1], behind[-1]
+        linear, pull = (signed * behind).sum(axis=-1), (signed * whole).sum(axis=-1)
+        return linear, (pull - linear) / actuator.tau_mode, h
 
     def bend(
-        self, pose: np.ndarray, bend: np.ndarray, velocity: np.ndarray, drive: np.ndarray,
-        bias: np.ndarray, h: float,
+        self, pose: np.ndarray, bend: np.ndarray, velocity: np.ndarray,
+        drive: tuple[np.ndarray, np.ndarray], bias: np.ndarray, h: float,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Advance the bodies.
 
@@ -116,7 +119,7 @@ class MemberDynamics:
             pose: x, y (m), heading (rad), shape (members, 3).
             bend: shape (members, segments), rad.
             velocity: forward, lateral (m/s), yaw rate and bend rates (rad/s), in place.
-            drive: linear drives as from `drive`.
+            drive: linear bends and their rates, as from `drive`.
             bias: rest bends including disturbances, shape (members, segments), rad.
             h: time step, s.
 
@@ -130,23 +133,44 @@ class MemberDynamics:
         bends[:] = bend
         work = WorkArrays.of(n + 1, states.shape[1])
         _set_momenta(states, velocity, self._model, work)
-        free = self._spec.bending.stiffness * (bias + free_bends(self._spec, drive))
-        moments = np.ascontiguousarray(free.transpose(2, 0, 1, 3))
-        complete = _advance(states, velocity, np.full(len(drive), h), moments, self._model, work)
+        free = _free_bends(*map(np.ascontiguousarray, drive), bias, bend_law(self._spec))
+        steps = np.full(len(drive[0]) // 2, h)
+        complete = _advance(states, velocity, steps, free, self._model, work)
         # A diverged member would also distort the ensemble mean, so it is reported as invalid.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 
 
 @allocating
-def _advance(states, velocities, steps, moments, model, work):  # type: ignore[no-untyped-def]
+def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
+    """Return free bends (rad) and their rates (rad/s), shapes (members, times, segments).
+
+    Args:
+        linear: linear bends, shape (times, members, segments), rad.
+        speed: their rates, same shape, rad/s.
+        bias: rest bends, shape (members, segments), rad.
+        law: a `BendLaw`.
+    """
+    times, members, segments = linear.shape
+    bends, rates = np.empty((members, times, segments)), np.empty((members, times, segments))
+    for m in range(members):
+        for t in range(times):
+            for j in range(segments):
+                free, slope, _ = apply_bend_law(linear[t, m, j], law)
+                bends[m, t, j], rates[m, t, j] = bias[m, j] + free, slope * speed[t, m, j]
+    return bends, rates
+
+
+@allocating
+def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-untyped-def]
     """Advance bodies in place; return whether each made all steps."""
+    bends, rates = free
     complete = np.empty(states.shape[0], dtype=np.bool_)
     marks = np.empty(0, dtype=np.int64)
     seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
     for m in range(states.shape[0]):
         now = states[m], velocities[m]
-        done = compliant_kernels.advance(now, steps, moments[m], marks, model, seen, work)
+        done = compliant_kernels.advance(now, steps, (bends[m], rates[m]), marks, model, seen, work)
         complete[m] = done == steps.shape[0]
     return complete
 

@@ -56,11 +56,11 @@ class SnakeState:
             forces fluctuate between steps.
         obstacle_force: horizontal force of all obstacles on each connector and the adjoining halves of its
             segments, mean since the previous sample, shape (N, 2), N; 0 on plants without obstacles.
-        torque: net moment of each segment on the connectors that it joins, from air, spring and damper, shape
-            (segments,), N·m.
-        work: work of the torques since the start, ∫ Σ T_j q̇_j dt, J.
-        internal_loss: part of the work that segments have dissipated without bending as a whole, J; 0 in the
-            analytical models, whose segments have one bend each or, with a skin, do not record this part.
+        torque: net moment of each segment on the connectors that it joins, k (q_f − q) + c (q̇_f − q̇) for
+            compliant bends, shape (segments,), N·m.
+        work: work of the air since the start, J: that of the torques on the free bends, ∫ Σ T_j q̇_f,j dt.
+        internal_loss: part of the work that the material of the segments has dissipated, J; 0 in the planar
+            analytical models, which do not record it.
         air: pneumatic energy drawn from the supply since the start, J, see `Pneumatics.air`.
         qpos: generalised positions of the twin; empty on other plants.
     """

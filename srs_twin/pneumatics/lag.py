@@ -101,6 +101,8 @@ class Relaxation(NamedTuple):
         decay: factor e^{−at} of the deviation p − P, by kind and valve state, 1.
         lag: response of x to this deviation, per gain, by kind and valve state, 1.
         mode: factor e^{−t/τ₂} of x, 1.
+        tau: τ₂, s.
+        damping_time: c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
         law: a `BendLaw`.
@@ -113,6 +115,8 @@ class Relaxation(NamedTuple):
     decay: np.ndarray
     lag: np.ndarray
     mode: float
+    tau: float
+    damping_time: float
     gain: np.ndarray
     bias: np.ndarray
     law: BendLaw
@@ -180,6 +184,7 @@ class LagPneumatics(LagChambers):
         self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + self._leak
         self._asymptote, self._tau_fill = np.zeros_like(self._rate), kinds[0]
         self._tau_mode, self._gain = actuator.tau_mode, chamber_gains(spec)
+        self._damping_time = spec.bending.damping_time
         self._law = bend_law(spec)
         self._volume_law = chamber.dead_volume, chamber.displacement
 
@@ -212,6 +217,8 @@ class LagPneumatics(LagChambers):
             decay,
             lag,
             mode,
+            self._tau_mode,
+            self._damping_time,
             self._gain,
             self.rest_bend,
             self._law,

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError, check_choice
 from srs_twin.robot.friction import SKIN_LAWS, SkinLaw
 from srs_twin.robot.scale import Scale
@@ -247,8 +248,8 @@ class Bending:
 
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
-        damping_time: c/k, damping over stiffness, s; if it equals τ₂ of the actuator, a free module obeys
-            Eq. 14 exactly.
+        damping_time: c/k, damping of deviations from the free bend over stiffness, s. The loss factor of the
+            material at the frequency f is 2π f times this value.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
         out_of_plane_damping_time: damping over stiffness of pitch and roll, s.
@@ -268,6 +269,15 @@ class Bending:
     def damping(self) -> float:
         """Bending damping c, N·m·s/rad."""
         return self.stiffness * self.damping_time
+
+    def moment(self, deviation: Array, rate: Array) -> Array:
+        """Return the moment k (q_f − q) + c (q̇_f − q̇) of segments, N·m, with the shape of the arguments.
+
+        Args:
+            deviation: free bend less bend, q_f − q, rad.
+            rate: its rate, rad/s.
+        """
+        return self.stiffness * deviation + self.damping * rate
 
 
 @dataclass(frozen=True)

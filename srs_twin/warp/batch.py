@@ -20,7 +20,6 @@ from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Schedule
-from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.pneumatics.lag import LagPneumatics
 from srs_twin.warp.engine import DeviceEngine
 from srs_twin.warp.kernels import GaitWave
@@ -368,7 +367,7 @@ class WarpBatch(Claimable):
         shape = table.shape[:2]
         physics, spec = self._robots[0].physics, self._robots[0].spec
         connectors = cut["connectors"].reshape(*shape, -1, 4)
-        chambers = cut["chambers"].reshape(*shape, -1, 5)
+        chambers = cut["chambers"].reshape(*shape, -1, 7)
         bend, rate = physics.bends_and_rates(cut["qpos"], cut["qvel"])
         theta = np.unwrap(np.concatenate([self._theta[None], connectors[..., 3]]), axis=0)[1:]
         self._theta = theta[-1].copy()
@@ -381,10 +380,10 @@ class WarpBatch(Claimable):
         torque, sensed, stored = np.empty_like(bend), bend.copy(), np.empty(shape)
         for number, twin in enumerate(self._robots):
             mine = self._robot_of_run == number
-            law, pressure = twin.spec.bending, chambers[:, mine, :, :2]
-            air = law.stiffness * (twin.spec.modules.array("bias") + air_bend(twin.spec, pressure))
-            torque[:, mine] = air - law.stiffness * bend[:, mine] - law.damping * rate[:, mine]
-            stored[:, mine] = twin.physics.internal_joints.stored(cut["qpos"][:, mine])
+            own = chambers[:, mine]
+            free, free_rate = own[..., 5] + twin.spec.modules.array("bias"), own[..., 6]
+            torque[:, mine] = twin.spec.bending.moment(free - bend[:, mine], free_rate - rate[:, mine])
+            stored[:, mine] = twin.physics.internal_joints.stored(cut["qpos"][:, mine], free)
         for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
             twin = self.twins[k]
             sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)

@@ -99,7 +99,7 @@ class DeviceEngine:
             self._internal_loss = wp.zeros(self._worlds, dtype=wp.float64)
             damping = [twin.physics.internal_joints.damping for twin in self._robots]
             self._damping = wp.array(np.stack([damping[k] for k in self._robot_of_run]), dtype=float)
-        settings = StepSettings(h, slot, self.slots, self.steps, mean_pressure=self.loaded)
+        settings = StepSettings(h, slot, self.slots, self.steps, mean_control=self.loaded)
         self._kernels = build_kernels(structs, settings)
         self._graphs: dict[bool, Any] = {}
 
@@ -111,12 +111,21 @@ class DeviceEngine:
         self._chambers = [
             twin.pneumatics for twin in self._robots if isinstance(twin.pneumatics, LagPneumatics)
         ]
-        empty = np.zeros((segments, 2))
+        empty, rest = np.zeros((segments, 2)), np.zeros(segments)
+        whole = empty.astype(int)
         forces = np.zeros((contacts, 3))
         records: dict[str, Sequence[Any]] = {
             "relaxation": [chambers.relaxation(self._slot) for chambers in self._chambers],
             "chambers": [
-                ChamberState(empty, empty[:, 0], empty.astype(int) - 1, empty.astype(int), empty[:, 0])
+                ChamberState(
+                    pressure=empty,
+                    linear=rest,
+                    bend=rest,
+                    bend_rate=rest,
+                    valves=whole - 1,
+                    openings=whole,
+                    drawn=rest,
+                )
             ],
             "accumulators": [Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))],
             "wave": [GaitWave(1.0, 0.0, 0.0, empty[:, 0])],
@@ -151,7 +160,7 @@ class DeviceEngine:
         # Columns of an observation (kernel `observe`).
         self.widths = {
             "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(addresses.connectors),
-            "chambers": 5 * segments, "force": 3 * contacts, "obstacles": 3 * hulls, "energy": 3,
+            "chambers": 7 * segments, "force": 3 * contacts, "obstacles": 3 * hulls, "energy": 3,
         }  # fmt: skip
         return structs
 
@@ -201,8 +210,8 @@ class DeviceEngine:
             k.accumulate,
             dim=worlds,
             inputs=[
-                self.count, data.sensordata, structs["addresses"], accumulators, data.qvel, self._damping,
-                self._energy_loss, self._internal_loss,
+                self.count, data.sensordata, structs["addresses"], accumulators, structs["chambers"],
+                data.qvel, self._damping, self._energy_loss, self._internal_loss,
             ],
         )  # fmt: skip
 
@@ -218,7 +227,7 @@ class DeviceEngine:
         for array in (self.data.qvel, self.data.qacc_warmstart, self._energy_loss, self._internal_loss):
             self._set(array, chosen, 0.0)
         chambers, accumulators = self.structs["chambers"], self.structs["accumulators"]
-        for name in ("pressure", "linear", "openings", "drawn"):
+        for name in ("pressure", "linear", "bend", "bend_rate", "openings", "drawn"):
             self._set(getattr(chambers, name), chosen, 0)
         self._set(chambers.valves, chosen, -1)
         for name in ("step_force", "force_sum", "obstacle_sum"):

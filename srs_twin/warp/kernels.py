@@ -15,7 +15,6 @@ import warp as wp
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.warp.translation import WarpStruct, warp_functions
 
-_MIN_LINEAR_RAD = 1e-5
 """Linear bend below which φ(x)/x is replaced by its limit, rad; single precision."""
 
 
@@ -27,14 +26,14 @@ class StepSettings(NamedTuple):
         slot: length of a valve slot, s.
         slots: slots per time step.
         tick: time steps per tick.
-        mean_pressure: whether the mean pressure over a step drives it, instead of that at its beginning.
+        mean_control: whether the mean control over a step drives it, instead of that at its beginning.
     """
 
     h: float
     slot: float
     slots: int
     tick: int
-    mean_pressure: bool
+    mean_control: bool
 
 
 class ChamberState(NamedTuple):
@@ -43,6 +42,8 @@ class ChamberState(NamedTuple):
     Attributes:
         pressure: gauge pressure, shape (segments, 2), Pa.
         linear: linear bend x, shape (segments,), rad.
+        bend: free bend without the rest bend, shape (segments,), rad.
+        bend_rate: its rate, shape (segments,), rad/s.
         valves: valve states of the latest slot, shape (segments, 2).
         openings: number of openings of each inlet, shape (segments, 2).
         drawn: pneumatic energy of each segment since `reset`, shape (segments,), J.
@@ -50,6 +51,8 @@ class ChamberState(NamedTuple):
 
     pressure: np.ndarray
     linear: np.ndarray
+    bend: np.ndarray
+    bend_rate: np.ndarray
     valves: np.ndarray
     openings: np.ndarray
     drawn: np.ndarray
@@ -117,7 +120,9 @@ def build_kernels(structs: Mapping[str, WarpStruct], settings: StepSettings) -> 
     functions, loaded = warp_functions(), "work" in structs
     kernels = _valve_kernels(structs["wave"], settings)
     kernels |= _chamber_kernel(structs["relaxation"], structs["chambers"], settings, functions)
-    kernels |= _accumulation_kernel(structs["accumulators"], structs["addresses"].single, settings.h, loaded)
+    kernels |= _accumulation_kernel(
+        structs["accumulators"], structs["chambers"], structs["addresses"].single, settings.h, loaded
+    )
     kernels |= _observation_kernel(structs)
     if loaded:
         kernels |= _middle_kernels(structs, settings.h, functions["set_mid_velocity"])
@@ -166,7 +171,7 @@ def _chamber_kernel(
     segment, filling = functions["advance_segment"], functions["filling_content"]
     Relaxations, relaxation_of = relaxation.batched, relaxation.select
     ChamberStates, chambers_of = chambers.batched, chambers.select
-    SLOTS, END_WEIGHT = settings.slots, 0.5 if settings.mean_pressure else 0.0
+    SLOTS, END_WEIGHT = settings.slots, 0.5 if settings.mean_control else 0.0
 
     @wp.kernel(**_OPTIONS)
     def advance_chambers(
@@ -179,10 +184,8 @@ def _chamber_kernel(
         i, j = wp.tid()
         law, air = relaxation_of(relaxations, i), chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        first = float(pressure[0])  # a copy: Warp would read the array where the variable is used
-        second = float(pressure[1])
-        before, _, _ = bend_law(air.linear[j], law.law)
-        before += law.bias[j]
+        driven = air.bend[j] + law.damping_time * air.bend_rate[j]  # at the beginning of the step
+        before = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
             state = valves[i, s, j]
             content_before = filling(state, pressure[0], pressure[1], before, law.space, AMBIENT_PA)
@@ -202,48 +205,49 @@ def _chamber_kernel(
                     air.openings[j, side] = air.openings[j, side] + 1
                 air.valves[j, side] = state[side]
             before = after
-        mean_plus, mean_minus = (
-            first + END_WEIGHT * (pressure[0] - first),
-            second + END_WEIGHT * (pressure[1] - second),
-        )
-        linear = law.gain[j, 0] * mean_plus - law.gain[j, 1] * mean_minus
-        _, ratio, _ = bend_law(0.0, law.law)
-        if wp.abs(linear) > _MIN_LINEAR_RAD:
-            bend, _, _ = bend_law(linear, law.law)
-            ratio = bend / linear
-        ctrl[i, 2 * j] = mean_plus * ratio
-        ctrl[i, 2 * j + 1] = mean_minus * ratio
+        bend, slope, _ = bend_law(air.linear[j], law.law)
+        pull = law.gain[j, 0] * pressure[0] - law.gain[j, 1] * pressure[1]
+        air.bend[j] = bend
+        air.bend_rate[j] = slope * (pull - air.linear[j]) / law.tau
+        end = air.bend[j] + law.damping_time * air.bend_rate[j]
+        driven += END_WEIGHT * (end - driven)
+        ctrl[i, 2 * j] = wp.max(driven, 0.0) / law.gain[j, 0]
+        ctrl[i, 2 * j + 1] = wp.max(-driven, 0.0) / law.gain[j, 1]
 
     return {"advance_chambers": advance_chambers}
 
 
-def _accumulation_kernel(accumulators: WarpStruct, addresses: Any, h: float, loaded: bool) -> Kernels:
+def _accumulation_kernel(
+    accumulators: WarpStruct, chambers: WarpStruct, addresses: Any, h: float, loaded: bool
+) -> Kernels:
     """Return the kernel that adds up what samples are means or integrals of.
 
     Args:
         accumulators: struct of the sums.
+        chambers: struct of the chambers.
         addresses: struct of the addresses of one world.
         h: time step, s.
         loaded: whether the contacts are loaded.
     """
     AllAccumulators, accumulators_of = accumulators.batched, accumulators.select
+    ChamberStates, chambers_of = chambers.batched, chambers.select
     Addresses, H, LOADED = addresses, h, loaded
 
     @wp.kernel(**_OPTIONS)
     def accumulate(
         count: wp.array(dtype=int), sensors: wp.array2d(dtype=float), at: Addresses,
-        all_accumulators: AllAccumulators, qvel: wp.array2d(dtype=float), damping: wp.array2d(dtype=float),
+        all_accumulators: AllAccumulators, all_chambers: ChamberStates, qvel: wp.array2d(dtype=float),
+        damping: wp.array2d(dtype=float),
         energy_loss: wp.array(dtype=wp.float64), internal_loss: wp.array(dtype=wp.float64),
     ):  # fmt: skip
         """Add the forces and energy losses of a step; under a preloaded contact from the engine's sensors."""
         i = wp.tid()
+        air = chambers_of(all_chambers, i)
         internal_power = float(0.0)  # see `internal_joints`
         for j in range(at.hinges.shape[0]):
-            mean = float(0.0)
+            share = air.bend_rate[j] / float(at.hinges.shape[1])
             for n in range(at.hinges.shape[1]):
-                mean += qvel[i, at.hinges[j, n]] / float(at.hinges.shape[1])
-            for n in range(at.hinges.shape[1]):
-                deviation = qvel[i, at.hinges[j, n]] - mean
+                deviation = qvel[i, at.hinges[j, n]] - share
                 internal_power += damping[i, at.hinges[j, n]] * deviation * deviation
         for n in range(at.out_of_plane.shape[0]):
             speed = qvel[i, at.out_of_plane[n]]
@@ -309,7 +313,9 @@ def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
                 out[i, k + side] = air.pressure[j, side]
                 out[i, k + 2 + side] = float(air.valves[j, side])
             out[i, k + 4] = air.drawn[j]
-            k += 5
+            out[i, k + 5] = air.bend[j]
+            out[i, k + 6] = air.bend_rate[j]
+            k += 7
         for w in range(sums.force_sum.shape[0]):
             for n in range(3):
                 out[i, k + n] = sums.force_sum[w, n]

@@ -87,7 +87,7 @@ def test_copied_physics_steps_and_contacts_alone_are_rejected():
     physics = copy.copy(twin.physics)
     schedule = twin.pneumatics.schedule(np.ones((4, 2)), twin.tick)
     for stepped in (physics, twin.physics):
-        stepped.run(stepped.advance_chambers(schedule, 20).pressure)
+        stepped.run(stepped.advance_chambers(schedule, 20))
     assert (physics.data.qpos == twin.physics.data.qpos).all() and np.any(physics.data.qvel)
     for method in METHODS.values():
         with pytest.raises(InputError, match=r"contacts .* neither copied nor pickled alone; .*save\(\)"):

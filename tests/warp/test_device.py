@@ -18,7 +18,6 @@ from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scr
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import EngineWarning
 from srs_twin.plants.twin.stick_slip import rolling_friction, stick_slip_friction
-from srs_twin.pneumatics.chambers import equivalent_linear_pressure
 from srs_twin.robot.world import Circle, World
 from srs_twin.studies.sweep.execution import local, on_device
 from srs_twin.studies.sweep.loading import load_sweep
@@ -97,12 +96,12 @@ def waves(gaits, slot, slots, steps):
     whole = empty.astype(int)
     records = {
         "relaxation": twin.pneumatics.relaxation(slot), "addresses": twin.physics.sensor_addresses,
-        "chambers": ChamberState(empty, empty[:, 0], whole, whole, empty[:, 0]),
+        "chambers": ChamberState(empty, *[empty[:, 0]] * 3, whole, whole, empty[:, 0]),
         "accumulators": Accumulators(empty[0], *3 * [empty]),
         "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
     ported = {name: warp_struct(entry) for name, entry in records.items()}
-    spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_pressure=False)
+    spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_control=False)
     kernel, actual = build_kernels(ported, spec).set_gait, []
     waves_on_device = stack_records(
         ported["wave"], [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits], "cpu"
@@ -133,8 +132,8 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
 
 
 @pytest.mark.slow
-def test_device_controls_equal_linear_pressures():
-    """The bends of these segments saturate; at equal pressures the bend law has its slope at rest."""
+def test_device_controls_equal_those_of_the_processor():
+    """The bends of these segments saturate, and their damping time differs from the mode time constant."""
     from srs_twin.warp.kernels import (
         Accumulators,
         BodyViews,
@@ -145,29 +144,34 @@ def test_device_controls_equal_linear_pressures():
     )
     from srs_twin.warp.translation import stack_records, warp_struct
 
-    bent = replace(GEN2, actuator=replace(GEN2.actuator, bend_limit=0.6))
-    twin, empty = TwinSnake(bent), np.zeros((bent.segments, 2))
-    pressure = 1e3 * np.array([[0.0, 0.0], [30.0, 30.0], [45.0, 5.0], [2.0, 40.0]])
+    damped = replace(GEN2, bending=replace(GEN2.bending, damping_time=8e-3))
+    bent = replace(damped, actuator=replace(GEN2.actuator, bend_limit=0.6))
+    twin, empty, h = TwinSnake(bent), np.zeros((bent.segments, 2)), 1e-4
+    valves = np.array([[1, -1], [-1, 1], [1, 1], [-1, -1]])
+    chambers = twin.pneumatics
+    chambers.advance(chambers.schedule(np.array([-valves, valves]), 0.2), np.array([0.2]))
+    pressure, linear, free = chambers.pressure.copy(), chambers._linear.copy(), chambers.bend.copy()
+    trace = chambers.advance(chambers.schedule(valves, h), np.array([0.0, h]))
     whole = empty.astype(int)
-    air = ChamberState(pressure, empty[:, 0], whole, whole, empty[:, 0])
+    air = ChamberState(pressure, linear, free, trace.bend_rate[0], whole, whole, empty[:, 0])
     records = {
-        "relaxation": twin.pneumatics.relaxation(1e-4), "addresses": twin.physics.sensor_addresses,
-        "chambers": air,
+        "relaxation": chambers.relaxation(h), "addresses": twin.physics.sensor_addresses, "chambers": air,
         "accumulators": Accumulators(empty[0], *3 * [empty]), "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
         "bodies": BodyViews(*7 * [empty]),
     }  # fmt: skip
     ported = {name: warp_struct(each) for name, each in records.items()}
-    spec = StepSettings(h=1e-4, slot=1e-4, slots=1, tick=1, mean_pressure=False)
+    spec = StepSettings(h=h, slot=h, slots=1, tick=1, mean_control=True)
     ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
     structs = [stack_records(ported[name], [records[name]], "cpu") for name in ("relaxation", "chambers")]
-    valves = wp.zeros((1, 1, bent.segments, 2), dtype=int, device="cpu")
+    states = wp.array(valves[None, None], dtype=int, device="cpu")
     wp.launch(
         build_kernels(ported, spec).advance_chambers,
         dim=(1, bent.segments),
-        inputs=[*structs, valves, ctrl],
+        inputs=[*structs, states, ctrl],
         device="cpu",
     )
-    assert ctrl.numpy().reshape(-1, 2) == pytest.approx(equivalent_linear_pressure(bent, pressure), rel=1e-5)
+    expected = twin.physics._controls(trace).mean(axis=0)
+    assert ctrl.numpy()[0] == pytest.approx(expected, rel=1e-4, abs=1.0)
 
 
 @pytest.mark.slow

@@ -437,7 +437,7 @@ class AnalyticalSnake(PneumaticPlant):
             obstacle_force=obstacles,
             torque=motion.torque,
             work=motion.states[:, kernels.ENERGY_LOSS]
-            + (0.0 if self.touches else seen.energy + self._body.stored(motion.bend)),
+            + (0.0 if self.touches else seen.energy + self._body.stored(motion.bend, trace.bend)),
             internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),

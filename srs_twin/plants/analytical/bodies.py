@@ -33,7 +33,6 @@ from srs_twin.plants.analytical.obstacles import Obstacles
 from srs_twin.plants.analytical.steps import advance
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Trace
-from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import RobotSpec
 
 
@@ -151,11 +150,12 @@ class Body(Stateful, ABC):
             `Motion` at the samples, filled as far as they were reached.
         """
 
-    def stored(self, bend: np.ndarray) -> float | np.ndarray:
-        """Return the elastic energy of cells that bend unlike their segment, shape (samples,), J.
+    def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
+        """Return the elastic energy of all segments, shape (samples,), J.
 
         Args:
             bend: bends of the cells, shape (samples, cells), rad.
+            free: free bends of the segments, shape (samples, segments), rad.
         """
         return 0.0
 
@@ -310,9 +310,9 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 class CompliantBends(Body):
     """Body of `compliant`: masses on springs with dampers.
 
-    The air exerts the moment k φ(x) + k b on a segment (`pneumatics.chambers`); for a nominal linear segment
-    this is k G (p⁺ − p⁻). The stiffness k and the damping c = k · damping_time act against it. A massless
-    segment without load obeys Eq. 14; inertia and friction deflect it.
+    The stiffness k and the damping c = k · damping_time of a segment act against deviations from its free
+    bend q_f: its moment is k (q_f − q) + c (q̇_f − q̇). A massless segment without load has its free bend,
+    which obeys Eq. 14; inertia and friction deflect it.
     """
 
     state_attributes = ("_sampled", "_contact_loads")
@@ -379,11 +379,9 @@ class CompliantBends(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now, samples = (self.state, self.velocity), self._allocate(len(sample_steps))
-        # The moment of the air is the same in all cells of a segment.
-        each = self._bends // trace.bend.shape[-1]
-        moments = np.repeat(self._air_moments(trace)[1:], each, axis=-1).reshape(len(steps), 2, -1)
+        free = self.cells.split(trace.bend), self.cells.split(trace.bend_rate)
         done: int = compliant_kernels.advance(
-            now, steps, moments, sample_steps, self._model, samples, self._work
+            now, steps, free, sample_steps, self._model, samples, self._work
         )
         if self.obstacles is not None:
             self._average_forces(samples[0][:, self._impulses], sample_steps <= done)
@@ -403,22 +401,15 @@ class CompliantBends(Body):
         bend = self.state[compliant_kernels.BENDS :][: self._bends]
         return self.cells.total(bend), self.cells.total(self.velocity[3:])
 
-    def stored(self, bend: np.ndarray) -> float | np.ndarray:
+    def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
         """See `Body.stored`."""
-        relative = bend - self.cells.split(self.cells.total(bend))
-        energy: np.ndarray = (self._model.stiffness * relative**2).sum(axis=-1) / 2
+        energy: np.ndarray = (self._model.stiffness * (bend - self.cells.split(free)) ** 2).sum(axis=-1) / 2
         return energy
 
     def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
         """See `Body.motion`."""
         bend, rate = states[:, compliant_kernels.BENDS :][:, : self._bends], velocities[:, 3:]
         total, bending = self.cells.total, self._spec.bending
-        torque = self._air_moments(trace) - bending.stiffness * total(bend) - bending.damping * total(rate)
+        torque = bending.moment(trace.bend - total(bend), trace.bend_rate - total(rate))
         columns = np.hstack([states[:, : kernels.STATES], states[:, self._impulses]])
         return Motion(columns, velocities, bend, rate, torque)
-
-    def _air_moments(self, trace: Trace) -> np.ndarray:
-        """Return the moments of air and rest bend on each segment, N·m."""
-        free_bend = self._bias + air_bend(self._spec, trace.pressure)
-        moments: np.ndarray = self._spec.bending.stiffness * free_bend
-        return moments

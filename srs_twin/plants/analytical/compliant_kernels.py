@@ -195,26 +195,18 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
 
 
 @kernel_only
-def _relative_power(model, rates):  # type: ignore[no-untyped-def]
-    r"""Return the power that the cells of all segments dissipate in their relative motion, W.
-
-    Cells in series have the damping d_c, their segment 1/Σ 1/d_c. Of the power Σ d_c q̇_c² of the dampers, the
-    net moment of the segment contains the part (Σ q̇_c)² / Σ 1/d_c (`plants.twin.internal_joints`).
+def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
+    """Return the power that the dampers of all cells dissipate, Σ c (q̇ − q̇_f)², W.
 
     Args:
         model: see `CompliantModel`.
         rates: bend rates of the cells, shape (cells,), rad/s.
+        free_rates: rates of their free bends, same shape, rad/s.
     """
-    cells, power = rates.shape[0] // model.segments, 0.0
-    if cells == 1:
-        return power
-    for j in range(model.segments):
-        rate = inverse = 0.0
-        for c in range(j * cells, (j + 1) * cells):
-            power += model.damping[c] * rates[c] * rates[c]
-            rate += rates[c]
-            inverse += 1 / model.damping[c]
-        power -= rate * rate / inverse
+    power = 0.0
+    for c in range(rates.shape[0]):
+        deviation = rates[c] - free_rates[c]
+        power += model.damping[c] * deviation * deviation
     return power
 
 
@@ -226,14 +218,14 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         q: bends, shape (segments,), rad.
         u: velocity of the centre of mass in that frame (m/s), yaw rate and bend rates (rad/s), shape
             (3 + segments,).
-        moment: moment of the air on each segment, shape (segments,), N·m.
+        moment: moment k q_f + c q̇_f of the free bend on each segment, shape (segments,), N·m.
         a: γ h for `solve`, s.
         model: a `CompliantModel`, its obstacles with the pose of the body.
         floor: the floor.
         work: out, momenta and forces, and the input of `solve`.
 
     Returns:
-        Power that friction dissipates, and cells in their relative motion, W.
+        Power that the floor and obstacles take, W.
     """
     solid, body, links, loads = model.solid, work.body, work.links, work.loads
     momentum, force = work.momentum, work.force
@@ -257,7 +249,7 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         force[3 + j] += moment[j] - model.stiffness[j] * q[j] - model.damping[j] * u[3 + j]
         pm += link[0] * px + link[1] * py
         m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
-    return power + _relative_power(model, u[3:])
+    return power
 
 
 @kernel_only
@@ -365,6 +357,7 @@ class WorkArrays(NamedTuple):
         matrix: Newton's matrix of the body part behind a connector, for velocity (2), spin, rate of the
             velocity (2) and the multipliers (2), with the right side last, shape (7, 8).
         bend: bends at a stage, shape (segments,).
+        moment: moments of the free bends at a stage, shape (segments,).
         momentum: p, shape (3 + segments,).
         force: dp/dt, same shape.
         residual: residual of a stage, same shape.
@@ -381,6 +374,7 @@ class WorkArrays(NamedTuple):
     pivots: np.ndarray
     matrix: np.ndarray
     bend: np.ndarray
+    moment: np.ndarray
     momentum: np.ndarray
     force: np.ndarray
     residual: np.ndarray
@@ -393,7 +387,8 @@ class WorkArrays(NamedTuple):
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
         """Return arrays for n connectors and a number of states (0 for `balance`)."""
-        shapes: list[tuple[int, ...]] = [(ROWS, n), (n - 1, 8), (n, 15), (n - 1, 8), (7, 8), (n - 1,)]
+        shapes: list[tuple[int, ...]] = [(ROWS, n), (n - 1, 8), (n, 15), (n - 1, 8), (7, 8)]
+        shapes += [(n - 1,)] * 2
         return cls(*map(np.zeros, [*shapes, *[(n + 2,)] * 6, (states,), (states,)]))
 
 
@@ -424,10 +419,15 @@ def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
-def _stage(known, a, moment, model, floor, u, k, work):  # type: ignore[no-untyped-def]
-    """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success."""
-    force, q, residual, step = work.force, work.bend, work.residual, work.step
-    segments, size, weight, obstacles = moment.shape[0], u.shape[0], model.solid.weight, model.obstacles
+def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore[no-untyped-def]
+    """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success.
+
+    In place of the bends, Y contains their deviations from the free bends, which are known exactly.
+    """
+    force, q, moment, residual, step = work.force, work.bend, work.moment, work.residual, work.step
+    segments, size, weight, obstacles = free.shape[0], u.shape[0], model.solid.weight, model.obstacles
+    for j in range(segments):
+        moment[j] = model.stiffness[j] * free[j] + model.damping[j] * free_rate[j]
     for j in range(size):
         step[j] = 0.0
     step_share = 0.0  # fraction of the latest Newton step that has been made
@@ -437,7 +437,7 @@ def _stage(known, a, moment, model, floor, u, k, work):  # type: ignore[no-untyp
     tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
-            q[j] = known[BENDS + j] + a * u[3 + j]
+            q[j] = free[j] + known[BENDS + j] + a * (u[3 + j] - free_rate[j])
         set_pose(obstacles, known, a, u)
         power = balance(q, u, moment, a, model, floor, work)
         _residual(known, a, u, weight, floor, work)
@@ -473,15 +473,16 @@ def _stage(known, a, moment, model, floor, u, k, work):  # type: ignore[no-untyp
     k[STATE_VX] = (force[0] * c - force[1] * s) / weight + floor.pull_x
     k[STATE_VY] = (force[0] * s + force[1] * c) / weight + floor.pull_y
     power -= weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
+    power += _damper_power(model, u[3:], free_rate)
     k[HEADING], k[MOMENT], k[ENERGY_LOSS] = u[2], force[2], power
     for j in range(segments):
-        k[BENDS + j], k[BENDS + segments + j] = u[3 + j], force[3 + j]
-    fill_rates(obstacles, model, moment, q, u[3:], k)
+        k[BENDS + j], k[BENDS + segments + j] = u[3 + j] - free_rate[j], force[3 + j]
+    fill_rates(obstacles, model, (free, free_rate), q, u[3:], k)
     return converged
 
 
 @compiled
-def advance(now, steps, moments, marks, model, samples, work):  # type: ignore[no-untyped-def]
+def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-untyped-def]
     """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
@@ -489,13 +490,14 @@ def advance(now, steps, moments, marks, model, samples, work):  # type: ignore[n
             the impulses of the obstacles on each point (N·s) and the time (s); and velocities as in
             `balance`, kept between calls as first guesses.
         steps: lengths of the steps, shape (steps,), s.
-        moments: moments of the air at the two stages of each step, shape (steps, 2, segments), N·m.
+        free: free bends (rad) and their rates (rad/s) at the start and at the two stages of each step, shapes
+            (1 + 2 steps, segments).
         marks: number of steps before each sample, ascending, shape (samples,).
         model: a `CompliantModel`.
         samples: out, states and velocities at the samples, shapes (samples, …).
         work: a `WorkArrays`.
     """
-    (state, u), (states, velocities) = now, samples
+    (state, u), (states, velocities), (bends, rates) = now, samples, free
     solid, rate, known, last, drift = model.solid, work.rate, work.known, work.last, work.drift
     reach, n, size = solid.pitch / 2, solid.mass.shape[0], u.shape[0]
     for j in range(size):
@@ -509,18 +511,23 @@ def advance(now, steps, moments, marks, model, samples, work):  # type: ignore[n
         floor = with_reduced_slip_speed(model.floor, fastest)
         find_near(model.obstacles, state, 2 * reach * n + _MARGIN * h)
         copy(state, known)
+        for j in range(size - 3):
+            known[BENDS + j] -= bends[2 * i, j]
         for stage in range(2):
+            row = 2 * i + 1 + stage
             # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
             lead, rest = (a, h - a) if stage == 0 else (h - a, a)
             for j in range(size):
                 last[j] = u[j]
                 u[j] += drift[j] * lead
-            fine &= _stage(known, a, moments[i, stage], model, floor, u, rate, work)
+            fine &= _stage(known, a, bends[row], rates[row], model, floor, u, rate, work)
             for j in range(state.shape[0]):
                 known[j] += rest * rate[j]
             for j in range(size):
                 drift[j] = (u[j] - last[j]) / lead
         copy(known, state)
+        for j in range(size - 3):
+            state[BENDS + j] += bends[2 * i + 2, j]
         # A NaN fails every comparison.
         if not (fine and abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT):
             return i

@@ -265,18 +265,18 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 
 @compiled_if(is_given)
-def fill_rates(obstacles, model, moment, q, rates, k):  # type: ignore[no-untyped-def]
+def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-def]
     r"""Fill the rates of the impulses on each point and of the time, and replace that of the energy column.
 
     The work of the torques is the energy of the body plus the integral of the losses. During impacts, this
     integral misses what the implicit method dissipates: it evaluates the stiff normal forces at the end of a
-    stage, when the body has almost stopped. The torques are smooth, so their power, Σ T_j q̇_j with
-    T = τ − k q − c q̇ of a whole segment, is integrated instead.
+    stage, when the body has almost stopped. The torques are smooth, so the power of the air, Σ T_j q̇_f,j with
+    T = k (q_f − q) + c (q̇_f − q̇) of a whole segment, is integrated instead.
 
     Args:
         obstacles: with the forces of the stage.
         model: a `compliant_kernels.CompliantModel`.
-        moment: moment of the air on each cell, shape (cells,), N·m.
+        free: free bends of the cells (rad) and their rates (rad/s), shapes (cells,).
         q: bends of the cells, shape (cells,), rad.
         rates: their rates, shape (cells,), rad/s.
         k: out, rates of the state.
@@ -289,11 +289,12 @@ def fill_rates(obstacles, model, moment, q, rates, k):  # type: ignore[no-untype
     cells = q.shape[0] // model.segments
     power = 0.0
     for j in range(model.segments):
-        bend = rate = flexibility = fluidity = 0.0
+        bend = rate = free_rate = flexibility = fluidity = 0.0
         for c in range(j * cells, (j + 1) * cells):
-            bend += q[c]
-            rate += rates[c]
+            bend += free[0][c] - q[c]
+            rate += free[1][c] - rates[c]
+            free_rate += free[1][c]
             flexibility += 1 / model.stiffness[c]
             fluidity += 1 / model.damping[c]
-        power += (moment[j * cells] - bend / flexibility - rate / fluidity) * rate
+        power += (bend / flexibility + rate / fluidity) * free_rate
     k[ENERGY_LOSS] = power

@@ -45,7 +45,6 @@ from srs_twin.plants.analytical.bodies import Body, Motion
 from srs_twin.plants.analytical.quasistatic_kernels import advance
 from srs_twin.plants.base import Pose, SpatialState
 from srs_twin.pneumatics import Trace
-from srs_twin.pneumatics.chambers import vector_bends
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _DEPTH_RATIO = 1 / 2000
@@ -147,8 +146,8 @@ class QuasistaticArcs(Body):
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        samples, free = self._allocate(len(sample_steps)), self._free_bends(trace.pressure[::2])
-        now = self.state, self.velocity
+        samples, now = self._allocate(len(sample_steps)), (self.state, self.velocity)
+        free = np.ascontiguousarray(trace.bend[::2])
         done: int = advance(now, steps, free, sample_steps, self._constants, self._work, samples)
         return done, *samples
 
@@ -158,14 +157,8 @@ class QuasistaticArcs(Body):
         bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[..., :2]
         rate = velocities[:, 6:].reshape(shape)[..., :2]
         stiffness, damping = self._constants.stiffness[:2], self._constants.damping[:2]
-        torque = stiffness * (self._free_bends(trace.pressure) - bend) - damping * rate
+        torque = stiffness * (trace.bend - bend) + damping * (trace.bend_rate - rate)
         return Motion(states, velocities, bend, rate, torque)
-
-    def _free_bends(self, pressure: np.ndarray) -> np.ndarray:
-        """Return the bends without load, shape (times, segments, 2), rad."""
-        free: np.ndarray = vector_bends(self._spec, pressure)
-        free[..., 0] += self._spec.modules.array("bias")
-        return free
 
     def observe(self, time: np.ndarray, motion: Motion, trace: Trace, sensed: np.ndarray) -> SpatialState:
         """Return the history of a motion.

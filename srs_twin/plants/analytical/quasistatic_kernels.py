@@ -65,6 +65,7 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
         for i in range(3):
             row, stiffness = 6 + 3 * j + i, body.stiffness[i]
             at_rest[row] += stiffness * (state[BENDS + 3 * j + i] - work.bend[j, i])
+            at_rest[row] -= body.damping[i] * work.bend_rate[j, i]
             linear[row, row] += h * stiffness + body.damping[i]
 
 
@@ -217,14 +218,12 @@ def _move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-u
     segments = work.bend.shape[0]
     for j in range(segments):
         for i in range(3):
-            row, rate = BENDS + 3 * j + i, velocity[6 + 3 * j + i]
+            row, rate, free_rate = BENDS + 3 * j + i, velocity[6 + 3 * j + i], work.bend_rate[j, i]
             state[row] += h * rate
             k, c = body.stiffness[i], body.damping[i]
-            if i < 2:
-                # Free bends are those of the end of the step; a mean over the step is of second order.
-                state[WORK] += h * (k * (work.bend[j, i] - state[row]) - c * rate) * rate
-            else:
-                state[INTERNAL_LOSS] += h * c * rate * rate
+            torque = k * (work.bend[j, i] - state[row]) + c * (free_rate - rate)
+            state[WORK] += h * torque * free_rate
+            state[INTERNAL_LOSS] += h * c * (rate - free_rate) ** 2
     tail, count = BENDS + 3 * segments, body.share.shape[0]
     for p in range(work.point.shape[0]):
         used, rows, mass = 9 + 3 * (p // count), work.rows[p], body.mass[p]
@@ -270,12 +269,13 @@ def _fastest_point(velocity, work, count):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _set_bends(free, step, share, work):  # type: ignore[no-untyped-def]
-    """Set the free bends after a share of a step."""
+def _set_bends(free, step, share, duration, work):  # type: ignore[no-untyped-def]
+    """Set the free bends after a share of a step, and their mean rates over the step of a duration (s)."""
     for j in range(work.bend.shape[0]):
         for i in range(2):
             before, after = free[step, j, i], free[step + 1, j, i]
             work.bend[j, i] = before + share * (after - before)
+            work.bend_rate[j, i] = (after - before) / duration
 
 
 @compiled
@@ -324,7 +324,7 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
             copy(velocity, start)
             fastest = np.inf
             for _ in range(_MAX_HALVINGS):
-                _set_bends(free, step, min(1.0, (done + h) / steps[step]), work)
+                _set_bends(free, step, min(1.0, (done + h) / steps[step]), steps[step], work)
                 converged = _solve_step(velocity, state, body, work, h, weight)
                 fastest = _fastest_point(velocity, work, body.share.shape[0]) if converged else np.inf
                 if h * fastest <= body.longest_move:

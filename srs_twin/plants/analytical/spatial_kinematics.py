@@ -16,9 +16,9 @@ from srs_twin.compute.compiled import allocating, compiled
 # Layout of a state: position and rotation matrix (by rows) of the head connector, accumulated quantities,
 # then the bends. The impulses of the floor on all points, shape (points, 3), and their loads follow.
 ROTATION = 3
-WORK = 12  # work of the torques, J
+WORK = 12  # work of the air, J
 FRICTION_LOSS = 13  # energy that the floor dissipates, J
-INTERNAL_LOSS = 14  # energy that twisting dissipates, J
+INTERNAL_LOSS = 14  # energy that bending and twisting dissipate, J
 DRAG_LOSS = 15  # energy that the drag of vertical and rolling motion dissipates, J
 CLOCK = 16  # time, s
 JUMPS = 17  # number of jumps between resting poses, 1
@@ -87,6 +87,7 @@ class Work(NamedTuple):
         direction: shape (velocities,).
         trial: shape (velocities,).
         bend: free bends and twist (0), shape (S, 3), rad.
+        bend_rate: their rates, shape (S, 3), rad/s.
         base: spatial velocity of the rear connector of each segment per rate of bends, shape (S, 6, 3).
     """
 
@@ -106,6 +107,7 @@ class Work(NamedTuple):
     direction: np.ndarray
     trial: np.ndarray
     bend: np.ndarray
+    bend_rate: np.ndarray
     base: np.ndarray
 
 
@@ -115,7 +117,7 @@ def work_arrays(segments: int, points: int) -> Work:
     shapes = [(n, 3), (n, 3, 3), (count, 3), (count, 2), (count, 6, velocities), (count, ROWS, velocities)]
     square, vector = (velocities, velocities), (velocities,)
     shapes += [(count,), (count,), (count, 2), square, vector, square, vector, vector, vector]
-    shapes += [(segments, 3), (segments, 6, 3)]
+    shapes += [(segments, 3), (segments, 3), (segments, 6, 3)]
     return Work(*map(np.zeros, shapes))
 
 

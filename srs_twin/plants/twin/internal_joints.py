@@ -1,15 +1,13 @@
-r"""Energy that the twin's joints store and dissipate without bending a segment as a whole.
+r"""Energy that the joints of the twin's segments store and dissipate.
 
-A segment has n hinges, each with the stiffness n k and the damping n c, and one moment of the air, T_a, acts
-on all of them. With q_k = q/n + δ_k, where Σ δ_k = 0, the power of the hinges is
+A segment has n hinges, each with the stiffness n k and the damping n c. A hinge with the angle q_k deviates
+by e_k = q_k − q_f/n from its share of the free bend q_f. With the torque T = k (q_f − q) + c (q̇_f − q̇) of
+the segment, the power of the air is
 
-$$ \sum_k \bigl(T_a - n k (q_k - b/n) - n c\,\dot q_k\bigr)\,\dot q_k
-   = T\,\dot q - \frac{d}{dt} \sum_k \tfrac12 n k\,\delta_k^2 - \sum_k n c\,\dot\delta_k^2, \qquad
-   T = T_a - k (q - b) - c\,\dot q . $$
+$$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 , $$
 
-So the work of the torque, ∫ T q̇ dt, is the energy that body and floor receive plus the energy that the
-hinges store and dissipate in their relative motion δ. The pitch and roll joints store and dissipate energy
-with their whole angles.
+where P is the power that body and floor receive. The pitch and roll joints store and dissipate energy with
+their whole angles.
 
 Under a preloaded contact the pitch and roll joints are not counted. The preloaded wheels bounce on the floor
 and shake these joints with energy that comes from the finite time step of the normal forces, not from the
@@ -32,7 +30,7 @@ def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
 
 
 class InternalJoints:
-    """Joint motions of a twin that leave its bends unchanged.
+    """Springs and dampers of a twin's segments.
 
     Attributes:
         hinges: velocity indices of the bending hinges, shape (segments, hinges per segment); those of the
@@ -57,6 +55,7 @@ class InternalJoints:
         kinds = ("pitch_", "roll_") if settings.loaded else ()
         out_of_plane = [j for j in range(model.njnt) if model.joint(j).name.startswith(kinds)]
         joints = np.array([*np.ravel(hinges), *out_of_plane], dtype=int)
+        self._spatial = spec.is_spatial
         self.hinges = model.jnt_dofadr[np.array(hinges)].astype(int)
         self.out_of_plane = model.jnt_dofadr[np.array(out_of_plane, dtype=int)].astype(int)
         stiffness = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
@@ -71,36 +70,40 @@ class InternalJoints:
         dofs = np.array([*self.hinges.ravel(), *self.out_of_plane], dtype=int)
         self._joint_damping = self.damping[dofs]
 
-    def stored(self, qpos: np.ndarray) -> np.ndarray:
-        """Return the elastic energy of the joint motions that leave the bends unchanged, J.
+    def stored(self, qpos: np.ndarray, free_bend: np.ndarray) -> np.ndarray:
+        """Return the elastic energy of the segments, J.
 
         Args:
             qpos: generalised positions, shape (…, nq).
+            free_bend: free bends, shape (…, segments), rad, or (…, segments, 2) for a spatial robot.
 
         Returns:
             Shape (…,).
         """
-        places = self._hinge_positions, self._out_of_plane_positions
-        return _weighted_squares(self._stiffness, qpos, *places) / 2
+        deviations = self._deviations(qpos, free_bend, self._hinge_positions, self._out_of_plane_positions)
+        energy: np.ndarray = (self._stiffness * deviations**2).sum(axis=-1) / 2
+        return energy
 
-    def dissipated(self, qvel: np.ndarray) -> np.ndarray:
-        """Return the power that dampers dissipate in joint motions that leave the bends unchanged, W.
+    def dissipated(self, qvel: np.ndarray, free_rate: np.ndarray) -> np.ndarray:
+        """Return the power that the dampers of the segments dissipate, W.
 
         Args:
             qvel: generalised velocities, shape (…, nv).
+            free_rate: rates of the free bends, in the shape of `free_bend` of `stored`, rad/s.
 
         Returns:
             Shape (…,).
         """
-        return _weighted_squares(self._joint_damping, qvel, self.hinges, self.out_of_plane)
+        deviations = self._deviations(qvel, free_rate, self.hinges, self.out_of_plane)
+        power: np.ndarray = (self._joint_damping * deviations**2).sum(axis=-1)
+        return power
 
-
-def _weighted_squares(
-    weights: np.ndarray, values: np.ndarray, hinges: np.ndarray, out_of_plane: np.ndarray
-) -> np.ndarray:
-    """Return Σ w δ² over the last axis; δ of a hinge is its deviation from the mean of its segment."""
-    angles = values[..., hinges]
-    deviation = (angles - angles.mean(axis=-1, keepdims=True)).reshape(*values.shape[:-1], hinges.size)
-    deltas = np.concatenate([deviation, values[..., out_of_plane]], axis=-1)
-    total: np.ndarray = (weights * deltas**2).sum(axis=-1)
-    return total
+    def _deviations(
+        self, values: np.ndarray, free: np.ndarray, hinges: np.ndarray, out_of_plane: np.ndarray
+    ) -> np.ndarray:
+        """Return deviations of hinges from their shares of free values, then the values of other joints."""
+        if self._spatial:  # all hinges to the left come first
+            free = np.concatenate([free[..., 0], free[..., 1]], axis=-1)
+        angles = values[..., hinges] - free[..., None] / hinges.shape[1]
+        flat = angles.reshape(*values.shape[:-1], hinges.size)
+        return np.concatenate([flat, values[..., out_of_plane]], axis=-1)

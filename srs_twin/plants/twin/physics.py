@@ -29,7 +29,7 @@ from srs_twin.plants.twin.mjcf.surroundings import (
 )
 from srs_twin.plants.twin.mjcf.wheels import preload_force, static_loads, treads
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.chambers import equivalent_linear_pressure, free_extensions, vector_bends
+from srs_twin.pneumatics.chambers import chamber_gains, free_extensions
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
@@ -46,7 +46,7 @@ class StepBatch:
         obstacle_force: mean force of all obstacles on each connector and the adjoining halves of its segments
             in each step, world frame, shape (steps, N, 3), N.
         power: power that the snake loses to floor and obstacles in each step, shape (steps,), W.
-        internal: power that joints dissipate inside segments in each step (`internal_joints`), shape
+        internal: power that the joints of segments dissipate in each step (`internal_joints`), shape
             (steps,), W.
     """
 
@@ -383,33 +383,43 @@ class SnakePhysics(Stateful):
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates())
 
-    def run(self, pressure: np.ndarray) -> StepBatch:
-        """Advance the bodies under given pressures and return the results (see `advance_bodies`)."""
-        return self.evaluate(*self.advance_bodies(pressure))
+    def run(self, trace: Trace) -> StepBatch:
+        """Advance the bodies under given chambers and return the results (see `advance_bodies`)."""
+        return self.evaluate(trace.bend_rate[1:], *self.advance_bodies(trace))
 
-    def advance_bodies(self, pressure: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Advance the bodies under given pressures; return the arguments of `evaluate`.
+    def advance_bodies(self, trace: Trace) -> tuple[np.ndarray, ...]:
+        """Advance the bodies under given chambers; return the arguments of `evaluate` after the first.
 
         The results of several calls may be concatenated before `evaluate`.
 
         Args:
-            pressure: pressure of each chamber at the beginning of each step and at the end, shape
-                (steps + 1, segments, 2), Pa.
+            trace: chambers at the beginning of each step and at the end, steps + 1 rows.
         """
+        controls = self._controls(trace)
         # Positions are those at the beginning of a step, or at its middle under loaded contact.
-        pressure = pressure[:-1] if self.stepper is None else (pressure[:-1] + pressure[1:]) / 2
-        if self._spec.is_spatial:  # the actuators take the free bends
-            controls = vector_bends(self._spec, pressure)
-            if self._spec.actuator.extension:
-                lengths = free_extensions(self._spec, pressure)[..., None]
-                controls = np.concatenate([controls, lengths], axis=-1)
-            controls = controls.reshape(len(pressure), -1)
-        else:  # MuJoCo's actuators are linear in their control
-            controls = equivalent_linear_pressure(self._spec, pressure).reshape(len(pressure), -1)
+        controls = controls[:-1] if self.stepper is None else (controls[:-1] + controls[1:]) / 2
         return self._run_engine(controls) if self.stepper is None else self.stepper.run(controls)
+
+    def _controls(self, trace: Trace) -> np.ndarray:
+        """Return the controls of the actuators for each row of a trace.
+
+        The joints have springs and dampers against the rest bends, so the air exerts the rest of the moment
+        k (q_f − q) + c (q̇_f − q̇).
+        """
+        spec = self._spec
+        driven = trace.bend - self._pneumatics.rest_bend + spec.bending.damping_time * trace.bend_rate
+        if spec.is_spatial:  # the actuators take bends
+            if spec.actuator.extension:
+                lengths = free_extensions(spec, trace.pressure)[..., None]
+                driven = np.concatenate([driven, lengths], axis=-1)
+            controls: np.ndarray = driven
+        else:  # the actuators take the pressures of two chambers
+            controls = np.maximum(np.stack([driven, -driven], axis=-1), 0.0) / chamber_gains(spec)
+        return controls.reshape(len(driven), -1)
 
     def evaluate(
         self,
+        free_rate: np.ndarray,
         states: np.ndarray,
         sensors: np.ndarray,
         floor_force: np.ndarray | None = None,
@@ -419,6 +429,8 @@ class SnakePhysics(Stateful):
         """Evaluate the latest engine steps.
 
         Args:
+            free_rate: rates of the free bends at the end of each step, shape (steps, segments), rad/s, or
+                (steps, segments, 2) for a spatial robot.
             states: as in `StepBatch`; the last one is the present state.
             sensors: all sensors, shape (steps, nsensordata).
             floor_force: as in `StepBatch`; None to read it from the sensors.
@@ -442,7 +454,7 @@ class SnakePhysics(Stateful):
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
         self._floor_force, self._last_force = floor_force.mean(axis=0), floor_force[-1]
         # The engine's dampers act with the velocities at the end of a step.
-        internal = self.internal_joints.dissipated(states[:, 1 + self.model.nq :])
+        internal = self.internal_joints.dissipated(states[:, 1 + self.model.nq :], free_rate)
         energy = sensors[:, self._energy_address]
         return StepBatch(states, floor_force, energy, obstacle_force, power, internal)
 
@@ -561,6 +573,8 @@ def _compile_scene(
 ) -> mujoco.MjModel:
     """Return the compiled scene; the cache makes further twins of a robot ten times as fast to build."""
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
+    # The controls contain the rates of the free bends, so they may exceed the pressures of the chambers.
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     # MuJoCo stops where an iteration improves the cost by less than the tolerance times the mean of the
     # diagonal of M, which holds masses and moments of inertia. Weigh them as at a length unit of 1.
     masses = 3 * model.body_subtreemass[_SNAKE] if settings.base == "free" else 0.0

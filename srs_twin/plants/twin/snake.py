@@ -40,7 +40,6 @@ from srs_twin.plants.twin.mjcf.numerics import (
 )
 from srs_twin.plants.twin.physics import ENGINE_WARNINGS, SnakePhysics, StepBatch
 from srs_twin.pneumatics import Pneumatics, Schedule, Trace
-from srs_twin.pneumatics.chambers import air_bend, vector_bends
 from srs_twin.robot.scale import divide
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
@@ -60,8 +59,8 @@ _CONTACT_KEYS = {
 class TwinSnake(PneumaticPlant):
     """Twin in MuJoCo: rigid bodies in three dimensions, several hinges per segment, on wheels or skids.
 
-    The segments have the stiffness k and the damping c = k τ₂. The air exerts the moment k G (p⁺ − p⁻), so
-    that a massless segment without load obeys Eq. 14.
+    The segments have the stiffness k and the damping c against deviations from their free bends q_f: the
+    moment is k (q_f − q) + c (q̇_f − q̇), so that a massless segment without load obeys Eq. 14.
 
     Attributes:
         max_chunk_s: longest interval that the engine simulates in one call, s; it bounds the memory for the
@@ -132,10 +131,8 @@ class TwinSnake(PneumaticPlant):
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._settings = settings.for_robot(spec)
-        self._bias = spec.modules.array("bias")
         self._stiffness: float | np.ndarray = spec.bending.stiffness
         if spec.is_spatial:
-            self._bias = np.stack([self._bias, np.zeros_like(self._bias)], axis=-1)
             self._stiffness = np.array([spec.bending.stiffness, spec.bending.pitch_stiffness])
             if world is not None and (world.is_solid or world.uneven or world.objects):
                 spec.require_planar("a world with obstacles, objects or an uneven floor")
@@ -280,11 +277,11 @@ class TwinSnake(PneumaticPlant):
             last = min(first + interval, steps)
             piece = schedule.slice(first * self.timestep, last * self.timestep)
             trace = self.physics.advance_chambers(piece, last - first)
-            results.append(self.physics.advance_bodies(trace.pressure))
+            results.append(self.physics.advance_bodies(trace))
             traces.append(trace.at(np.arange(1, last - first + 1)))
-        return concatenate_records(traces), self.physics.evaluate(
-            *map(np.concatenate, zip(*results, strict=True))
-        )
+        ends = concatenate_records(traces)
+        joined = map(np.concatenate, zip(*results, strict=True))
+        return ends, self.physics.evaluate(ends.bend_rate, *joined)
 
     def _chunk_history(self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int) -> SnakeState:
         """Return the history at `times`, each at the end of a number of steps."""
@@ -324,10 +321,8 @@ class TwinSnake(PneumaticPlant):
         theta = theta[1:]
         if len(theta):
             self._theta = theta[-1].copy()  # callers may change the returned arrays
-        bending, stiffness = self.spec.bending, self._stiffness
-        free = (vector_bends if self.spec.is_spatial else air_bend)(self.spec, trace.pressure)
-        air = stiffness * (self._bias + free)
-        damping = stiffness * bending.damping_time
+        deviation = trace.bend - kinematics.bends
+        deviation += self.spec.bending.damping_time * (trace.bend_rate - kinematics.bend_rates)
         state = SnakeState(
             time=times,
             com=kinematics.com[:, :2],
@@ -342,9 +337,9 @@ class TwinSnake(PneumaticPlant):
             sensed=self.sensor.read(kinematics.bends, times, self.seed),
             contact_force=self._force_on_connectors(force.sum(axis=2)[..., :2]),
             obstacle_force=obstacles,
-            torque=air - stiffness * kinematics.bends - damping * kinematics.bend_rates,
-            # ∫ Σ T q̇ dt, with the energy of the relative motion of hinges (`internal_joints`).
-            work=work + loss + self.physics.internal_joints.stored(kinematics.qpos),
+            torque=self._stiffness * deviation,
+            # ∫ Σ T q̇_f dt, see `internal_joints`.
+            work=work + loss + self.physics.internal_joints.stored(kinematics.qpos, trace.bend),
             internal_loss=loss,
             air=trace.air,
             qpos=kinematics.qpos,

@@ -5,6 +5,9 @@ floor-force sensors. Numbers are written in full precision, so that the files co
 twin's, bit for bit. ``scene_mjx.xml`` has the same robot and floor without the parts that MJX and MuJoCo Warp
 refuse.
 
+The controls are pressures. If the damping time c/k of the segments differs from the mode time constant τ₂,
+each chamber has two actuators, `plus_1` and `plus_1_lag`: the pressure, and its mean over the time step.
+
 MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a limit of the moments, and
 a robot with a dead zone is refused unless its pressures are converted before they become controls
 (`equivalent_linear_pressure` of `pneumatics.chambers`). `describe_departures` names what the files lack.
@@ -136,6 +139,7 @@ def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool
     robot = robot_mjcf(spec, settings, supply_pa=supply_pa)
     scene = scene_mjcf(spec, settings, supply_pa=supply_pa)
     for model in (robot, scene):
+        _add_lags(model, spec)
         _limit_moments(model, spec)
         model.keys[0].qpos = model.compile().qpos_spring
     robot.comment = _comment(
@@ -150,6 +154,27 @@ def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool
     files = {name: text, SCENE: _include_robot(name, text, _text(scene))}
     _adapt_to_mjx(scene)
     return files | {SCENE_MJX: _text(scene)}
+
+
+def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
+    """Add to each chamber a second actuator that follows the pressure with the mode time constant.
+
+    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with τ₂. With T = c/k it
+    is (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻), so no second actuator is needed if T = τ₂.
+    """
+    share = spec.bending.damping_time / spec.actuator.tau_mode
+    if math.isclose(share, 1.0, rel_tol=1e-9):
+        return
+    for chamber in [each for each in mj.actuators if each.name.startswith(("plus_", "minus_"))]:
+        name = f"{chamber.name}_lag"
+        lagged = mj.add_actuator(mj.find_default("muscle"), name=name, target=chamber.target)
+        lagged.trntype = chamber.trntype
+        lagged.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+        lagged.dynprm[0] = spec.actuator.tau_mode
+        lagged.gainprm[0] = (1 - share) * chamber.gainprm[0]
+        chamber.gainprm[0] *= share
+    mj.keys[0].ctrl = [0.0] * len(mj.actuators)
+    mj.keys[0].act = [0.0] * sum(each.name.endswith("_lag") for each in mj.actuators)
 
 
 def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:

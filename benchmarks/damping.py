@@ -1,0 +1,257 @@
+"""What the damping of the bends does: spectra, damping times, a material of constant loss, and speeds.
+
+    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table] [--figure FILE]
+
+`--spectra`: frequencies at which the bends deviate from the free bends, and the damping times that give the
+loss factor of docs/damping.md there. `--material`: speeds with a material whose loss factor hardly depends on
+the frequency (three Maxwell branches), and with a damper of the same loss. `--steps`: speeds for several
+damping times and steps, with both readings of the delay. `--table`: speeds over stiffness and loss factor.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from grid import table
+from scipy.optimize import least_squares
+
+from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, load_robot, rollout
+from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.pneumatics import Schedule, Trace
+from srs_twin.pneumatics.lag import LagPneumatics
+
+LOSS, FACTOR = 0.12, 1.5
+"""Median and factor of the loss factor (docs/damping.md)."""
+BRANCH_TIMES_S = (0.4, 0.04, 0.004)
+"""Relaxation times of the Maxwell branches, s."""
+BAND_HZ = np.geomspace(0.3, 40, 60)
+"""Frequencies at which the loss factor of the branches is fitted, Hz."""
+SAMPLES_HZ = 1000
+PERIODS = 8
+
+
+@dataclass(frozen=True)
+class Case:
+    """A gait of a robot.
+
+    Attributes:
+        robot: name.
+        frequency: Hz.
+        offset: 1.
+        supply_pa: Pa.
+    """
+
+    robot: str
+    frequency: float
+    offset: float
+    supply_pa: float
+
+    @property
+    def name(self) -> str:
+        """Name in tables."""
+        offset = f", offset {self.offset:g}" if self.offset else ""
+        return f"{self.robot}, {self.frequency:g} Hz{offset}"
+
+    @property
+    def duration(self) -> float:
+        """Duration of a run, a whole number of ticks, s."""
+        return round(PERIODS / self.frequency / 0.02) * 0.02
+
+    def run(self, plant: AnalyticalSnake | TwinSnake, record_hz: float = 50.0) -> Any:
+        """Return the trajectory of the gait."""
+        return rollout(plant, Gait(self.frequency, self.offset), self.duration, record_hz=record_hz)
+
+    def speeds(self, plant: AnalyticalSnake | TwinSnake) -> tuple[float, float]:
+        """Return speed (mm/s) and yaw rate (rad/s) of the gait."""
+        metrics = plant_metrics(self.run(plant))
+        return 1e3 * metrics["com_speed_m_s"], metrics["yaw_rate_rad_s"]
+
+
+CASES = (
+    Case("gen1", 0.33, 0.0, 25.9e3), Case("gen1", 1.0, 0.0, 25.9e3), Case("gen2", 1.0, 0.0, 48.3e3),
+    Case("gen2", 2.0, 0.0, 48.3e3), Case("gen2", 2.0, 0.2, 48.3e3), Case("gen3", 0.9, 0.0, 48.3e3),
+    Case("gen4", 1.5, 0.0, 51e3), Case("gen4", 1.5, 0.3, 51e3),
+)  # fmt: skip
+
+
+def damped(spec: RobotSpec, time: float) -> RobotSpec:
+    """Return a robot with another damping time of its bends, s."""
+    return replace(spec, bending=replace(spec.bending, damping_time=time))
+
+
+def deviations(case: Case, spec: RobotSpec) -> np.ndarray:
+    """Return q − q_f of the twin in a gait, shape (samples, segments), rad, without the first half."""
+    twin = TwinSnake(spec, supply_pa=case.supply_pa)
+    run = case.run(twin, SAMPLES_HZ)
+    chambers = LagPneumatics(spec, supply_pa=case.supply_pa)
+    gait = Gait(case.frequency, case.offset)
+    gait.reset(spec, twin.tick)
+    free = chambers.advance(gait.script(case.duration), run.time).bend
+    return (run.stack("bend") - free)[len(run.time) // 2 :]
+
+
+def spectrum(case: Case, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies (Hz) and the power of q − q_f summed over the segments (rad² per line)."""
+    values = deviations(case, spec)
+    power = (np.abs(np.fft.rfft(values - values.mean(axis=0), axis=0)) ** 2).sum(axis=1)
+    return np.fft.rfftfreq(len(values), 1 / SAMPLES_HZ), power
+
+
+def equivalent_frequency(frequency: np.ndarray, power: np.ndarray) -> float:
+    """Return the frequency at which a damper must have the loss factor, Hz.
+
+    A damper dissipates in proportion to f² |E|², a material of constant loss to f |E|². Both dissipate the
+    same if the loss factors are equal at Σ f² |E|² / Σ f |E|².
+    """
+    return float((frequency**2 * power).sum() / (frequency * power).sum())
+
+
+def damping_time(case: Case, loss: float) -> tuple[float, float]:
+    """Return the damping time (s) that gives a loss factor, and the frequency of that factor (Hz)."""
+    spec, time, found = load_robot(case.robot), 0.004, 0.0
+    for _ in range(6):
+        found = equivalent_frequency(*spectrum(case, damped(spec, time)))
+        time = loss / (2 * np.pi * found)
+    return time, found
+
+
+class ConstantLoss(LagPneumatics):
+    """Chambers in a material with Maxwell branches, which are expressed as a change of the free bends.
+
+    A branch has the moment k_b (e − z) with e = q_f − q and τ_b ż = e − z. The moments of spring and branches
+    are those of a stiffer spring with the free bend q_f − Σ k_b z / K, where K is the sum of all stiffnesses.
+    Within a step e changes linearly, as in the plant.
+    """
+
+    depends_on_bend = True
+
+    def __init__(self, spec: RobotSpec, shares: np.ndarray, *, supply_pa: float, step: float) -> None:
+        """Take the stiffness of each branch over that of the spring."""
+        self._shares = shares / (1 + shares.sum())
+        self._times = np.array(BRANCH_TIMES_S)
+        self.coupling_step_s = step
+        super().__init__(spec, supply_pa=supply_pa)
+
+    def reset(self) -> None:
+        """Relax the branches."""
+        super().reset()
+        self._branches = np.zeros((len(self._times), self._segments))
+
+    def _simulate(
+        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
+    ) -> Trace:
+        before = self.bend.copy()
+        trace = super()._simulate(schedule, times, bend, bend_rate)
+        if bend is None or bend_rate is None or not schedule.span:
+            return trace
+        speed = (self.bend - before) / schedule.span - bend_rate
+        at = self._follow(before - bend, speed, times)
+        end = self._follow(before - bend, speed, np.array([schedule.span]))
+        trace.bend[:] -= np.einsum("b,btj->tj", self._shares, at[0])
+        trace.bend_rate[:] -= np.einsum("b,btj->tj", self._shares, at[1])
+        self._branches = end[0][:, 0]
+        return trace
+
+    def _follow(
+        self, start: np.ndarray, speed: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return z and ż of the branches at times (s) of a linear change of e, shape (branches, times, n)."""
+        tau, t = self._times[:, None, None], times[None, :, None]
+        rest = start - speed * tau
+        decay = np.exp(-t / tau) * (self._branches[:, None] - rest)
+        return rest + speed * t + decay, speed - decay / tau
+
+
+def branches(loss: float) -> np.ndarray:
+    """Return the stiffnesses of branches over that of the spring, for a loss factor."""
+    phase = 2j * np.pi * BAND_HZ[:, None] * np.array(BRANCH_TIMES_S)
+
+    def error(shares: np.ndarray) -> np.ndarray:
+        modulus = 1 + (shares * phase / (1 + phase)).sum(axis=1)
+        return modulus.imag / modulus.real / loss - 1
+
+    return least_squares(error, np.full(len(BRANCH_TIMES_S), loss / 2), bounds=(0, np.inf)).x
+
+
+def modulus(shares: np.ndarray, frequency: float) -> complex:
+    """Return the complex stiffness at a frequency (Hz) over that of the spring."""
+    phase = 2j * np.pi * frequency * np.array(BRANCH_TIMES_S)
+    return complex(1 + (shares * phase / (1 + phase)).sum())
+
+
+def material_plant(case: Case, loss: float, frequency: float, step: float) -> AnalyticalSnake:
+    """Return `compliant` with Maxwell branches and the stiffness of the robot file at a frequency (Hz)."""
+    spec, shares = load_robot(case.robot), branches(loss)
+    spring = spec.bending.stiffness / modulus(shares, frequency).real
+    whole = replace(spec.bending, stiffness=spring * (1 + shares.sum()), damping_time=1e-6)
+    spec = replace(spec, bending=whole)
+    chambers = ConstantLoss(spec, shares, supply_pa=case.supply_pa, step=step)
+    return AnalyticalSnake(
+        spec, model="compliant", friction="wheel", inertia="connector", timestep=step, pneumatics=chambers
+    )
+
+
+def compliant(case: Case, spec: RobotSpec, step: float) -> AnalyticalSnake:
+    """Return `compliant` with the damper of a robot."""
+    return AnalyticalSnake(
+        spec,
+        model="compliant",
+        friction="wheel",
+        inertia="connector",
+        timestep=step,
+        supply_pa=case.supply_pa,
+    )
+
+
+def show_spectra(figure: Path | None) -> None:
+    """Print damping times and frequencies; draw the spectra."""
+    rows = []
+    for case in CASES:
+        time, frequency = damping_time(case, LOSS)
+        power = spectrum(case, damped(load_robot(case.robot), time))
+        share = np.cumsum(power[0] * power[1]) / (power[0] * power[1]).sum()
+        low, middle, high = (power[0][np.searchsorted(share, level)] for level in (0.1, 0.5, 0.9))
+        times = [
+            f"{1e3 * loss / (2 * np.pi * frequency):.1f}"
+            for loss in (LOSS, LOSS / FACTOR**2, LOSS * FACTOR**2)
+        ]
+        rows.append([case.name, f"{frequency:.1f}", f"{low:.1f}", f"{middle:.1f}", f"{high:.1f}", *times])
+    head = ["gait", "f, Hz", "10 % below, Hz", "50 %", "90 %", "T, ms", "lower", "upper"]
+    print(table(head, rows))
+
+
+def show_material(step: float = 2.5e-4) -> None:
+    """Print speeds with a constant loss factor and with a damper."""
+    print("branches:", np.round(branches(LOSS), 4))
+    rows = []
+    for case in CASES:
+        time, frequency = damping_time(case, LOSS)
+        damper = case.speeds(compliant(case, damped(load_robot(case.robot), time), step))
+        material = case.speeds(material_plant(case, LOSS, frequency, step))
+        change = 100 * (material[0] / damper[0] - 1)
+        rows.append([
+            case.name, f"{1e3 * time:.1f}", f"{damper[0]:.1f} ({damper[1]:.3f})",
+            f"{material[0]:.1f} ({material[1]:.3f})", f"{change:+.1f}",
+        ])  # fmt: skip
+        print(rows[-1], flush=True)
+    print(table(["gait", "T, ms", "damper, mm/s (rad/s)", "constant loss", "difference, %"], rows))
+
+
+def main() -> None:
+    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    for name in ("spectra", "material", "steps", "table"):
+        words.add_argument(f"--{name}", action="store_true")
+    words.add_argument("--figure", type=Path)
+    options = words.parse_args()
+    if options.spectra:
+        show_spectra(options.figure)
+    if options.material:
+        show_material()
+
+
+if __name__ == "__main__":
+    main()
