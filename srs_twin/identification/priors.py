@@ -52,8 +52,9 @@ class Prior:
             return prior.low + (prior.high - prior.low) * np.asarray(probabilities)
         if prior.factor is not None:
             # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
-            ends = np.log(np.maximum(self.bounds, 1e-300) / self.value) / np.log(prior.factor)
-            return np.asarray(self.value * prior.factor ** _truncated_normal(ends, probabilities))
+            median = self.value if prior.median is None else prior.median
+            ends = np.log(np.maximum(self.bounds, 1e-300) / median) / np.log(prior.factor)
+            return np.asarray(median * prior.factor ** _truncated_normal(ends, probabilities))
         assert prior.sd is not None, "the model of the file requires it"
         ends = (np.array(self.bounds) - self.value) / prior.sd
         return np.asarray(self.value + prior.sd * _truncated_normal(ends, probabilities))

@@ -132,6 +132,10 @@ class RobotFile(StrictModel):
             bending |= rigid
         else:
             actuator, (chamber, supply) = self.actuator.to_si(), self._pneumatics()
+            if self.bending.lead is False:
+                delay = bending["damping_time"] - actuator["tau_mode"]
+                actuator["tau_mode"] = bending["damping_time"]
+                actuator |= {name: actuator[name] - delay for name in ("tau_fill", "tau_vent")}
         gain = actuator.pop("bend") / actuator.pop("at_pressure")
         has_dead_zone = bool(actuator.keys() & {"onset", "onset_width"})
         segments = self.geometry.connectors.value - 1
@@ -255,12 +259,28 @@ class RobotFile(StrictModel):
         """Return the numbers whose unit is in doubt."""
         return find_doubts({path: record.value for path, record in self.records().items()}, self.masses())
 
+    def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
+        """Yield path and message of a damping with `lead: false` that leaves no time for the chambers."""
+        if self.bending.lead is None:
+            return
+        if self.has_servos:
+            yield ("bending", "lead"), "a robot with actuator position has no lead; remove it"
+            return
+        numbers = self.bending.to_si() | self.actuator.to_si()
+        longest = numbers["tau_mode"] + min(numbers["tau_fill"], numbers["tau_vent"])
+        if not self.bending.lead and not numbers["damping_time"] < longest:
+            text = (
+                f"{numbers['damping_time']:g} s is not allowed with lead: false; it must be below {longest:g}"
+            )
+            yield ("bending", "damping_time_s", "value"), text
+
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of numbers that do not fit together."""
         missing = list(self._contradictions_of_kinds())
         yield from missing
         if missing:
             return
+        yield from self._contradictions_of_delay()
         connectors, masses = self.geometry.connectors.value, self.masses()
         key, count = ("segments", connectors - 1) if self.has_skin else ("connectors", connectors)
         if len(masses) != count:
@@ -334,7 +354,7 @@ class RobotFile(StrictModel):
                     yield ("correlated", i, "of", k), str(UnknownNameError("number", path, records))
 
 
-_PLAIN_KEYS = ("seed", "kind", "law")
+_PLAIN_KEYS = ("seed", "kind", "law", "lead")
 """Keys of sections of records whose values are no records."""
 
 

@@ -223,11 +223,14 @@ class ContactFile(Records):
 class BendingFile(Records):
     """Compliance of one segment."""
 
+    lead: bool | None = None
+    """Whether the moment of the air leads the pressures, so that a free segment obeys Eq. 14 whatever its
+    damping (default: true). With false the damping delays the free bend: damping_time_s takes the place of
+    tau_mode_s, and tau_fill_s and tau_vent_s are shorter by their difference; pressure only."""
     stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, needed_by="pressure")
     """Bending stiffness; pressure only."""
     damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Damping over stiffness; with the value of tau_mode_s, a free module obeys Eq. 14 exactly. Pressure
-    only."""
+    """Damping of deviations from the free bend over stiffness (docs/damping.md); pressure only."""
     pitch_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
     """Stiffness against bending out of the floor plane; a spatial robot may leave it out (default: that of
     bending)."""

@@ -98,12 +98,15 @@ class Uncertain(StrictModel):
     """Prior distribution of an uncertain number."""
 
     kind: Literal["normal", "lognormal", "uniform"]
-    """normal: mean at the number; lognormal: median at the number; uniform: range low to high."""
+    """normal: mean at the number; lognormal: median at the number, or `median`; uniform: range low to
+    high."""
     sd: float | None = Field(None, gt=0.0, le=1e9)
     """Standard deviation of a normal distribution, in the number's unit."""
     factor: float | None = Field(None, gt=1.0, le=100.0)
     """Geometric standard deviation: two thirds of the values are between the number divided by this factor
     and the number times it."""
+    median: float | None = Field(None, gt=0.0, le=1e9)
+    """Median of a lognormal distribution, in the number's unit (default: the number)."""
     low: float | None = Field(None, ge=-1e9, le=1e9)
     """Lower end of the range, in the number's unit."""
     high: float | None = Field(None, ge=-1e9, le=1e9)
@@ -118,6 +121,8 @@ class Uncertain(StrictModel):
         if present != required:
             needs, has = " and ".join(required), ", ".join(present) or "nothing"
             raise ValueError(f"{self.kind} takes {needs}, not {has}")
+        if self.median is not None and self.kind != "lognormal":
+            raise ValueError(f"{self.kind} takes {' and '.join(required)}, not median")
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise ValueError(f"low {self.low:g} is not below high {self.high:g}")
         return self

@@ -15,6 +15,7 @@ from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError, SamplingGrid, TimeStepError, count_steps, nearest_rate
 from srs_twin.io.documents import Document, Loc
 from srs_twin.plants.clearance import PENETRATION_M, TOUCHING_M, hull_lines, start_overlaps
+from srs_twin.plants.twin.mjcf.numerics import MAX_STEP_RATIO
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.file import SERVO_PRESSURE_KPA, RobotFile
@@ -150,12 +151,14 @@ def check_start(file: ScenarioFile, loading: Loading, begin: InitialState | None
 
 
 def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
-    """Yield a time step that is too long for the integrator: not below the damping times of the segments."""
+    """Yield a time step that is too long for the integrator and the damping times of the segments."""
     bending, twin = robot.spec().bending, file.plants.twin
     shortest = min(bending.damping_time, bending.out_of_plane_damping_time)
-    if twin is not None and not twin.timestep_s < shortest:
-        text = f"{twin.timestep_s:g} s is too long: it must be below the shortest damping time of the robot, "
-        text += f"{shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)"
+    if twin is not None and not twin.timestep_s < MAX_STEP_RATIO * shortest:
+        text = f"{twin.timestep_s:g} s is too long: it must be below {MAX_STEP_RATIO:g} times the shortest "
+        text += (
+            f"damping time of the robot, {shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)"
+        )
         yield ("plants", "twin", "timestep_s"), text, False
 
 

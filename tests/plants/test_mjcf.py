@@ -221,5 +221,5 @@ def test_numerics_set_the_engine_options():
 
 
 def test_time_step_above_the_damping_time_raises():
-    with pytest.raises(InputError, match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be sh"):
+    with pytest.raises(InputError, match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be be"):
         robot_mjcf(robot(), ModelSettings(0.004))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.identification.priors import Priors
+from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import OptimizationStudy
@@ -230,7 +231,11 @@ def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
     )
     values = priors.quantile(sobol_points(len(priors.paths), count, study.file.seed))
     names = [f"robot.{path}" for path in priors.paths]
-    return [dict(zip(names, row, strict=True)) for row in values.tolist()]
+    robots: list[Changes] = [dict(zip(names, row, strict=True)) for row in values.tolist()]
+    if (name := "robot.bending.damping_time_s") in names:
+        step = float(study.experiments["twin"].base["plants"]["twin"]["timestep_s"])
+        robots = [{**each, "plants.twin.timestep_s": stable_step(step, float(each[name]))} for each in robots]
+    return robots
 
 
 def _interval_95(values: np.ndarray) -> list[float | None]:

@@ -41,7 +41,7 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
     sampling_errors,
 )
 from srs_twin.studies.uncertainty.remarks import Remarks, remedy
-from srs_twin.studies.uncertainty.study import COMPLIANT, UncertaintyStudy
+from srs_twin.studies.uncertainty.study import COMPLIANT, DAMPING, LEAD, UncertaintyStudy
 from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -411,7 +411,8 @@ def uncertainty(
         samples: number of robots drawn from the distributions.
         twin: number of runs of the twin if the model `compliant` runs all samples.
         without: parameters of the robot to keep at their values in the robot file.
-        choices: field of the scenario → its equally likely values.
+        choices: field of the scenario → its equally likely values, in addition to the two readings of the
+            delay of the bends (`bending.lead`) if their damping is uncertain.
         engine: "local", "ray" or "warp", or an engine.
         workers: number of parallel runs; None: one per processor.
         changed: see `propagate`.
@@ -422,9 +423,12 @@ def uncertainty(
     """
     loaded = load_scenario(scenario, set=set)
     robot = RobotFile.model_validate(loaded.document["robot"])
+    priors = Priors.from_robot(robot, without=without)
+    if DAMPING in priors.paths and robot.bending.lead is None:
+        choices = {LEAD: (True, False), **choices}
     study = UncertaintyStudy(
         loaded,
-        Priors.from_robot(robot, without=without),
+        priors,
         tuple(plants or loaded.plants),
         samples=samples,
         twin_samples=min(twin, samples),

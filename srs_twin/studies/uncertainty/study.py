@@ -11,6 +11,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.priors import Priors
+from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import TwinFile
 from srs_twin.scenario.provenance import versions
@@ -18,6 +19,9 @@ from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import Experiment, Sweep, Value, sobol_points
 
 COMPLIANT = "compliant"
+DAMPING = "bending.damping_time_s"
+LEAD = "robot.bending.lead"
+"""Field of the two readings of the delay of a bend, which are equally likely."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +99,18 @@ class UncertaintyStudy:
         columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
         for share, values in zip(shares[:, count:].T, self.discrete_choices.values(), strict=True):
             columns.append([values[int(fraction * len(values))] for fraction in share])
-        own_choices = [_field_value(document, name) for name in self.discrete_choices]
+        own_choices = [
+            values[0] if name == LEAD else _field_value(document, name)
+            for name, values in self.discrete_choices.items()
+        ]
+        steps = [h] * len(shares)
+        if plant == "twin" and DAMPING in self.priors.paths:
+            times = columns[self.priors.paths.index(DAMPING)]
+            steps = [stable_step(h, float(time)) for time in times]
         nominal = [*(prior.value for prior in self.priors.parameters), *own_choices]
         medians = [*self.priors.quantile(np.full(count, 0.5)).tolist(), *own_choices]
         rows = [
-            *([*row, h] for row in zip(*columns, strict=True)),
+            *zip(*columns, steps, strict=True),
             [*medians, h],
             [*nominal, h],
             [*nominal, h / 2],

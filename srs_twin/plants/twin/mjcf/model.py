@@ -28,7 +28,13 @@ from mujoco import MjsBody, MjsJoint, MjSpec
 from srs_twin.errors import InputError
 from srs_twin.plants.twin.mjcf.belly import add_belly, root_connector
 from srs_twin.plants.twin.mjcf.classes import add_classes, drawn_height
-from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact, hinge_stations
+from srs_twin.plants.twin.mjcf.numerics import (
+    MAX_STEP_RATIO,
+    LoadedContact,
+    ModelSettings,
+    PreloadedContact,
+    hinge_stations,
+)
 from srs_twin.plants.twin.mjcf.surroundings import (
     add_hull_class,
     add_objects,
@@ -77,10 +83,10 @@ def robot_mjcf(
     if spec.actuator.extension and settings.hinges_per_segment < 2:
         raise InputError("hinges_per_segment: 1 is not allowed for segments that lengthen; use 2 or more")
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
-    if not settings.timestep < shortest:
+    if not settings.timestep < MAX_STEP_RATIO * shortest:
         raise InputError(
             f"time step {settings.timestep:g} s is too long for segments with a damping time c/k of "
-            f"{shortest:g} s; it must be shorter"
+            f"{shortest:g} s; it must be below {MAX_STEP_RATIO:g} times that"
         )
     _check_inertia(spec, settings)
     settings = settings.for_robot(spec)

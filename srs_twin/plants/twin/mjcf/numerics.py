@@ -15,6 +15,8 @@ from srs_twin.robot.spec import RobotSpec
 TIMESTEP_S = 0.001
 """Default time step at a time unit of 1 (`robot.scale`), s."""
 
+MAX_STEP_RATIO = 1.5
+"""Upper limit of the time step over the damping time of the segments, 1; from 2 on the springs diverge."""
 SLIP_SPEED_M_S = 0.001
 """Default slip speed at a time unit of 1, m/s."""
 
@@ -269,3 +271,8 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
         raise InputError(f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more")
     edge = 1 / (2 * (hinges + 1)) if hinges > 1 else 0.5
     return gap / 2 + length * np.linspace(edge, 1 - edge, hinges)
+
+
+def stable_step(step: float, damping_time: float) -> float:
+    """Return the largest part of a time step (s) that suits a damping time of the segments (s)."""
+    return step / math.floor(step / (MAX_STEP_RATIO * damping_time) + 1)
