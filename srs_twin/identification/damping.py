@@ -1,0 +1,517 @@
+r"""Stiffness and damping of a segment from the decay of its free swing (`hanging_segment`).
+
+A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), at 100 Hz or more. The segment
+hangs with a known body at its end, is held bent and is released. Only the known mass and the weight turn the
+frequency into a stiffness: the decay alone shows k/m and T. Optional ``pressure_plus_kpa`` and
+``pressure_minus_kpa`` are gauge pressures of closed chambers.
+
+**Fit.** All recordings share k, T and the leak rate. Each has its own start, rest bend, and two exponentials
+with which its rest bend recovers from having been held. Without measured pressures, closed chambers are at
+ambient pressure at the first sample of the recording. Their air at the release follows from the recorded
+bends until then and the leak rate.
+
+**Intervals.** Residuals are weighted with their noise, the smallest singular values of the recording's
+trajectory matrix, and an allowance for the model. The widening by correlated residuals is that of all fits
+(`least_squares`). k and T are those of viscous damping, η = 2π f T. A material with a constant loss factor
+has another decay with an equal stiffness and loss at f. Its fit is the reference that measures the model
+error. The frequency does not depend on the law, so its interval is that of a fit without model error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.interpolate import CubicSpline
+
+from srs_twin.errors import InputError, check_choice
+from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role
+from srs_twin.identification.fit_file import DataSet
+from srs_twin.identification.hanging_segment import (
+    HangingSegment,
+    Material,
+    Ringing,
+    constant_loss,
+    ringing,
+    swing,
+)
+from srs_twin.identification.least_squares import Watch, least_squares
+from srs_twin.identification.parameters import FreeParameter, free_parameters
+from srs_twin.io.files import StrPath
+from srs_twin.pneumatics.chambers import AMBIENT_PA, air_bend, bend_law, chamber_gains
+from srs_twin.recordings.csv_table import CLOCK, read_table
+from srs_twin.recordings.recorded_file import read_file
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES
+from srs_twin.robot.spec import RobotSpec
+
+NAMES = ("bending.stiffness_nm_per_rad", "bending.damping_time_s")
+VALVES = ("open", "closed")
+
+DECAY_COLUMNS = "time_s,bend_rad"
+"""First line of a recording of a decay."""
+
+_MIN_RATE_HZ = 100.0
+_MIN_SAMPLES = 20
+_MIN_SAMPLES_PER_SWING = 5.0
+_MIN_HALF_SWINGS = 3
+_MIN_TURN = 6.0
+"""Smallest visible half swing, in standard deviations of the noise."""
+
+_MIN_TURN_SHARE = 0.02
+"""Smallest visible half swing, as a fraction of the largest bend."""
+
+_MODEL_ERROR = 0.01
+"""Allowance for the model, as a fraction of the largest bend."""
+
+_WINDOW = 12
+"""Columns of the trajectory matrix, more than the exponentials of a swing."""
+
+_KEPT_SPANS = 2.0
+"""Length of the used part, in lengths of the visible swing."""
+
+_LEAST_DECREMENT = 0.01
+"""Smallest logarithmic decrement with which a search starts."""
+
+_CREEP_RATIOS = (3.0, 12.0)
+"""Time constants of the recovery, as multiples of 1/ω."""
+
+_UPSAMPLING = 4
+"""Points per sample between which measured pressures are interpolated linearly."""
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Free swing of a released segment.
+
+    Attributes:
+        name: name of the data.
+        sha256: SHA-256 of the file.
+        time: times of the free swing, shape (samples,), s.
+        bend: measured bends, shape (samples,), rad.
+        before: bends recorded before the free swing, and its first one, shape (earlier samples + 1,), rad.
+        before_time: times of these bends, s.
+        pressure: measured gauge pressures, + before −, shape (samples, 2), Pa; None if not measured.
+        noise: standard deviation of a bend, rad.
+        half_period: mean time between two turning points, s.
+        log_decrement: mean logarithm of the ratio of two successive half swings.
+    """
+
+    name: str
+    sha256: str
+    time: np.ndarray
+    bend: np.ndarray
+    before: np.ndarray
+    before_time: np.ndarray
+    pressure: np.ndarray | None
+    noise: float
+    half_period: float
+    log_decrement: float
+
+    @property
+    def pulsation(self) -> float:
+        """Approximate ringing frequency ω, rad/s."""
+        return math.pi / self.half_period
+
+    def data_set(self, role: Role) -> DataSet:
+        """Return name, hash and size of the data."""
+        return DataSet(
+            self.name, self.sha256, role, len(self.time), float(self.time[0]), float(self.time[-1])
+        )
+
+
+def read_decay(path: StrPath, *, start: float | None = None, noise: float | None = None) -> Decay:
+    """Read the free swing in a recording.
+
+    Args:
+        path: CSV file.
+        start: time from which the segment swings freely, s; None: when it first passes its rest.
+        noise: standard deviation of a bend, rad; None: estimated.
+
+    Raises:
+        InputError: a column is missing, or the recording does not show a swing that tells k and T apart.
+    """
+    pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
+    table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
+    file = table.file
+    by_name = {column.name: column for column in table.columns if not column.number}
+    if "bend" not in by_name:
+        raise file.error(f"no column 'bend_rad'; a recording of a decay has {DECAY_COLUMNS}", 1)
+    measured = [name for name in pressures if name in by_name]
+    if len(measured) == 1:
+        raise file.error(f"{measured[0]} alone; give the pressures of both chambers or none", 1)
+    clock = table.clock(f"no time; a recording of a decay has {DECAY_COLUMNS}")
+    rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
+    known = np.isfinite(rows.values).all(axis=1)
+    time, values = rows.time[known], rows.values[known]
+    if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
+        problem = f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are needed"
+        raise file.error(problem)
+    rate = 1 / float(np.median(np.diff(time)))
+    if rate < _MIN_RATE_HZ * (1 - 1e-3):
+        raise file.error(f"{rate:.3g} samples per second; {_MIN_RATE_HZ:g} Hz or more is needed")
+    pressure = values[:, 1:] if measured else None
+    return free_swing(file.name, file.sha256, time, values[:, 0], pressure, start=start, noise=noise)
+
+
+def free_swing(
+    name: str,
+    sha256: str,
+    time: np.ndarray,
+    bend: np.ndarray,
+    pressure: np.ndarray | None = None,
+    *,
+    start: float | None = None,
+    noise: float | None = None,
+) -> Decay:
+    """Return the free swing in recorded bends; the arguments are those of `Decay` and `read_decay`.
+
+    Raises:
+        InputError: the swing is too small, too short, overdamped or too fast for the sampling.
+    """
+    noise = _noise(bend) if noise is None else noise
+    first = _first_passage(bend) if start is None else int(np.searchsorted(time, start))
+    size = float(np.ptp(bend[max(first - 1, 0) :])) if first < len(bend) else 0.0
+    threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
+    if size <= threshold:
+        raise InputError(
+            f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the segment from a larger "
+            "bend"
+        )
+    turns = first + np.array(_turning_points(bend[first:], threshold), dtype=int)
+    if len(turns) < _MIN_HALF_SWINGS:
+        raise InputError(
+            f"{name}: {len(turns)} visible half swings; {_MIN_HALF_SWINGS} or more are needed. An overdamped "
+            "decay tells only the product k T: hang a heavier body, or record longer"
+        )
+    half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)
+    spacing = float(np.median(np.diff(time)))
+    if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
+        raise InputError(
+            f"{name}: {2 * half_period / spacing:.2g} samples per swing; {_MIN_SAMPLES_PER_SWING:g} or more are "
+            "needed: record faster, or hang a heavier body"
+        )
+    end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
+    used = slice(first, int(np.searchsorted(time, end, side="right")))
+    if len(time[used]) < _MIN_SAMPLES:
+        problem = f"{len(time[used])} samples of free swing; {_MIN_SAMPLES} or more are needed"
+        raise InputError(f"{name}: {problem}")
+    swings = np.abs(np.diff(bend[turns]))
+    decrement = float(np.mean(np.log(swings[:-1] / swings[1:])))
+    return Decay(
+        name,
+        sha256,
+        time[used],
+        bend[used],
+        bend[: first + 1],
+        time[: first + 1],
+        None if pressure is None else pressure[used],
+        noise,
+        half_period,
+        max(decrement, _LEAST_DECREMENT),
+    )
+
+
+def _noise(bend: np.ndarray) -> float:
+    windows = sliding_window_view(bend - bend.mean(), _WINDOW)
+    singular = np.linalg.svd(windows, compute_uv=False)
+    return max(float(singular[-3]) / math.sqrt(len(windows)), 1e-9)
+
+
+def _first_passage(bend: np.ndarray) -> int:
+    """Return the first sample beyond the rest after the largest deviation from it."""
+    deviation = bend - np.median(bend[-(len(bend) // 4) :])
+    largest = int(np.argmax(np.abs(deviation)))
+    beyond = np.flatnonzero(deviation[largest:] * deviation[largest] < 0)
+    return largest + int(beyond[0]) if beyond.size else largest
+
+
+def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
+    """Return the samples at which the bend turns back by more than a threshold."""
+    turns: list[int] = []
+    highest = lowest = 0
+    for k, value in enumerate(bend):
+        highest = k if value > bend[highest] else highest
+        lowest = k if value < bend[lowest] else lowest
+        turn = None
+        if bend[highest] - value > threshold and highest >= lowest:
+            turn = highest
+        elif value - bend[lowest] > threshold and lowest >= highest:
+            turn = lowest
+        if turn is not None:
+            turns.append(turn)
+            highest = lowest = k
+    return turns[1:] if turns and turns[0] == 0 else turns
+
+
+@dataclass(frozen=True)
+class HangingBody:
+    """Body at the end of the segment.
+
+    Attributes:
+        mass: mass m, kg.
+        inertia: moment of inertia J about its centre, kg·m².
+    """
+
+    mass: float
+    inertia: float
+
+    @classmethod
+    def of(cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None) -> HangingBody:
+        """Return the first connector of a robot, or a body with another mass or moment of inertia.
+
+        Without `inertia`, the body has the connector's radius of gyration.
+
+        Raises:
+            InputError: a value is not positive, or the robot has no segment of this kind.
+        """
+        if spec.skin is not None or spec.chamber.directions is not None:
+            raise InputError(
+                f"{spec.name}: a decay is only fitted for planar segments between connectors; this robot has "
+                "a skin or bends in space"
+            )
+        connector = spec.mass.connectors[0]
+        mass = connector if mass is None else mass
+        inertia = float(spec.yaw_inertia()[0]) * mass / connector if inertia is None else inertia
+        if not (math.isfinite(mass) and mass > 0 and math.isfinite(inertia) and inertia >= 0):
+            raise InputError(f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give more than 0")
+        return cls(mass, inertia)
+
+    def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
+        """Return the first segment of a robot with this body at its end."""
+        g, chamber = spec.geometry, spec.chamber
+        plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
+        air = (plus, minus, bend_law(spec), chamber.dead_volume, chamber.displacement)
+        return HangingSegment(g.segment_length, g.rigid_gap, self.mass, self.inertia, *air, encloses_air)
+
+
+def fit_damping(
+    decays: Sequence[Decay],
+    spec: RobotSpec,
+    *,
+    valves: str = "open",
+    body: HangingBody | None = None,
+    leak: float | None = None,
+    watch: Watch | None = None,
+) -> FitEstimate:
+    """Estimate stiffness and damping time, with the ringing frequency and the loss factor.
+
+    Args:
+        decays: free swings of the same segment with the same body.
+        spec: robot whose geometry and chambers are used.
+        valves: whether the chambers were open to the air or closed.
+        body: hanging body; None: the first connector.
+        leak: leak rate of closed chambers, 1/s; None: fitted.
+        watch: progress callback, see `least_squares`.
+
+    Raises:
+        InputError: there is no decay, or the valves are unknown or contradict measured pressures.
+    """
+    check_choice("valves", valves, VALVES)
+    if not decays:
+        raise InputError("a fit needs decays; give at least one")
+    measured = [decay.pressure is not None for decay in decays]
+    if any(measured) and (valves == "open" or not all(measured)):
+        raise InputError("measured pressures need closed valves, and all files must have them")
+    body = body or HangingBody.of(spec)
+    fit = _DampingFit(decays, spec, body, valves == "closed", leak)
+    start = fit.search(fit.unknowns(), [decay.bend for decay in decays], watch)
+    free = fit.unknowns(start.values)
+    estimate = fit.search(free, [decay.bend for decay in decays], watch, fit.refit)
+    frequency = _derived(start, fit.small_swing, "frequency", "Hz")
+    loss = _derived(estimate, fit.small_swing, "loss_factor", "1")
+    kept = [k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES]
+    return replace(
+        estimate,
+        parameters=tuple(estimate.parameters[k] for k in kept),
+        correlation=estimate.correlation[np.ix_(kept, kept)],
+        derived=tuple(quantity for quantity in (frequency, loss) if quantity is not None),
+        held=fit.held(estimate.values),
+    )
+
+
+class _DampingFit:
+    """Model of several decays as a function of the unknowns."""
+
+    def __init__(
+        self, decays: Sequence[Decay], spec: RobotSpec, body: HangingBody, closed: bool, leak: float | None
+    ) -> None:
+        self.decays, self.spec, self.body, self.closed = decays, spec, body, closed
+        self.encloses_air = closed and decays[0].pressure is None
+        self.segment = body.segment(spec, self.encloses_air)
+        self.leak = leak
+        self.free_leak = self.encloses_air and leak is None
+        self.grids = [_grid(decay) for decay in decays]
+        self.air = [_measured_air(decay, spec, grid) for decay, grid in zip(decays, self.grids, strict=True)]
+
+    def unknowns(self, known: Mapping[str, float] | None = None) -> list[FreeParameter]:
+        """Return the free parameters, which start at known values or at those of the recordings."""
+        first, starts = self.decays[0], known or {}
+        # The squared frequency is linear in k: the weight adds a constant, the air a share of k.
+        segment, squared = self.body.segment(self.spec, self.closed), first.half_period**-2 / 4
+        one, two = (ringing(segment, Material(k, 0.0), 0.0).frequency ** 2 for k in (1.0, 2.0))
+        stiffness = max(1 + (squared - one) / (two - one), 0.05 * squared / one)
+        damping_time = 2 * first.log_decrement / (math.pi * first.pulsation)
+        guesses = dict(zip(NAMES, (stiffness, damping_time), strict=True)) | starts
+        unknowns = list(free_parameters(self.spec, NAMES, starts=guesses))
+        if self.free_leak:
+            unknowns.append(_free("leak", "1/s", starts, 0.1, (0.0, 50.0), 1.0))
+        for k, decay in enumerate(self.decays):
+            size = float(np.ptp(decay.bend))
+            speed = size * decay.pulsation
+            rate = float(np.polyfit(decay.time[:3] - decay.time[0], decay.bend[:3], 1)[0])
+            rest = float(np.median(decay.bend[len(decay.bend) // 2 :]))
+            unknowns += [
+                _free(f"bend_{k}", "rad", starts, float(decay.bend[0]), (-4.0, 4.0), size),
+                _free(f"rate_{k}", "rad/s", starts, rate, (-20 * speed, 20 * speed), speed),
+                _free(f"rest_{k}", "rad", starts, rest, (-4.0, 4.0), size),
+            ]
+            unknowns += [
+                _free(f"creep_{j}_{k}", "rad", starts, 0.0, (-3 * size, 3 * size), size)
+                for j in range(len(_CREEP_RATIOS))
+            ]
+        return unknowns
+
+    def material(self, values: Mapping[str, float]) -> Material:
+        return Material(values[NAMES[0]], values[NAMES[1]], values.get("leak", self.leak or 0.0))
+
+    def small_swing(self, values: Mapping[str, float]) -> Ringing:
+        """Return the small oscillation of the first recording at its end."""
+        pressure = self.decays[0].pressure
+        mean = 0.0 if pressure is None else float(pressure.max(axis=1).mean())
+        segment = self.body.segment(self.spec, self.closed)
+        return ringing(segment, self.material(values), values.get("rest_0", 0.0), mean)
+
+    def held(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Return the values on which the estimates depend."""
+        held = {"mass_kg": self.body.mass, "inertia_kg_m2": self.body.inertia}
+        if self.closed and values.keys() >= set(NAMES):
+            held["air_stiffness_nm_per_rad"] = self.small_swing(values).air_stiffness
+        if self.closed and not self.free_leak:
+            held["leak_per_s"] = self.leak or 0.0
+        return held
+
+    def predict(self, values: Mapping[str, float], *, constant: bool = False) -> list[np.ndarray]:
+        """Return the bends of all recordings.
+
+        Args:
+            values: values of the unknowns.
+            constant: whether the loss factor is constant instead of proportional to the frequency.
+        """
+        material, branches, moments = self.material(values), np.empty((0, 2)), np.empty(0)
+        pulsation = 2 * math.pi * self.small_swing(values).frequency if constant else 0.0
+        bends = []
+        for k, decay in enumerate(self.decays):
+            used, grid = material, self.grids[k]
+            rate, bend = values[f"rate_{k}"], values[f"bend_{k}"]
+            rest = values[f"rest_{k}"] + self.air[k]
+            for j, ratio in enumerate(_CREEP_RATIOS):
+                rest = rest + values[f"creep_{j}_{k}"] * np.exp((grid[0] - grid) * decay.pulsation / ratio)
+            if constant:
+                used, branches, moments = constant_loss(material, pulsation, rate)
+            start = np.concatenate([[bend, rate], self._pressures(decay, material.leak), moments])
+            path = swing(grid, start, rest, decay.pulsation, used, self.segment, branches)
+            bends.append(path[:: len(grid) // len(decay.time) or 1][: len(decay.time)])
+        return bends
+
+    def _pressures(self, decay: Decay, leak: float) -> np.ndarray:
+        """Return the gauge pressures at the start of the free swing, + before −, Pa."""
+        if not self.encloses_air:
+            return np.zeros(2)
+        chamber = self.spec.chamber
+        volumes = chamber.dead_volume + chamber.displacement * np.maximum(
+            0.0, np.stack([decay.before, -decay.before], axis=1)
+        )
+        # The air tends to that of ambient pressure, which changes with the volume.
+        kept = np.exp(-leak * (decay.time[0] - decay.before_time))
+        weights = np.append(np.diff(kept), 0.0)
+        air = kept[0] * volumes[0] + weights @ volumes
+        return AMBIENT_PA * (air / volumes[-1] - 1)
+
+    def search(
+        self,
+        unknowns: Sequence[FreeParameter],
+        bends: Sequence[np.ndarray],
+        watch: Watch | None = None,
+        refit: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None,
+    ) -> FitEstimate:
+        """Fit the unknowns to bends."""
+
+        def residuals(values: Mapping[str, float]) -> list[Residual]:
+            return [
+                Residual(f"{decay.name} bend", "rad", bend - path, _scale(decay))
+                for decay, bend, path in zip(self.decays, bends, self.predict(values), strict=True)
+            ]
+
+        return least_squares(residuals, unknowns, watch=watch, refit=refit)
+
+    def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the fit to decays of a material with a constant loss factor."""
+        bends = self.predict(values, constant=True)
+        return dict(values) | self.search(self.unknowns(values), bends).values
+
+
+def _grid(decay: Decay) -> np.ndarray:
+    if decay.pressure is None:
+        return decay.time
+    samples = np.arange(len(decay.time))
+    return np.interp(np.arange(len(samples) * _UPSAMPLING) / _UPSAMPLING, samples, decay.time)
+
+
+def _measured_air(decay: Decay, spec: RobotSpec, grid: np.ndarray) -> np.ndarray:
+    """Return the bends due to measured pressures on a grid, shape (points,), rad."""
+    if decay.pressure is None:
+        return np.zeros(len(grid))
+    pressure = np.zeros((len(decay.time), spec.segments, 2))
+    pressure[:, 0] = decay.pressure
+    return np.asarray(CubicSpline(decay.time, air_bend(spec, pressure)[:, 0])(grid))
+
+
+def _scale(decay: Decay) -> float:
+    return math.hypot(decay.noise, _MODEL_ERROR * float(np.ptp(decay.bend)) / 2)
+
+
+def _free(
+    name: str,
+    unit: str,
+    known: Mapping[str, float],
+    guess: float,
+    bounds: tuple[float, float],
+    scale: float,
+) -> FreeParameter:
+    start = min(max(known.get(name, guess), bounds[0]), bounds[1])
+    return FreeParameter(name, unit, start, *bounds, scale)
+
+
+def _derived(
+    estimate: FitEstimate, function: Callable[[Mapping[str, float]], Ringing], name: str, unit: str
+) -> Parameter | None:
+    """Return a quantity of the small oscillation with the interval that follows from all parameters.
+
+    The interval is that of its logarithm, with linear propagation of errors.
+    """
+    values = estimate.values
+    if not values.keys() >= set(NAMES):
+        return None
+
+    def logarithm(changed: Mapping[str, float]) -> float:
+        return math.log(getattr(function(changed), name))
+
+    rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
+    known = [estimate.parameters[k] for k in rows]
+    slopes = []
+    for parameter in known:
+        error = parameter.standard_error or 0.0
+        step = 1e-3 * error
+        up, down = values[parameter.name] + step, values[parameter.name] - step
+        change = logarithm(values | {parameter.name: up}) - logarithm(values | {parameter.name: down})
+        slopes.append(change / 2e-3)
+    row = np.array(slopes)
+    error = math.sqrt(max(float(row @ estimate.correlation[np.ix_(rows, rows)] @ row), 0.0))
+    stiffness = estimate[NAMES[0]]
+    half = math.log(stiffness.high / stiffness.low) / 2 * stiffness.value / stiffness.standard_error
+    value = math.exp(logarithm(values))
+    low, high = value * math.exp(-half * error), value * math.exp(half * error)
+    return Parameter(name, unit, stiffness.verdict, value, value * error, low, high, stiffness.why)

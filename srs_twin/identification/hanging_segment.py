@@ -1,0 +1,253 @@
+r"""Motion of a body that hangs on one bent segment, after it is released.
+
+One end of a segment is clamped so that the segment hangs straight down. A body of mass m and moment of
+inertia J about its centre is at the other end. With the bend q and the chord L(q) of `robot.geometry` at the
+angle q/2, Lagrange's equation is
+
+$$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
+   = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
+   d = b(t) + \varphi(x) - q . $$
+
+The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the rest bend without
+pressure. A real material still recovers slowly from having been held, so b contains decaying exponentials.
+
+**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant temperature and the gauge
+pressure p, and leaks at the rate λ:
+
+$$ \dot p = -\lambda p - (p + p_0)\,\dot V / V . $$
+
+**Material.** A material is viscous (damping time T) and may have Maxwell branches with the moments e_i:
+ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are spread over two decades about the ringing period have a
+nearly constant loss factor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from srs_twin.compute.compiled import allocating, kernel_only
+from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, volume
+from srs_twin.robot.geometry import chord_derivatives, chord_from_half_angle, half_angle_terms
+from srs_twin.robot.spec import GRAVITY
+
+_half_angle_terms = kernel_only(half_angle_terms)
+_chord = kernel_only(chord_from_half_angle)
+
+_LARGEST_REST_RAD = 3.0
+"""Bound of the search for the bend at rest."""
+
+_SMALL_BEND_RAD = 1e-4
+"""Step of derivatives by the bend."""
+
+_MAX_ANGLE_STEP = 0.12
+"""Largest product of the ringing frequency (rad/s) and a time step."""
+
+_BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+"""Relaxation times of the branches as multiples of 1/ω."""
+
+_SMALLEST_RELAXED_SHARE = 0.02
+"""Smallest fraction of the stiffness that remains after all branches have relaxed."""
+
+
+class HangingSegment(NamedTuple):
+    """Constants of the equation of motion, for the kernel.
+
+    Attributes:
+        length: length l of the bending part, m.
+        gap: rigid gap L_o, m.
+        mass: mass m of the hanging body, kg.
+        inertia: moment of inertia J of the body about its centre, kg·m².
+        gain_plus: gain of the + chamber, rad/Pa.
+        gain_minus: gain of the − chamber, rad/Pa.
+        law: parameters of φ.
+        dead_volume: dead volume V₀ of a chamber, m³.
+        displacement: increase A of the volume per bend, m³/rad.
+        encloses_air: whether the pressures follow from enclosed air.
+    """
+
+    length: float
+    gap: float
+    mass: float
+    inertia: float
+    gain_plus: float
+    gain_minus: float
+    law: BendLaw
+    dead_volume: float
+    displacement: float
+    encloses_air: bool
+
+
+class Material(NamedTuple):
+    """Material and leak of a segment.
+
+    Attributes:
+        stiffness: stiffness k without the branches, N·m/rad.
+        damping_time: damping time T, s.
+        leak: leak rate λ, 1/s.
+    """
+
+    stiffness: float
+    damping_time: float
+    leak: float = 0.0
+
+
+@kernel_only
+def _acceleration(moment, bend, rate, segment):  # type: ignore[no-untyped-def]
+    terms = _half_angle_terms(bend)
+    chord, slope, curvature = _chord(terms, segment.length, segment.gap)
+    inertia = segment.mass * (slope * slope + chord * chord / 4) + segment.inertia
+    change = segment.mass * slope * (2 * curvature + chord / 2)
+    weight = segment.mass * GRAVITY * (slope * terms[0] - chord * terms[1] / 2)
+    return (moment + weight - change * rate * rate / 2) / inertia
+
+
+@kernel_only
+def _slopes(state, creep, creep_slope, material, segment, branches, result):  # type: ignore[no-untyped-def]
+    bend, rate, plus, minus = state[0], state[1], state[2], state[3]
+    deviation, deviation_rate = creep - bend, creep_slope - rate
+    result[2] = result[3] = 0.0
+    if segment.encloses_air:
+        size, growth = volume(segment.dead_volume, segment.displacement, bend, 0)
+        result[2] = -material.leak * plus - (plus + AMBIENT_PA) * growth * rate / size
+        size, growth = volume(segment.dead_volume, segment.displacement, bend, 1)
+        result[3] = -material.leak * minus - (minus + AMBIENT_PA) * growth * rate / size
+        x = segment.gain_plus * plus - segment.gain_minus * minus
+        air, air_slope, _ = apply_bend_law(x, segment.law)
+        deviation += air
+        deviation_rate += air_slope * (segment.gain_plus * result[2] - segment.gain_minus * result[3])
+    moment = material.stiffness * (deviation + material.damping_time * deviation_rate)
+    for i in range(len(branches)):
+        moment += state[4 + i]
+        result[4 + i] = branches[i, 0] * deviation_rate - state[4 + i] / branches[i, 1]
+    result[0] = rate
+    result[1] = _acceleration(moment, bend, rate, segment)
+
+
+@allocating
+def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the bends at given times, shape (samples,), rad, by the Runge-Kutta method of order 4.
+
+    Args:
+        time: ascending times, shape (samples,), s.
+        start: bend (rad), its rate (rad/s), pressures of the + and − chamber (Pa) and moments of the branches
+            (N·m) at the first time, shape (4 + branches,).
+        rest: rest bend b without pressure at the times, shape (samples,), rad.
+        frequency: approximate ringing frequency, rad/s, from which the steps follow.
+        material: a `Material`.
+        segment: a `HangingSegment`.
+        branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of the branches, shape (branches, 2).
+    """
+    result = np.empty(len(time))
+    state, trial = start.copy(), start.copy()
+    total, slopes = np.empty_like(start), np.empty_like(start)
+    result[0] = state[0]
+    for k in range(len(time) - 1):
+        interval = time[k + 1] - time[k]
+        steps = int(interval * frequency / _MAX_ANGLE_STEP) + 1
+        h, rise = interval / steps, (rest[k + 1] - rest[k]) / interval
+        for j in range(steps):
+            total[:] = 0.0
+            trial[:] = state
+            for stage in range(4):
+                since = (j + 0.5 * ((stage + 1) // 2)) * h
+                _slopes(trial, rest[k] + rise * since, rise, material, segment, branches, slopes)
+                total += slopes * (2.0 if stage in (1, 2) else 1.0)
+                trial[:] = state + slopes * (h if stage == 2 else h / 2)
+            state += total * (h / 6)
+        result[k + 1] = state[0]
+    return result
+
+
+class Ringing(NamedTuple):
+    """Small oscillation about the rest.
+
+    Attributes:
+        frequency: damped frequency, Hz.
+        loss_factor: loss factor of the material and the air at the frequency.
+        air_stiffness: stiffness of the enclosed air, N·m/rad.
+    """
+
+    frequency: float
+    loss_factor: float
+    air_stiffness: float
+
+
+def ringing(segment: HangingSegment, material: Material, rest: float, pressure: float = 0.0) -> Ringing:
+    r"""Return the small oscillation about the bend at rest.
+
+    The linear equation has the complex stiffness of material and air
+
+    $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
+       r = \varphi'\,G\,(p + p_0)\,\frac{A}{V}, $$
+
+    and the ringing is the complex root of (M s² + K + w) (s + λ) = 0 with the slope w of the weight. The loss
+    factor is Im K/Re K at the frequency of that root.
+
+    Args:
+        segment: hanging segment.
+        material: material and leak.
+        rest: rest bend b, rad.
+        pressure: mean gauge pressure of the chambers, Pa.
+    """
+
+    def weight(bend: float) -> float:
+        chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
+        change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
+        return segment.mass * GRAVITY * change
+
+    k, damping_time, leak = material
+    hang = brentq(lambda q: k * (rest - q) + weight(q), -_LARGEST_REST_RAD, _LARGEST_REST_RAD)
+    chord, slope, _ = chord_derivatives(hang, segment.length, segment.gap)
+    inertia = segment.mass * (slope**2 + chord**2 / 4) + segment.inertia
+    step = _SMALL_BEND_RAD
+    stiffening = -(weight(hang + step) - weight(hang - step)) / (2 * step)
+    share = 0.0
+    if segment.encloses_air:
+        side = int(hang < 0)
+        gain = segment.gain_minus if side else segment.gain_plus
+        size, growth = volume(segment.dead_volume, segment.displacement, hang or step, side)
+        share = apply_bend_law(0.0, segment.law)[1] * gain * (pressure + AMBIENT_PA) * abs(growth) / size
+    elastic = np.polymul([k * damping_time, k], [1.0 + share, leak])
+    inertial = np.polymul([inertia, 0.0, stiffening], [1.0, leak])
+    pulsation = float(np.abs(np.roots(np.polyadd(inertial, elastic)).imag).max())
+    at = 1j * max(pulsation, 1e-9)
+    total = k * (1 + at * damping_time) * (1 + share * at / (at + leak))
+    return Ringing(pulsation / (2 * math.pi), float(total.imag / total.real), k * share)
+
+
+class Branches(NamedTuple):
+    """Material with Maxwell branches, and their state when the swing first passes its rest.
+
+    Attributes:
+        material: stiffness and viscous part beside the branches.
+        branches: stiffness and relaxation time of each branch, shape (branches, 2).
+        moments: moments of the branches, shape (branches,), N·m.
+    """
+
+    material: Material
+    branches: np.ndarray
+    moments: np.ndarray
+
+
+def constant_loss(material: Material, pulsation: float, rate: float) -> Branches:
+    """Return a material whose loss factor is nearly constant, with an equal stiffness and loss at a frequency.
+
+    Args:
+        material: viscous material.
+        pulsation: frequency of equal stiffness and loss, rad/s.
+        rate: rate of the bend at the start, after a quarter of a swing from a long hold, rad/s.
+    """
+    x = _BRANCH_RATIOS
+    storage, loss = x**2 / (1 + x**2), x / (1 + x**2)
+    wanted = material.stiffness * material.damping_time * pulsation
+    strongest = material.stiffness * (1 - _SMALLEST_RELAXED_SHARE) / storage.sum()
+    strength = min(wanted / loss.sum(), strongest)
+    viscous = (wanted - strength * loss.sum()) / pulsation
+    relaxed = material.stiffness - strength * storage.sum()
+    moments = -strength * rate / pulsation * loss * (1 + x * np.exp(-math.pi / (2 * x)))
+    branches = np.stack([np.full(len(x), strength), x / pulsation], axis=1)
+    return Branches(Material(relaxed, viscous / relaxed, material.leak), branches, moments)

@@ -1,0 +1,159 @@
+"""Decays of released segments, simulated from their own equation of motion, and the true answers.
+
+Nothing of the package is used: the equation is that of a body on a curve, with derivatives by complex steps,
+and the air is balanced as an amount. `Truth` is the law of the material.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq, fsolve
+
+AMBIENT = 101_325.0
+GRAVITY = 9.81
+RAMP = 0.2
+"""Time within which a segment is bent, s."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """A released segment.
+
+    Attributes:
+        length, gap, mass, inertia: of the segment and the body, m, kg, kg·m².
+        stiffness: relaxed stiffness, N·m/rad.
+        viscosity: viscous damping, N·m·s/rad.
+        branches: stiffness (N·m/rad) and relaxation time (s) of Maxwell branches.
+        rest: rest bend, rad.
+        gain, dead, growth: gain of the chambers (rad/Pa), dead volume (m³), volume per bend (m³/rad).
+        closed: whether the valves are closed.
+        leak: leak rate, 1/s.
+        leads: whether the viscosity opposes the deviation from the free bend instead of the bend.
+    """
+
+    length: float
+    gap: float
+    mass: float
+    inertia: float
+    stiffness: float
+    viscosity: float
+    branches: tuple[tuple[float, float], ...]
+    rest: float
+    gain: float
+    dead: float
+    growth: float
+    closed: bool
+    leak: float
+    leads: bool
+
+    def place(self, q: Any) -> np.ndarray:
+        """Return the body's position, sideways and upwards."""
+        half = q / 2
+        chord = self.length * np.sin(half) / half + self.gap * np.cos(half)
+        return np.array([chord * np.sin(half), -chord * np.cos(half)])
+
+    def _tangent(self, q: float) -> np.ndarray:
+        return self.place(q + 1e-30j).imag / 1e-30
+
+    def inertial(self, q: float) -> float:
+        return self.mass * float(self._tangent(q) @ self._tangent(q)) + self.inertia
+
+    def weight(self, q: float) -> float:
+        """Return the moment of the weight, N·m."""
+        return -self.mass * GRAVITY * float(self._tangent(q)[1])
+
+    def hanging(self) -> float:
+        """Return the bend at rest with open valves, rad."""
+        return brentq(lambda q: self.stiffness * (self.rest - q) + self.weight(q), -3.0, 3.0001)
+
+    def volumes(self, q: float) -> np.ndarray:
+        return self.dead + self.growth * np.maximum(0.0, [q, -q])
+
+    def record(self, bend: float, hold: float, time: np.ndarray) -> np.ndarray:
+        """Return bends at times after the release, rad.
+
+        The valves are closed at rest. Then the segment is bent within `RAMP` and held.
+
+        Args:
+            bend: bend from which the segment is released.
+            hold: time for which it is held bent.
+            time: ascending times.
+        """
+        start = self.hanging()
+
+        def held(t: Any) -> Any:
+            return start + (bend - start) * np.clip((t + hold + RAMP) / RAMP, 0.0, 1.0)
+
+        def waiting(t: float, state: np.ndarray) -> np.ndarray:
+            bending = (bend - start) / RAMP if t < -hold else 0.0
+            branches = [-g * bending - e / tau for (g, tau), e in zip(self.branches, state[2:], strict=True)]
+            return np.array([*(-self.leak * (state[:2] - AMBIENT * self.volumes(held(t)))), *branches])
+
+        calm = [*(AMBIENT * self.volumes(start)), *np.zeros(len(self.branches))]
+        wait = solve_ivp(waiting, (-hold - RAMP, 0.0), calm, "DOP853", rtol=1e-8, atol=1e-12, max_step=0.01)
+        amount, strained = wait.y[:2, -1], wait.y[2:, -1]
+
+        def slope(t: float, state: np.ndarray) -> np.ndarray:
+            q, v = state[:2]
+            free, free_rate, flow = self.rest, 0.0, np.zeros(2)
+            if self.closed:
+                space, widening = self.volumes(q), self.growth * v * np.array([q > 0, -1.0 * (q < 0)])
+                flow = -self.leak * (state[2:4] - AMBIENT * space)
+                pressure = state[2:4] / space
+                change = (flow - pressure * widening) / space
+                free += self.gain * (pressure[0] - pressure[1])
+                free_rate = self.gain * (change[0] - change[1])
+            deviation_rate = (free_rate if self.leads else 0.0) - v
+            moment = self.stiffness * (free - q) + self.viscosity * deviation_rate + state[4:].sum()
+            moment += self.weight(q)
+            h = 1e-5
+            bending = (self.inertial(q + h) - self.inertial(q - h)) / (2 * h)
+            branches = [
+                g * (free_rate - v) - e / tau
+                for (g, tau), e in zip(self.branches, state[4:], strict=True)
+            ]
+            return np.array([v, (moment - bending * v * v / 2) / self.inertial(q), *flow, *branches])
+
+        after = time[time >= 0]
+        initial = [bend, 0.0, *amount, *strained]
+        done = solve_ivp(
+            slope, (0.0, after[-1]), initial, "DOP853", after, rtol=1e-8, atol=1e-10, max_step=0.01
+        )
+        return np.concatenate([held(time[time < 0]), done.y[0]])
+
+    def answers(self) -> dict[str, float]:
+        """Return frequency (Hz), storage stiffness of the material and loss factor at the frequency."""
+        q = self.hanging()
+        h = 1e-5
+        stiffening = -(self.weight(q + h) - self.weight(q - h)) / (2 * h)
+        share = 0.0
+        if self.closed:
+            share = self.gain * AMBIENT * self.growth / self.volumes(q).max()
+
+        def parts(s: complex) -> tuple[complex, complex]:
+            branched = sum(g * s * tau / (1 + s * tau) for g, tau in self.branches)
+            air = share * s / (s + self.leak)
+            material = self.stiffness + self.viscosity * s + branched
+            if self.leads:
+                return material, material * (1 + air)
+            return material, material + (self.stiffness + branched) * air
+
+        def root(parts_of: np.ndarray) -> list[float]:
+            s = complex(*parts_of)
+            left = (self.inertial(q) * s * s + parts(s)[1] + stiffening) / self.stiffness
+            return [left.real, left.imag]
+
+        stiff = self.stiffness + sum(g for g, _ in self.branches)
+        guess = math.sqrt((stiff * (1 + share) + stiffening) / self.inertial(q))
+        found = fsolve(root, [-0.1 * guess, 0.95 * guess], xtol=1e-12)
+        omega = abs(float(found[1]))
+        material, total = parts(1j * omega)
+        return {
+            "frequency": omega / (2 * math.pi), "stiffness": material.real,
+            "loss_factor": total.imag / total.real,
+        }  # fmt: skip
