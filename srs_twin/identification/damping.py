@@ -20,7 +20,7 @@ error. The frequency does not depend on the law, so its interval is that of a fi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,8 +37,9 @@ from srs_twin.identification.hanging_segment import (
     constant_loss,
     ringing,
     swing,
+    weight_moment,
 )
-from srs_twin.identification.least_squares import Watch, least_squares
+from srs_twin.identification.least_squares import SearchOptions, Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
 from srs_twin.pneumatics.chambers import AMBIENT_PA, air_bend, bend_law, chamber_gains
@@ -77,6 +78,19 @@ _LEAST_DECREMENT = 0.01
 
 _CREEP_RATIOS = (3.0, 12.0)
 """Time constants of the recovery, as multiples of 1/ω."""
+
+_STAGES = (2.0, 4.0, 8.0)
+"""Swings to which the model is fitted first, because a wrong frequency slips by whole swings later on."""
+
+_MIN_CALM_SAMPLES = 5
+_MAX_CALM_SAMPLES = 25
+"""Samples at rest that count for the rest bend; further ones share errors of the model."""
+
+_FIRST_LEAK = 0.1
+"""Leak rate with which a search starts, 1/s."""
+
+_SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
+"""Steps across which the kinks of the air's stiffness at zero bend average out."""
 
 _UPSAMPLING = 4
 """Points per sample between which measured pressures are interpolated linearly."""
@@ -317,9 +331,13 @@ def fit_damping(
         raise InputError("measured pressures need closed valves, and all files must have them")
     body = body or HangingBody.of(spec)
     fit = _DampingFit(decays, spec, body, valves == "closed", leak)
-    start = fit.search(fit.unknowns(), [decay.bend for decay in decays], watch)
-    free = fit.unknowns(start.values)
-    estimate = fit.search(free, [decay.bend for decay in decays], watch, fit.refit)
+    bends = [decay.bend for decay in decays]
+    values: dict[str, float] = {}
+    for swings in _STAGES:
+        values |= fit.search(fit.coarse_unknowns(values), bends, watch, swings=swings).values
+    start = fit.search(fit.unknowns(values), bends, watch)
+    values |= start.values
+    estimate = fit.search(fit.unknowns(values), bends, watch, fit.refit)
     frequency = _derived(start, fit.small_swing, "frequency", "Hz")
     loss = _derived(estimate, fit.small_swing, "loss_factor", "1")
     kept = [k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES]
@@ -341,23 +359,39 @@ class _DampingFit:
         self.decays, self.spec, self.body, self.closed = decays, spec, body, closed
         self.encloses_air = closed and decays[0].pressure is None
         self.segment = body.segment(spec, self.encloses_air)
-        self.leak = leak
+        self.defaults: dict[str, float] = {}
         self.free_leak = self.encloses_air and leak is None
+        self.leak = _FIRST_LEAK if self.free_leak else leak or 0.0
+        self.calm = [_calm_samples(decay) for decay in decays] if self.encloses_air else []
         self.grids = [_grid(decay) for decay in decays]
         self.air = [_measured_air(decay, spec, grid) for decay, grid in zip(decays, self.grids, strict=True)]
 
     def unknowns(self, known: Mapping[str, float] | None = None) -> list[FreeParameter]:
         """Return the free parameters, which start at known values or at those of the recordings."""
+        unknowns = self.coarse_unknowns(known)
+        starts = known or {}
+        if self.free_leak:
+            unknowns.append(_free("leak", "1/s", starts, _FIRST_LEAK, (-2.0, 30.0), 1.0))
+        for k, decay in enumerate(self.decays):
+            size = float(np.ptp(decay.bend))
+            unknowns += [
+                _free(f"creep_{j}_{k}", "rad", starts, 0.0, (-3 * size, 3 * size), size)
+                for j in range(len(_CREEP_RATIOS))
+            ]
+        return unknowns
+
+    def coarse_unknowns(self, known: Mapping[str, float] | None = None) -> list[FreeParameter]:
+        """Return the free parameters without the leak and the recovery, which short swings do not show."""
         first, starts = self.decays[0], known or {}
         # The squared frequency is linear in k: the weight adds a constant, the air a share of k.
         segment, squared = self.body.segment(self.spec, self.closed), first.half_period**-2 / 4
-        one, two = (ringing(segment, Material(k, 0.0), 0.0).frequency ** 2 for k in (1.0, 2.0))
+        air = self.air_at_end(first)
+        rings = (ringing(segment, Material(k, 0.0), 0.0, air) for k in (1.0, 2.0))
+        one, two = (ring.frequency**2 for ring in rings)
         stiffness = max(1 + (squared - one) / (two - one), 0.05 * squared / one)
         damping_time = 2 * first.log_decrement / (math.pi * first.pulsation)
         guesses = dict(zip(NAMES, (stiffness, damping_time), strict=True)) | starts
         unknowns = list(free_parameters(self.spec, NAMES, starts=guesses))
-        if self.free_leak:
-            unknowns.append(_free("leak", "1/s", starts, 0.1, (0.0, 50.0), 1.0))
         for k, decay in enumerate(self.decays):
             size = float(np.ptp(decay.bend))
             speed = size * decay.pulsation
@@ -368,21 +402,33 @@ class _DampingFit:
                 _free(f"rate_{k}", "rad/s", starts, rate, (-20 * speed, 20 * speed), speed),
                 _free(f"rest_{k}", "rad", starts, rest, (-4.0, 4.0), size),
             ]
-            unknowns += [
-                _free(f"creep_{j}_{k}", "rad", starts, 0.0, (-3 * size, 3 * size), size)
-                for j in range(len(_CREEP_RATIOS))
-            ]
         return unknowns
 
     def material(self, values: Mapping[str, float]) -> Material:
-        return Material(values[NAMES[0]], values[NAMES[1]], values.get("leak", self.leak or 0.0))
+        return Material(values[NAMES[0]], values[NAMES[1]], values.get("leak", self.leak))
 
     def small_swing(self, values: Mapping[str, float]) -> Ringing:
-        """Return the small oscillation of the first recording at its end."""
-        pressure = self.decays[0].pressure
-        mean = 0.0 if pressure is None else float(pressure.max(axis=1).mean())
-        segment = self.body.segment(self.spec, self.closed)
-        return ringing(segment, self.material(values), values.get("rest_0", 0.0), mean)
+        """Return the small oscillation at the end of the first recording."""
+        first, segment = self.decays[0], self.body.segment(self.spec, self.closed)
+        if self.encloses_air:
+            air = self._swing(values, 0)[1][2:4]
+        else:
+            air = self.air_at_end(first)
+        rest = values.get("rest_0", self.defaults["rest_0"])
+        return ringing(segment, self.material(values), rest, air)
+
+    def air_at_end(self, decay: Decay) -> np.ndarray:
+        """Return the amounts of air for the mean pressures in the last quarter of a recording, J."""
+        end = slice(-(len(decay.time) // 4), None)
+        pressure = 0.0 if decay.pressure is None else decay.pressure[end].mean(axis=0)
+        amounts: np.ndarray = (AMBIENT_PA + pressure) * self._volumes(np.median(decay.bend[end]))
+        return amounts
+
+    def _volumes(self, bend: np.ndarray | float) -> np.ndarray:
+        """Return the volumes of the chambers, + before −, shape (…, 2), m³."""
+        chamber = self.spec.chamber
+        grown = np.maximum(0.0, np.stack([bend, np.negative(bend)], axis=-1))
+        return np.asarray(chamber.dead_volume + chamber.displacement * grown)
 
     def held(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values on which the estimates depend."""
@@ -390,7 +436,7 @@ class _DampingFit:
         if self.closed and values.keys() >= set(NAMES):
             held["air_stiffness_nm_per_rad"] = self.small_swing(values).air_stiffness
         if self.closed and not self.free_leak:
-            held["leak_per_s"] = self.leak or 0.0
+            held["leak_per_s"] = self.leak
         return held
 
     def predict(self, values: Mapping[str, float], *, constant: bool = False) -> list[np.ndarray]:
@@ -400,35 +446,38 @@ class _DampingFit:
             values: values of the unknowns.
             constant: whether the loss factor is constant instead of proportional to the frequency.
         """
-        material, branches, moments = self.material(values), np.empty((0, 2)), np.empty(0)
-        pulsation = 2 * math.pi * self.small_swing(values).frequency if constant else 0.0
-        bends = []
-        for k, decay in enumerate(self.decays):
-            used, grid = material, self.grids[k]
-            rate, bend = values[f"rate_{k}"], values[f"bend_{k}"]
-            rest = values[f"rest_{k}"] + self.air[k]
-            for j, ratio in enumerate(_CREEP_RATIOS):
-                rest = rest + values[f"creep_{j}_{k}"] * np.exp((grid[0] - grid) * decay.pulsation / ratio)
-            if constant:
-                used, branches, moments = constant_loss(material, pulsation, rate)
-            start = np.concatenate([[bend, rate], self._pressures(decay, material.leak), moments])
-            path = swing(grid, start, rest, decay.pulsation, used, self.segment, branches)
-            bends.append(path[:: len(grid) // len(decay.time) or 1][: len(decay.time)])
-        return bends
+        pulsation = 2 * math.pi * self.small_swing(values).frequency if constant else None
+        return [self._swing(values, k, pulsation)[0] for k in range(len(self.decays))]
 
-    def _pressures(self, decay: Decay, leak: float) -> np.ndarray:
-        """Return the gauge pressures at the start of the free swing, + before −, Pa."""
+    def _swing(
+        self, values: Mapping[str, float], k: int, constant_about: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bends of a recording and the last state; with a constant loss about a frequency (rad/s)."""
+        values = self.defaults | dict(values)
+        decay, grid, material = self.decays[k], self.grids[k], self.material(values)
+        branches, moments = np.empty((0, 2)), np.empty(0)
+        air = self._enclosed_air(decay, material.leak)
+        rest = values[f"rest_{k}"] + self.air[k]
+        for j, ratio in enumerate(_CREEP_RATIOS):
+            fade = np.exp((grid[0] - grid) * decay.pulsation / ratio)
+            rest = rest + values.get(f"creep_{j}_{k}", 0.0) * fade
+        bend, rate = values[f"bend_{k}"], values[f"rate_{k}"]
+        if constant_about is not None:
+            material, branches, moments = constant_loss(material, constant_about, rate)
+        start = np.concatenate([[bend, rate], air, moments])
+        path, end = swing(grid, start, rest, decay.pulsation, material, self.segment, branches)
+        return path[:: len(grid) // len(decay.time)], end
+
+    def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
+        """Return the amounts of air at the start of the free swing, + chamber before −, J."""
         if not self.encloses_air:
             return np.zeros(2)
-        chamber = self.spec.chamber
-        volumes = chamber.dead_volume + chamber.displacement * np.maximum(
-            0.0, np.stack([decay.before, -decay.before], axis=1)
-        )
+        volumes = self._volumes(decay.before)
         # The air tends to that of ambient pressure, which changes with the volume.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)
-        air = kept[0] * volumes[0] + weights @ volumes
-        return AMBIENT_PA * (air / volumes[-1] - 1)
+        amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
+        return amounts
 
     def search(
         self,
@@ -436,21 +485,53 @@ class _DampingFit:
         bends: Sequence[np.ndarray],
         watch: Watch | None = None,
         refit: Callable[[Mapping[str, float]], Mapping[str, float]] | None = None,
+        swings: float = math.inf,
     ) -> FitEstimate:
-        """Fit the unknowns to bends."""
+        """Fit the unknowns to the bends of the first swings."""
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
-            return [
-                Residual(f"{decay.name} bend", "rad", bend - path, _scale(decay))
-                for decay, bend, path in zip(self.decays, bends, self.predict(values), strict=True)
-            ]
+            result = []
+            for decay, bend, path in zip(self.decays, bends, self.predict(values), strict=True):
+                used = decay.time <= decay.time[0] + 2 * swings * decay.half_period
+                difference = (bend - path)[used]
+                result.append(Residual(f"{decay.name} bend", "rad", difference, _scale(decay)))
+            return [*result, *self._rest_residuals(values)]
 
-        return least_squares(residuals, unknowns, watch=watch, refit=refit)
+        # A parameter without a value keeps its start, so that predictions remain possible.
+        self.defaults = {unknown.name: unknown.start for unknown in unknowns}
+        return least_squares(residuals, unknowns, watch=watch, refit=refit, options=_SEARCH)
+
+    def _rest_residuals(self, values: Mapping[str, float]) -> Iterator[Residual]:
+        """Yield the rest bends that follow from closed chambers at rest before they are bent."""
+        k = values[NAMES[0]]
+        for i, calm in enumerate(self.calm):
+            decay = self.decays[i]
+            bend = float(decay.before[:calm].mean())
+            rest = bend - weight_moment(self.segment, bend) / k
+            scale = _scale(decay) / math.sqrt(min(calm, _MAX_CALM_SAMPLES))
+            yield Residual(f"{decay.name} rest", "rad", np.array([rest - values[f"rest_{i}"]]), scale)
 
     def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Return the fit to decays of a material with a constant loss factor."""
         bends = self.predict(values, constant=True)
         return dict(values) | self.search(self.unknowns(values), bends).values
+
+
+def _calm_samples(decay: Decay) -> int:
+    """Return the number of samples at rest at the start of a recording.
+
+    Raises:
+        InputError: the recording begins with a bent or moving segment.
+    """
+    moved = np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES])) > _MIN_TURN * decay.noise
+    calm = int(np.argmax(moved)) if moved.any() else len(moved)
+    held = np.abs(decay.before - decay.before[0]).max()
+    if calm < _MIN_CALM_SAMPLES or held < float(np.ptp(decay.bend)) / 4:
+        raise InputError(
+            f"{decay.name}: the recording of closed valves begins with a bent or moving segment; close the "
+            "valves at rest, start recording, and only then bend and release it (or record the pressures)"
+        )
+    return calm
 
 
 def _grid(decay: Decay) -> np.ndarray:
@@ -479,7 +560,7 @@ def _free(
     known: Mapping[str, float],
     guess: float,
     bounds: tuple[float, float],
-    scale: float,
+    scale: float | None = None,
 ) -> FreeParameter:
     start = min(max(known.get(name, guess), bounds[0]), bounds[1])
     return FreeParameter(name, unit, start, *bounds, scale)

@@ -11,10 +11,10 @@ $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\big
 The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the rest bend without
 pressure. A real material still recovers slowly from having been held, so b contains decaying exponentials.
 
-**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant temperature and the gauge
-pressure p, and leaks at the rate λ:
+**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant temperature, the absolute
+pressure P and the amount n = P V, and leaks at the rate λ to the ambient pressure p₀:
 
-$$ \dot p = -\lambda p - (p + p_0)\,\dot V / V . $$
+$$ \dot n = -\lambda\,(n - p_0 V) . $$
 
 **Material.** A material is viscous (damping time T) and may have Maxwell branches with the moments e_i:
 ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are spread over two decades about the ringing period have a
@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from srs_twin.compute.arrays import Array
 from srs_twin.compute.compiled import allocating, kernel_only
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, volume
 from srs_twin.robot.geometry import chord_derivatives, chord_from_half_angle, half_angle_terms
@@ -43,7 +44,7 @@ _LARGEST_REST_RAD = 3.0
 _SMALL_BEND_RAD = 1e-4
 """Step of derivatives by the bend."""
 
-_MAX_ANGLE_STEP = 0.12
+_MAX_ANGLE_STEP = 0.06
 """Largest product of the ringing frequency (rad/s) and a time step."""
 
 _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
@@ -107,18 +108,21 @@ def _acceleration(moment, bend, rate, segment):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _slopes(state, creep, creep_slope, material, segment, branches, result):  # type: ignore[no-untyped-def]
-    bend, rate, plus, minus = state[0], state[1], state[2], state[3]
+    bend, rate = state[0], state[1]
     deviation, deviation_rate = creep - bend, creep_slope - rate
     result[2] = result[3] = 0.0
     if segment.encloses_air:
-        size, growth = volume(segment.dead_volume, segment.displacement, bend, 0)
-        result[2] = -material.leak * plus - (plus + AMBIENT_PA) * growth * rate / size
-        size, growth = volume(segment.dead_volume, segment.displacement, bend, 1)
-        result[3] = -material.leak * minus - (minus + AMBIENT_PA) * growth * rate / size
-        x = segment.gain_plus * plus - segment.gain_minus * minus
+        x = x_rate = 0.0
+        for side in range(2):
+            size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
+            pressure = state[2 + side] / size
+            result[2 + side] = material.leak * (AMBIENT_PA * size - state[2 + side])
+            gain = segment.gain_minus if side else -segment.gain_plus
+            x -= gain * (pressure - AMBIENT_PA)
+            x_rate -= gain * (result[2 + side] - pressure * growth * rate) / size
         air, air_slope, _ = apply_bend_law(x, segment.law)
         deviation += air
-        deviation_rate += air_slope * (segment.gain_plus * result[2] - segment.gain_minus * result[3])
+        deviation_rate += air_slope * x_rate
     moment = material.stiffness * (deviation + material.damping_time * deviation_rate)
     for i in range(len(branches)):
         moment += state[4 + i]
@@ -129,12 +133,14 @@ def _slopes(state, creep, creep_slope, material, segment, branches, result):  # 
 
 @allocating
 def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the bends at given times, shape (samples,), rad, by the Runge-Kutta method of order 4.
+    """Return the bends at given times, shape (samples,), rad, and the last state, of shape `start`.
+
+    The Runge-Kutta method has order 4.
 
     Args:
         time: ascending times, shape (samples,), s.
-        start: bend (rad), its rate (rad/s), pressures of the + and − chamber (Pa) and moments of the branches
-            (N·m) at the first time, shape (4 + branches,).
+        start: bend (rad), its rate (rad/s), amounts of air P V in the + and − chamber (J) and moments of the
+            branches (N·m) at the first time, shape (4 + branches,).
         rest: rest bend b without pressure at the times, shape (samples,), rad.
         frequency: approximate ringing frequency, rad/s, from which the steps follow.
         material: a `Material`.
@@ -159,7 +165,14 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
                 trial[:] = state + slopes * (h if stage == 2 else h / 2)
             state += total * (h / 6)
         result[k + 1] = state[0]
-    return result
+    return result, state
+
+
+def weight_moment(segment: HangingSegment, bend: float) -> float:
+    """Return the moment of the weight that increases the bend, N·m; it is negative for a positive bend."""
+    chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
+    change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
+    return segment.mass * GRAVITY * change
 
 
 class Ringing(NamedTuple):
@@ -176,13 +189,13 @@ class Ringing(NamedTuple):
     air_stiffness: float
 
 
-def ringing(segment: HangingSegment, material: Material, rest: float, pressure: float = 0.0) -> Ringing:
-    r"""Return the small oscillation about the bend at rest.
+def ringing(segment: HangingSegment, material: Material, rest: float, air: Array) -> Ringing:
+    r"""Return the small oscillation about the bend at which the segment hangs.
 
     The linear equation has the complex stiffness of material and air
 
     $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
-       r = \varphi'\,G\,(p + p_0)\,\frac{A}{V}, $$
+       r = \varphi'(x)\,G\,P\,\frac{A}{V}, $$
 
     and the ringing is the complex root of (M s² + K + w) (s + λ) = 0 with the slope w of the weight. The loss
     factor is Im K/Re K at the frequency of that root.
@@ -191,26 +204,30 @@ def ringing(segment: HangingSegment, material: Material, rest: float, pressure: 
         segment: hanging segment.
         material: material and leak.
         rest: rest bend b, rad.
-        pressure: mean gauge pressure of the chambers, Pa.
+        air: amounts of enclosed air, + before −, shape (2,), J; not used with open valves.
     """
-
-    def weight(bend: float) -> float:
-        chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
-        change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
-        return segment.mass * GRAVITY * change
-
     k, damping_time, leak = material
-    hang = brentq(lambda q: k * (rest - q) + weight(q), -_LARGEST_REST_RAD, _LARGEST_REST_RAD)
+    gains = (segment.gain_plus, -segment.gain_minus)
+
+    def air_bend(bend: float) -> tuple[float, float]:
+        """Return φ(x) and r."""
+        x = x_slope = 0.0
+        for side, gain in enumerate(gains if segment.encloses_air else ()):
+            size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
+            x += gain * (air[side] / size - AMBIENT_PA)
+            x_slope -= gain * air[side] / size * growth / size
+        value, slope, _ = apply_bend_law(x, segment.law)
+        return value, -slope * x_slope
+
+    def moment(bend: float) -> float:
+        return k * (rest + air_bend(bend)[0] - bend) + weight_moment(segment, bend)
+
+    hang = brentq(moment, -_LARGEST_REST_RAD, _LARGEST_REST_RAD)
     chord, slope, _ = chord_derivatives(hang, segment.length, segment.gap)
     inertia = segment.mass * (slope**2 + chord**2 / 4) + segment.inertia
     step = _SMALL_BEND_RAD
-    stiffening = -(weight(hang + step) - weight(hang - step)) / (2 * step)
-    share = 0.0
-    if segment.encloses_air:
-        side = int(hang < 0)
-        gain = segment.gain_minus if side else segment.gain_plus
-        size, growth = volume(segment.dead_volume, segment.displacement, hang or step, side)
-        share = apply_bend_law(0.0, segment.law)[1] * gain * (pressure + AMBIENT_PA) * abs(growth) / size
+    stiffening = -(weight_moment(segment, hang + step) - weight_moment(segment, hang - step)) / (2 * step)
+    share = air_bend(hang or step)[1]
     elastic = np.polymul([k * damping_time, k], [1.0 + share, leak])
     inertial = np.polymul([inertia, 0.0, stiffening], [1.0, leak])
     pulsation = float(np.abs(np.roots(np.polyadd(inertial, elastic)).imag).max())

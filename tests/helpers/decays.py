@@ -74,8 +74,8 @@ class Swing:
     def volumes(self, q: float) -> np.ndarray:
         return self.dead + self.growth * np.maximum(0.0, [q, -q])
 
-    def record(self, bend: float, hold: float, time: np.ndarray) -> np.ndarray:
-        """Return bends at times after the release, rad.
+    def record(self, bend: float, hold: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return bends at times after the release, rad, and the amounts of air at the end, J.
 
         The valves are closed at rest. Then the segment is bent within `RAMP` and held.
 
@@ -124,16 +124,27 @@ class Swing:
         done = solve_ivp(
             slope, (0.0, after[-1]), initial, "DOP853", after, rtol=1e-8, atol=1e-10, max_step=0.01
         )
-        return np.concatenate([held(time[time < 0]), done.y[0]])
+        return np.concatenate([held(time[time < 0]), done.y[0]]), done.y[2:4, -1]
 
-    def answers(self) -> dict[str, float]:
-        """Return frequency (Hz), storage stiffness of the material and loss factor at the frequency."""
-        q = self.hanging()
+    def answers(self, amount: np.ndarray | None = None) -> dict[str, float]:
+        """Return frequency (Hz), storage stiffness of the material and loss factor at the frequency.
+
+        Args:
+            amount: amounts of air, J; None: those of chambers that were closed at rest.
+        """
         h = 1e-5
+
+        def free(q: float) -> float:
+            if not self.closed:
+                return self.rest
+            pressure = amount / self.volumes(q)
+            return self.rest + self.gain * (pressure[0] - pressure[1])
+
+        if amount is None:
+            amount = AMBIENT * self.volumes(self.hanging())
+        q = brentq(lambda q: self.stiffness * (free(q) - q) + self.weight(q), -3.0, 3.0001)
         stiffening = -(self.weight(q + h) - self.weight(q - h)) / (2 * h)
-        share = 0.0
-        if self.closed:
-            share = self.gain * AMBIENT * self.growth / self.volumes(q).max()
+        share = (free(q - h) - free(q + h)) / (2 * h)
 
         def parts(s: complex) -> tuple[complex, complex]:
             branched = sum(g * s * tau / (1 + s * tau) for g, tau in self.branches)
