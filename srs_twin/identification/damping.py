@@ -129,6 +129,13 @@ class Decay:
         """Approximate ringing frequency ω, rad/s."""
         return math.pi / self.half_period
 
+    def text(self) -> str:
+        """Return what was found in the recording, one line."""
+        return (
+            f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s, about "
+            f"{0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
+        )
+
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
         return DataSet(
@@ -141,7 +148,8 @@ def read_decay(path: StrPath, *, start: float | None = None, noise: float | None
 
     Args:
         path: CSV file.
-        start: time from which the segment swings freely, s; None: when it first passes its rest.
+        start: time from which the segment swings freely, s; None: the
+            time of its largest speed, about a quarter of a swing after the release.
         noise: standard deviation of a bend, rad; None: estimated.
 
     Raises:
@@ -186,7 +194,10 @@ def free_swing(
         InputError: the swing is too small, too short, overdamped or too fast for the sampling.
     """
     noise = _noise(bend) if noise is None else noise
-    first = _first_passage(bend) if start is None else int(np.searchsorted(time, start))
+    if start is None:
+        first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
+    else:
+        first = int(np.searchsorted(time, start))
     size = float(np.ptp(bend[max(first - 1, 0) :])) if first < len(bend) else 0.0
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
     if size <= threshold:
@@ -194,7 +205,7 @@ def free_swing(
             f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the segment from a larger "
             "bend"
         )
-    turns = first + np.array(_turning_points(bend[first:], threshold), dtype=int)
+    turns = [first + turn for turn in _turning_points(bend[first:], threshold)]
     if len(turns) < _MIN_HALF_SWINGS:
         raise InputError(
             f"{name}: {len(turns)} visible half swings; {_MIN_HALF_SWINGS} or more are needed. An overdamped "
@@ -234,30 +245,20 @@ def _noise(bend: np.ndarray) -> float:
     return max(float(singular[-3]) / math.sqrt(len(windows)), 1e-9)
 
 
-def _first_passage(bend: np.ndarray) -> int:
-    """Return the first sample beyond the rest after the largest deviation from it."""
-    deviation = bend - np.median(bend[-(len(bend) // 4) :])
-    largest = int(np.argmax(np.abs(deviation)))
-    beyond = np.flatnonzero(deviation[largest:] * deviation[largest] < 0)
-    return largest + int(beyond[0]) if beyond.size else largest
-
-
 def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
     """Return the samples at which the bend turns back by more than a threshold."""
     turns: list[int] = []
-    highest = lowest = 0
+    extreme, direction = 0, 0.0
     for k, value in enumerate(bend):
-        highest = k if value > bend[highest] else highest
-        lowest = k if value < bend[lowest] else lowest
-        turn = None
-        if bend[highest] - value > threshold and highest >= lowest:
-            turn = highest
-        elif value - bend[lowest] > threshold and lowest >= highest:
-            turn = lowest
-        if turn is not None:
-            turns.append(turn)
-            highest = lowest = k
-    return turns[1:] if turns and turns[0] == 0 else turns
+        ahead = (value - bend[extreme]) * direction
+        if direction == 0.0 and abs(value - bend[0]) > threshold:
+            extreme, direction = k, math.copysign(1.0, value - bend[0])
+        elif ahead > 0:
+            extreme = k
+        elif ahead < -threshold:
+            turns.append(extreme)
+            extreme, direction = k, -direction
+    return turns
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,22 @@
 """Decays of released segments, simulated from their own equation of motion, and the true answers.
 
-Nothing of the package is used: the equation is that of a body on a curve, with derivatives by complex steps,
-and the air is balanced as an amount. `Truth` is the law of the material.
+The equation is that of a body on a curve, with derivatives by complex steps; no equation of the package is used,
+only its names for the parts of a robot.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
+
+from srs_twin.identification.damping import HangingBody
+from srs_twin.robot.file import load_robot
+from srs_twin.robot.spec import RobotSpec
 
 AMBIENT = 101_325.0
 GRAVITY = 9.81
@@ -168,3 +172,79 @@ class Swing:
             "frequency": omega / (2 * math.pi), "stiffness": material.real,
             "loss_factor": total.imag / total.real,
         }  # fmt: skip
+
+
+LAWS = ("leading", "following", "maxwell")
+"""Viscous damping of the deviation from the free bend, of the bend itself, and Maxwell branches."""
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Decay of a robot that no fit was tuned on.
+
+    Attributes:
+        spec: robot with its geometry and chambers; its stiffness and damping are not the true ones.
+        body: hanging body.
+        swing: true segment.
+        time: times, s.
+        bend: recorded bends with noise, rad.
+        answers: see `Swing.answers`, at the end of the recording.
+    """
+
+    spec: RobotSpec
+    body: HangingBody
+    swing: Swing
+    time: np.ndarray
+    bend: np.ndarray
+    answers: dict[str, float]
+
+
+def draw(seed: int, law: str, *, closed: bool) -> Recorded:
+    """Draw a robot, its material and a release.
+
+    Args:
+        seed: seed of the draw.
+        law: one of `LAWS`.
+        closed: whether the valves are closed.
+    """
+    rng = np.random.default_rng(seed)
+
+    def between(low: float, high: float) -> float:
+        return math.exp(rng.uniform(math.log(low), math.log(high)))
+
+    spec = load_robot(("gen2", "gen4")[rng.integers(2)])
+    g, chamber = spec.geometry, spec.chamber
+    length, gap = g.segment_length * rng.uniform(0.8, 1.25), rng.uniform(0.0, 0.02)
+    dead, growth = chamber.dead_volume * rng.uniform(1, 4), chamber.displacement * rng.uniform(0.5, 1.2)
+    spec = replace(
+        spec,
+        geometry=replace(g, segment_length=length, rigid_gap=gap),
+        chamber=replace(chamber, dead_volume=dead, displacement=growth),
+    )
+    stiffness, loss = spec.bending.stiffness * between(0.5, 2.0), between(0.04, 0.35)
+    mass = between(0.08, 0.5)
+    inertia = mass * rng.uniform(0.01, 0.03) ** 2
+    rest, leak, gain = rng.normal(0.0, 0.05), between(0.02, 2.0), spec.actuator.gain
+    swing = Swing(
+        length, gap, mass, inertia, stiffness, 0.0, (), rest, gain, dead, growth, closed, leak,
+        law != "following",
+    )  # fmt: skip
+    omega = 2 * math.pi * swing.answers()["frequency"]
+    if law == "maxwell":
+        spread = rng.uniform(2.0, 6.0)
+        x = np.array([1 / spread, 1.0, spread] if rng.integers(2) else [spread**-0.5, spread**0.5])
+        strength = loss * stiffness / (x / (1 + x**2)).sum()
+        relaxed = stiffness - strength * (x**2 / (1 + x**2)).sum()
+        swing = replace(swing, stiffness=relaxed, branches=tuple((strength, tau / omega) for tau in x))
+    else:
+        swing = replace(swing, viscosity=stiffness * loss / omega)
+    frequency = swing.answers()["frequency"]
+    bend = swing.hanging() + float(rng.choice([-1.0, 1.0])) * between(0.1, 0.7)
+    hold, before = rng.uniform(0.2, 2.0), rng.uniform(0.1, 0.4)
+    end = min(max(6 / (math.pi * loss), 8), 15) / frequency
+    rate = max(100.0, frequency * rng.uniform(8, 20))
+    time = np.arange(-hold - RAMP - before, end, 1 / rate)
+    bends, amount = swing.record(bend, hold, time)
+    noisy = bends + rng.normal(0.0, rng.uniform(5e-4, 4e-3), len(time))
+    answers = swing.answers(amount)
+    return Recorded(spec, HangingBody(mass, inertia), swing, time - time[0], noisy, answers)
