@@ -28,9 +28,16 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.interpolate import CubicSpline
 
 from srs_twin.errors import InputError, check_choice
-from srs_twin.identification.estimate import FitEstimate, Parameter, Residual, Role
+from srs_twin.identification.estimate import (
+    IDENTIFIED_ERROR,
+    FitEstimate,
+    Parameter,
+    Residual,
+    Role,
+)
 from srs_twin.identification.fit_file import DataSet
 from srs_twin.identification.hanging_segment import (
+    NO_BRANCHES,
     HangingSegment,
     Material,
     Ringing,
@@ -60,6 +67,9 @@ _MIN_SAMPLES_PER_SWING = 5.0
 _MIN_HALF_SWINGS = 3
 _MIN_TURN = 6.0
 """Smallest visible half swing, in standard deviations of the noise."""
+
+_MIN_SIZE = 12.0
+"""Smallest range of the bends, in standard deviations of the noise, which alone has a range of about 6."""
 
 _MIN_TURN_SHARE = 0.02
 """Smallest visible half swing, as a fraction of the largest bend."""
@@ -200,7 +210,7 @@ def free_swing(
         first = int(np.searchsorted(time, start))
     size = float(np.ptp(bend[max(first - 1, 0) :])) if first < len(bend) else 0.0
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
-    if size <= threshold:
+    if size <= _MIN_SIZE * noise:
         raise InputError(
             f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the segment from a larger "
             "bend"
@@ -291,7 +301,9 @@ class HangingBody:
         mass = connector if mass is None else mass
         inertia = float(spec.yaw_inertia()[0]) * mass / connector if inertia is None else inertia
         if not (math.isfinite(mass) and mass > 0 and math.isfinite(inertia) and inertia >= 0):
-            raise InputError(f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give more than 0")
+            raise InputError(
+                f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give more than 0"
+            )
         return cls(mass, inertia)
 
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
@@ -339,8 +351,8 @@ def fit_damping(
     start = fit.search(fit.unknowns(values), bends, watch)
     values |= start.values
     estimate = fit.search(fit.unknowns(values), bends, watch, fit.refit)
-    frequency = _derived(start, fit.small_swing, "frequency", "Hz")
-    loss = _derived(estimate, fit.small_swing, "loss_factor", "1")
+    frequency = _derived(start, fit, "frequency", "Hz", fit.frequency_error(values))
+    loss = _derived(estimate, fit, "loss_factor", "1")
     kept = [k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES]
     return replace(
         estimate,
@@ -456,7 +468,7 @@ class _DampingFit:
         """Return the bends of a recording and the last state; with a constant loss about a frequency (rad/s)."""
         values = self.defaults | dict(values)
         decay, grid, material = self.decays[k], self.grids[k], self.material(values)
-        branches, moments = np.empty((0, 2)), np.empty(0)
+        branches, moments = NO_BRANCHES, np.empty(0)
         air = self._enclosed_air(decay, material.leak)
         rest = values[f"rest_{k}"] + self.air[k]
         for j, ratio in enumerate(_CREEP_RATIOS):
@@ -502,6 +514,19 @@ class _DampingFit:
         self.defaults = {unknown.name: unknown.start for unknown in unknowns}
         return least_squares(residuals, unknowns, watch=watch, refit=refit, options=_SEARCH)
 
+    def frequency_error(self, values: Mapping[str, float]) -> float:
+        """Return ln of the fitted over the true frequency for a material with a constant loss factor."""
+        fitted = self.small_swing(self.refit(values)).frequency
+        pulsation = 2 * math.pi * self.small_swing(values).frequency
+        air = (
+            self._swing(values, 0, pulsation)[1][2:4]
+            if self.encloses_air
+            else self.air_at_end(self.decays[0])
+        )
+        material, branches, _ = constant_loss(self.material(values), pulsation, 0.0)
+        segment = self.body.segment(self.spec, self.closed)
+        return math.log(fitted / ringing(segment, material, values["rest_0"], air, branches).frequency)
+
     def _rest_residuals(self, values: Mapping[str, float]) -> Iterator[Residual]:
         """Yield the rest bends that follow from closed chambers at rest before they are bent."""
         k = values[NAMES[0]]
@@ -526,8 +551,9 @@ def _calm_samples(decay: Decay) -> int:
     """
     moved = np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES])) > _MIN_TURN * decay.noise
     calm = int(np.argmax(moved)) if moved.any() else len(moved)
-    held = np.abs(decay.before - decay.before[0]).max()
-    if calm < _MIN_CALM_SAMPLES or held < float(np.ptp(decay.bend)) / 4:
+    held = decay.before[decay.before_time < decay.time[0] - decay.half_period]
+    bent = float(np.abs(held - decay.before[0]).max(initial=0.0))
+    if calm < _MIN_CALM_SAMPLES or bent < float(np.ptp(decay.bend)) / 4:
         raise InputError(
             f"{decay.name}: the recording of closed valves begins with a bent or moving segment; close the "
             "valves at rest, start recording, and only then bend and release it (or record the pressures)"
@@ -568,18 +594,25 @@ def _free(
 
 
 def _derived(
-    estimate: FitEstimate, function: Callable[[Mapping[str, float]], Ringing], name: str, unit: str
+    estimate: FitEstimate, fit: _DampingFit, name: str, unit: str, model_error: float = 0.0
 ) -> Parameter | None:
     """Return a quantity of the small oscillation with the interval that follows from all parameters.
 
     The interval is that of its logarithm, with linear propagation of errors.
+
+    Args:
+        estimate: estimate with all unknowns.
+        fit: model.
+        name: attribute of `Ringing`.
+        unit: unit of the quantity.
+        model_error: further error of the logarithm.
     """
     values = estimate.values
     if not values.keys() >= set(NAMES):
         return None
 
     def logarithm(changed: Mapping[str, float]) -> float:
-        return math.log(getattr(function(changed), name))
+        return math.log(getattr(fit.small_swing(changed), name))
 
     rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
     known = [estimate.parameters[k] for k in rows]
@@ -592,8 +625,13 @@ def _derived(
         slopes.append(change / 2e-3)
     row = np.array(slopes)
     error = math.sqrt(max(float(row @ estimate.correlation[np.ix_(rows, rows)] @ row), 0.0))
+    error = math.hypot(error, model_error)
     stiffness = estimate[NAMES[0]]
     half = math.log(stiffness.high / stiffness.low) / 2 * stiffness.value / stiffness.standard_error
     value = math.exp(logarithm(values))
     low, high = value * math.exp(-half * error), value * math.exp(half * error)
-    return Parameter(name, unit, stiffness.verdict, value, value * error, low, high, stiffness.why)
+    verdict, why = stiffness.verdict, stiffness.why
+    if verdict != "cannot tell":
+        verdict = "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
+        why = ""
+    return Parameter(name, unit, verdict, value, value * error, low, high, why)

@@ -59,7 +59,9 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
 def fit_page(fit: FitEstimate | FitFile) -> str:
     """Return a fit as HTML for a notebook."""
-    return notebook_output(getattr(fit, "title", "Fit"), parameter_table((*fit.parameters, *(fit.derived or ()))))
+    return notebook_output(
+        getattr(fit, "title", "Fit"), parameter_table((*fit.parameters, *(fit.derived or ())))
+    )
 
 
 @drawing

@@ -27,7 +27,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
+from scipy.optimize import brentq, newton
 
 from srs_twin.compute.arrays import Array
 from srs_twin.compute.compiled import allocating, kernel_only
@@ -46,6 +46,12 @@ _SMALL_BEND_RAD = 1e-4
 
 _MAX_ANGLE_STEP = 0.06
 """Largest product of the ringing frequency (rad/s) and a time step."""
+
+_SLOWEST_S = 1e-3
+"""Time scale far below that of a swing, at which no branch has relaxed, s."""
+
+NO_BRANCHES = np.empty((0, 2))
+"""Branches of a viscous material."""
 
 _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Relaxation times of the branches as multiples of 1/ω."""
@@ -189,7 +195,9 @@ class Ringing(NamedTuple):
     air_stiffness: float
 
 
-def ringing(segment: HangingSegment, material: Material, rest: float, air: Array) -> Ringing:
+def ringing(
+    segment: HangingSegment, material: Material, rest: float, air: Array, branches: Array = NO_BRANCHES
+) -> Ringing:
     r"""Return the small oscillation about the bend at which the segment hangs.
 
     The linear equation has the complex stiffness of material and air
@@ -197,14 +205,15 @@ def ringing(segment: HangingSegment, material: Material, rest: float, air: Array
     $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
        r = \varphi'(x)\,G\,P\,\frac{A}{V}, $$
 
-    and the ringing is the complex root of (M s² + K + w) (s + λ) = 0 with the slope w of the weight. The loss
-    factor is Im K/Re K at the frequency of that root.
+    and the ringing is the complex root of M s² + K(s) + w = 0 with the slope w of the weight. The loss factor
+    is Im K/Re K at the frequency of that root. Branches add g s τ/(1 + s τ) to the material.
 
     Args:
         segment: hanging segment.
         material: material and leak.
         rest: rest bend b, rad.
         air: amounts of enclosed air, + before −, shape (2,), J; not used with open valves.
+        branches: Maxwell branches, see `swing`.
     """
     k, damping_time, leak = material
     gains = (segment.gain_plus, -segment.gain_minus)
@@ -228,12 +237,18 @@ def ringing(segment: HangingSegment, material: Material, rest: float, air: Array
     step = _SMALL_BEND_RAD
     stiffening = -(weight_moment(segment, hang + step) - weight_moment(segment, hang - step)) / (2 * step)
     share = air_bend(hang or step)[1]
-    elastic = np.polymul([k * damping_time, k], [1.0 + share, leak])
-    inertial = np.polymul([inertia, 0.0, stiffening], [1.0, leak])
-    pulsation = float(np.abs(np.roots(np.polyadd(inertial, elastic)).imag).max())
-    at = 1j * max(pulsation, 1e-9)
-    total = k * (1 + at * damping_time) * (1 + share * at / (at + leak))
-    return Ringing(pulsation / (2 * math.pi), float(total.imag / total.real), k * share)
+
+    def stiffness(s: complex) -> complex:
+        branched = sum(strength * s * tau / (1 + s * tau) for strength, tau in branches)
+        return (k * (1 + s * damping_time) + branched) * (1 + share * s / (s + leak))
+
+    undamped = math.sqrt((stiffness(1j / _SLOWEST_S).real + stiffening) / inertia)
+    guess = 1j * undamped
+    guess -= stiffness(guess).imag / (2 * inertia * undamped)
+    root = newton(lambda s: (inertia * s * s + stiffness(s) + stiffening) / inertia, guess, maxiter=100)
+    pulsation = abs(complex(root).imag)
+    total = stiffness(1j * pulsation)
+    return Ringing(pulsation / (2 * math.pi), total.imag / total.real, k * share)
 
 
 class Branches(NamedTuple):

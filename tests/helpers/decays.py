@@ -118,8 +118,7 @@ class Swing:
             h = 1e-5
             bending = (self.inertial(q + h) - self.inertial(q - h)) / (2 * h)
             branches = [
-                g * (free_rate - v) - e / tau
-                for (g, tau), e in zip(self.branches, state[4:], strict=True)
+                g * (free_rate - v) - e / tau for (g, tau), e in zip(self.branches, state[4:], strict=True)
             ]
             return np.array([v, (moment - bending * v * v / 2) / self.inertial(q), *flow, *branches])
 

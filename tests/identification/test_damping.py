@@ -17,7 +17,7 @@ from srs_twin.errors import InputError
 from srs_twin.identification.damping import NAMES, HangingBody, fit_damping, free_swing, read_decay
 from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.hanging_segment import Material, ringing, swing
+from srs_twin.identification.hanging_segment import NO_BRANCHES, Material, ringing, swing
 
 STIFFNESS, DAMPING_TIME = NAMES
 MASS, INERTIA = 0.2, 4e-5
@@ -63,24 +63,18 @@ def contains(parameter: Parameter | None, value: float) -> bool:
 
 @pytest.mark.parametrize("closed", [False, True], ids=["open", "closed"])
 def test_motion_is_that_of_an_independent_equation(closed):
-    truth = known_swing(closed=closed)
+    truth = known_swing(closed=closed, leak=0.0)
     time = np.arange(0.0, 1.0, 0.005)
     expected, amount = truth.record(0.4, 0.0, time)
     segment = HangingBody(MASS, INERTIA).segment(srs.load_robot("gen2"), closed)
-    # The independent equation lets the segment bend within 0.2 s, during which air leaks.
     calm = 101_325.0 * truth.volumes(truth.hanging())
-    material = Material(0.5, 0.004, 0.2 if closed else 0.0)
+    material = Material(0.5, 0.004)
     start = np.concatenate([[0.4, 0.0], calm if closed else np.zeros(2)])
-    bends, end = swing(time, start, np.full(200, 0.03), 60.0, material, segment, np.empty((0, 2)))
-    assert bends == pytest.approx(expected, abs=6e-3 if closed else 1e-6)
-    if not closed:
-        small, wanted = ringing(segment, material, 0.03, end[2:]), truth.answers()
-        assert small.frequency == pytest.approx(wanted["frequency"], rel=1e-6)
-        assert small.loss_factor == pytest.approx(wanted["loss_factor"], rel=1e-6)
-    else:
-        small, wanted = ringing(segment, material, 0.03, amount), truth.answers(amount)
-        assert small.frequency == pytest.approx(wanted["frequency"], rel=1e-4)
-        assert small.loss_factor == pytest.approx(wanted["loss_factor"], rel=1e-4)
+    bends, end = swing(time, start, np.full(200, 0.03), 200.0, material, segment, NO_BRANCHES)
+    assert bends == pytest.approx(expected, abs=1e-4 if closed else 1e-6)
+    small, wanted = ringing(segment, material, 0.03, end[2:]), truth.answers(amount)
+    assert small.frequency == pytest.approx(wanted["frequency"], rel=1e-5)
+    assert small.loss_factor == pytest.approx(wanted["loss_factor"], rel=1e-5)
 
 
 def test_small_and_large_swings_give_one_material(tmp_path):
@@ -214,7 +208,8 @@ def test_robots_without_planar_segments_are_refused(robot):
 def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     recording(tmp_path, *record(known_swing()))
-    main(f"calibrate damping decay.csv --robot gen2 --mass-kg {MASS} --inertia {INERTIA} --json".split())
+    with pytest.raises(SystemExit, match="^0$"):
+        main(f"calibrate damping decay.csv --robot gen2 --mass-kg {MASS} --inertia {INERTIA} --json".split())
     printed = json.loads(capsys.readouterr().out)
     assert [quantity["name"] for quantity in printed["derived"]] == ["frequency", "loss_factor"]
     assert printed["command"].startswith("srs-twin calibrate damping decay.csv --robot=gen2 --mass-kg=0.2")
@@ -222,11 +217,11 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
 
 
 @pytest.mark.parametrize("law", LAWS)
-def test_intervals_contain_the_truth_of_one_robot_of_each_law(law):
-    each = draw(2001, law, closed=False)
+def test_other_laws_of_the_material_are_within_the_model_error(law):
+    each = draw(2000, law, closed=True)
     quantities = answers(fit(each))
-    for name in ("stiffness", "loss_factor"):
-        assert contains(quantities[name], each.answers[name])
+    assert quantities["stiffness"].value == pytest.approx(each.answers["stiffness"], rel=0.05)
+    assert quantities["loss_factor"].value == pytest.approx(each.answers["loss_factor"], rel=0.15)
 
 
 @pytest.mark.slow
