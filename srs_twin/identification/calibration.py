@@ -11,7 +11,8 @@ from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.identification.actuator import Response, fit_actuator
-from srs_twin.identification.damping import HangingBody, fit_damping, read_decay
+from srs_twin.identification.damping import HangingBody, fit_damping
+from srs_twin.identification.decay import read_decay
 from srs_twin.identification.estimate import FitEstimate
 from srs_twin.identification.fit_file import (
     Data,

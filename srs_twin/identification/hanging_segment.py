@@ -239,7 +239,7 @@ def ringing(
     share = air_bend(hang or step)[1]
 
     def stiffness(s: complex) -> complex:
-        branched = sum(strength * s * tau / (1 + s * tau) for strength, tau in branches)
+        branched: complex = sum(strength * s * tau / (1 + s * tau) for strength, tau in branches)
         return (k * (1 + s * damping_time) + branched) * (1 + share * s / (s + leak))
 
     undamped = math.sqrt((stiffness(1j / _SLOWEST_S).real + stiffening) / inertia)
@@ -266,7 +266,7 @@ class Branches(NamedTuple):
 
 
 def constant_loss(material: Material, pulsation: float, rate: float) -> Branches:
-    """Return a material whose loss factor is nearly constant, with an equal stiffness and loss at a frequency.
+    """Return a material with a nearly constant loss factor, and equal stiffness and loss at a frequency.
 
     Args:
         material: viscous material.

@@ -1,7 +1,7 @@
 """Decays of released segments, simulated from their own equation of motion, and the true answers.
 
-The equation is that of a body on a curve, with derivatives by complex steps; no equation of the package is used,
-only its names for the parts of a robot.
+The equation is that of a body on a curve, with derivatives by complex steps. No equation of the package is
+used, only its names for the parts of a robot.
 """
 
 from __future__ import annotations

@@ -14,7 +14,8 @@ from decays import LAWS, Recorded, Swing, draw
 import srs_twin as srs
 from srs_twin.cli import main
 from srs_twin.errors import InputError
-from srs_twin.identification.damping import NAMES, HangingBody, fit_damping, free_swing, read_decay
+from srs_twin.identification.damping import NAMES, HangingBody, fit_damping
+from srs_twin.identification.decay import free_swing, read_decay
 from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.hanging_segment import NO_BRANCHES, Material, ringing, swing
