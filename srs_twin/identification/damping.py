@@ -154,15 +154,19 @@ def fit_damping(
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    frequency = _derived(start, fit, "frequency", "Hz", fit.frequency_error())
+    # The frequency does not depend on the law of the material, so the bias of k and T does not widen it.
+    error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
-    derived = (frequency, _derived(estimate, fit, "loss_factor", "1"))
+    derived = (
+        _derived(start, fit, "frequency", "Hz", error),
+        _derived(estimate, fit, "loss_factor", "1"),
+    )
     kept = [k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES]
     return replace(
         estimate,
         parameters=tuple(estimate.parameters[k] for k in kept),
         correlation=estimate.correlation[np.ix_(kept, kept)],
-        derived=derived if NAMES[0] in estimate.values else (),
+        derived=derived if estimate.values.keys() >= set(NAMES) else (),
         held=fit.held(),
     )
 
@@ -196,8 +200,7 @@ class _DampingFit:
             NAMES[1]: 2 * first.log_decrement / (math.pi * first.pulsation),
         }
         for k, decay in enumerate(self.decays):
-            values[f"bend_{k}"] = float(decay.bend[0])
-            values[f"rate_{k}"] = float(np.polyfit(decay.time[:3] - decay.time[0], decay.bend[:3], 1)[0])
+            values[f"bend_{k}"], values[f"rate_{k}"] = decay.first_state()
             values[f"rest_{k}"] = float(np.median(decay.bend[len(decay.bend) // 2 :]))
             values |= {f"creep_{j}_{k}": 0.0 for j in range(len(_CREEP_RATIOS))}
         return values
@@ -240,7 +243,8 @@ class _DampingFit:
                 used = decay.time <= decay.time[0] + 2 * swings * decay.half_period
                 difference = (bend - self._swing(values, k)[0])[used]
                 result.append(Residual(f"{decay.name} bend", "rad", difference, _scale(decay)))
-            return [*result, *self._rest_residuals(values)]
+            # A wrong leak rate, which few swings do not show, would contradict the bend at rest.
+            return result if swings < math.inf else [*result, *self._rest_residuals(values)]
 
         estimate = least_squares(residuals, unknowns, watch=watch, refit=refit, options=_SEARCH)
         if bends is None:

@@ -87,6 +87,14 @@ class Decay:
         """Approximate ringing frequency ω, rad/s."""
         return math.pi / self.half_period
 
+    def first_state(self) -> tuple[float, float]:
+        """Return estimates of bend (rad) and rate (rad/s) at the first time, from a sine in the first swing."""
+        since = self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
+        phase = self.pulsation * since
+        sine = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1)
+        mean, at_start, forward = np.linalg.lstsq(sine, self.bend[: len(since)], rcond=None)[0]
+        return float(mean + at_start), float(forward) * self.pulsation
+
     def text(self) -> str:
         """Return what was found in the recording, one line."""
         return (

@@ -47,8 +47,11 @@ _SMALL_BEND_RAD = 1e-4
 _MAX_ANGLE_STEP = 0.06
 """Largest product of the ringing frequency (rad/s) and a time step."""
 
-_SLOWEST_S = 1e-3
+_SHORTEST_S = 1e-3
 """Time scale far below that of a swing, at which no branch has relaxed, s."""
+
+_SLOWEST_RAD_S = 1e-6
+"""Frequency of an overdamped swing, whose root has none, rad/s."""
 
 NO_BRANCHES = np.empty((0, 2))
 """Branches of a viscous material."""
@@ -242,11 +245,11 @@ def ringing(
         branched: complex = sum(strength * s * tau / (1 + s * tau) for strength, tau in branches)
         return (k * (1 + s * damping_time) + branched) * (1 + share * s / (s + leak))
 
-    undamped = math.sqrt((stiffness(1j / _SLOWEST_S).real + stiffening) / inertia)
+    undamped = math.sqrt((stiffness(1j / _SHORTEST_S).real + stiffening) / inertia)
     guess = 1j * undamped
     guess -= stiffness(guess).imag / (2 * inertia * undamped)
     root = newton(lambda s: (inertia * s * s + stiffness(s) + stiffening) / inertia, guess, maxiter=100)
-    pulsation = abs(complex(root).imag)
+    pulsation = max(abs(complex(root).imag), _SLOWEST_RAD_S)
     total = stiffness(1j * pulsation)
     return Ringing(pulsation / (2 * math.pi), total.imag / total.real, k * share)
 

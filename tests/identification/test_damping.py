@@ -228,9 +228,9 @@ def test_other_laws_of_the_material_are_within_the_model_error(law):
 @pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
-    """Half of the valves are closed. Seeds below 1000 served the development of the fit."""
+    """Half of the valves are closed. Seeds below 3000 served the development of the fit."""
     inside, refused = Counter(), 0
-    for seed in range(1000, 1060):
+    for seed in range(3000, 3060):
         each = draw(seed, law, closed=seed % 2 == 1)
         try:
             quantities = answers(fit(each))
