@@ -88,7 +88,7 @@ class Decay:
         return math.pi / self.half_period
 
     def first_state(self) -> tuple[float, float]:
-        """Return estimates of bend (rad) and rate (rad/s) at the first time, from a sine in the first swing."""
+        """Return bend (rad) and rate (rad/s) at the first time, estimated by a sine in the first swing."""
         since = self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
         phase = self.pulsation * since
         sine = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1)
@@ -114,8 +114,8 @@ def read_decay(path: StrPath, *, start: float | None = None, noise: float | None
 
     Args:
         path: CSV file.
-        start: time from which the segment swings freely, s; None: the
-            time of its largest speed, about a quarter of a swing after the release.
+        start: time from which the segment swings freely, s; None: the time of its largest speed, about a
+            quarter of a swing after the release.
         noise: standard deviation of a bend, rad; None: estimated.
 
     Raises:
@@ -164,7 +164,9 @@ def free_swing(
         first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
     else:
         first = int(np.searchsorted(time, start))
-    size = float(np.ptp(bend[max(first - 1, 0) :])) if first < len(bend) else 0.0
+        if first >= len(time):
+            raise InputError(f"{name}: it ends at {time[-1]:g} s, before the free swing from {start:g} s")
+    size = float(np.ptp(bend[max(first - 1, 0) :]))
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
     if size <= _MIN_SIZE * noise:
         raise InputError(

@@ -192,6 +192,16 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
         read_decay(path)
 
 
+def test_free_swing_may_start_at_a_given_time():
+    time, bend = record(known_swing())
+    decay = free_swing("decay", "0" * 64, time, bend, start=1.2)
+    assert decay.time[0] == pytest.approx(1.2)
+    body = HangingBody(MASS, INERTIA)
+    assert contains(fit_damping([decay], srs.load_robot("gen2"), body=body)[STIFFNESS], 0.5)
+    with pytest.raises(InputError, match="it ends at 2.995 s, before the free swing from 4 s"):
+        free_swing("decay", "0" * 64, time, bend, start=4.0)
+
+
 def test_closed_recordings_must_begin_at_rest():
     time, bend = record(known_swing(closed=True), rate=300.0)
     held = time > 0.6
