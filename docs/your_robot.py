@@ -20,6 +20,7 @@ from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests/helpers"))
+from decays import Swing  # noqa: E402
 from synthetic_takes import Take, write_motive  # noqa: E402
 
 FOLDER = Path(__file__).parents[1] / "calibration/examples/my_snake"
@@ -37,6 +38,7 @@ HIDDEN = {
 
 _SPRING_N_PER_M = 30.0
 _MASS_KG = 0.15
+_HUNG_MASS_KG = 0.2
 _SENSOR_NOISE_RAD = 0.003
 _PROTRACTOR_NOISE_RAD = 0.004
 _RISE_S = 0.5
@@ -63,6 +65,7 @@ def main(folder: Path) -> None:
         write(folder / f"{name}.csv", static_bends(robot, pressures, seed))
     for name, seed, pressures in (("levels", 12, (12, 24, 36, 48)), ("levels_check", 13, (18, 42))):
         write(folder / f"{name}.csv", levels(robot, pressures, seed))
+    write(folder / "release.csv", release(robot, 14))
     for name, seed, fills in (("steps", 5, (0.6, 0.35, 0.9)), ("steps_check", 6, (0.5, 0.8))):
         record(
             folder / name, robot, steps(robot, fills), "clamped", Take(layout="pair", labeled=True, seed=seed)
@@ -89,6 +92,22 @@ def pulls(seed: int) -> str:
     return "\n".join(
         [head, *(f"{a:.2f},{b:.2f},{_SPRING_N_PER_M:g},{_MASS_KG:g},0.3,0.001" for a, b in rows), ""]
     )
+
+
+def release(robot: RobotSpec, seed: int) -> str:
+    """Return a log of the first segment, which hangs with a body at its end, is held bent and is released."""
+    draw = np.random.default_rng(seed)
+    g, chamber, bending = robot.geometry, robot.chamber, robot.bending
+    inertia = float(robot.yaw_inertia()[0]) * _HUNG_MASS_KG / robot.mass.connectors[0]
+    hung = Swing(
+        g.segment_length, g.rigid_gap, _HUNG_MASS_KG, inertia, bending.stiffness, bending.damping, (),
+        HIDDEN["modules.bias_rad_1"], robot.actuator.gain, chamber.dead_volume, chamber.displacement,
+        closed=False, leak=0.0, leads=True,
+    )  # fmt: skip
+    time = np.arange(-1.0, 2.0, 0.005)
+    bend = hung.record(0.5, 0.5, time)[0] + _SENSOR_NOISE_RAD * draw.standard_normal(len(time))
+    rows = (f"{t + 1:.3f},{q:.4f}" for t, q in zip(time, bend, strict=True))
+    return "\n".join(["time_s,bend_rad", *rows, ""])
 
 
 def static_bends(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:

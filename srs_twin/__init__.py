@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from srs_twin.experiment import compare as compare, run_scenario as run_scenario
     from srs_twin.identification.calibration import (
         calibrate_actuator as calibrate_actuator,
+        calibrate_damping as calibrate_damping,
         calibrate_friction as calibrate_friction,
         calibrate_locomotion as calibrate_locomotion,
     )

@@ -11,6 +11,8 @@ from typing import Any
 
 from srs_twin.errors import InputError
 from srs_twin.identification.actuator import Response, fit_actuator
+from srs_twin.identification.damping import HangingBody, fit_damping
+from srs_twin.identification.decay import read_decay
 from srs_twin.identification.estimate import FitEstimate
 from srs_twin.identification.fit_file import (
     Data,
@@ -302,6 +304,52 @@ def calibrate_locomotion(
     )
     title = f"Locomotion of {spec.name} against the {plant} plant"
     return _finished(calibrate_locomotion, given, estimate, "locomotion", title, runs, validation)
+
+
+@checked
+def calibrate_damping(
+    files: Paths,
+    robot: Robot,
+    *,
+    valves: str = "open",
+    mass_kg: float | None = None,
+    inertia_kg_m2: float | None = None,
+    leak_per_s: float | None = None,
+    noise_rad: float | None = None,
+    from_s: float | None = None,
+    out: StrPath | None = None,
+    notify: Notify = str,
+    progress: Watch | None = None,
+) -> Calibration:
+    """Estimate stiffness, damping time and loss factor of a segment, as `srs-twin calibrate damping`.
+
+    Args:
+        files: recordings of one hanging segment that is released from a bend.
+        robot: initial robot, a name or path.
+        valves: whether the chambers were open to the air or closed: "open" or "closed".
+        mass_kg: mass of the body at the end of the segment; None: that of the first connector.
+        inertia_kg_m2: moment of inertia of the body about its centre; None: with the connector's radius of
+            gyration.
+        leak_per_s: leak rate of closed chambers; None: fitted.
+        noise_rad: standard deviation of a recorded bend; None: estimated from the recording.
+        from_s: time from which the segment swings freely; None: detected.
+        out: see `calibrate_friction`.
+        notify: see `calibrate_friction`.
+        progress: see `calibrate_friction`.
+
+    Raises:
+        InputError: a file cannot be read, or the data do not allow the fit.
+    """
+    given, spec = locals(), load_robot(robot)
+    body = HangingBody.of(spec, mass_kg, inertia_kg_m2)
+    decays = [read_decay(path, start=from_s, noise=noise_rad) for path in _texts(files)]
+    for decay in decays:
+        notify(decay.text())
+    estimate = fit_damping(decays, spec, valves=valves, body=body, leak=leak_per_s, watch=progress)
+    if valves == "closed":
+        notify("valves closed: frequency and loss_factor contain the spring of the air and its loss")
+    title = f"Damping of {spec.name} from decays with {valves} valves"
+    return _finished(calibrate_damping, given, estimate, "damping", title, decays, [])
 
 
 def _texts(paths: Paths) -> list[str]:

@@ -220,6 +220,48 @@ def locomotion(
 
 @app.command()
 @with_options
+def damping(
+    context: typer.Context,
+    files: FilesArgument,
+    robot: RobotOption,
+    valves: str = "open",
+    mass_kg: Annotated[float | None, Bounds(1e-4, 50)] = None,
+    inertia: Annotated[float | None, Bounds(0, 1)] = None,
+    leak_per_s: Annotated[float | None, Bounds(0, 30)] = None,
+    noise_rad: Annotated[float | None, Bounds(1e-7, 1)] = None,
+    from_s: float | None = None,
+    fit: FitOptions = _DEFAULT_OUTPUT,
+) -> None:
+    """Estimate stiffness, damping time and loss factor.
+
+    Data are recordings of a hanging segment that is released from a bend, at 100 Hz or more.
+
+    Options:
+        --valves STATE: Chambers during the recordings: open or closed.
+        --mass-kg KG: Mass of the body at the end of the segment. [default: the robot's]
+        --inertia KGM2: Moment of inertia of the body about its centre, kg*m^2. [default: the robot's]
+        --leak-per-s RATE: Leak rate of closed chambers, 1/s. [default: estimated]
+        --noise-rad RAD: Standard deviation of a recorded bend, rad. [default: estimated]
+        --from-s S: Time from which the segment swings freely, s. [default: detected]
+    """
+    output = FitOutput.from_options(context, "damping", robot, fit)
+    from srs_twin.identification.calibration import calibrate_damping
+
+    output.run(
+        calibrate_damping,
+        files,
+        robot,
+        valves=valves,
+        mass_kg=mass_kg,
+        inertia_kg_m2=inertia,
+        leak_per_s=leak_per_s,
+        noise_rad=noise_rad,
+        from_s=from_s,
+    )
+
+
+@app.command()
+@with_options
 def robot(
     fits: Annotated[list[str], argument("FIT")],
     name: str,

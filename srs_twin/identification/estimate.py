@@ -135,6 +135,7 @@ class FitEstimate(HtmlResult):
         residual_scale: standard deviation of the weighted residuals; 1 if they are as large as expected.
         held: values that were fixed in the fit and on which the estimates depend, by name.
         converged: whether the search converged.
+        derived: quantities that follow from the parameters, such as a frequency.
     """
 
     page: ClassVar[str] = "fit"
@@ -148,6 +149,7 @@ class FitEstimate(HtmlResult):
     residual_scale: float = 0.0
     held: Mapping[str, float] = field(default_factory=dict)
     converged: bool = True
+    derived: tuple[Parameter, ...] = ()
 
     def __getitem__(self, name: str) -> Parameter:
         """Return a parameter by name."""
@@ -184,7 +186,7 @@ class FitEstimate(HtmlResult):
     def text(self) -> str:
         """Return the estimate as text, one line per parameter."""
         lines = []
-        for parameter in self.parameters:
+        for parameter in (*self.parameters, *self.derived):
             if parameter.value is None:
                 lines.append(f"{parameter.name}: {parameter.verdict}; {parameter.why}")
                 continue

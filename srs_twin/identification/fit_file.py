@@ -134,7 +134,7 @@ Long = Annotated[str, Field(max_length=1000)]
 Averages = Annotated[dict[str, Number], Field(max_length=20)]
 Share = Annotated[float, bounded(-1.0, 1.0)]
 Size = Annotated[float, bounded(0.0, 1e12)]
-Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "offsets", "edges"]
+Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "damping", "offsets", "edges"]
 
 _MAX_COMMAND_LENGTH = 2000
 """Largest length of a command in a fit file, characters."""
@@ -242,6 +242,8 @@ class FitFile(StrictModel, HtmlResult):
     """Correlation matrix of the parameters with a value, in their order."""
     cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)]
     """Unidentifiable directions: name and component."""
+    derived: Annotated[list[ParameterEntry], Field(max_length=20)] | None = None
+    """Quantities that follow from the parameters, such as a frequency (default: none)."""
     quality: QualityFile
     """Quality of the fit."""
 
@@ -262,6 +264,7 @@ class FitFile(StrictModel, HtmlResult):
             residual_scale=quality.rms or 0.0,
             held=dict(self.held),
             converged=quality.converged,
+            derived=tuple(Parameter(**quantity.model_dump()) for quantity in self.derived or ()),
         )
 
     def unidentified(self) -> list[str]:
@@ -317,6 +320,7 @@ def fit_file(estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any) ->
         parameters=[_parameter_entry(parameter) for parameter in estimate.parameters],
         correlation=[[round(float(v), 6) for v in row] for row in matrix],
         cancels=[dict(direction) for direction in estimate.cancels],
+        derived=[_parameter_entry(quantity) for quantity in estimate.derived] or None,
         quality=quality,
     )
 

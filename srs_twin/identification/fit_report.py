@@ -48,7 +48,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
         "identification/fit.html",
         title=fit.title,
         subtitle=f"fit {fit.name}, {fit.method}, of robot {fit.robot}",
-        parameters=parameter_table(fit.parameters),
+        parameters=parameter_table((*fit.parameters, *(fit.derived or ()))),
         quality=summary,
         residuals=list(_pictures(estimate.residuals)),
         command=fit.command,
@@ -59,7 +59,9 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
 def fit_page(fit: FitEstimate | FitFile) -> str:
     """Return a fit as HTML for a notebook."""
-    return notebook_output(getattr(fit, "title", "Fit"), parameter_table(fit.parameters))
+    return notebook_output(
+        getattr(fit, "title", "Fit"), parameter_table((*fit.parameters, *(fit.derived or ())))
+    )
 
 
 @drawing

@@ -125,7 +125,7 @@ def print_estimate(estimate: FitEstimate) -> None:
     """Print the parameters, correlations, unidentifiable directions and residuals of a fit."""
     from srs_twin.identification.fit_report import parameter_table
 
-    table = parameter_table(estimate.parameters)
+    table = parameter_table((*estimate.parameters, *estimate.derived))
     print_table(table.headings[:-1], (row[:-1] for row in table.rows), left=(0, 3, 4))
     names_by_reason: dict[str, list[str]] = {}
     for parameter in estimate.parameters:

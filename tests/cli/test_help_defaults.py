@@ -27,6 +27,7 @@ PLACES = {
     "optimize": ("optimize gen2_speed --workers 1", {"STUDY": "gen2_speed"}),
     "uncertainty": ("uncertainty gen2_straight --samples 16 --workers 1", {"SCENARIO": "gen2_straight"}),
     "calibrate friction": (f"calibrate friction {EXAMPLES}/pulls.csv -r gen2", {"NAME": "gen2_friction"}),
+    "calibrate damping": (f"calibrate damping {EXAMPLES}/release.csv -r gen2", {"NAME": "gen2_damping"}),
     "calibrate actuator": (f"calibrate actuator {EXAMPLES}/steps.csv -r gen2", {"NAME": "gen2_actuator"}),
     "calibrate locomotion": (
         f"calibrate locomotion {EXAMPLES}/walk_left.csv -r gen2", {"NAME": "gen2_locomotion"},

@@ -66,6 +66,15 @@ def test_hidden_parameters_are_in_the_intervals(walked_through):
 
 
 @pytest.mark.slow
+def test_release_identifies_the_hidden_stiffness_and_damping(walked_through):
+    fit = load_fit(walked_through / "calibration/fits/my_damping.yaml")
+    hidden = MADE["hidden_robot"]().bending
+    stiffness, damping_time = fit.parameters
+    assert stiffness.low <= hidden.stiffness <= stiffness.high
+    assert damping_time.low <= hidden.damping_time <= damping_time.high
+
+
+@pytest.mark.slow
 def test_identified_robot_is_the_hidden_one(walked_through):
     robot = load_robot(walked_through / "robots/my_snake.yaml")
     found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
@@ -92,6 +101,7 @@ def test_the_script_makes_these_recordings():
     folder = ROOT / RECORDINGS
     assert MADE["pulls"](1) == (folder / "pulls.csv").read_text("utf-8")
     robot = MADE["hidden_robot"]()
+    assert MADE["release"](robot, 14) == (folder / "release.csv").read_text("utf-8")
     log = MADE["log"](MADE["walk"](robot, 1.6, 0.25))
     assert log == (folder / "walk_left.valves.csv").read_text("utf-8")
     assert MADE["levels"](robot, (12, 24, 36, 48), 12) == (folder / "levels.csv").read_text("utf-8")

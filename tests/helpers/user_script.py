@@ -42,7 +42,8 @@ def commands(fits: list[str], folder: str) -> None:
     print(srs.sweep("fig31", out=folder).exit_code, srs.optimize("gen2_speed").files)
     print(srs.uncertainty("gen2_straight", samples=8).plants, srs.diff("a", "b"))
     print(srs.inspect("walk.csv").rate_hz, srs.calibrate_robot(fits, "mine").actuator)
-    for fit in (srs.calibrate_friction, srs.calibrate_actuator, srs.calibrate_locomotion):
+    fits_of_data = srs.calibrate_friction, srs.calibrate_actuator, srs.calibrate_locomotion
+    for fit in (*fits_of_data, srs.calibrate_damping):
         print(fit(["walk.csv"], "gen2").estimate)
     print(srs.calibrate_design("gen2", {"friction.mu_t": 0.05}), srs.calibrate_margin("follow_fig57"))
     print(srs.calibrate_footprint("gen2").offsets, srs.reproduce(quick=True).changes)

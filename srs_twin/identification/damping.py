@@ -1,0 +1,395 @@
+r"""Stiffness and damping of a segment from decays of its free swing (`decay`, `hanging_segment`).
+
+Only the known mass and the weight turn the frequency into a stiffness: the decay alone shows k/m and T.
+
+**Fit.** All recordings share k, T and the leak rate. Each has its own start, rest bend, and two exponentials
+with which its rest bend recovers from having been held. Without measured pressures, closed chambers are at
+ambient pressure at the first sample of the recording, when the segment is at rest. Their air at the release
+follows from the leak rate and the bends recorded until then. The bend at rest before and after the release
+separates k from the pressures.
+
+**Intervals.** The scale of the residuals is the noise, with 1 % of the amplitude as an allowance for the
+model. Correlated residuals widen the intervals as in all fits (`least_squares`). k and T are those of viscous
+damping, with the loss factor η = 2π f T. A material with an almost constant loss factor is the reference that
+measures the model error: with an equal stiffness and loss at f, its decay gives other values.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+from scipy.interpolate import CubicSpline
+
+from srs_twin.errors import InputError, check_choice
+from srs_twin.identification.decay import Decay, calm_samples
+from srs_twin.identification.estimate import (
+    IDENTIFIED_ERROR,
+    FitEstimate,
+    Parameter,
+    Residual,
+    Verdict,
+)
+from srs_twin.identification.hanging_segment import (
+    NO_BRANCHES,
+    HangingSegment,
+    Material,
+    Ringing,
+    constant_loss,
+    ringing,
+    swing,
+    weight_moment,
+)
+from srs_twin.identification.least_squares import LEVEL, Refit, SearchOptions, Watch, least_squares
+from srs_twin.identification.parameters import FreeParameter, free_parameters
+from srs_twin.pneumatics.chambers import AMBIENT_PA, air_bend, bend_law, chamber_gains
+from srs_twin.robot.spec import RobotSpec
+
+NAMES = ("bending.stiffness_nm_per_rad", "bending.damping_time_s")
+VALVES = ("open", "closed")
+
+_MODEL_ERROR = 0.01
+"""Allowance for the model, as a fraction of the amplitude."""
+
+_CREEP_RATIOS = (3.0, 12.0)
+"""Time constants of the recovery, as multiples of 1/ω."""
+
+_MAX_CALM_SAMPLES = 25
+"""Samples at rest that count for the rest bend; further ones share errors of the model."""
+
+_FIRST_LEAK = 0.1
+"""Leak rate with which a search starts, 1/s."""
+
+_LEAKS = (-2.0, 30.0)
+"""Bounds of the leak rate, 1/s; a bound of 0 would cut the interval of a small one."""
+
+_STAGES = (2.0, 4.0, 8.0)
+"""Swings to which the model is fitted first, because a wrong frequency slips by whole swings later on."""
+
+_SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
+"""Steps across which the kinks of the air's stiffness at zero bend average out."""
+
+_ERROR_STEP = 1e-3
+"""Step of derivatives of a derived quantity, in standard errors of a parameter."""
+
+_UPSAMPLING = 4
+"""Points per sample between which measured pressures are interpolated linearly."""
+
+
+@dataclass(frozen=True)
+class HangingBody:
+    """Body at the end of the segment.
+
+    Attributes:
+        mass: mass m, kg.
+        inertia: moment of inertia J about its centre, kg·m².
+    """
+
+    mass: float
+    inertia: float
+
+    @classmethod
+    def of(cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None) -> HangingBody:
+        """Return the first connector of a robot, or a body with another mass or moment of inertia.
+
+        Without `inertia`, the body has the connector's radius of gyration.
+
+        Raises:
+            InputError: a value is not positive, or the robot has no segment of this kind.
+        """
+        if spec.skin is not None or spec.chamber.directions is not None:
+            raise InputError(
+                f"{spec.name}: a decay is only fitted for planar segments between connectors; this robot has "
+                "a skin or bends in space"
+            )
+        connector = spec.mass.connectors[0]
+        mass = connector if mass is None else mass
+        inertia = float(spec.yaw_inertia()[0]) * mass / connector if inertia is None else inertia
+        if not (math.isfinite(mass) and mass > 0 and math.isfinite(inertia) and inertia >= 0):
+            raise InputError(
+                f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give more than 0"
+            )
+        return cls(mass, inertia)
+
+    def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
+        """Return the first segment of a robot with this body at its end."""
+        g, chamber = spec.geometry, spec.chamber
+        plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
+        air = (plus, minus, bend_law(spec), chamber.dead_volume, chamber.displacement)
+        return HangingSegment(g.segment_length, g.rigid_gap, self.mass, self.inertia, *air, encloses_air)
+
+
+def fit_damping(
+    decays: Sequence[Decay],
+    spec: RobotSpec,
+    *,
+    valves: str = "open",
+    body: HangingBody | None = None,
+    leak: float | None = None,
+    watch: Watch | None = None,
+) -> FitEstimate:
+    """Estimate stiffness and damping time, with the ringing frequency and the loss factor.
+
+    Args:
+        decays: free swings of the same segment with the same body.
+        spec: robot whose geometry and chambers are used.
+        valves: whether the chambers were open to the air or closed.
+        body: hanging body; None: the first connector.
+        leak: leak rate of closed chambers, 1/s; None: fitted.
+        watch: progress callback, see `least_squares`.
+
+    Raises:
+        InputError: there is no decay, or the valves are unknown or contradict measured pressures.
+    """
+    check_choice("valves", valves, VALVES)
+    if not decays:
+        raise InputError("a fit needs decays; give at least one")
+    measured = [decay.pressure is not None for decay in decays]
+    if any(measured) and (valves == "open" or not all(measured)):
+        raise InputError("measured pressures need closed valves, and all files must have them")
+    fit = _DampingFit(decays, spec, body or HangingBody.of(spec), valves == "closed", leak)
+    for swings in _STAGES:
+        fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
+    start = fit.search(fit.unknowns(), watch=watch)
+    # The frequency does not depend on the law of the material, so the bias of k and T does not widen it.
+    error = fit.frequency_error()
+    estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
+    derived = (
+        _derived(start, fit, "frequency", "Hz", error),
+        _derived(estimate, fit, "loss_factor", "1"),
+    )
+    kept = [k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES]
+    return replace(
+        estimate,
+        parameters=tuple(estimate.parameters[k] for k in kept),
+        correlation=estimate.correlation[np.ix_(kept, kept)],
+        derived=derived if estimate.values.keys() >= set(NAMES) else (),
+        held=fit.held(),
+    )
+
+
+class _DampingFit:
+    """Model of several decays, and the best values of its unknowns so far."""
+
+    def __init__(
+        self, decays: Sequence[Decay], spec: RobotSpec, body: HangingBody, closed: bool, leak: float | None
+    ) -> None:
+        self.decays, self.spec, self.body, self.closed = decays, spec, body, closed
+        self.encloses_air = closed and decays[0].pressure is None
+        self.segment = body.segment(spec, self.encloses_air)
+        self.free_leak = self.encloses_air and leak is None
+        self.calm = [calm_samples(decay) for decay in decays] if self.encloses_air else []
+        self.grids = [_grid(decay) for decay in decays]
+        self.air = [_measured_air(decay, spec, grid) for decay, grid in zip(decays, self.grids, strict=True)]
+        self.values = self._first_values() | {"leak": _FIRST_LEAK if leak is None else leak}
+        if not self.encloses_air:
+            self.values["leak"] = 0.0
+
+    def _first_values(self) -> dict[str, float]:
+        """Return values of the unknowns that follow from the first recording."""
+        first = self.decays[0]
+        # The squared frequency is linear in k: the weight adds a constant, the air a share of k.
+        segment, air = self.body.segment(self.spec, self.closed), self._air_at_end()
+        one, two = (ringing(segment, Material(k, 0.0), 0.0, air).frequency ** 2 for k in (1.0, 2.0))
+        squared = first.half_period**-2 / 4
+        values = {
+            NAMES[0]: max(1 + (squared - one) / (two - one), 0.05 * squared / one),
+            NAMES[1]: 2 * first.log_decrement / (math.pi * first.pulsation),
+        }
+        for k, decay in enumerate(self.decays):
+            values[f"bend_{k}"], values[f"rate_{k}"] = decay.first_state()
+            values[f"rest_{k}"] = float(np.median(decay.bend[len(decay.bend) // 2 :]))
+            values |= {f"creep_{j}_{k}": 0.0 for j in range(len(_CREEP_RATIOS))}
+        return values
+
+    def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
+        """Return the unknowns; `coarse` ones exclude leak and recovery, which few swings do not show."""
+
+        def free(name: str, unit: str, bounds: tuple[float, float], scale: float) -> FreeParameter:
+            start = min(max(self.values[name], bounds[0]), bounds[1])
+            return FreeParameter(name, unit, start, *bounds, scale)
+
+        unknowns = list(free_parameters(self.spec, NAMES, starts=self.values))
+        if self.free_leak and not coarse:
+            unknowns.append(free("leak", "1/s", _LEAKS, 1.0))
+        for k, decay in enumerate(self.decays):
+            size = float(np.ptp(decay.bend))
+            speed = size * decay.pulsation
+            unknowns.append(free(f"bend_{k}", "rad", (-4.0, 4.0), size))
+            unknowns.append(free(f"rate_{k}", "rad/s", (-20 * speed, 20 * speed), speed))
+            unknowns.append(free(f"rest_{k}", "rad", (-4.0, 4.0), size))
+            for j in range(0 if coarse else len(_CREEP_RATIOS)):
+                unknowns.append(free(f"creep_{j}_{k}", "rad", (-3 * size, 3 * size), size))
+        return unknowns
+
+    def search(
+        self,
+        unknowns: Sequence[FreeParameter],
+        *,
+        bends: Sequence[np.ndarray] | None = None,
+        watch: Watch | None = None,
+        refit: Refit | None = None,
+        swings: float = math.inf,
+    ) -> FitEstimate:
+        """Fit unknowns to the first swings, and keep the values unless `bends` replace the measured ones."""
+        fitted = [decay.bend for decay in self.decays] if bends is None else bends
+
+        def residuals(values: Mapping[str, float]) -> list[Residual]:
+            result = []
+            for k, (decay, bend) in enumerate(zip(self.decays, fitted, strict=True)):
+                used = decay.time <= decay.time[0] + 2 * swings * decay.half_period
+                difference = (bend - self._swing(values, k)[0])[used]
+                result.append(Residual(f"{decay.name} bend", "rad", difference, _scale(decay)))
+            # A wrong leak rate, which few swings do not show, would contradict the bend at rest.
+            return result if swings < math.inf else [*result, *self._rest_residuals(values)]
+
+        estimate = least_squares(residuals, unknowns, watch=watch, refit=refit, options=_SEARCH)
+        if bends is None:
+            self.values |= estimate.values
+        return estimate
+
+    def _rest_residuals(self, values: Mapping[str, float]) -> Iterator[Residual]:
+        """Yield the differences of the rest bends before the closed segments are bent and afterwards."""
+        for k, calm in enumerate(self.calm):
+            decay = self.decays[k]
+            bend = float(decay.before[:calm].mean())
+            rest = bend - weight_moment(self.segment, bend) / values[NAMES[0]]
+            scale = _scale(decay) / math.sqrt(min(calm, _MAX_CALM_SAMPLES))
+            yield Residual(f"{decay.name} rest", "rad", np.array([rest - values[f"rest_{k}"]]), scale)
+
+    def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Return the fit to decays of a material with a constant loss factor."""
+        pulsation = 2 * math.pi * self.small_swing(values).frequency
+        bends = [self._swing(values, k, pulsation)[0] for k in range(len(self.decays))]
+        return self.values | dict(values) | self.search(self.unknowns(), bends=bends).values
+
+    def frequency_error(self) -> float:
+        """Return ln of the fitted over the true frequency for a material with a constant loss factor."""
+        pulsation = 2 * math.pi * self.small_swing(self.values).frequency
+        true = self.small_swing(self.values, pulsation).frequency
+        return math.log(self.small_swing(self.refit(self.values)).frequency / true)
+
+    def _material(self, values: Mapping[str, float]) -> Material:
+        return Material(values[NAMES[0]], values[NAMES[1]], values["leak"])
+
+    def small_swing(self, values: Mapping[str, float], constant_about: float | None = None) -> Ringing:
+        """Return the small oscillation at the end of the first recording.
+
+        Args:
+            values: values of the unknowns; those that are missing have their best value so far.
+            constant_about: frequency about which the loss factor is constant, rad/s; None: viscous damping.
+        """
+        values = self.values | dict(values)
+        material, branches = self._material(values), NO_BRANCHES
+        air = self._swing(values, 0, constant_about)[1][2:4] if self.encloses_air else self._air_at_end()
+        if constant_about is not None:
+            material, branches, _ = constant_loss(material, constant_about, 0.0)
+        segment = self.body.segment(self.spec, self.closed)
+        return ringing(segment, material, values["rest_0"], air, branches)
+
+    def _swing(
+        self, values: Mapping[str, float], k: int, constant_about: float | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bends of recording k, rad, and the last state; arguments as in `small_swing`."""
+        values = self.values | dict(values)
+        decay, grid, material = self.decays[k], self.grids[k], self._material(values)
+        branches, moments = NO_BRANCHES, np.empty(0)
+        air = self._enclosed_air(decay, material.leak)
+        rest = values[f"rest_{k}"] + self.air[k]
+        for j, ratio in enumerate(_CREEP_RATIOS):
+            rest = rest + values[f"creep_{j}_{k}"] * np.exp((grid[0] - grid) * decay.pulsation / ratio)
+        bend, rate = values[f"bend_{k}"], values[f"rate_{k}"]
+        if constant_about is not None:
+            material, branches, moments = constant_loss(material, constant_about, rate)
+        start = np.concatenate([[bend, rate], air, moments])
+        path, end = swing(grid, start, rest, decay.pulsation, material, self.segment, branches)
+        return path[:: len(grid) // len(decay.time)], end
+
+    def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
+        """Return the amounts of air at the start of the free swing, + chamber before −, J."""
+        volumes = self._volumes(decay.before)
+        # The air tends to that of ambient pressure, which changes with the volume.
+        kept = np.exp(-leak * (decay.time[0] - decay.before_time))
+        weights = np.append(np.diff(kept), 0.0)
+        amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
+        return amounts
+
+    def _air_at_end(self) -> np.ndarray:
+        """Return the amounts of air for the mean pressures at the end of the first recording, J."""
+        first = self.decays[0]
+        end = slice(-(len(first.time) // 4), None)
+        pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
+        amounts: np.ndarray = (AMBIENT_PA + pressure) * self._volumes(np.median(first.bend[end]))
+        return amounts
+
+    def _volumes(self, bend: np.ndarray) -> np.ndarray:
+        """Return the volumes of the chambers, + before −, shape (…, 2), m³."""
+        chamber = self.spec.chamber
+        grown = np.maximum(0.0, np.stack([bend, np.negative(bend)], axis=-1))
+        return np.asarray(chamber.dead_volume + chamber.displacement * grown)
+
+    def held(self) -> dict[str, float]:
+        """Return the values on which the estimates depend."""
+        held = {"mass_kg": self.body.mass, "inertia_kg_m2": self.body.inertia}
+        if self.closed:
+            held["air_stiffness_nm_per_rad"] = self.small_swing(self.values).air_stiffness
+        if self.encloses_air and not self.free_leak:
+            held["leak_per_s"] = self.values["leak"]
+        return held
+
+
+def _grid(decay: Decay) -> np.ndarray:
+    if decay.pressure is None:
+        return decay.time
+    samples = np.arange(len(decay.time))
+    return np.asarray(np.interp(np.arange(len(samples) * _UPSAMPLING) / _UPSAMPLING, samples, decay.time))
+
+
+def _measured_air(decay: Decay, spec: RobotSpec, grid: np.ndarray) -> np.ndarray:
+    """Return the bends due to measured pressures on a grid, shape (points,), rad."""
+    if decay.pressure is None:
+        return np.zeros(len(grid))
+    pressure = np.zeros((len(decay.time), spec.segments, 2))
+    pressure[:, 0] = decay.pressure
+    return np.asarray(CubicSpline(decay.time, air_bend(spec, pressure)[:, 0])(grid))
+
+
+def _scale(decay: Decay) -> float:
+    return math.hypot(decay.noise, _MODEL_ERROR * float(np.ptp(decay.bend)) / 2)
+
+
+def _derived(
+    estimate: FitEstimate, fit: _DampingFit, name: str, unit: str, model_error: float = 0.0
+) -> Parameter:
+    """Return a quantity of the small oscillation with an interval by linear propagation of errors.
+
+    Args:
+        estimate: estimate with all unknowns.
+        fit: model.
+        name: attribute of `Ringing`; it is positive, and its interval is that of its logarithm.
+        unit: unit of the quantity.
+        model_error: further error of the logarithm.
+    """
+
+    def logarithm(changes: Mapping[str, float]) -> float:
+        return math.log(getattr(fit.small_swing(estimate.values | dict(changes)), name))
+
+    rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
+    changes = []
+    for parameter in (estimate.parameters[k] for k in rows):
+        value, step = parameter.value or 0.0, _ERROR_STEP * (parameter.standard_error or 0.0)
+        up, down = (logarithm({parameter.name: value + sign * step}) for sign in (1, -1))
+        changes.append((up - down) / (2 * _ERROR_STEP))
+    row = np.array(changes)
+    variance = float(row @ estimate.correlation[np.ix_(rows, rows)] @ row)
+    error = math.hypot(math.sqrt(max(variance, 0.0)), model_error)
+    freedom = max(estimate.independent - len(estimate.parameters), 1.0)
+    half, value = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error, math.exp(logarithm({}))
+    verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
+    if estimate.misfit:
+        verdict = "cannot tell"
+    low, high = value * math.exp(-half), value * math.exp(half)
+    return Parameter(name, unit, verdict, value, value * error, low, high)

@@ -1,0 +1,247 @@
+"""Recordings of decays: the free swing of a segment that is held bent and released.
+
+A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), at 100 Hz or more. Optional
+``pressure_plus_kpa`` and ``pressure_minus_kpa`` are gauge pressures of closed chambers. The free swing begins
+at the largest speed, about a quarter of a swing after the release. It ends after twice the time in which half
+swings are visible.
+
+The noise follows from the smallest singular values of the trajectory matrix: neighbouring samples of a swing
+satisfy a linear recurrence, which only noise disturbs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from srs_twin.errors import InputError
+from srs_twin.identification.estimate import Role
+from srs_twin.identification.fit_file import DataSet
+from srs_twin.io.files import StrPath
+from srs_twin.recordings.csv_table import CLOCK, read_table
+from srs_twin.recordings.recorded_file import read_file
+from srs_twin.recordings.signals.units import ANGLES, PRESSURES
+
+DECAY_COLUMNS = "time_s,bend_rad"
+"""First line of a recording of a decay."""
+
+_MIN_RATE_HZ = 100.0
+_MIN_SAMPLES = 20
+_MIN_SAMPLES_PER_SWING = 5.0
+_MIN_HALF_SWINGS = 3
+
+_MIN_TURN = 6.0
+"""Smallest visible half swing, in standard deviations of the noise."""
+
+_MIN_SIZE = 12.0
+"""Smallest range of the bends, in standard deviations of the noise, which alone has a range of about 6."""
+
+_MIN_TURN_SHARE = 0.02
+"""Smallest visible half swing, as a fraction of the range of the bends."""
+
+_LEAST_DECREMENT = 0.01
+"""Smallest logarithmic decrement with which a search starts."""
+
+_WINDOW = 12
+"""Columns of the trajectory matrix, more than the exponentials of a swing."""
+
+_KEPT_SPANS = 2.0
+"""Length of the used part, in lengths of the visible swing."""
+
+_MIN_CALM_SAMPLES = 5
+
+
+@dataclass(frozen=True)
+class Decay:
+    """Free swing of a released segment.
+
+    Attributes:
+        name: name of the data.
+        sha256: SHA-256 of the file.
+        time: times of the free swing, shape (samples,), s.
+        bend: measured bends, shape (samples,), rad.
+        before: bends recorded before the free swing, and its first one, shape (earlier samples + 1,), rad.
+        before_time: times of these bends, s.
+        pressure: measured gauge pressures, + before −, shape (samples, 2), Pa; None if not measured.
+        noise: standard deviation of a bend, rad.
+        half_period: mean time between two turning points, s.
+        log_decrement: mean logarithm of the ratio of two successive half swings.
+    """
+
+    name: str
+    sha256: str
+    time: np.ndarray
+    bend: np.ndarray
+    before: np.ndarray
+    before_time: np.ndarray
+    pressure: np.ndarray | None
+    noise: float
+    half_period: float
+    log_decrement: float
+
+    @property
+    def pulsation(self) -> float:
+        """Approximate ringing frequency ω, rad/s."""
+        return math.pi / self.half_period
+
+    def first_state(self) -> tuple[float, float]:
+        """Return bend (rad) and rate (rad/s) at the first time, estimated by a sine in the first swing."""
+        since = self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
+        phase = self.pulsation * since
+        sine = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1)
+        mean, at_start, forward = np.linalg.lstsq(sine, self.bend[: len(since)], rcond=None)[0]
+        return float(mean + at_start), float(forward) * self.pulsation
+
+    def text(self) -> str:
+        """Return what was found in the recording, one line."""
+        return (
+            f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s, about "
+            f"{0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
+        )
+
+    def data_set(self, role: Role) -> DataSet:
+        """Return name, hash and size of the data."""
+        return DataSet(
+            self.name, self.sha256, role, len(self.time), float(self.time[0]), float(self.time[-1])
+        )
+
+
+def read_decay(path: StrPath, *, start: float | None = None, noise: float | None = None) -> Decay:
+    """Read the free swing in a recording.
+
+    Args:
+        path: CSV file.
+        start: time from which the segment swings freely, s; None: the time of its largest speed, about a
+            quarter of a swing after the release.
+        noise: standard deviation of a bend, rad; None: estimated.
+
+    Raises:
+        InputError: a column is missing, or the recording does not show a swing that tells k and T apart.
+    """
+    pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
+    table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
+    file = table.file
+    by_name = {column.name: column for column in table.columns if not column.number}
+    if "bend" not in by_name:
+        raise file.error(f"no column 'bend_rad'; a recording of a decay has {DECAY_COLUMNS}", 1)
+    measured = [name for name in pressures if name in by_name]
+    if len(measured) == 1:
+        raise file.error(f"{measured[0]} alone; give the pressures of both chambers or none", 1)
+    clock = table.clock(f"no time; a recording of a decay has {DECAY_COLUMNS}")
+    rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
+    known = np.isfinite(rows.values).all(axis=1)
+    time, values = rows.time[known], rows.values[known]
+    if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
+        problem = f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are needed"
+        raise file.error(problem)
+    rate = 1 / float(np.median(np.diff(time)))
+    if rate < _MIN_RATE_HZ * (1 - 1e-3):
+        raise file.error(f"{rate:.3g} samples per second; {_MIN_RATE_HZ:g} Hz or more is needed")
+    pressure = values[:, 1:] if measured else None
+    return free_swing(file.name, file.sha256, time, values[:, 0], pressure, start=start, noise=noise)
+
+
+def free_swing(
+    name: str,
+    sha256: str,
+    time: np.ndarray,
+    bend: np.ndarray,
+    pressure: np.ndarray | None = None,
+    *,
+    start: float | None = None,
+    noise: float | None = None,
+) -> Decay:
+    """Return the free swing in recorded bends; the arguments are those of `Decay` and `read_decay`.
+
+    Raises:
+        InputError: the swing is too small, too short, overdamped or too fast for the sampling.
+    """
+    noise = _noise(bend) if noise is None else noise
+    if start is None:
+        first = int(np.argmax(np.abs(np.diff(bend) / np.diff(time)))) + 1
+    else:
+        first = int(np.searchsorted(time, start))
+        if first >= len(time):
+            raise InputError(f"{name}: it ends at {time[-1]:g} s, before the free swing from {start:g} s")
+    size = float(np.ptp(bend[max(first - 1, 0) :]))
+    threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
+    if size <= _MIN_SIZE * noise:
+        raise InputError(
+            f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the segment from a larger "
+            "bend"
+        )
+    turns = [first + turn for turn in _turning_points(bend[first:], threshold)]
+    if len(turns) < _MIN_HALF_SWINGS:
+        raise InputError(
+            f"{name}: {len(turns)} visible half swings; {_MIN_HALF_SWINGS} or more are needed. An overdamped "
+            "decay tells only the product k T: hang a heavier body, or record longer"
+        )
+    half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)
+    spacing = float(np.median(np.diff(time)))
+    if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
+        raise InputError(
+            f"{name}: {2 * half_period / spacing:.2g} samples per swing; {_MIN_SAMPLES_PER_SWING:g} or more "
+            "are needed: record faster, or hang a heavier body"
+        )
+    end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
+    used = slice(first, int(np.searchsorted(time, end, side="right")))
+    if len(time[used]) < _MIN_SAMPLES:
+        problem = f"{len(time[used])} samples of free swing; {_MIN_SAMPLES} or more are needed"
+        raise InputError(f"{name}: {problem}")
+    swings = np.abs(np.diff(bend[turns]))
+    decrement = float(np.mean(np.log(swings[:-1] / swings[1:])))
+    return Decay(
+        name,
+        sha256,
+        time[used],
+        bend[used],
+        bend[: first + 1],
+        time[: first + 1],
+        None if pressure is None else pressure[used],
+        noise,
+        half_period,
+        max(decrement, _LEAST_DECREMENT),
+    )
+
+
+def _noise(bend: np.ndarray) -> float:
+    windows = sliding_window_view(bend - bend.mean(), _WINDOW)
+    singular = np.linalg.svd(windows, compute_uv=False)
+    return max(float(singular[-3]) / math.sqrt(len(windows)), 1e-9)
+
+
+def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
+    """Return the samples at which the bend turns back by more than a threshold."""
+    turns: list[int] = []
+    extreme, direction = 0, 0.0
+    for k, value in enumerate(bend):
+        ahead = (value - bend[extreme]) * direction
+        if direction == 0.0 and abs(value - bend[0]) > threshold:
+            extreme, direction = k, math.copysign(1.0, value - bend[0])
+        elif ahead > 0:
+            extreme = k
+        elif ahead < -threshold:
+            turns.append(extreme)
+            extreme, direction = k, -direction
+    return turns
+
+
+def calm_samples(decay: Decay) -> int:
+    """Return the number of samples at rest at the start of a recording.
+
+    Raises:
+        InputError: the recording begins with a bent or moving segment.
+    """
+    moved = np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES])) > _MIN_TURN * decay.noise
+    calm = int(np.argmax(moved)) if moved.any() else len(moved)
+    held = decay.before[decay.before_time < decay.time[0] - decay.half_period]
+    bent = float(np.abs(held - decay.before[0]).max(initial=0.0))
+    if calm < _MIN_CALM_SAMPLES or bent < float(np.ptp(decay.bend)) / 4:
+        raise InputError(
+            f"{decay.name}: the recording of closed valves begins with a bent or moving segment; close the "
+            "valves at rest, start recording, and only then bend and release it (or record the pressures)"
+        )
+    return calm

@@ -1,0 +1,288 @@
+r"""Motion of a body that hangs on one bent segment, after it is released.
+
+One end of a segment is clamped so that the segment hangs straight down. A body of mass m and moment of
+inertia J about its centre is at the other end. With the bend q and the chord L(q) of `robot.geometry` at the
+angle q/2, Lagrange's equation is
+
+$$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
+   = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
+   d = b(t) + \varphi(x) - q . $$
+
+The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the rest bend without
+pressure. A real material still recovers slowly from having been held, so b contains decaying exponentials.
+
+**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant temperature, the absolute
+pressure P and the amount n = P V, and leaks at the rate λ to the ambient pressure p₀:
+
+$$ \dot n = -\lambda\,(n - p_0 V) . $$
+
+**Material.** A material is viscous (damping time T) and may have Maxwell branches with the moments e_i:
+ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are spread over two decades about the ringing period have a
+nearly constant loss factor.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq, newton
+
+from srs_twin.compute.arrays import Array
+from srs_twin.compute.compiled import allocating, kernel_only
+from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, volume
+from srs_twin.robot.geometry import chord_derivatives, chord_from_half_angle, half_angle_terms
+from srs_twin.robot.spec import GRAVITY
+
+_half_angle_terms = kernel_only(half_angle_terms)
+_chord = kernel_only(chord_from_half_angle)
+
+_LARGEST_REST_RAD = 3.0
+"""Bound of the search for the bend at rest."""
+
+_SMALL_BEND_RAD = 1e-4
+"""Step of derivatives by the bend."""
+
+_MAX_ANGLE_STEP = 0.06
+"""Largest product of the ringing frequency (rad/s) and a time step."""
+
+_SHORTEST_S = 1e-3
+"""Time scale far below that of a swing, at which no branch has relaxed, s."""
+
+_SLOWEST_RAD_S = 1e-6
+"""Frequency of an overdamped swing, whose root has none, rad/s."""
+
+NO_BRANCHES = np.empty((0, 2))
+"""Branches of a viscous material."""
+
+_BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
+"""Relaxation times of the branches as multiples of 1/ω."""
+
+_SMALLEST_RELAXED_SHARE = 0.02
+"""Smallest fraction of the stiffness that remains after all branches have relaxed."""
+
+
+class HangingSegment(NamedTuple):
+    """Constants of the equation of motion, for the kernel.
+
+    Attributes:
+        length: length l of the bending part, m.
+        gap: rigid gap L_o, m.
+        mass: mass m of the hanging body, kg.
+        inertia: moment of inertia J of the body about its centre, kg·m².
+        gain_plus: gain of the + chamber, rad/Pa.
+        gain_minus: gain of the − chamber, rad/Pa.
+        law: parameters of φ.
+        dead_volume: dead volume V₀ of a chamber, m³.
+        displacement: increase A of the volume per bend, m³/rad.
+        encloses_air: whether the pressures follow from enclosed air.
+    """
+
+    length: float
+    gap: float
+    mass: float
+    inertia: float
+    gain_plus: float
+    gain_minus: float
+    law: BendLaw
+    dead_volume: float
+    displacement: float
+    encloses_air: bool
+
+
+class Material(NamedTuple):
+    """Material and leak of a segment.
+
+    Attributes:
+        stiffness: stiffness k without the branches, N·m/rad.
+        damping_time: damping time T, s.
+        leak: leak rate λ, 1/s.
+    """
+
+    stiffness: float
+    damping_time: float
+    leak: float = 0.0
+
+
+@kernel_only
+def _acceleration(moment, bend, rate, segment):  # type: ignore[no-untyped-def]
+    terms = _half_angle_terms(bend)
+    chord, slope, curvature = _chord(terms, segment.length, segment.gap)
+    inertia = segment.mass * (slope * slope + chord * chord / 4) + segment.inertia
+    change = segment.mass * slope * (2 * curvature + chord / 2)
+    weight = segment.mass * GRAVITY * (slope * terms[0] - chord * terms[1] / 2)
+    return (moment + weight - change * rate * rate / 2) / inertia
+
+
+@kernel_only
+def _slopes(state, creep, creep_slope, material, segment, branches, result):  # type: ignore[no-untyped-def]
+    bend, rate = state[0], state[1]
+    deviation, deviation_rate = creep - bend, creep_slope - rate
+    result[2] = result[3] = 0.0
+    if segment.encloses_air:
+        x = x_rate = 0.0
+        for side in range(2):
+            size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
+            pressure = state[2 + side] / size
+            result[2 + side] = material.leak * (AMBIENT_PA * size - state[2 + side])
+            gain = segment.gain_minus if side else -segment.gain_plus
+            x -= gain * (pressure - AMBIENT_PA)
+            x_rate -= gain * (result[2 + side] - pressure * growth * rate) / size
+        air, air_slope, _ = apply_bend_law(x, segment.law)
+        deviation += air
+        deviation_rate += air_slope * x_rate
+    moment = material.stiffness * (deviation + material.damping_time * deviation_rate)
+    for i in range(len(branches)):
+        moment += state[4 + i]
+        result[4 + i] = branches[i, 0] * deviation_rate - state[4 + i] / branches[i, 1]
+    result[0] = rate
+    result[1] = _acceleration(moment, bend, rate, segment)
+
+
+@allocating
+def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
+    """Return the bends at given times, shape (samples,), rad, and the last state, of shape `start`.
+
+    The Runge-Kutta method has order 4.
+
+    Args:
+        time: ascending times, shape (samples,), s.
+        start: bend (rad), its rate (rad/s), amounts of air P V in the + and − chamber (J) and moments of the
+            branches (N·m) at the first time, shape (4 + branches,).
+        rest: rest bend b without pressure at the times, shape (samples,), rad.
+        frequency: approximate ringing frequency, rad/s, from which the steps follow.
+        material: a `Material`.
+        segment: a `HangingSegment`.
+        branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of the branches, shape (branches, 2).
+    """
+    result = np.empty(len(time))
+    state, trial = start.copy(), start.copy()
+    total, slopes = np.empty_like(start), np.empty_like(start)
+    result[0] = state[0]
+    for k in range(len(time) - 1):
+        interval = time[k + 1] - time[k]
+        steps = int(interval * frequency / _MAX_ANGLE_STEP) + 1
+        h, rise = interval / steps, (rest[k + 1] - rest[k]) / interval
+        for j in range(steps):
+            total[:] = 0.0
+            trial[:] = state
+            for stage in range(4):
+                since = (j + 0.5 * ((stage + 1) // 2)) * h
+                _slopes(trial, rest[k] + rise * since, rise, material, segment, branches, slopes)
+                total += slopes * (2.0 if stage in (1, 2) else 1.0)
+                trial[:] = state + slopes * (h if stage == 2 else h / 2)
+            state += total * (h / 6)
+        result[k + 1] = state[0]
+    return result, state
+
+
+def weight_moment(segment: HangingSegment, bend: float) -> float:
+    """Return the moment of the weight that increases the bend, N·m; it is negative for a positive bend."""
+    chord, slope, _ = chord_derivatives(bend, segment.length, segment.gap)
+    change = slope * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
+    return segment.mass * GRAVITY * change
+
+
+class Ringing(NamedTuple):
+    """Small oscillation about the rest.
+
+    Attributes:
+        frequency: damped frequency, Hz.
+        loss_factor: loss factor of the material and the air at the frequency.
+        air_stiffness: stiffness of the enclosed air, N·m/rad.
+    """
+
+    frequency: float
+    loss_factor: float
+    air_stiffness: float
+
+
+def ringing(
+    segment: HangingSegment, material: Material, rest: float, air: Array, branches: Array = NO_BRANCHES
+) -> Ringing:
+    r"""Return the small oscillation about the bend at which the segment hangs.
+
+    The linear equation has the complex stiffness of material and air
+
+    $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
+       r = \varphi'(x)\,G\,P\,\frac{A}{V}, $$
+
+    and the ringing is the complex root of M s² + K(s) + w = 0 with the slope w of the weight. The loss factor
+    is Im K/Re K at the frequency of that root. Branches add g s τ/(1 + s τ) to the material.
+
+    Args:
+        segment: hanging segment.
+        material: material and leak.
+        rest: rest bend b, rad.
+        air: amounts of enclosed air, + before −, shape (2,), J; not used with open valves.
+        branches: Maxwell branches, see `swing`.
+    """
+    k, damping_time, leak = material
+    gains = (segment.gain_plus, -segment.gain_minus)
+
+    def air_bend(bend: float) -> tuple[float, float]:
+        """Return φ(x) and r."""
+        x = x_slope = 0.0
+        for side, gain in enumerate(gains if segment.encloses_air else ()):
+            size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
+            x += gain * (air[side] / size - AMBIENT_PA)
+            x_slope -= gain * air[side] / size * growth / size
+        value, slope, _ = apply_bend_law(x, segment.law)
+        return value, -slope * x_slope
+
+    def moment(bend: float) -> float:
+        return k * (rest + air_bend(bend)[0] - bend) + weight_moment(segment, bend)
+
+    hang = brentq(moment, -_LARGEST_REST_RAD, _LARGEST_REST_RAD)
+    chord, slope, _ = chord_derivatives(hang, segment.length, segment.gap)
+    inertia = segment.mass * (slope**2 + chord**2 / 4) + segment.inertia
+    step = _SMALL_BEND_RAD
+    stiffening = -(weight_moment(segment, hang + step) - weight_moment(segment, hang - step)) / (2 * step)
+    share = air_bend(hang or step)[1]
+
+    def stiffness(s: complex) -> complex:
+        branched: complex = sum(strength * s * tau / (1 + s * tau) for strength, tau in branches)
+        return (k * (1 + s * damping_time) + branched) * (1 + share * s / (s + leak))
+
+    undamped = math.sqrt((stiffness(1j / _SHORTEST_S).real + stiffening) / inertia)
+    guess = 1j * undamped
+    guess -= stiffness(guess).imag / (2 * inertia * undamped)
+    root = newton(lambda s: (inertia * s * s + stiffness(s) + stiffening) / inertia, guess, maxiter=100)
+    pulsation = max(abs(complex(root).imag), _SLOWEST_RAD_S)
+    total = stiffness(1j * pulsation)
+    return Ringing(pulsation / (2 * math.pi), total.imag / total.real, k * share)
+
+
+class Branches(NamedTuple):
+    """Material with Maxwell branches, and their state when the swing first passes its rest.
+
+    Attributes:
+        material: stiffness and viscous part beside the branches.
+        branches: stiffness and relaxation time of each branch, shape (branches, 2).
+        moments: moments of the branches, shape (branches,), N·m.
+    """
+
+    material: Material
+    branches: np.ndarray
+    moments: np.ndarray
+
+
+def constant_loss(material: Material, pulsation: float, rate: float) -> Branches:
+    """Return a material with a nearly constant loss factor, and equal stiffness and loss at a frequency.
+
+    Args:
+        material: viscous material.
+        pulsation: frequency of equal stiffness and loss, rad/s.
+        rate: rate of the bend at the start, after a quarter of a swing from a long hold, rad/s.
+    """
+    x = _BRANCH_RATIOS
+    storage, loss = x**2 / (1 + x**2), x / (1 + x**2)
+    wanted = material.stiffness * material.damping_time * pulsation
+    strongest = material.stiffness * (1 - _SMALLEST_RELAXED_SHARE) / storage.sum()
+    strength = min(wanted / loss.sum(), strongest)
+    viscous = (wanted - strength * loss.sum()) / pulsation
+    relaxed = material.stiffness - strength * storage.sum()
+    moments = -strength * rate / pulsation * loss * (1 + x * np.exp(-math.pi / (2 * x)))
+    branches = np.stack([np.full(len(x), strength), x / pulsation], axis=1)
+    return Branches(Material(relaxed, viscous / relaxed, material.leak), branches, moments)
