@@ -1,6 +1,6 @@
 """What the damping of the bends does: spectra, damping times, a material of constant loss, and speeds.
 
-    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table] [--figure FILE]
+    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table]
 
 `--spectra`: frequencies at which the bends deviate from the free bends, and the damping times that give the
 loss factor of docs/damping.md there. `--material`: speeds with a material whose loss factor hardly depends on
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from scipy.optimize import least_squares
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.pneumatics import Schedule, Trace
 from srs_twin.pneumatics.lag import LagPneumatics
 
@@ -207,8 +207,8 @@ def compliant(case: Case, spec: RobotSpec, step: float) -> AnalyticalSnake:
     )
 
 
-def show_spectra(figure: Path | None) -> None:
-    """Print damping times and frequencies; draw the spectra."""
+def show_spectra() -> None:
+    """Print damping times and the frequencies of the deviations."""
     rows = []
     for case in CASES:
         time, frequency = damping_time(case, LOSS)
@@ -241,16 +241,72 @@ def show_material(step: float = 2.5e-4) -> None:
     print(table(["gait", "T, ms", "damper, mm/s (rad/s)", "constant loss", "difference, %"], rows))
 
 
+def show_steps() -> None:
+    """Print speeds for damping times and steps, with both readings of the delay, and of `compliant`."""
+    rows = []
+    for case in CASES:
+        for time in (0.00214, 0.004, 0.008, 0.016):
+            robot = damped(load_robot(case.robot), time)
+            cells = [
+                case.speeds(TwinSnake(robot, supply_pa=case.supply_pa, timestep=h))
+                for h in (0.001, 0.0005, 0.00025)
+            ]
+            cells.append(case.speeds(TwinSnake(without_lead(robot), supply_pa=case.supply_pa)))
+            cells.append(case.speeds(compliant(case, robot, 5e-4)))
+            rows.append([case.name, f"{1e3 * time:g}", *(f"{v:.1f} ({w:.3f})" for v, w in cells)])
+            print(rows[-1], flush=True)
+    print(table(["gait", "T, ms", "1 ms", "0.5 ms", "0.25 ms", "no lead", "compliant"], rows))
+
+
+def without_lead(spec: RobotSpec) -> RobotSpec:
+    """Return a robot whose damping delays the free bend, with the same delay in all (`bending.lead`)."""
+    delay = spec.bending.damping_time - spec.actuator.tau_mode
+    actuator = replace(
+        spec.actuator, tau_mode=spec.bending.damping_time, tau_fill=spec.actuator.tau_fill - delay,
+        tau_vent=spec.actuator.tau_vent - delay,
+    )  # fmt: skip
+    return replace(spec, actuator=actuator)
+
+
+def show_table() -> None:
+    """Print speeds of the twin over stiffness and loss factor."""
+    rows = []
+    for case in CASES:
+        nominal = load_robot(case.robot)
+        _, frequency = damping_time(case, LOSS)
+        model = case.speeds(
+            AnalyticalSnake(nominal, friction="wheel", inertia="connector", supply_pa=case.supply_pa)
+        )
+        for loss in (LOSS / FACTOR**2, LOSS, LOSS * FACTOR**2):
+            time = loss / (2 * np.pi * frequency)
+            cells = []
+            for factor in (0.5, 1.0, 2.0):
+                bending = replace(
+                    nominal.bending, damping_time=time, stiffness=factor * nominal.bending.stiffness
+                )
+                step = stable_step(0.001, time)
+                plant = TwinSnake(replace(nominal, bending=bending), supply_pa=case.supply_pa, timestep=step)
+                speed, yaw = case.speeds(plant)
+                turn = f", {yaw:.2f} rad/s" if case.offset else ""
+                cells.append(f"{speed:.0f} ({100 * (speed / model[0] - 1):+.0f} %{turn})")
+            rows.append([case.name, f"{loss:.3f}", f"{1e3 * time:.2f}", *cells])
+            print(rows[-1], flush=True)
+    print(table(["gait", "η", "T, ms", "k/2", "k", "2 k"], rows))
+
+
 def main() -> None:
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("spectra", "material", "steps", "table"):
         words.add_argument(f"--{name}", action="store_true")
-    words.add_argument("--figure", type=Path)
     options = words.parse_args()
     if options.spectra:
-        show_spectra(options.figure)
+        show_spectra()
     if options.material:
         show_material()
+    if options.steps:
+        show_steps()
+    if options.table:
+        show_table()
 
 
 if __name__ == "__main__":
