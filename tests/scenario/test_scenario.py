@@ -170,7 +170,10 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
             {"base": "gen2", "bending": {"stiffness_nm_per_rad": {"value": 1}}},
             "stiffness_nm_per_rad.unit: missing",
         ),
-        ({"base": "gen2", "bending": 3}, "robot.bending: must be a block of keys (stiffness_nm_per_rad, "),
+        (
+            {"base": "gen2", "bending": 3},
+            "robot.bending: must be a block of keys (lead, stiffness_nm_per_rad, ",
+        ),
         (
             {"base": "gen2", "mass": {"connectors_kg": -1}},
             "robot.mass.connectors_kg: must be a number from 1e-10",
