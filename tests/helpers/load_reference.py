@@ -188,6 +188,8 @@ def numbers(point: Point) -> dict[str, Any]:
     if not isinstance(outcome["connectors_kg"], list):
         outcome["connectors_kg"] = [outcome["connectors_kg"]] * outcome["connectors"]
     outcome.update(point.changes)
+    # The pressures act at once, which is the law of the plants if both time constants are equal.
+    outcome["damping_time_s"] = outcome["tau_mode_s"]
     if point.stiffness is not None:
         outcome["stiffness_nm_per_rad"] = point.stiffness
     outcome.setdefault(

@@ -22,6 +22,7 @@ def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **op
         options: options of the twin.
     """
     point, spec = POINTS[name], load_robot(POINTS[name].robot)
+    spec = replace(spec, bending=replace(spec.bending, damping_time=spec.actuator.tau_mode))
     if point.stiffness is not None:
         spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
     if point.tail is not None:
