@@ -168,19 +168,18 @@ class ConstantLoss(LagPneumatics):
 
 def branches(loss: float) -> np.ndarray:
     """Return the stiffnesses of branches over that of the spring, for a loss factor."""
-    phase = 2j * np.pi * BAND_HZ[:, None] * np.array(BRANCH_TIMES_S)
 
     def error(shares: np.ndarray) -> np.ndarray:
-        modulus = 1 + (shares * phase / (1 + phase)).sum(axis=1)
-        return modulus.imag / modulus.real / loss - 1
+        found = modulus(shares, BAND_HZ)
+        return found.imag / found.real / loss - 1
 
     return least_squares(error, np.full(len(BRANCH_TIMES_S), loss / 2), bounds=(0, np.inf)).x
 
 
-def modulus(shares: np.ndarray, frequency: float) -> complex:
-    """Return the complex stiffness at a frequency (Hz) over that of the spring."""
-    phase = 2j * np.pi * frequency * np.array(BRANCH_TIMES_S)
-    return complex(1 + (shares * phase / (1 + phase)).sum())
+def modulus(shares: np.ndarray, frequency: float | np.ndarray) -> np.ndarray:
+    """Return the complex stiffness at frequencies (Hz) over that of the spring, in their shape."""
+    phase = 2j * np.pi * np.multiply.outer(frequency, BRANCH_TIMES_S)
+    return np.asarray(1 + (shares * phase / (1 + phase)).sum(axis=-1))
 
 
 def material_plant(case: Case, loss: float, frequency: float, step: float) -> AnalyticalSnake:

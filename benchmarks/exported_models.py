@@ -206,7 +206,7 @@ def export(name: str, folder: Path) -> tuple[np.ndarray, float]:
     """
     from against_mj_step import step_controls
 
-    from srs_twin import TwinSnake, load_robot
+    from srs_twin import Gait, TwinSnake, load_robot, rollout
     from srs_twin.plants.twin.mjcf.export import robot_files, write_files
     from srs_twin.pneumatics.chambers import equivalent_linear_pressure
 
@@ -217,10 +217,7 @@ def export(name: str, folder: Path) -> tuple[np.ndarray, float]:
     pressure = step_controls(twin, PERIODS / FREQUENCY_HZ, frequency=FREQUENCY_HZ, offset=0.0)
     converted = equivalent_linear_pressure(spec, pressure.reshape(len(pressure), -1, 2))
     converted = converted.reshape(len(pressure), -1)
-    states = twin.physics.advance_bodies(
-        np.append(pressure, pressure[-1:], axis=0).reshape(-1, spec.segments, 2)
-    )[0]
-    path = twin.physics.kinematics(states).com[:, :2]
+    path = rollout(twin, Gait(FREQUENCY_HZ), PERIODS / FREQUENCY_HZ, record_hz=1 / twin.timestep).com[1:]
     return pressure if name == "limited_raw" else converted, mean_speed(path)
 
 

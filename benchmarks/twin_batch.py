@@ -57,12 +57,13 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         ]
         controls = np.zeros((len(twins), steps, models[0].nu))
         for k, trace in enumerate(traces):
-            flat = trace.pressure[:-1].reshape(steps, -1)
+            flat = twins[k].physics.controls(trace)[:-1]
             controls[k, :, : flat.shape[1]] = flat
         out = engine.rollout(steps, controls, record=(_SEEN, "sensordata"))
         for k, twin in enumerate(twins):
             mujoco.mj_setState(models[k], twin.physics.data, engine.state[k], _WHOLE)
-            batch = twin.physics.evaluate(out[_SEEN][k], out["sensordata"][k])
+            rates = traces[k].bend_rate[1:]
+            batch = twin.physics.evaluate(rates, out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
             recorders[k].add(twin._chunk_history(second + times, trace, batch, steps // samples))
     return [recorder.trajectory() for recorder in recorders]

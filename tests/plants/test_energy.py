@@ -272,7 +272,7 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     chambers.reset()
     times = plant.timestep * np.arange(round(duration / plant.timestep))
     trace = chambers.advance(gait.script(duration), np.append(times, duration))
-    controls = plant.physics._controls(trace)[:-1]
+    controls = plant.physics.controls(trace)[:-1]
     plant.reset()
     model, data, kind = plant.physics.model, plant.physics.data, mujoco.mjtState.mjSTATE_INTEGRATION
     state = np.empty(mujoco.mj_stateSize(model, kind))

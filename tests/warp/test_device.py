@@ -170,7 +170,7 @@ def test_device_controls_equal_those_of_the_processor():
         inputs=[*structs, states, ctrl],
         device="cpu",
     )
-    expected = twin.physics._controls(trace).mean(axis=0)
+    expected = twin.physics.controls(trace).mean(axis=0)
     assert ctrl.numpy()[0] == pytest.approx(expected, rel=1e-4, abs=1.0)
 
 

@@ -395,12 +395,12 @@ class SnakePhysics(Stateful):
         Args:
             trace: chambers at the beginning of each step and at the end, steps + 1 rows.
         """
-        controls = self._controls(trace)
+        controls = self.controls(trace)
         # Positions are those at the beginning of a step, or at its middle under loaded contact.
         controls = controls[:-1] if self.stepper is None else (controls[:-1] + controls[1:]) / 2
         return self._run_engine(controls) if self.stepper is None else self.stepper.run(controls)
 
-    def _controls(self, trace: Trace) -> np.ndarray:
+    def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
         The joints have springs and dampers against the rest bends, so the air exerts the rest of the moment
