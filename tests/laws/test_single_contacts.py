@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from free_bends import free_bends
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 from snakes import GRAVITY, chain, robot, throw, vented
@@ -184,16 +185,19 @@ def test_work_among_pegs_is_that_of_the_torques(make):
     # Impacts take much of it, in a step or two, with a velocity that changes within the step.
     spec = robot("gen2")
     pegs = Circle(0.24, 0.03, POST), Circle(0.24, -0.07, POST), Circle(0.13, 0.05, POST)
-    run = rollout(make(spec, World(pegs)), Gait(2.0), 1.5, record_hz=1000)
-    torque, bend = run.stack("torque"), run.stack("bend")
-    work = ((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum()
+    plant = make(spec, World(pegs))
+    run = rollout(plant, Gait(2.0), 1.5, record_hz=1000)
+    # The air works on the free bend; the difference to the bend is lost in the material or stored in it.
+    torque, free = run.stack("torque"), free_bends(plant, Gait(2.0), run.time).bend
+    work = ((torque[1:] + torque[:-1]) / 2 * np.diff(free, axis=0)).sum()
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
 
 
 @pytest.mark.slow
 def test_body_does_not_pass_through_walls():
     spec = robot("gen2")
-    wall = Polygon(((0.2, -0.5), (0.21, -0.5), (0.21, 0.5), (0.2, 0.5)))
+    # Long enough that the body, which slides along it, does not reach its end.
+    wall = Polygon(((0.2, -2.0), (0.21, -2.0), (0.21, 2.0), (0.2, 2.0)))
     plant = compliant(spec, World(polygons=(wall,)))
     trajectory = rollout(plant, Gait(2.0), 4.0)
     front = trajectory.position[..., 0].max() + spec.geometry.width / 2
