@@ -31,7 +31,8 @@ from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
-from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, stated
+from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, stable_step, stated
+from srs_twin.robot.file import RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, rollout, run_many
@@ -301,6 +302,20 @@ class PlantVariants:
         free = replace(self._scenario.world, obstacles=(), polygons=(), objects=())
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
+    def damped_twins(self) -> dict[str, Callable[[], Plant]]:
+        """Return the twin with the damping time at the ends of its 95 % interval; none without one."""
+        file = RobotFile.model_validate(self._scenario.document["robot"])
+        record = file.records()["bending.damping_time_s"]
+        if record.uncertain is None:
+            return {}
+        bounds = file.bending.bounds["damping_time_s"]
+        twins: dict[str, Callable[[], Plant]] = {}
+        for end in record.uncertain.quantile(record.value, bounds, np.array([0.025, 0.975])).tolist():
+            robot = _with_bending(self._scenario.robot, damping_time=end)
+            step = stable_step(self._twin.timestep_s, end)
+            twins[f"damping of {1e3 * end:.2g} ms"] = partial(self.twin, robot=robot, timestep=step)
+        return twins
+
     def stiff_twin(self) -> Plant:
         """Build the twin of the matched setting, whose bends are stiff."""
         spec = self._scenario.robot
@@ -401,6 +416,7 @@ def explain(
         shares=tuple(shares),
         remainder=_to_floats(remainder),
         matched=_to_floats(gap_between(runs["matched"], runs["stiff twin"])),
+        damping={name: _to_floats(gap_between(model, runs[name]) - gap) for name in variants.damped_twins()},
         same=tuple(variants.same),
         window_s=None if math.isinf(limit) else limit,
     )
@@ -471,7 +487,7 @@ def _builders(variants: PlantVariants, sets: Sequence[frozenset[str]]) -> dict[s
         builders[refinement.name] = partial(variants.twin, **refinement.options)
         if refinement.base:
             builders.setdefault(_variant_name(refinement.base), partial(variants.twin, **refinement.base))
-    return builders
+    return builders | variants.damped_twins()
 
 
 def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:

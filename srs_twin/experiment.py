@@ -287,7 +287,8 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
 
     Returns:
         "stale": reason why the file does not apply, or None if robot and scenario are unchanged; "file": its
-        path; "renew": the command that renews it; "plants": intervals of the metrics of each plant.
+        path; "renew": the command that renews it; "plants": intervals of the metrics of each plant;
+        "segments": ranges of the twin's speed over uncertain numbers of its segments, or None.
     """
     reference = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
     name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {reference} --write`"
@@ -310,7 +311,8 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
             "stale": f"the interval in {display_path(path)} is for another robot or scenario; "
             f"{renew} renews it"
         }
-    return {"stale": None, "file": display_path(path), "renew": renew, "plants": plants}
+    stored = {"stale": None, "file": display_path(path), "renew": renew, "plants": plants}
+    return stored | {"segments": data.get("segments")}
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:

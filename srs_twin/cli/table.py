@@ -94,6 +94,8 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
     table.add_row("difference", *map(_signed, attribution["gap"]))
     table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
+    for name, change in attribution["damping"].items():
+        table.add_row(f"change by a {name}", *map(_signed, change))
     return table
 
 

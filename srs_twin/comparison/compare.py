@@ -8,7 +8,8 @@ they differ.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import ClassVar
 
 import numpy as np
@@ -301,6 +302,7 @@ class Attribution:
         shares: contributions of the assumptions; together with the remainder they add up to the gap.
         window_s: length of the part of the runs, from the start, that all of this refers to, s; None: the
             whole runs.
+        damping: changes of the gap with the damping of the bends at the ends of its 95 % interval, by name.
     """
 
     reference: tuple[float, ...]
@@ -310,6 +312,7 @@ class Attribution:
     same: tuple[str, ...]
     shares: tuple[AssumptionShare, ...]
     window_s: float | None = None
+    damping: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def extent(self) -> str:

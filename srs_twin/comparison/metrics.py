@@ -327,7 +327,7 @@ def _summary_of_both(metrics: Mapping[str, Any], plants: Mapping[str, Mapping[st
     if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
         bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
-    text = f"he twin crawls {_crawling(metrics, metrics)}."
+    text = f"he twin crawls {_crawling(metrics, metrics)}.{_over_segments(metrics)}"
     if (before := metrics.get("before_contact")) is None:
         return f"T{text}"
     text = f"Over the whole run, t{text} Before the contact"
@@ -343,6 +343,22 @@ def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
     if max(rates) >= STRAIGHT_RAD_S:
         text += f", and turns {_compared(metrics, part, 'yaw_rate_rad_s', 'rad/s')}"
     return text
+
+
+def _over_segments(metrics: Mapping[str, Any]) -> str:
+    """Return a sentence on the difference in speed over the plausible segments; empty if none is stored."""
+    ranges = (metrics.get("intervals") or {}).get("segments")
+    if not ranges:
+        return ""
+    reference = metrics["plants"]["analytical"]["com_speed_m_s"]
+    low, high = (round(100 * (speed / reference - 1)) for speed in ranges["stiffness_and_damping"])
+    if high <= 0:
+        text = f"between {-low} and {-high} % slower"
+    elif low >= 0:
+        text = f"between {low} and {high} % faster"
+    else:
+        text = f"between {-low} % slower and {high} % faster"
+    return f" Over the plausible stiffness and damping of its segments it is {text}."
 
 
 def _direction(plant: Mapping[str, Any]) -> str:

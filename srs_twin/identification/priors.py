@@ -19,10 +19,7 @@ from scipy.special import ndtr, ndtri
 from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.file import RobotFile
-from srs_twin.robot.sourced import Uncertain
-
-_MIN_PROBABILITY = 1e-9
-"""Distance of probabilities from 0 and 1, where the normal quantiles are infinite."""
+from srs_twin.robot.sourced import MIN_PROBABILITY, Uncertain
 
 
 @dataclass(frozen=True)
@@ -47,17 +44,7 @@ class Prior:
 
     def quantile(self, probabilities: Array) -> Array:
         """Return the values of the parameter at cumulative probabilities."""
-        prior = self.uncertain
-        if prior.low is not None and prior.high is not None:
-            return prior.low + (prior.high - prior.low) * np.asarray(probabilities)
-        if prior.factor is not None:
-            # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
-            median = self.value if prior.median is None else prior.median
-            ends = np.log(np.maximum(self.bounds, 1e-300) / median) / np.log(prior.factor)
-            return np.asarray(median * prior.factor ** _truncated_normal(ends, probabilities))
-        assert prior.sd is not None, "the model of the file requires it"
-        ends = (np.array(self.bounds) - self.value) / prior.sd
-        return np.asarray(self.value + prior.sd * _truncated_normal(ends, probabilities))
+        return self.uncertain.quantile(self.value, self.bounds, probabilities)
 
     def cdf(self, values: Array) -> Array:
         """Return the cumulative probabilities of values, interpolated; 0 or 1 outside the distribution."""
@@ -67,13 +54,6 @@ class Prior:
     def with_measurement(self, value: float, sd: float) -> Prior:
         """Return a normal distribution around a measured value with the standard deviation `sd`."""
         return replace(self, value=value, uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}))
-
-
-def _truncated_normal(ends: Array, probabilities: Array) -> Array:
-    """Return quantiles of the standard normal distribution truncated at two ends."""
-    low, high = ndtr(ends)
-    inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
-    return np.asarray(ndtri(low + (high - low) * inside))
 
 
 @dataclass(frozen=True)
@@ -139,7 +119,7 @@ class Priors:
 
     def quantile(self, probabilities: Array) -> Array:
         """Return the parameters for independent uniform probabilities u, shape (…, d)."""
-        inside = np.clip(probabilities, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
+        inside = np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY)
         normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
         columns = [prior.quantile(ndtr(normal[..., i])) for i, prior in enumerate(self.parameters)]
         return np.stack(columns, axis=-1)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Annotated, Any, ClassVar, Generic, Literal, NamedTuple, TypeVar
 
+import numpy as np
 from pydantic import (
     ConfigDict,
     Field,
@@ -94,6 +95,10 @@ Unit = TypeVar("Unit")
 _DISTRIBUTION_KEYS = {"normal": ("sd",), "lognormal": ("factor",), "uniform": ("low", "high")}
 
 
+MIN_PROBABILITY = 1e-9
+"""Distance of probabilities from 0 and 1, where the normal quantiles are infinite."""
+
+
 class Uncertain(StrictModel):
     """Prior distribution of an uncertain number."""
 
@@ -130,6 +135,34 @@ class Uncertain(StrictModel):
     @model_serializer(mode="wrap")
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {key: value for key, value in inner(self).items() if value is not None}
+
+    def quantile(self, value: float, bounds: tuple[float, float], probabilities: np.ndarray) -> np.ndarray:
+        """Return the values at cumulative probabilities.
+
+        Args:
+            value: the number.
+            bounds: lowest and highest allowed number, at which all but uniform distributions are truncated.
+            probabilities: of any shape.
+        """
+        if self.low is not None and self.high is not None:
+            return self.low + (self.high - self.low) * np.asarray(probabilities)
+        if self.factor is not None:
+            # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
+            median = value if self.median is None else self.median
+            ends = np.log(np.maximum(bounds, 1e-300) / median) / np.log(self.factor)
+            return np.asarray(median * self.factor ** _truncated_normal(ends, probabilities))
+        assert self.sd is not None, "the model of the file requires it"
+        ends = (np.array(bounds) - value) / self.sd
+        return np.asarray(value + self.sd * _truncated_normal(ends, probabilities))
+
+
+def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
+    """Return quantiles of the standard normal distribution truncated at two ends."""
+    from scipy.special import ndtr, ndtri
+
+    low, high = ndtr(ends)
+    inside = np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY)
+    return np.asarray(ndtri(low + (high - low) * inside))
 
 
 class Record(StrictModel, Generic[Value, Unit]):

@@ -236,6 +236,19 @@ def test_headline_names_difference_and_main_cause(metrics, said):
     assert headline(metrics) == said
 
 
+@pytest.mark.parametrize(
+    ("speeds", "said"),
+    [
+        ([0.13, 0.19], "between 35 and 5 % slower"),
+        ([0.15, 0.23], "between 25 % slower and 15 % faster"),
+        ([0.21, 0.3], "between 5 and 50 % faster"),
+    ],
+)
+def test_headline_states_the_range_over_plausible_segments(speeds, said):
+    metrics = both((0.2, 0.16), intervals={"segments": {"stiffness_and_damping": speeds}})
+    assert f"Over the plausible stiffness and damping of its segments it is {said}." in headline(metrics)
+
+
 @pytest.mark.parametrize("averaged", [False, True])
 @pytest.mark.parametrize("twin", [0.05, 0.1234, 0.15, 0.196, 0.2049, 0.25, 0.31])
 @pytest.mark.parametrize("effect", [-1.7, -1.0, -0.5049, -0.26, 0.26, 0.505, 1.0, 1.004, 1.243, 2.5])

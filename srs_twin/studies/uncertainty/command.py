@@ -141,6 +141,9 @@ def _print_result(result: Propagation) -> None:
         print("without a result: " + ", ".join(f"{count} of {part}" for part, count in failed.items()))
     for text in result.limits["remarks"]:
         print(text)
+    for name, (low, high) in (result.segments or {}).items():
+        varied = name.replace("_", " ")
+        print(f"over the 95 % intervals of {varied} alone, the twin crawls at {low:.3g} to {high:.3g} m/s")
     plant, metric = result.target
     for entry in result.measure_next()[:_MAX_MEASUREMENTS]:
         print(

@@ -41,7 +41,7 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
     sampling_errors,
 )
 from srs_twin.studies.uncertainty.remarks import Remarks, remedy
-from srs_twin.studies.uncertainty.study import COMPLIANT, DAMPING, LEAD, UncertaintyStudy
+from srs_twin.studies.uncertainty.study import COMPLIANT, DAMPING, LEAD, SEGMENTS, UncertaintyStudy
 from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -95,7 +95,7 @@ class Propagation:
 
     Attributes:
         study: study.
-        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`.
+        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`; and `SEGMENTS`.
     """
 
     study: UncertaintyStudy
@@ -217,6 +217,19 @@ class Propagation:
             for i in np.argsort(-indices.total, kind="stable")
         ]
 
+    @property
+    def segments(self) -> dict[str, list[float]] | None:
+        """Lowest and highest speed of the twin over the 95 % intervals of uncertain numbers, m/s.
+
+        `stiffness_and_damping` varies both numbers, `damping` that alone. None if the runs are missing.
+        """
+        speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
+        if speeds is None or not np.isfinite(speeds).all():
+            return None
+        # The first three runs have the stiffness of the robot file.
+        ranges = {"stiffness_and_damping": speeds, "damping": speeds[:3]}
+        return {name: [float(values.min()), float(values.max())] for name, values in ranges.items()}
+
     @cached_property
     def remarks(self) -> dict[str, Remarks]:
         """Plant → limitations of its result for the target's metric."""
@@ -269,6 +282,7 @@ class Propagation:
             "plants": plants,
             "measure_next": self.measure_next(),
             "swings": self.swings(),
+            "segments": self.segments,
             **self.limits,
             "target": {"plant": plant, "metric": metric},
             "fidelity": {"evaluations": self.study.runs, "failed": self.failed},
@@ -320,6 +334,7 @@ class Propagation:
             if rows
             else 0
             for part, rows in self.rows.items()
+            if part != SEGMENTS
         }
 
 
@@ -369,7 +384,7 @@ def propagate(
         InputError: a folder cannot be written, or there is no result.
     """
     rows = {}
-    for part in study.runs:
+    for part in study.parts:
         sweep = study.sweep(part)
         with open_sweep(sweep, folder / part, changed=changed) as opened:
             missing = opened.missing()

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,10 @@ from srs_twin.studies.sweep.points import Experiment, Sweep, Value, sobol_points
 
 COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
+STIFFNESS = "bending.stiffness_nm_per_rad"
+SEGMENTS = "segments"
+"""Runs of the twin over the 95 % intervals of stiffness and damping, with the other numbers of the file."""
+SEGMENT_PROBABILITIES = (0.025, 0.975)
 LEAD = "robot.bending.lead"
 """Field of the two readings of the delay of a bend, which are equally likely."""
 
@@ -79,14 +84,20 @@ class UncertaintyStudy:
             )
         return runs
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Fidelities that run, and `SEGMENTS` if both plants run and stiffness and damping are uncertain."""
+        both = {"analytical", "twin"} <= set(self.plants) and {STIFFNESS, DAMPING} <= set(self.priors.paths)
+        return (*self.runs, *([SEGMENTS] if both else []))
+
     @cached_property
     def shares(self) -> np.ndarray:
         """Sobol points u of all samples, shape (samples, d)."""
         return self.draw(self.samples, self.seed)
 
     def sweep(self, part: str) -> Sweep:
-        """Return the runs of a fidelity: the samples, then the `REFERENCE_ROWS`."""
-        plant = "twin" if part == "twin" else "analytical"
+        """Return the runs of a part: of a fidelity the samples, then the `REFERENCE_ROWS`."""
+        plant = "twin" if part in ("twin", SEGMENTS) else "analytical"
         document = self.surrogate_scenario
         if part != COMPLIANT:
             alone = on_plant(self.scenario.document, plant)
@@ -95,7 +106,7 @@ class UncertaintyStudy:
         step = f"plants.{plant}.timestep_s"
         fields = (*(f"robot.{path}" for path in self.priors.paths), *self.discrete_choices, step)
         h = float(document["plants"][plant]["timestep_s"])
-        shares, count = self.shares[: self.runs[part]], len(self.priors.parameters)
+        shares, count = self.shares[: self.runs.get(part, 0)], len(self.priors.parameters)
         columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
         for share, values in zip(shares[:, count:].T, self.discrete_choices.values(), strict=True):
             columns.append([values[int(fraction * len(values))] for fraction in share])
@@ -115,6 +126,8 @@ class UncertaintyStudy:
             [*nominal, h],
             [*nominal, h / 2],
         ]
+        if part == SEGMENTS:
+            rows = list(self._over_segments(nominal, h))
         return Sweep(
             name=f"{self.scenario.name}, {part}",
             title=f"{self.scenario.title}: {part}",
@@ -126,6 +139,19 @@ class UncertaintyStudy:
             versions=versions(),
             document={"scenario": self.scenario.name, "priors": self.priors.document()},
         )
+
+    def _over_segments(self, nominal: Sequence[Any], step: float) -> Iterator[list[Any]]:
+        """Yield rows with the file's value, low, and high value of the stiffness, and of the damping time."""
+        places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
+        levels = []
+        for place in places:
+            prior = self.priors.parameters[place]
+            levels.append([prior.value, *prior.quantile(np.array(SEGMENT_PROBABILITIES)).tolist()])
+        for pair in product(*levels):
+            values = list(nominal)
+            for place, value in zip(places, pair, strict=True):
+                values[place] = value
+            yield [*values, stable_step(step, float(values[places[1]]))]
 
 
 def on_plant(

@@ -174,6 +174,9 @@ def _attribution(attribution: Attribution | None) -> dict[str, Any]:
         ("matched (stiff bends)", matched, attribution.matched),
     ):
         rows.append([name, description, "", *map(_signed, values)])
+    changes = "change of the difference if the bends of the twin have this damping time"
+    for name, change in attribution.damping.items():
+        rows.append([name, changes, "", *map(_signed, change)])
     caption = "Contributions to twin − analytical; thin lines: minimum and maximum over all orders."
     if attribution.extent:
         caption = f"{attribution.extent.capitalize()}. {caption}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,10 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
+from srs_twin import TwinSnake, rollout
+from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError, InputFileError
+from srs_twin.experiment import stored_intervals
 from srs_twin.identification.priors import Priors
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.validation import validate
@@ -309,6 +313,24 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(srs_twin, 
     # The published value belongs to the scenario with the original offset.
     modified = srs_twin("run", str(path), "--check", "--set", "controller.offset=0.2", cwd=tmp_path)
     assert modified.returncode == 0 and "expectations: none, 1 left out" in modified.stderr
+
+
+@pytest.mark.slow
+def test_stored_range_over_the_segments_is_that_of_other_robots():
+    scenario = load_scenario("gen2_straight")
+    spec, speeds = scenario.robot, []
+    # The 95 % intervals: uniform from 0.22 to 0.88 N·m/rad; lognormal with median 1.22 ms and factor 1.6.
+    for stiffness in (0.44, 0.22 + 0.025 * 0.66, 0.22 + 0.975 * 0.66):
+        for time in (2.14e-3, 1.22e-3 * 1.6**-1.96, 1.22e-3 * 1.6**1.96):
+            bending = replace(spec.bending, stiffness=stiffness, damping_time=time)
+            step = 0.5e-3 if time < 1e-3 else 1e-3
+            twin = TwinSnake(replace(spec, bending=bending), supply_pa=scenario.supply_pa, timestep=step)
+            run = rollout(twin, scenario.build_controller(), scenario.duration)
+            speeds.append(plant_metrics(run)["com_speed_m_s"])
+    stored = stored_intervals(scenario)["segments"]
+    # Close to a resonance the speed changes by 2 % within the rounding of these numbers.
+    assert stored["damping"] == pytest.approx([min(speeds[:3]), max(speeds[:3])], rel=0.005)
+    assert stored["stiffness_and_damping"] == pytest.approx([min(speeds), max(speeds)], rel=0.02)
 
 
 def test_a_second_start_repeats_no_run_and_prints_the_same(short, tmp_path):
