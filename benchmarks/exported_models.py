@@ -102,8 +102,10 @@ def run_mujoco_warp(folder: Path, controls: np.ndarray) -> Path2:
 
 def run_newton(folder: Path, controls: np.ndarray) -> Path2:
     """Step `scene_mjx.xml` in Newton with its MuJoCo solver; controls go to the actuators of MuJoCo."""
+    import mujoco
     import newton
 
+    rows = _all_controls(mujoco.MjModel.from_xml_path(str(folder / "scene_mjx.xml")), controls)
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
     builder.add_mjcf(str(folder / "scene_mjx.xml"))
@@ -111,10 +113,8 @@ def run_newton(folder: Path, controls: np.ndarray) -> Path2:
     solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
     before, after, control = model.state(), model.state(), model.control()
     masses, path = model.body_mass.numpy(), []
-    for row in controls:
-        values = np.zeros(control.mujoco.ctrl.shape[0], dtype=np.float32)
-        values[: len(row)] = row
-        control.mujoco.ctrl.assign(values)
+    for row in rows:
+        control.mujoco.ctrl.assign(row.astype(np.float32))
         solver.step(before, after, control, None, 0.001)
         before, after = after, before
         path.append((masses @ before.body_q.numpy()[:, :2] / masses.sum()).tolist())
@@ -176,8 +176,14 @@ def _at_home(model: Any) -> Any:
 
 
 def _all_controls(model: Any, controls: np.ndarray) -> np.ndarray:
-    """Return the controls of all actuators; those after the chambers have none."""
-    return np.pad(controls, [(0, 0), (0, model.nu - controls.shape[1])])
+    """Return the controls of all actuators: of the chambers, of their lags if there are any, otherwise 0."""
+    values = np.zeros((len(controls), model.nu))
+    values[:, : controls.shape[1]] = controls
+    lags = [k for k in range(model.nu) if model.actuator(k).name.endswith("_lag")]
+    if lags:
+        after = np.vstack([controls[1:], controls[-1]])
+        values[:, lags] = (controls + after) / 2
+    return values
 
 
 def _stepped(model: Any, controls: np.ndarray) -> Path2:
