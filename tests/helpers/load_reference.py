@@ -73,6 +73,7 @@ class Point:
         stiffness: of a segment, N·m/rad; None: the robot's.
         tail: of a tail on two axles, m: distances of its second axle and of its centre of mass behind the
             last connector's axle, height of the centre of mass, radius of gyration.
+        damping_s: damping time of the segments, s; None: the mode time constant of Eq. 14.
         changes: other numbers of the robot, as (key, value).
         periods: number of periods to simulate; from the last but two on, the gait is periodic within 0.05 %.
     """
@@ -83,6 +84,7 @@ class Point:
     kpa: float | None = None
     stiffness: float | None = None
     tail: tuple[float, float, float, float] | None = None
+    damping_s: float | None = None
     changes: tuple[tuple[str, float], ...] = ()
     periods: int = 6
 
@@ -114,6 +116,11 @@ POINTS = {
     "gen4_straight": Point("gen4", 1.5),
     "gen4_turn": Point("gen4", 1.5, offset=0.3),
     "gen3_tail": Point("gen3", 0.9, tail=(0.06, 0.045, 0.025, 0.025), periods=4),
+}
+POINTS |= {
+    f"{name}_damped": replace(point, damping_s=0.008)
+    for name, point in POINTS.items()
+    if not name.startswith(("stiff", "gen1_slow", "gen3_tail"))
 }
 
 
@@ -188,8 +195,7 @@ def numbers(point: Point) -> dict[str, Any]:
     if not isinstance(outcome["connectors_kg"], list):
         outcome["connectors_kg"] = [outcome["connectors_kg"]] * outcome["connectors"]
     outcome.update(point.changes)
-    # The pressures act at once, which is the law of the plants if both time constants are equal.
-    outcome["damping_time_s"] = outcome["tau_mode_s"]
+    outcome["damping_time_s"] = outcome["tau_mode_s"] if point.damping_s is None else point.damping_s
     if point.stiffness is not None:
         outcome["stiffness_nm_per_rad"] = point.stiffness
     outcome.setdefault(
@@ -305,7 +311,20 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
     x = n["bend_rad"] / (1000 * n["at_pressure_kpa"]) * _differences(wave, supply, *left)
     if (limit := n.get("bend_limit_rad")) is not None:
         x = x / (1 + (x / limit) ** 4) ** 0.25
+    # k q_f + c q_f' with q_f' = (x − q_f)/τ₂ and c = k T. With T = τ₂ the mode does not appear.
+    share = n["damping_time_s"] / n["tau_mode_s"]
+    x = share * x + (1 - share) * _mean_lags(x, part, n["tau_mode_s"])
     return np.asarray(n["stiffness_nm_per_rad"] * x.reshape(steps, elements, -1).mean(axis=1))
+
+
+@njit
+def _mean_lags(x, part, time):  # type: ignore[no-untyped-def]
+    """Return the mean over each part of a first-order lag behind values that are constant in each part."""
+    lagged, outcome, kept = np.zeros(x.shape[1]), np.empty_like(x), math.exp(-part / time)
+    for k in range(len(x)):
+        outcome[k] = x[k] + (lagged - x[k]) * (1 - kept) * time / part
+        lagged = x[k] + (lagged - x[k]) * kept
+    return outcome
 
 
 @njit

@@ -22,7 +22,8 @@ def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **op
         options: options of the twin.
     """
     point, spec = POINTS[name], load_robot(POINTS[name].robot)
-    spec = replace(spec, bending=replace(spec.bending, damping_time=spec.actuator.tau_mode))
+    damping_time = numbers(point)["damping_time_s"]
+    spec = replace(spec, bending=replace(spec.bending, damping_time=damping_time))
     if point.stiffness is not None:
         spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
     if point.tail is not None:

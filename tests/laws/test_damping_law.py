@@ -1,0 +1,91 @@
+"""The moment k (q_f − q) + c (q̇_f − q̇) on the twin: light bodies, hinges, closed chambers."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from free_bends import free_bends
+from snakes import robot
+
+from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, rollout
+from srs_twin.pneumatics.orifice import OrificePneumatics
+
+SUPPLY = 48_300.0
+FRICTIONLESS = {"mu_t": 1e-9, "mu_n": 1e-9}
+
+
+def damped(time: float, *, share: float = 1.0) -> RobotSpec:
+    """Return generation 2 without friction, with a damping time (s) and a share of its masses."""
+    spec = robot(**FRICTIONLESS)
+    masses = tuple(share * mass for mass in spec.mass.connectors)
+    mass = replace(spec.mass, connectors=masses, wheel=share * spec.mass.wheel)
+    return replace(spec, mass=mass, bending=replace(spec.bending, damping_time=time))
+
+
+def deviation(spec: RobotSpec, timestep: float = 0.001, **options: Any) -> float:
+    """Return the largest distance of the bends from Eq. 14 in a gait, rad."""
+    plant, gait = TwinSnake(spec, supply_pa=SUPPLY, timestep=timestep, **options), Gait(2.0, 0.1)
+    run = rollout(plant, gait, 0.6, record_hz=1000)
+    return float(np.abs(run.stack("bend") - free_bends(plant, gait, run.time).bend).max())
+
+
+@pytest.mark.parametrize(
+    "time", [0.00214, *(pytest.param(time, marks=pytest.mark.slow) for time in (0.008, 0.03))]
+)
+def test_bends_of_light_bodies_are_the_free_bends_to_first_order_in_the_step(time):
+    heavy, light = deviation(damped(time)), deviation(damped(time, share=1e-3))
+    assert light < 0.15 * heavy
+    fine = deviation(damped(time, share=1e-3), 0.0005)
+    assert fine == pytest.approx(light / 2, rel=0.25)
+    assert fine < 0.007
+
+
+@pytest.mark.parametrize("hinges", [1, 2, 4])
+def test_hinges_of_a_segment_have_its_stiffness_and_its_dissipation(hinges):
+    spec = damped(0.008)
+    model = TwinSnake(spec, hinges_per_segment=hinges, timestep=0.001).physics.model
+    names = [model.joint(i).name for i in range(model.njnt)]
+    bends = [i for i, name in enumerate(names) if name.startswith(("bend_1", "hinge_1"))]
+    assert len(bends) == hinges
+    stiffness = np.array([float(model.joint(i).stiffness[0]) for i in bends])
+    # A spring at the end of the step also damps, like h k, by which the model's dampers are reduced.
+    damping = model.dof_damping[model.jnt_dofadr[bends]] + 0.001 * stiffness
+    assert 1 / (1 / stiffness).sum() == pytest.approx(spec.bending.stiffness, rel=1e-9)
+    rate = 1.7
+    dissipated = (damping * (rate / hinges) ** 2).sum()
+    assert dissipated == pytest.approx(0.008 * spec.bending.stiffness * rate**2, rel=1e-9)
+
+
+@pytest.mark.parametrize("hinges", [1, 4])
+def test_held_bends_are_the_free_bends_on_any_number_of_hinges(hinges):
+    spec = damped(0.008)
+    plant = TwinSnake(spec, supply_pa=SUPPLY, hinges_per_segment=hinges)
+    filled = np.tile(np.array([1, -1], dtype=np.int8), (spec.segments, 1))
+    state = plant.play(plant.pneumatics.schedule(filled, 3.0), 1)
+    assert state.bend[-1] == pytest.approx(plant.pneumatics.bend, abs=1e-6)
+
+
+@pytest.mark.parametrize("time", [0.00214, 0.03])
+@pytest.mark.parametrize("kind", ["compliant", pytest.param("twin", marks=pytest.mark.slow)])
+def test_closed_chambers_are_passive(kind, time):
+    """Motion between closed chambers decays if T ≥ τ₂ a/(1 + a), with the air's stiffness a k."""
+    spec = damped(time)
+    chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out")
+    common: dict[str, Any] = {"pneumatics": chambers, "layout": "in_out", "timestep": 2.5e-4}
+    plant: AnalyticalSnake | TwinSnake
+    if kind == "twin":
+        plant = TwinSnake(spec, **common)
+    else:
+        plant = AnalyticalSnake(spec, model="compliant", friction="wheel", **common)
+    rollout(plant, Gait(2.0, 0.2), 0.62)
+    closed = plant.pneumatics.schedule(np.zeros((spec.segments, 2)), 1.0)
+    states = plant.play(closed, 500)
+    speed = np.gradient(states.bend, states.time, axis=0)
+    motion = (speed**2).sum(axis=1).reshape(10, 50).max(axis=1)
+    # Energy moves between the bends, so a tenth may keep what the one before had, but none grows.
+    rounding = 1e-20 * motion[0]
+    assert (motion[1:] <= 1.001 * motion[:-1] + rounding).all()
+    assert motion[-1] < 1e-2 * motion[0]
