@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from typing import Any
 
 import pytest
@@ -14,6 +15,7 @@ from srs_twin.experiment import prepare
 from srs_twin.io.documents import dump_yaml
 from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import Follower
+from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.metrics import FOLLOWING_UNITS, PLAN_UNITS
 from srs_twin.planning.pictures import following_plot
 from srs_twin.robot.world import fig54_world
@@ -316,3 +318,24 @@ def test_clearance_beyond_the_limit_is_reported_as_at_least_the_limit(srs_twin, 
     (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
     done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
     assert room in done.stdout and ("at least" in done.stdout) == (bound == 5.0)
+
+
+def test_the_printed_numbers_of_a_straight_plan_are_those_of_the_line(srs_twin, tmp_path):
+    """Without obstacles the least length is that of the line to the goal's circle."""
+    world = {
+        "goal": {"x_m": 0.9, "y_m": 0.0, "radius_m": 0.1},
+        "bounds": {"x_m": [-1, 2], "y_m": [-0.4, 0.4]},
+    }
+    about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world=world)
+    (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
+    done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
+    length, duration = map(float, re.search(r"length ([\d.]+) m, ([\d.]+) s at", done.stdout).groups())
+    ratio, clearance = map(
+        float, re.search(r"([\d.]+) times the least length .*?, ([\d.]+) mm", done.stdout).groups()
+    )
+    told = json.loads((tmp_path / "out/plan.json").read_text("utf-8"))
+    assert 0.8 <= length <= 0.9
+    assert ratio == pytest.approx(length / 0.8, abs=0.006) == told["quality"]["length_over_least"]
+    footprint = load_footprint("gen2_gait")
+    assert duration == pytest.approx(length / footprint.speeds[footprint.offsets.index(0.0)], rel=0.05)
+    assert 0 < clearance < 400

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 
 import numpy as np
@@ -15,6 +16,7 @@ from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import load_scenario, parse_scenario
+from srs_twin.studies.optimization.command import _print_result
 from srs_twin.studies.optimization.loading import DesignSpace, VariableFile, load_study
 from srs_twin.studies.optimization.report import bound_lines, write_result
 from srs_twin.studies.optimization.result import StudyResult
@@ -118,6 +120,35 @@ def test_an_interrupted_function_keeps_its_runs(tmp_path):
         <= set(found.files)
         <= {str(path.relative_to(folder)) for path in folder.rglob("*")}
     )
+
+
+def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
+    question = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=8, compliant=40)
+    with StudyRuns(question, tmp_path / "out", Engine()) as runs:
+        found = search(question, runs)
+        result = StudyResult.evaluate(question, found, runs)
+    _print_result(result)
+    printed = capsys.readouterr().out
+    numbers = {
+        label: [float(cell) for cell in re.search(rf"{re.escape(label)} +(.*)", printed)[1].split()]
+        for label in (
+            "gait frequency (Hz)", "controller phase step (rad)", "CoM speed (m/s)", "cost of transport"
+        )
+    }  # fmt: skip
+    frequencies, phase_steps, (begun, *speeds), (first_cost, *costs) = numbers.values()
+    assert [begun, first_cost] == pytest.approx([speed(1.0, 1.0, "twin"), cost(1.0, 1.0, "twin")], rel=1e-3)
+    assert len(frequencies) == min(5, len(result.document()["best"]))
+    for f, p, v, c in zip(frequencies, phase_steps, speeds, costs, strict=True):
+        assert [v, c] == pytest.approx([speed(f, p, "twin"), cost(f, p, "twin")], rel=0.01)
+    for name, values, before in (
+        ("CoM speed (m/s)", speeds, begun),
+        ("cost of transport", costs, first_cost),
+    ):
+        gain = float(re.search(rf"best/1: {re.escape(name)} \+([\d.]+) %", printed)[1])
+        assert gain == pytest.approx(100 * (values[0] / before - 1), rel=2e-3)
+    counts = re.search(r"(\d+) runs of compliant, (\d+) runs of twin", printed).groups()
+    ran = [run.part for run in found.runs]
+    assert [int(count) for count in counts] == [ran.count("compliant"), ran.count("twin")]
 
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))])
