@@ -31,7 +31,7 @@ from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
-from srs_twin.plants.twin.mjcf.numerics import LAW_OF, Numerics, PreloadedContact, stable_step, stated
+from srs_twin.plants.twin.mjcf.numerics import Numerics, PreloadedContact, stable_step, stated
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.spec import RobotSpec
@@ -211,25 +211,9 @@ class PlantVariants:
             title = "slip of MuJoCo's smoothed friction"
             return [Refinement("contact softness", title, {"contact": stiffer}, 2.0)]
         model_load = "across" if self._model.load == "momentary" else "static"
-        loads = Refinement(
-            "loads that follow the motion",
-            "momentary wheel loads instead of the model's loads",
-            {"contact": replace(contact, load=model_load)},
-            1.0,
-        )
-        wheels_of_law = {law: wheels for wheels, law in LAW_OF.items()}
-        on_skin = self._scenario.robot.skin is not None
-        if contact.law not in wheels_of_law or on_skin or self._scenario.world.uneven:
-            return [loads]
-        # Compare the two solvers under static loads.
-        solver = Refinement(
-            "friction solver",
-            "stick-slip friction → MuJoCo's own friction",
-            {"contact": PreloadedContact(wheels_of_law[contact.law])},
-            1.0,
-            base={"contact": replace(contact, load="static")},
-        )
-        return [loads, solver]
+        title = "momentary wheel loads instead of the model's loads"
+        changed = {"contact": replace(contact, load=model_load)}
+        return [Refinement("loads that follow the motion", title, changed, 1.0)]
 
     def _wheel_refinements(self) -> list[Refinement]:
         """Return the refinement of rolling wheels; none for other contacts."""
@@ -340,7 +324,7 @@ _MAX_STEPS = 12_000
 """Time steps of the twin after which the attribution ends if the controller reads the state.
 
 Such a controller acts at every tick, which costs several times the physics. The attribution simulates the
-twin about eleven times.
+twin about nine times.
 """
 _TICK_ROUNDING = 1e-6
 """Tolerance for whole ticks, as a fraction of a tick."""

@@ -69,7 +69,7 @@ def rollout(
     controller: Controller,
     duration: float,
     *,
-    pose: Pose = (0.0, 0.0, 0.0),
+    pose: Pose | None = None,
     begin: PlaceFunction | None = None,
     resume: tuple[PlantState, SavedState] | None = None,
     seed: int = 0,
@@ -80,15 +80,16 @@ def rollout(
 ) -> Trajectory:
     """Simulate a plant under a controller and record the trajectory.
 
-    The snake starts at rest unless `begin` or `resume` is given. A controller without sensor input has a
-    script of valve commands, which the plant simulates in chunks of many ticks. With `until` or `observers`,
-    for other controllers, and on plants that cannot play scripts, plant and controller alternate every tick.
+    The snake starts at rest at `pose`, unless `begin` or `resume` is given instead. A controller without
+    sensor input has a script of valve commands, which the plant simulates in chunks of many ticks. With
+    `until` or `observers`, for other controllers, and on plants that cannot play scripts, plant and
+    controller alternate every tick.
 
     Args:
         plant: simulated robot.
         controller: controller of its valves.
         duration: simulated time, s, a multiple of the plant's tick.
-        pose: initial pose: centre of mass x, y (m), mean heading (rad).
+        pose: initial pose: centre of mass x, y (m), mean heading (rad). Default: all 0.
         begin: function of plant and seed that sets another initial state, as `Plant.place` does.
         resume: saved states of plant and controller to continue from; the simulated time continues as well.
         seed: random seed of plant and controller.
@@ -104,12 +105,15 @@ def rollout(
         the description of the controller (``control``).
 
     Raises:
-        InputError: duration, tick, time step and record_hz are not compatible; the controller cannot drive
-            this valve layout; an obstacle overlaps the body at the start; a saved state belongs to another
-            plant or controller; or another thread uses the plant or the controller.
+        InputError: duration, tick, time step and record_hz are not compatible; several of pose, begin and
+            resume are given; the controller cannot drive this valve layout; an obstacle overlaps the body at
+            the start; a saved state belongs to another plant or controller; or another thread uses the plant
+            or the controller.
         DivergedError: plant or controller diverged; its `trajectory` has the samples recorded before.
     """
     check_types("rollout", rollout, locals())
+    if sum(start is not None for start in (pose, begin, resume)) > 1:
+        raise InputError("rollout: give only one of pose, begin and resume; each sets the whole start")
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     if plant.layout not in controller.layouts:
@@ -120,7 +124,10 @@ def rollout(
     if not controller.spatial:
         plant.spec.require_planar(f"controller '{controller.kind}'")
     with claim(plant), claim(controller):
-        state = plant.reset(pose=pose, seed=seed) if begin is None else begin(plant, seed)
+        if begin is None:
+            state = plant.reset(pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed)
+        else:
+            state = begin(plant, seed)
         controller.reset(plant.spec, plant.tick, seed=seed)
         if resume is not None:
             state = plant.restore(resume[0])
@@ -359,23 +366,23 @@ def _numbered_columns(prefix: str, values: np.ndarray, names: str | None = None)
 
 @dataclass(frozen=True)
 class Job:
-    """One run of `run_many`; the fields are the arguments of `rollout`.
+    """One run of `run_many`; the fields are arguments of `rollout`.
 
     Attributes:
-        plant: simulated robot, or a function that builds it. Consecutive jobs with the same function share
-            its plants, one per thread.
-        controller: controller of its valves, or a function that builds it.
+        plant: simulated robot, or a function that builds it. A thread calls the function again only if its
+            last job had another function.
+        controller: controller of the valves, or a function that builds it for every job.
         duration: simulated time, s.
-        pose: initial pose: centre of mass x, y (m), mean heading (rad).
+        pose: initial pose: centre of mass x, y (m), mean heading (rad). Default: all 0.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
-        begin: function that sets another initial state of the plant.
+        begin: function that sets another initial state of the plant, instead of `pose`.
     """
 
     plant: Plant | Callable[[], Plant]
     controller: Controller | Callable[[], Controller]
     duration: float
-    pose: Pose = (0.0, 0.0, 0.0)
+    pose: Pose | None = None
     seed: int = 0
     record_hz: float = 100
     begin: PlaceFunction | None = None

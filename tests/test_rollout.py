@@ -136,6 +136,20 @@ def test_suggested_record_hz_is_accepted(record_hz, tick, step):
         assert samples / stride == pytest.approx(tick * float(text), rel=1e-9)
 
 
+def test_only_one_start_is_accepted():
+    placed = []
+
+    def begin(plant: Plant, seed: int) -> SnakeState:
+        placed.append(seed)
+        return plant.reset(seed=seed)
+
+    with pytest.raises(InputError, match="give only one of pose, begin and resume"):
+        rollout(Clock(), Scripted(), 0.2, pose=(1.0, 0.0, 0.0), begin=begin)
+    assert not placed
+    rollout(Clock(), Scripted(), 0.2, begin=begin, seed=3)
+    assert placed == [3]
+
+
 @pytest.mark.parametrize("record_hz", [0, -50, np.nan, np.inf])
 def test_invalid_record_hz_is_rejected(record_hz):
     with pytest.raises(InputError, match="is not allowed; it must be finite and above 0"):

@@ -325,8 +325,7 @@ def run(
     Options:
         scenarios: Shipped scenarios, scenario files, or folders of files.
         --out DIR: Output folder; several scenarios get one subfolder each. [default: runs/SCENARIO]
-        --plants LIST: Plants to run: analytical, twin, or both separated by a comma. [default: those of the
-            scenario]
+        --plants LIST: Plants to run: analytical, twin or analytical,twin. [default: the scenario's]
     """
     run_all(
         make_cases(scenarios),

@@ -81,7 +81,10 @@ def show(result: RunResult) -> None:
 
 
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
-    """Return the table of the contributions of the assumptions to the difference."""
+    """Return the table of the contributions of the assumptions to the difference.
+
+    Below an average over the orders of switching, it states the range over these orders.
+    """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
     # Narrow headings leave room for the names of the assumptions at 80 columns.
     headings = [title.replace(" ", "\n", 1) + f"\n{unit}" for title, unit in measures]
@@ -91,6 +94,9 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     table = new_table("assumption", *headings, title=title)
     for share in attribution["shares"]:
         table.add_row(share["name"], *map(_signed, share["value"]))
+        if share["low"] != share["high"]:
+            table.add_row("  lowest, any order", *map(_signed, share["low"]))
+            table.add_row("  highest, any order", *map(_signed, share["high"]))
     table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
     table.add_row("difference", *map(_signed, attribution["gap"]))
     table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))

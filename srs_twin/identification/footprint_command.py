@@ -123,7 +123,7 @@ def margin(
 
     Options:
         --runs N: Number of runs on each plant.
-        --plants LIST: Plants: analytical, twin or both. [default: the scenario's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the scenario's]
         --out DIR: Output folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin

@@ -60,7 +60,7 @@ def replay(
         --fit FIT: Fit file of this robot (repeatable).
         --expect FILE.yaml: File of expectations, as in a scenario: `expect: …`.
         --bench: Robot (or single module) on a bench, clamped at its head, instead of on the floor.
-        --plants LIST: Plants: analytical, twin or both.
+        --plants LIST: Plants: analytical, twin or analytical,twin.
         --model NAME: Model of the analytical plant.
         --out DIR: Output folder. [default: runs/MOTION]
     """

@@ -225,7 +225,7 @@ class Follower(Controller):
         self._requested = reason
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
-        """See `Remembers`; the law starts on the path of the last plan before its own state is restored."""
+        """See `Stateful.load_state_dict`; the law first starts on the path of the last plan."""
         segments = memory["plans"][-1][1].segments
         if segments:
             self._path = ReferencePath(segments)

@@ -153,7 +153,7 @@ class Scenario:
     @property
     def timing(self) -> dict[str, Any]:
         """Arguments of `rollout` and `Job` that the scenario sets."""
-        names = ("duration", "pose", "begin", "seed", "record_hz")
+        names = ("duration", "pose" if self.begin is None else "begin", "seed", "record_hz")
         return {name: getattr(self, name) for name in names}
 
     @property

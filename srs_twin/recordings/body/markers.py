@@ -92,7 +92,7 @@ class TrackedBody:
         layout: one of `LAYOUTS`, or "named".
         shape: connectors, headings, bends and lengths, with errors.
         missing: connectors with a hidden marker, shape (frames, N).
-        spacing: largest distance of adjacent connectors, shape (segments,), m.
+        spacing: distance of adjacent connectors that 98 % of the frames do not exceed, shape (segments,), m.
         head: text on how the head was determined.
         corrections: texts on results and assumptions.
     """

@@ -45,7 +45,7 @@ class MarkerCounts:
         samples_rejected: number of these that are outliers.
         longest_filled_s: longest gap that was filled, between the samples around it, s.
         moves: number of changes of a marker to another column.
-        spacing_m: largest distance of adjacent connectors, head first, m.
+        spacing_m: distances of adjacent connectors that 98 % of the frames do not exceed, head first, m.
         residual_m: root mean square distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.
         bend_error_rad: root mean square of the standard errors of the bends, rad.
@@ -142,8 +142,9 @@ class LogSummary:
                 "belong to the robot",
                 f"filled: {self.samples_filled} positions, longest gap {counts.longest_filled_s:.3g} s",
                 f"kept: {self.frames_kept} frames, {span}, {cut} left out at the ends",
-                f"largest distances of adjacent connectors: {spacing} mm; distance of the markers from the "
-                f"body {1e3 * counts.residual_m:.2g} mm RMS, noise {1e3 * counts.noise_m:.2g} mm",
+                f"distances of adjacent connectors (98 % quantile): {spacing} mm; "
+                f"distance of the markers from the body {1e3 * counts.residual_m:.2g} mm RMS, "
+                f"noise {1e3 * counts.noise_m:.2g} mm",
                 f"standard error of a bend: {counts.bend_error_rad:.2g} rad",
             ]
         return "\n".join([*lines, *(f"corrected: {text}" for text in self.corrections)])

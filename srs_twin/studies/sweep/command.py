@@ -88,7 +88,7 @@ def sweep(
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
         --retry-failed: Run failed points again.
         --without FIELD=VALUE: Leave out the points with this value (repeatable).
-        --plants LIST: Plants: analytical, twin or both. [default: the sweep's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the sweep's]
     """
     runner = study.make_engine()
     from srs_twin.scenario.modified import marked

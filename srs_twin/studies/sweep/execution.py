@@ -482,7 +482,7 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
     timing = scenario.timing
     if "twin" not in experiment.plants:
         raise InputError("engine 'warp' runs only twins; add twin to plants")
-    if timing["begin"] is not None:
+    if scenario.begin is not None:
         raise InputError("engine 'warp' cannot start from a moving state")
     return tuple(timing[name] for name in ("duration", "seed", "record_hz"))
 
@@ -496,6 +496,6 @@ def _run(batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenar
             batch_class([twin for _, _, twin in group], device=device),
             [scenario.build_controller() for scenario in scenarios],
             timing["duration"], seed=timing["seed"], record_hz=timing["record_hz"],
-            poses=[scenario.timing["pose"] for scenario in scenarios],
+            poses=[scenario.pose for scenario in scenarios],
         )
     )  # fmt: skip

@@ -53,7 +53,7 @@ def uncertainty(
 
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
-        --plants LIST: Plants: analytical, twin or both. [default: the scenario's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the scenario's]
         --samples N: Number of robots drawn from the distributions.
         --twin N: Number of runs of the twin, if the model compliant runs all samples.
         --without NAME: Parameter to keep at its value in the robot file, e.g. friction.drag_n (repeatable).
