@@ -13,10 +13,12 @@ import argparse
 import math
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.extensions import allow_plugin
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario
 
@@ -36,7 +38,7 @@ CONTROLLERS = {
     "vent": {"response": "vent"},
     "vent, amplitude 1": {"response": "vent", "amplitude": 1.0},
 }
-"""Keys of `controller: {kind: compliant_gait}`; a gain of 0 is the open-loop wave."""
+"""Keys of the controller `yielding_gait:YieldingGait`; a gain of 0 is the open-loop wave."""
 
 
 def speed(seed: int, cell: tuple[float, float], keys: dict[str, object], plant: str) -> float:
@@ -45,12 +47,13 @@ def speed(seed: int, cell: tuple[float, float], keys: dict[str, object], plant: 
     changes = {
         "seed": seed,
         "duration_s": DURATION_S,
-        "controller": {"kind": "compliant_gait", "frequency_hz": 1.0} | keys,
+        "controller": {"kind": "yielding_gait:YieldingGait", "frequency": 1.0} | keys,
         "world.pegs.pitch_m": pitch,
         "robot.bending.stiffness_nm_per_rad": stiffness,
         "robot.modules.gain_spread": 0.05,
         "robot.modules.tau_spread": 0.05,
     }
+    allow_plugin(Path(__file__).with_name("yielding_gait.py"))
     scenario = load_scenario("pegs_skin", set=changes)
     snake, controller = scenario.build_plant(plant), scenario.build_controller()
     run = rollout(snake, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed)

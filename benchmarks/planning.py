@@ -1,8 +1,8 @@
 """Success, time and path length of each planner in the 900 worlds of Fig. 55, and safety of the plans.
 
-    uv run --extra ompl python benchmarks/planning.py                 # 1 to 18 obstacles, 50 draws each
+    uv run --group benchmarks python benchmarks/planning.py           # 1 to 18 obstacles, 50 draws each
     uv run python benchmarks/planning.py --draws 5 --worlds 100       # a short run
-    uv run --extra ompl python benchmarks/planning.py --json out.json --plot out.png
+    uv run --group benchmarks python benchmarks/planning.py --json out.json --plot out.png
 
 Times are wall times of one process after a warm-up. The fields of the dissertation are easy for any planner
 with backtracking, so fields of 35 to 55 circles are planned as well. The safety part uses separate worlds
@@ -29,7 +29,7 @@ from timing import machine
 
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint_file import load_footprint
-from srs_twin.planning.planner import plan
+from srs_twin.planning.planner import PLANNERS, plan
 from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.robot.world import (
     FIG54_BOUNDS,
@@ -69,6 +69,9 @@ def planners() -> dict[str, Settings]:
     """Return the installed planners with their settings."""
     result = {"greedy": Settings(), "best_first": Settings()}
     if find_spec("ompl"):
+        from rrt_connect import rrt_connect
+
+        PLANNERS["ompl"] = rrt_connect
         result["ompl"] = Settings(seconds=OMPL_S)
     return result
 

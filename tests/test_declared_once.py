@@ -23,7 +23,6 @@ OTHER = {
     "AnalyticalFile.slip_speed_m_s": "the constructor multiplies it by the time unit of the robot",
     "DeadSensorFile.reading_rad": "nothing is read unless a reading is given",
     "FollowFile.delay_s": "a real snake answers late",
-    "OmplFile.seconds": "it has no other end",
     "TwinFile.contact": "a file names what is an object",
     "RandomFile.clear_m": "one distance, where `random_circles` takes discs",
     "RandomFile.seed": "the scenario's",

@@ -18,7 +18,6 @@ GAIT = {"kind": "gait", "frequency_hz": 2.0}
 STEP = {"kind": "step", "bend_rad": 0.4}
 CONTROLLERS = {
     "gait": GAIT,
-    "compliant_gait": {"kind": "compliant_gait", "frequency_hz": 1.0},
     "ilc": {"kind": "ilc", "frequency_hz": 1.0},
     "direct_smc": {"kind": "direct_smc", "reference": STEP},
     "iterative_smc": {"kind": "iterative_smc", "reference": STEP},
@@ -37,7 +36,6 @@ SLIDING = {"reference": "rad", "error": "rad", "sigma": "rad/s"}
 DUTIES = {"duty_plus": "1", "duty_minus": "1"}
 SIGNALS = {
     "gait": {"offset": "1"},
-    "compliant_gait": {"offset": "1", "wave_amplitude": "1", "phase_step": "rad", "blocked": "1"},
     "ilc": {
         "offset": "1", "target_plus": "rad", "target_minus": "rad", "amplitude_plus": "rad",
         "amplitude_minus": "rad", **DUTIES,

@@ -30,6 +30,11 @@ _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
 _WITH_UNIT = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE)
 _ANY = object()
+RETIRED_KINDS = {
+    "compliant_gait": "it was retired, because none of its reactions helps (docs/contact.md#yielding-gaits)",
+    "ompl": "it was retired; `benchmarks/rrt_connect.py` has it, and best_first solves what it solves",
+}
+"""Kinds of blocks that earlier versions had → why they are gone, and what to use instead."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -169,7 +174,10 @@ def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
     else:
         names = [name.strip("'") for name in context.get("expected_tags", "").split(", ")]
         value = child(block, key)
-        close = did_you_mean(value, names) if isinstance(value, str) else ""
+        close = ""
+        if isinstance(value, str):
+            retired = RETIRED_KINDS.get(value)
+            close = f": {retired}" if retired else did_you_mean(value, names)
         document.report(
             (*loc, key), f"must be one of {format_names(names)}, not {_describe_value(value)}{close}"
         )

@@ -90,7 +90,7 @@ class FollowFile(ControllerSection):
         """See `ControllerSection.controller`; plans on the first call.
 
         Raises:
-            InputError: start or goal is not possible, or the extra `ompl` is missing.
+            InputError: start or goal is not possible.
         """
         planner: ScenarioPlanner = context.products["planner"]
         body, problem, settle = planner.footprint, planner.problem, self.settle_m

@@ -28,19 +28,18 @@ from srs_twin.io.arguments import checked
 from srs_twin.planning.best_first import best_first
 from srs_twin.planning.collision import Checker, obstacle_shapes
 from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.greedy import greedy
 from srs_twin.planning.infeasibility import COARSE, prove_unreachable
 from srs_twin.planning.path import Segment, path_from_arcs, path_steps
 from srs_twin.planning.problem import Plan, Problem, Settings, check_problem
-from srs_twin.planning.reference_planners import greedy, rrt_connect
 from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
     "best_first": best_first,
     "greedy": lambda problem, _: greedy(problem),
-    "ompl": rrt_connect,
 }
-"""Planners by name; `ompl` needs the extra of that name."""
+"""Planners by name."""
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """Widths added to both edges to find paths with more clearance, in widths of the straight body."""
@@ -62,8 +61,7 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     Args:
         problem: start, goal, world and body.
         settings: budget and options of the search; ignored by `greedy`.
-        planner: `best_first`; `greedy`, the planner of the dissertation; or `ompl`, RRT-Connect of the Open
-            Motion Planning Library.
+        planner: `best_first`, or `greedy`, the planner of the dissertation.
 
     Raises:
         InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.

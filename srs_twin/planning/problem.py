@@ -206,8 +206,8 @@ class Plan(HtmlResult):
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path; empty unless found.
         expanded: number of expanded nodes.
-        cell: side (m) and heading width (rad) of the finest cells that were searched; None for `greedy`,
-            `ompl` and proofs of infeasibility.
+        cell: side (m) and heading width (rad) of the finest cells that were searched; None for `greedy`
+            and proofs of infeasibility.
         touches: parts of the path that lean on obstacles; None unless `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
         problem: the problem, with the edges that must stay free; not compared.

@@ -166,7 +166,7 @@ class PlannerSection(ExtensionSection):
             **settings: fields of `Settings` that the section does not set; a given path has none.
 
         Raises:
-            InputError: start or goal is not possible, or the extra `ompl` is missing.
+            InputError: start or goal is not possible.
         """
 
 
@@ -244,15 +244,6 @@ class GreedyFile(_SearchFile):
     """Motion primitives (default: those of Section 5.2: 21 arcs of 0.2 m with turns up to 60 degrees)."""
 
 
-class OmplFile(_SearchFile):
-    """RRT-Connect of the Open Motion Planning Library (extra ompl)."""
-
-    kind: Literal["ompl"]
-    """Planner."""
-    seconds: float = quantity(0.001, 3600.0, 1.0, unit="s")
-    """Limit on the wall time."""
-
-
 class GivenFile(PlannerSection):
     """Given path, as in Fig. 56; obstacles are ignored."""
 
@@ -279,10 +270,10 @@ class GivenFile(PlannerSection):
         )
 
 
-PlannerFile = Annotated[BestFirstFile | GreedyFile | OmplFile | GivenFile, Field(discriminator="kind")]
+PlannerFile = Annotated[BestFirstFile | GreedyFile | GivenFile, Field(discriminator="kind")]
 PLANNER_FILES: dict[str, type[PlannerSection]] = {
     get_args(section.model_fields["kind"].annotation)[0]: section
-    for section in (BestFirstFile, GreedyFile, OmplFile, GivenFile)
+    for section in (BestFirstFile, GreedyFile, GivenFile)
 }
 """Section of each kind of planner."""
 
@@ -309,7 +300,7 @@ class ScenarioPlanner:
         """Return the plan, computed once for both plants and the report.
 
         Raises:
-            InputError: start or goal is not possible, or the extra `ompl` is missing.
+            InputError: start or goal is not possible.
         """
         return _plan(self)
 

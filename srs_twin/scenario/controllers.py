@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from srs_twin.control.base import Controller
-from srs_twin.control.compliant_gait import SMALLEST_AMPLITUDE, CompliantGait, check_robot, layouts_of
 from srs_twin.control.duties import MAX_OFFSET, ChamberPeriods
 from srs_twin.control.gait import Gait, PitchWave
 from srs_twin.control.grasp import Grasp, check_hold, check_release
@@ -400,43 +399,5 @@ class GraspFile(ControllerSection):
         check_release(self.mode, self.drag_m)
 
 
-class CompliantGaitFile(ControllerSection):
-    """Lateral undulation that yields to contact."""
-
-    constructors = (CompliantGait,)
-
-    kind: Literal["compliant_gait"]
-    """Controller."""
-    frequency_hz: float = _FREQUENCY
-    """Gait frequency."""
-    offset: float = quantity(-0.95, 0.95)
-    """Steering offset, positive to the left."""
-    response: Literal["amplitude", "wave_number", "hold", "vent"] = constructor_default()
-    """Reaction to contact: an admittance on the amplitude or on the lag per segment; or blocked segments hold
-    their air or vent."""
-    gain: float = quantity(-10.0, 10.0)
-    """Gain of the admittance; above 0 the wave yields, below 0 it pushes harder."""
-    time_s: float = quantity(0.001, 100.0)
-    """Time constant of the admittance."""
-    amplitude: float = quantity(SMALLEST_AMPLITUDE, 1.0)
-    """Nominal amplitude of the wave relative to that of full pressure."""
-    threshold_rad: float = quantity(0.01, 3.0)
-    """Lag of a bend behind its free bend above which the segment is blocked (hold, vent)."""
-    phase_rad: float = _PHASE
-    """Phase at the start."""
-    phase_step_rad: float | None = _PHASE
-    """Lag of each segment behind the one before it (default: the robot's)."""
-
-    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
-        """See `ControllerSection.layouts`."""
-        return layouts_of(self.response)
-
-    def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`: two or more segments that bend in one plane."""
-        check_robot(spec)
-
-
-CORE_CONTROLLERS = (
-    GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile, CompliantGaitFile
-)  # fmt: skip
+CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile)
 """Controller sections of the core."""

@@ -43,7 +43,6 @@ GIVEN = {
 }  # fmt: skip
 CONTROLLERS = {
     "gait": GAIT | {"offset": 0.1},
-    "compliant_gait": {"kind": "compliant_gait", "frequency_hz": 1.5, "offset": 0.1},
     "ilc": {"kind": "ilc", "frequency_hz": 1.5, "offset": 0.1, "steering": "targets_and_wave"},
     "direct_smc": {
         "kind": "direct_smc", "reference": {"kind": "sine", "amplitude_rad": 0.5, "frequency_hz": 1.0},

@@ -14,9 +14,9 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, arc_end
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import load_footprint
+from srs_twin.planning.greedy import arc_through
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
-from srs_twin.planning.reference_planners import arc_through
 from srs_twin.robot.world import FIG54_GOAL, FIG54_START, Circle, Goal, Pose, World, fig54_world
 
 TEXT = load_footprint("gen2_section52")

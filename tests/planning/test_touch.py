@@ -168,7 +168,6 @@ def scenario(**changes: object) -> dict:
     ("changes", "message"),
     [
         ({"kind": "greedy"}, "kind: greedy cannot lean on obstacles"),
-        ({"kind": "ompl"}, "kind: ompl cannot lean on obstacles"),
         ({"kind": "given", "turns_rad": [0], "step_m": 1}, "kind: given cannot lean on obstacles"),
         ({"clearance_weight": 1}, "touch: allowed and clearance_weight exclude each other"),
         ({"shape_changes": True}, "touch: allowed and shape_changes exclude each other"),

@@ -81,7 +81,6 @@ DISTRIBUTION = "srs-twin"
 PURPOSES = {
     "envs": "reinforcement-learning environments (docs/environments.md)",
     "gpu": "twins on a GPU (`srs-twin sweep --engine warp`)",
-    "ompl": "OMPL as a baseline planner (`planner: {kind: ompl}`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "live": "live twin over MQTT, journals",
     "recordings": "recordings in C3D and MCAP files and ROS bags",

@@ -1,4 +1,4 @@
-r"""Reference planners for comparison: the planner of the dissertation, and RRT-Connect.
+r"""The planner of the dissertation, for comparison.
 
 `greedy`, Section 5.2.1, grows two trees of one branch each, from the start and from the goal. At the newest
 node of each side in turn, start first, all N arcs are scored and the one with the lowest score g + h is
@@ -20,30 +20,17 @@ follow such a plan exactly. The joint is the arc whose length is the arc distanc
 tighter than the primitives.
 
 The backward branch grows from the goal with the heading turned by π and the reversed footprint.
-
-`rrt_connect` uses the Open Motion Planning Library (extra `ompl`) with the same collision checks. Its motions
-are Dubins paths with the footprint's tightest turn, and its path is shortened, as in `best_first`. The
-library seeds its random numbers once per process and its budget is wall time, so plans differ between runs.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import ArcSequence, Primitives
-from srs_twin.planning.collision import Checker, ObstacleGrid
-from srs_twin.planning.dubins import dubins_path, shortest_path
-from srs_twin.planning.moves import (
-    MoveSet,
-    follow_dubins_path,
-    initial_state,
-    make_move_set,
-    shorten_path,
-)
-from srs_twin.planning.path import Segment, make_segment, path_from_arcs
-from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
+from srs_twin.planning.arcs import Primitives
+from srs_twin.planning.collision import Checker
+from srs_twin.planning.path import Segment, make_segment
+from srs_twin.planning.problem import Outcome, Plan, Problem
 from srs_twin.robot.world import Pose
 
 G_STEP_M = 0.001
@@ -51,9 +38,6 @@ G_STEP_M = 0.001
 
 _MAX_BRANCH_ARCS = 200
 """Arcs per branch after which the search ends: 40 m with the primitives of Section 5.2."""
-
-DEFAULT_SECONDS = 1.0
-"""Wall time of `rrt_connect` without `Settings.seconds`, s."""
 
 Branch = list[tuple[Pose, float]]
 """Start pose and curvature (1/m) of each arc."""
@@ -136,82 +120,3 @@ def _joined_path(
         # The same arc from its other end turns to the other side.
         path.append(make_segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, length, body))
     return tuple(path)
-
-
-def rrt_connect(problem: Problem, settings: Settings) -> Plan:
-    """Plan by RRT-Connect; of the settings only `seconds` and `smooth` are used.
-
-    Raises:
-        InputError: the extra `ompl` is not installed, the problem has no bounds or no arrival heading, or the
-            footprint has transients.
-    """
-    try:
-        from ompl import base, geometric, util
-    except ImportError as error:
-        raise InputError("planner ompl needs the extra of that name: pip install 'srs-twin[ompl]'") from error
-    bounds, goal, body = problem.world.bounds, problem.goal, problem.footprint
-    if bounds is None or goal.heading is None or body.transients:
-        raise InputError("planner ompl needs bounds, an arrival heading, and a footprint without transients")
-    util.noOutputHandler()
-    radius = 1 / min(body.tightest)
-    moves = make_move_set(Primitives(3, 0.5, 0.5 * radius), body)
-    grid = Checker(problem.world, body).grid
-    space = base.DubinsStateSpace(radius)
-    box = base.RealVectorBounds(2)
-    for axis, (low, high) in enumerate((bounds.x, bounds.y)):
-        box.setLow(axis, low)
-        box.setHigh(axis, high)
-    space.setBounds(box)
-    setup = geometric.SimpleSetup(space)
-    info = setup.getSpaceInformation()
-    validator = _motion_validator(base)(info, moves, grid, radius)
-    info.setMotionValidator(validator)
-    # A state is a motion of length 0.
-    setup.setStateValidityChecker(lambda state: validator.is_free(_pose(state), _pose(state)))
-    setup.setStartAndGoalStates(
-        _state(space, problem.start), _state(space, Pose(goal.x, goal.y, goal.heading))
-    )
-    # Compile the kernels before the time limit starts.
-    validator.is_free(problem.start, problem.start)
-    setup.setPlanner(geometric.RRTConnect(info))
-    seconds = settings.seconds or DEFAULT_SECONDS
-    setup.solve(seconds)
-    if not setup.haveExactSolutionPath():
-        return Plan(Outcome.BUDGET_SPENT, f"no path after {seconds:g} s; give more seconds")
-    poses = [_pose(state) for state in setup.getSolutionPath().getStates()]
-    path: ArcSequence = []
-    for a, b in zip([problem.start, *poses[1:]], poses[1:], strict=False):
-        path += shortest_path(a, b.x, b.y, b.heading, radius)
-    if settings.smooth:
-        path = shorten_path(problem.start, path, moves, grid, radius)
-    return Plan(Outcome.FOUND, "a free path", path_from_arcs(problem.start, path, body))
-
-
-def _motion_validator(base: Any) -> Any:
-    """Return the class of the motion validator; its base class needs the optional library."""
-
-    class Validator(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
-        def __init__(self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float) -> None:
-            super().__init__(info)
-            self.moves, self.grid, self.radius = moves, grid, radius
-
-        def is_free(self, a: Pose, b: Pose) -> bool:
-            path = dubins_path(a.x, a.y, a.heading, b.x, b.y, b.heading, False, self.radius)
-            return bool(follow_dubins_path(initial_state(*a, self.moves), path, self.moves, self.grid)[0])
-
-        def checkMotion(self, a: Any, b: Any, last: Any = None) -> bool:  # noqa: N802
-            return self.is_free(_pose(a), _pose(b))
-
-    return Validator
-
-
-def _pose(state: Any) -> Pose:
-    return Pose(state.getX(), state.getY(), state.getYaw())
-
-
-def _state(space: Any, pose: Pose) -> Any:
-    state = space.allocState()
-    state.setX(pose.x)
-    state.setY(pose.y)
-    state.setYaw(math.remainder(pose.heading, 2 * math.pi))
-    return state

@@ -62,12 +62,12 @@ def check_robot(spec: RobotSpec) -> None:
     Raises:
         InputError: it has not.
     """
-    spec.require_planar("controller 'compliant_gait'")
+    spec.require_planar("a yielding gait")
     if spec.segments < 2:
-        raise InputError(f"controller 'compliant_gait' needs two or more segments; {spec.name} has one")
+        raise InputError(f"a yielding gait needs two or more segments; {spec.name} has one")
 
 
-class CompliantGait(Gait):
+class YieldingGait(Gait):
     """Gait of Eq. 13 that yields to contact (module docstring).
 
     Attributes:
@@ -77,7 +77,7 @@ class CompliantGait(Gait):
         blocked: whether a segment is blocked, shape (segments,).
     """
 
-    kind = "compliant_gait"
+    kind = "yielding_gait:YieldingGait"
     state_attributes = ("rest_level", "amplitude", "lag", "blocked", "_readings", "_events")
     layouts: tuple[str, ...] = Gait.layouts
     spatial = False
