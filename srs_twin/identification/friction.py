@@ -397,7 +397,12 @@ def fit_coasting(
     estimate = replace(estimate, parameters=parameters)
     if not validation or len(estimate.values) < len(_NAMES):
         return estimate
-    return model.with_validation(estimate, validation)
+    added = [
+        replace(residual, role="validation")
+        for run in validation
+        for residual in model.validation_residuals(run, estimate.values)
+    ]
+    return replace(estimate, residuals=(*estimate.residuals, *added))
 
 
 _STDS_IN_HALF_WIDTH = 1.96
@@ -496,21 +501,14 @@ class _CoastingModel:
             for direction, column in zip(_DIRECTIONS, difference.T, strict=True)
         ]
 
-    def with_validation(self, estimate: FitEstimate, validation: Sequence[CoastingTest]) -> FitEstimate:
-        """Return the estimate with the residuals of validation runs, whose motions are fitted."""
-        added: list[Residual] = []
-        for run in validation:
-            angle = self._misalignment(run, 0.0)
+    def validation_residuals(self, run: CoastingTest, fitted: Mapping[str, float]) -> Sequence[Residual]:
+        """Return the residuals of a run with fitted coefficients; only its motion is fitted."""
+        angle, motion = self._misalignment(run, 0.0), _motion(run, 0)
 
-            def residuals(
-                values: Mapping[str, float], run: CoastingTest = run, angle: float = angle
-            ) -> list[Residual]:
-                return self._residuals(run, 0, {**estimate.values, **values}, angle)
+        def residuals(values: Mapping[str, float]) -> list[Residual]:
+            return self._residuals(run, 0, {**fitted, **values}, angle)
 
-            motion = _motion(run, 0)
-            new = least_squares(residuals, motion).residuals if motion else residuals({})
-            added += [replace(residual, role="validation") for residual in new]
-        return replace(estimate, residuals=(*estimate.residuals, *added))
+        return least_squares(residuals, motion).residuals if motion else residuals({})
 
 
 _SHARP_SLIP = 1e-12
@@ -526,11 +524,10 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     late = run.position[-few:].mean(axis=0)
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)
     rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
-    angle = 0.0
-    if rolls:
-        angle = float(np.clip(moved[1] / moved[0], -_MAX_ROLL_ANGLE_RAD / 2, _MAX_ROLL_ANGLE_RAD / 2))
-    c, s = np.cos(angle), np.sin(angle)
-    travel = np.abs((late - run.position[: max(1, few // 4)].mean(axis=0)) @ np.array([[c, -s], [s, c]]))
+    limit = _MAX_ROLL_ANGLE_RAD / 2
+    angle = min(max(float(moved[1] / moved[0]), -limit), limit) if rolls else 0.0
+    turned = (late - run.position[: max(1, few // 4)].mean(axis=0)) @ [1.0, 1.0j] * np.exp(-1j * angle)
+    travel = abs(turned.real), abs(turned.imag)
     unknowns = [
         FreeParameter(f"{direction}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
         for direction, guess, distance in zip(_DIRECTIONS, run.velocity, travel, strict=True)
