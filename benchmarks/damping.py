@@ -297,18 +297,18 @@ def show_table() -> None:
 
 
 def main() -> None:
+    """Print the tables that the options ask for."""
     words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name in ("spectra", "material", "steps", "table"):
-        words.add_argument(f"--{name}", action="store_true")
-    options = words.parse_args()
-    if options.spectra:
-        show_spectra()
-    if options.material:
-        show_material()
-    if options.steps:
-        show_steps()
-    if options.table:
-        show_table()
+    shows = {
+        "--spectra": show_spectra,
+        "--material": show_material,
+        "--steps": show_steps,
+        "--table": show_table,
+    }
+    for name, show in shows.items():
+        words.add_argument(name, dest="shows", action="append_const", const=show)
+    for show in words.parse_args().shows or ():
+        show()
 
 
 if __name__ == "__main__":

@@ -62,7 +62,8 @@ def coasting(rng: np.random.Generator) -> FitEstimate:
     for k, velocity in enumerate([(0.5, 0.0), (0.0, 0.8)]):
         path = slide(velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2))
         x, y = (path + 1e-3 * rng.normal(size=path.shape)).T
-        seen = Trajectory({"time": time, "com_x": x, "com_y": y, "heading": 0 * time})
+        straight = {f"bend_{j}": 0 * time for j in range(1, 5)}
+        seen = Trajectory({"time": time, "com_x": x, "com_y": y, "heading": 0 * time} | straight)
         runs.append(CoastingTest.from_trajectory(seen, f"throw_{k}", start=0.0))
     return fit_coasting(runs, GEN2)
 

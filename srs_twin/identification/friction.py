@@ -11,15 +11,28 @@ coefficient; the kinetic one may be smaller. A table of pulls is a CSV file with
 in that direction). ``spring_n_per_m`` and ``mass_kg`` are the same in all rows that have them, as are their
 optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg``.
 
-**Coasting tests.** The straight robot with vented chambers is pushed and released on the floor. It
+**Coasting tests.** The robot with vented chambers is pushed and released on the floor. If it is straight, it
 decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across them; in other directions the friction law
 determines the deceleration (`floor.slide`, which also defines s). Initial position and velocity of each run
 are fitted together with μ_t and μ_n. If the motion of a run in one direction is within the noise, its initial
 velocity in that direction is set to 0.
+
+**Bent bodies.** The wheels of a bent body cannot all roll. The body follows the circular arc that takes the
+least power, on which its wheels are misaligned by
+
+$$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert $$
+
+on average, with the heading δ_i of connector i. Slip across the wheels adds to the drag, which is
+μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a frame that turns with the body, and
+the angle between its mean heading and its direction of rolling is fitted. The bends are a nuisance: ε follows
+from the recorded bends, or from the rest bends of the robot file if none are recorded. Errors of the bends
+(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change it by at most their own ε, because ε is a seminorm. Fits with ε
+smaller and larger by the 95 % quantile of that change give further intervals, and the result includes these.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -46,6 +59,7 @@ from srs_twin.recordings.body.trajectories import moving_slope
 from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_table
 from srs_twin.recordings.recorded_file import read_file
 from srs_twin.recordings.signals.units import LENGTHS
+from srs_twin.robot import friction
 from srs_twin.robot.friction import LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -255,18 +269,38 @@ _NOISE_M = 1e-3
 _MIN_TRAVEL = 3.0
 """Smallest travel in a direction, in standard deviations, for its initial velocity to be fitted."""
 
+_MAX_ROLL_ANGLE_RAD = 0.1
+"""Largest angle between the mean heading of a bent body and the direction in which it rolls."""
+
+_HEADING_DEGREE = 3
+"""Degree of the polynomial in time that smooths the heading."""
+
+_BEND_ERROR_RAD = 0.01
+"""Standard deviation of the mean recorded bend of a segment: markers are not exactly on the centre line."""
+
+_UNSEEN_BEND_RAD = 0.03
+"""Standard deviation of the bend of a segment about the robot file's, if bends are not recorded."""
+
+_BEND_DRAWS = 1000
+"""Number of random errors of the bends."""
+
+_MAX_HALF_WIDTH = 0.1
+"""Largest distance of the ends of the interval from an identified coefficient, as a fraction of it."""
+
 
 @dataclass(frozen=True)
 class CoastingTest:
-    """Recorded deceleration of the straight robot after a push.
+    """Recorded deceleration of the vented robot after a push.
 
     Attributes:
         name: name of the data.
         sha256: SHA-256 of the data.
         time: time from the first used sample, shape (samples,), s.
-        position: centre of mass along and across the mean heading, from the first sample, (samples, 2), m.
+        position: path of the centre of mass along and across the heading, from the first sample, (samples,
+            2), m.
         velocity: first guess of the initial velocity, along and across, m/s.
         span: begin and end of the used samples on the recording's clock, s.
+        bends: mean recorded bends, shape (segments,), rad; None if bends are not recorded.
     """
 
     name: str
@@ -275,6 +309,7 @@ class CoastingTest:
     position: np.ndarray
     velocity: tuple[float, float]
     span: tuple[float, float]
+    bends: np.ndarray | None = None
 
     @classmethod
     def from_trajectory(
@@ -308,11 +343,15 @@ class CoastingTest:
                 f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts; {_MAX_TURN_RAD:g} rad is "
                 "allowed: push it straight along or across"
             )
-        c, s = np.cos(heading.mean()), np.sin(heading.mean())
-        position = (com - com[0]) @ np.array([[c, -s], [s, c]])
+        trend = np.polynomial.Polynomial.fit(time, heading, _HEADING_DEGREE)(time)
+        middle = (trend[1:] + trend[:-1]) / 2
+        steps = np.diff(com, axis=0) @ [1.0, 1.0j] * np.exp(-1j * middle)
+        path = np.concatenate([[0.0], np.cumsum(steps)])
+        position = np.stack([path.real, path.imag], axis=1)
         guess = moving_slope(time, position)[0]
         velocity, span = (float(guess[0]), float(guess[1])), (float(time[0]), float(time[-1]))
-        return cls(name, trajectory_hash(trajectory), time - time[0], position, velocity, span)
+        bends = trajectory.stack("bend")[first:].mean(axis=0) if trajectory.has("bend_1") else None
+        return cls(name, trajectory_hash(trajectory), time - time[0], position, velocity, span, bends)
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -347,57 +386,154 @@ def fit_coasting(
         raise InputError(f"friction law '{law}' is not allowed here; allowed: {', '.join(allowed)}")
     assign_roles("coasting tests", runs, validation)
     share = spin_share(spec) if wheel_inertia else 0.0
-
-    def residuals(values: Mapping[str, float]) -> list[Residual]:
-        return [
-            residual
-            for k, run in enumerate(runs)
-            for residual in _coasting_residuals(run, k, values, law, share)
-        ]
-
-    velocities = [unknown for k, run in enumerate(runs) for unknown in _initial_velocities(run, k)]
-    unknowns = [*free_parameters(spec, _NAMES), *velocities]
-    estimate = least_squares(residuals, unknowns, held={"spin_share": share}, watch=watch)
+    model = _CoastingModel(spec, law, share)
+    estimate = model.fit(runs, 0.0, watch)
+    if "friction.mu_n" not in estimate.values:
+        # The drag of a bent body depends on μ_n, which these runs do not show.
+        model = replace(model, mu_n=spec.friction.mu_n)
+        estimate = model.fit(runs, 0.0, watch)
+    ends = [model.fit(runs, side, None) for side in (-1.0, 1.0)]
+    parameters = tuple(_widened(parameter, ends) for parameter in estimate.parameters)
+    estimate = replace(estimate, parameters=parameters)
     if not validation or len(estimate.values) < len(_NAMES):
         return estimate
-    return _with_validation(estimate, validation, law, share)
+    added = [
+        replace(residual, role="validation")
+        for run in validation
+        for residual in model.validation_residuals(run, estimate.values)
+    ]
+    return replace(estimate, residuals=(*estimate.residuals, *added))
 
 
-def _initial_velocities(run: CoastingTest, k: int) -> list[FreeParameter]:
-    """Return the initial velocities of run k, in the directions in which it moves, as nuisance parameters."""
+_STDS_IN_HALF_WIDTH = 1.96
+"""Half width of a 95 % interval in standard deviations."""
+
+
+def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
+    """Return ε (module docstring) of bodies with bends of shape (..., segments), shape (...), rad."""
+    weights = spec.mass.array() / spec.mass.total
+    number = np.arange(len(weights))
+    headings = np.concatenate([np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1)
+    smallest = np.full(bends.shape[:-1], np.inf)
+    # A line with the least sum of absolute deviations passes through two of its points.
+    for i, j in itertools.combinations(number, 2):
+        slope = (headings[..., j] - headings[..., i]) / (j - i)
+        line = headings[..., i, None] + slope[..., None] * (number - i)
+        smallest = np.minimum(smallest, np.abs(headings - line) @ weights)
+    return smallest
+
+
+def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
+    """Return a parameter whose interval includes the intervals of fits with other misalignments."""
+    fits = [parameter, *(end[parameter.name] for end in ends)]
+    for fit in fits:
+        if fit.value is None:
+            return fit
+    low = min(fit.low for fit in fits if fit.low is not None)
+    high = max(fit.high for fit in fits if fit.high is not None)
+    verdict, why, value = parameter.verdict, parameter.why, parameter.value or 0.0
+    if verdict == "identified" and max(value - low, high - value) > _MAX_HALF_WIDTH * value:
+        verdict, why = "weakly identified", f"its interval reaches beyond ±{_MAX_HALF_WIDTH:.0%}"
+    error = (high - low) / 2 / _STDS_IN_HALF_WIDTH
+    return replace(parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why)
+
+
+@dataclass(frozen=True)
+class _CoastingModel:
+    """Prediction of coasting tests.
+
+    Attributes:
+        spec: robot.
+        law: friction law.
+        share: s of `floor.slide`.
+        mu_n: coefficient of the slip of a bent body across its wheels; None: the fitted μ_n.
+    """
+
+    spec: RobotSpec
+    law: str
+    share: float
+    mu_n: float | None = None
+
+    def fit(self, runs: Sequence[CoastingTest], side: float, watch: Watch | None) -> FitEstimate:
+        """Fit the coefficients.
+
+        Args:
+            runs: coasting tests.
+            side: −1 or 1 for the lower or the upper end of the interval of ε; 0 for its best value.
+            watch: see `fit_coasting`.
+        """
+        angles = [self._misalignment(run, side) for run in runs]
+
+        def residuals(values: Mapping[str, float]) -> list[Residual]:
+            return [
+                residual
+                for k, run in enumerate(runs)
+                for residual in self._residuals(run, k, values, angles[k])
+            ]
+
+        motions = [unknown for k, run in enumerate(runs) for unknown in _motion(run, k)]
+        unknowns = [*free_parameters(self.spec, _NAMES), *motions]
+        return least_squares(residuals, unknowns, held={"spin_share": self.share}, watch=watch)
+
+    def _misalignment(self, run: CoastingTest, side: float) -> float:
+        """Return ε of a run; `side` as in `fit`."""
+        known, error = run.bends, _BEND_ERROR_RAD
+        if known is None:
+            known, error = self.spec.modules.array("bias"), _UNSEEN_BEND_RAD
+        errors = error * np.random.default_rng(0).normal(size=(_BEND_DRAWS, len(known)))
+        change = float(np.quantile(misalignment(errors, self.spec), LEVEL))
+        return max(float(misalignment(known, self.spec)) + side * change, 0.0)
+
+    def _residuals(
+        self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
+    ) -> list[Residual]:
+        """Return the residuals of run k by direction; subtracting their mean fits the initial position."""
+        velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
+        mu_t, mu_n = (values[name] for name in _NAMES)
+        slip_law = getattr(friction, self.law)
+        along, across, *_ = slip_law(1.0, angle, 1.0, mu_t, self.mu_n or mu_n, _SHARP_SLIP)
+        drag = -along - angle * across
+        path = slide(velocity, run.time, law=self.law, mu_t=drag, mu_n=mu_n, share=self.share)
+        turned = path @ [1.0, 1.0j] * np.exp(1j * values.get(f"roll_{k}", 0.0))
+        difference = run.position - np.stack([turned.real, turned.imag], axis=1)
+        return [
+            Residual(f"{run.name} {direction}", "m", column - column.mean(), _NOISE_M)
+            for direction, column in zip(_DIRECTIONS, difference.T, strict=True)
+        ]
+
+    def validation_residuals(self, run: CoastingTest, fitted: Mapping[str, float]) -> Sequence[Residual]:
+        """Return the residuals of a run with fitted coefficients; only its motion is fitted."""
+        angle, motion = self._misalignment(run, 0.0), _motion(run, 0)
+
+        def residuals(values: Mapping[str, float]) -> list[Residual]:
+            return self._residuals(run, 0, {**fitted, **values}, angle)
+
+        return least_squares(residuals, motion).residuals if motion else residuals({})
+
+
+_SHARP_SLIP = 1e-12
+"""Slip speed at a unit speed that only avoids 0/0."""
+
+
+def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
+    """Return the initial velocities of run k and its angle of rolling as nuisance parameters.
+
+    A direction in which the run does not move has no velocity.
+    """
     few = len(run.time) // 4
-    travel = np.abs(run.position[-few:].mean(axis=0) - run.position[: max(1, few // 4)].mean(axis=0))
-    return [
+    late = run.position[-few:].mean(axis=0)
+    moved = late - run.position[2 * few : 3 * few].mean(axis=0)
+    rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
+    limit = _MAX_ROLL_ANGLE_RAD / 2
+    angle = min(max(float(moved[1] / moved[0]), -limit), limit) if rolls else 0.0
+    turned = (late - run.position[: max(1, few // 4)].mean(axis=0)) @ [1.0, 1.0j] * np.exp(-1j * angle)
+    travel = abs(turned.real), abs(turned.imag)
+    unknowns = [
         FreeParameter(f"{direction}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
         for direction, guess, distance in zip(_DIRECTIONS, run.velocity, travel, strict=True)
         if distance > _MIN_TRAVEL * _NOISE_M
     ]
-
-
-def _coasting_residuals(
-    run: CoastingTest, k: int, values: Mapping[str, float], law: str, share: float
-) -> list[Residual]:
-    """Return the residuals of run k by direction; subtracting their mean fits the initial position."""
-    velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
-    mu_t, mu_n = (values[name] for name in _NAMES)
-    difference = run.position - slide(velocity, run.time, law=law, mu_t=mu_t, mu_n=mu_n, share=share)
-    return [
-        Residual(f"{run.name} {direction}", "m", column - column.mean(), _NOISE_M)
-        for direction, column in zip(_DIRECTIONS, difference.T, strict=True)
-    ]
-
-
-def _with_validation(
-    estimate: FitEstimate, validation: Sequence[CoastingTest], law: str, share: float
-) -> FitEstimate:
-    """Return the estimate with the residuals of validation runs, whose initial velocities are fitted."""
-    added: list[Residual] = []
-    for run in validation:
-
-        def residuals(values: Mapping[str, float], run: CoastingTest = run) -> list[Residual]:
-            return _coasting_residuals(run, 0, {**estimate.values, **values}, law, share)
-
-        velocities = _initial_velocities(run, 0)
-        new = least_squares(residuals, velocities).residuals if velocities else residuals({})
-        added += [replace(residual, role="validation") for residual in new]
-    return replace(estimate, residuals=(*estimate.residuals, *added))
+    if rolls:
+        bound = _MAX_ROLL_ANGLE_RAD
+        unknowns.append(FreeParameter(f"roll_{k}", "rad", angle, -bound, bound, 1.0, nuisance=True))
+    return unknowns

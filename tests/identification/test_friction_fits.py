@@ -7,12 +7,13 @@ import math
 import numpy as np
 import pytest
 from laws.test_stopping import sliding_skid, sliding_wheel
-from scipy import stats
+from scipy import optimize, stats
 from snakes import GRAVITY, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, Plant, PreloadedContact, Trajectory, TwinSnake
 from srs_twin.errors import InputError
-from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls
+from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls, misalignment
+from srs_twin.identification.parameters import with_values
 from srs_twin.plants.analytical.floor import slide, spin_share
 
 SPEC = robot(stiffness=20.0)
@@ -78,9 +79,10 @@ def test_intervals_from_pulls_cover_the_truth():
 
 
 def thrown(
-    velocity, *, noise=0.0, seed=0, law="wheel", share=None, heading=0.3, seconds=1.0, mu=(MU_T, MU_N)
-) -> CoastingTest:
-    """Return a coasting test sampled at 100 Hz."""
+    velocity, *, noise=0.0, seed=0, law="wheel", share=None, heading=0.3, seconds=1.0, mu=(MU_T, MU_N),
+    bends=(0.0, 0.0, 0.0, 0.0),
+) -> CoastingTest:  # fmt: skip
+    """Return a coasting test of a straight body, sampled at 100 Hz, with the recorded bends."""
     time = np.arange(0.0, seconds, 0.01)
     share = spin_share(SPEC) if share is None else share
     way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], share=share)
@@ -88,6 +90,7 @@ def thrown(
     place = way @ np.array([[c, s], [-s, c]]) + [3.0, -2.0]
     place = place + noise * np.random.default_rng(seed).normal(size=place.shape)
     columns = {"time": time + 7.0, "com_x": place[:, 0], "com_y": place[:, 1]}
+    columns |= {f"bend_{k}": np.full_like(time, bend) for k, bend in enumerate(bends, start=1)}
     return CoastingTest.from_trajectory(
         Trajectory(columns | {"heading": np.full_like(time, heading)}), f"throw_{seed}", start=7.0
     )
@@ -158,7 +161,7 @@ def test_validation_throws_do_not_influence_the_fit():
         fit_coasting(runs, SPEC, validation=[runs[0]])
 
 
-def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> CoastingTest:
+def coasting_record(plant: Plant, velocity: tuple[float, float], seconds: float) -> Trajectory:
     """Record the coasting of a plant with an initial velocity."""
     throw(plant, velocity)
     states = [plant.step(vented(SPEC)) for _ in range(round(seconds / plant.tick))]
@@ -166,7 +169,14 @@ def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> Coas
     time = plant.tick * np.arange(len(states))
     heading = np.array([state.heading for state in states])
     columns = {"time": time, "com_x": com[:, 0], "com_y": com[:, 1], "heading": heading}
-    return CoastingTest.from_trajectory(Trajectory(columns), f"{plant.name} {velocity}", start=0.0)
+    bends = np.array([state.bend for state in states])
+    return Trajectory(columns | {f"bend_{k}": bend for k, bend in enumerate(bends.T, start=1)})
+
+
+def coasted(plant: Plant, velocity: tuple[float, float], seconds: float) -> CoastingTest:
+    """Return the coasting test of a plant with an initial velocity."""
+    record = coasting_record(plant, velocity, seconds)
+    return CoastingTest.from_trajectory(record, f"{plant.name} {velocity}", start=0.0)
 
 
 def test_coefficients_of_the_analytical_plant_are_recovered():
@@ -185,6 +195,64 @@ def test_coefficients_of_the_twin_are_recovered(wheels, law):
     assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
     # Contacts stop slip within 10 ms, so the friction tests allow 3 % of the distance.
     assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.03)
+
+
+def test_misalignment_is_the_smallest_mean_deviation_from_an_arc():
+    """A uniform arc has none; the reference for a general body is a numerical search."""
+    assert misalignment(np.full(4, 0.1), SPEC) == pytest.approx(0.0, abs=1e-15)
+    # Headings 0, 0, 0.1, 0, 0: a straight line misses only the middle one of five equal masses.
+    assert misalignment(np.array([[0.0, 0.1, -0.1, 0.0]]), SPEC) == pytest.approx([0.02])
+    rng = np.random.default_rng(3)
+    one, two = rng.normal(size=(2, 4))
+    together = misalignment(one + two, SPEC)
+    assert 0 < together <= misalignment(one, SPEC) + misalignment(two, SPEC)
+    headings = np.concatenate([[0.0], np.cumsum(one)])
+    found = optimize.minimize(
+        lambda line: np.abs(headings - line[0] - line[1] * np.arange(5)).mean(),
+        [0.0, 0.0], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12, "maxiter": 4000},
+    )  # fmt: skip
+    assert misalignment(one, SPEC) == pytest.approx(found.fun, rel=1e-6)
+
+
+SIGNS = (1, -1, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def bent_throws() -> list[Trajectory]:
+    """Throws of a twin with rest bends of 0.02 rad, along and across, without noise."""
+    bends = {f"modules.bias_rad_{k}": 0.02 * sign for k, sign in enumerate(SIGNS, start=1)}
+    spec = with_values(robot(), bends | {"friction.mu_t": MU_T, "friction.mu_n": MU_N})
+    return [coasting_record(TwinSnake(spec, tick=0.01), v, 0.8) for v in ((0.5, 0.0), (0.0, 0.8))]
+
+
+def test_recorded_bends_give_the_coefficients_of_a_bent_body(bent_throws):
+    runs = [CoastingTest.from_trajectory(throw, str(k), start=0.0) for k, throw in enumerate(bent_throws)]
+    fit = fit_coasting(runs, robot())
+    assert fit["friction.mu_t"].value == pytest.approx(MU_T, rel=0.015)
+    assert fit["friction.mu_t"].verdict == "identified"
+    assert fit["friction.mu_n"].value == pytest.approx(MU_N, rel=0.015)
+
+
+def test_unrecorded_bends_are_not_ignored(bent_throws):
+    runs = []
+    for k, record in enumerate(bent_throws):
+        columns = {name: record[name] for name in record.columns if not name.startswith("bend_")}
+        runs.append(CoastingTest.from_trajectory(Trajectory(columns), str(k), start=0.0))
+    found = fit_coasting(runs, robot())["friction.mu_t"]
+    # Without the bends, the slip that they cause counts as friction along the wheels.
+    slip = math.sqrt(MU_N**2 - MU_T**2) * misalignment(0.02 * np.array(SIGNS), SPEC)
+    assert slip > 0.05 * MU_T
+    assert found.value == pytest.approx(MU_T + slip, rel=0.01)
+    assert found.low < MU_T < found.high
+    assert (found.verdict, found.why) == ("weakly identified", "its interval reaches beyond ±10%")
+
+
+def test_bends_of_a_body_without_sideways_throws_use_the_known_normal_friction():
+    bends = (0.01, -0.01, 0.01, -0.01)
+    fit = fit_coasting([thrown((0.5, 0.0), noise=1e-3, bends=bends)], SPEC)
+    assert fit["friction.mu_n"].verdict == "not identifiable"
+    slip = math.sqrt(SPEC.friction.mu_n**2 - MU_T**2) * misalignment(np.array(bends), SPEC)
+    assert fit["friction.mu_t"].value == pytest.approx(MU_T - slip, rel=0.01)
 
 
 def test_unsuitable_throws_are_refused():

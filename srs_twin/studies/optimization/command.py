@@ -124,4 +124,8 @@ def _print_result(result: StudyResult) -> None:
             print(f"best/{k + 1}: misses the constraints, as all runs of the twin do, by the least amount")
         if not design["survives"]:
             print(f"best/{k + 1}: changes by more than 1 % with a finer time step or more hinges")
+    if result.improvement is not None:
+        print(f"one more run of the twin is expected to improve the best by {100 * result.improvement:.2g} %")
+    if result.warning:
+        print(f"warning: {result.warning}")
     print(", ".join(f"{count} runs of {part}" for part, count in document["evaluations"].items()))

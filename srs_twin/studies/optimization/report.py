@@ -182,6 +182,8 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
             best=_best_table(result),
             plots=pictures,
             fidelities=_fidelity_text(result),
+            improvement=percentage(result.improvement),
+            warning=result.warning,
             made_with=Table(["", ""], versions),
         ),
     )

@@ -16,7 +16,7 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.optimization.runs import Run, StudyRuns, metric_of
-from srs_twin.studies.optimization.search import Optimum, excesses
+from srs_twin.studies.optimization.search import MAX_IMPROVEMENT, Optimum, excesses
 from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
@@ -76,6 +76,7 @@ class StudyResult:
         initial: unmodified scenario with the fixed fields.
         designs: best designs, best first.
         files: names of the written files; empty without an output folder.
+        improvement: see `Optimum`.
     """
 
     study: OptimizationStudy
@@ -83,6 +84,7 @@ class StudyResult:
     initial: EvaluatedDesign
     designs: tuple[EvaluatedDesign, ...]
     files: tuple[str, ...] = ()
+    improvement: float | None = None
 
     @classmethod
     def evaluate(cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns) -> StudyResult:
@@ -105,7 +107,8 @@ class StudyResult:
         for k, run in enumerate(optimum.best):
             own = samples[(k + 1) * len(robots) : (k + 2) * len(robots)]
             evaluated.append(EvaluatedDesign(run, tuple(refined[2 * k : 2 * k + 2]), tuple(own)))
-        result = cls(study, optimum.runs, evaluated[0], tuple(evaluated[1:]))
+        designs_found = tuple(evaluated[1:])
+        result = cls(study, optimum.runs, evaluated[0], designs_found, improvement=optimum.improvement)
         return result if study.file.objectives[0].quantile is None else result.ranked_by_quantile()
 
     def ranked_by_quantile(self) -> StudyResult:
@@ -124,10 +127,23 @@ class StudyResult:
             "best": [self._design_document(k) for k in range(len(self.designs))],
             "evaluations": {part: sum(run.part == part for run in self.runs) for part in study.experiments},
             "begun": {name: _number(self.initial.run.metric(name)) for name in self.metrics},
+            "expected_improvement": self.improvement,
+            "warning": self.warning,
             "fidelities": {o.metric: self.fidelity_correlation(o.metric) for o in objectives},
             "seed": study.file.seed,
             "versions": versions(),
         }
+
+    @property
+    def warning(self) -> str | None:
+        """Sentence for a search that its budget ended too early; None otherwise."""
+        if self.improvement is None or self.improvement <= MAX_IMPROVEMENT:
+            return None
+        gain = f"{100 * self.improvement:.1f} %"
+        return (
+            "The budget ended the search, although one more run of the twin is expected to improve the best "
+            f"result by {gain}; raise budget.twin."
+        )
 
     def _design_document(self, k: int) -> dict[str, object]:
         """Return a best design as JSON values."""

@@ -9,6 +9,14 @@ $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \
 two at a time; the second is chosen as if the first had given its expected result. Candidates are all designs
 that the low-fidelity model has run, and in every round new random neighbours of the best designs.
 
+**Constraints.** The low-fidelity model may violate a constraint where the twin does not, and CMA-ES avoids
+such designs. A process per constraint therefore predicts the twin's value, like that of the objective. In
+every round many more neighbours, also of designs that just miss a constraint, are judged with low-fidelity
+results that another process predicts. Only the most promising of them are run.
+
+**End.** After the last run, the largest expected improvement among new neighbours is computed. If it is still
+large, the result contains a warning.
+
 **Two objectives.** The low-fidelity model is searched with several weights of a Tchebycheff scalarisation
 (Knowles 2006). New designs maximise the expected growth of the area dominated by the Pareto front (Emmerich
 et al. 2006). Every other round improves one end of the front instead: an end can move far with little gain in
@@ -25,6 +33,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import RBFInterpolator
 from scipy.stats import norm
 
 from srs_twin.errors import InputError
@@ -65,6 +74,15 @@ _CMA_SHARE = 0.6
 _POPULATION = 12
 """Population size of CMA-ES."""
 
+_SCREENED = 256
+"""Number of neighbours, and of designs from the whole space, that are judged without a run."""
+
+_SMOOTHING = 1e-9
+"""Smoothing of the interpolated low-fidelity results, against singular equations."""
+
+MAX_IMPROVEMENT = 0.005
+"""Largest expected improvement, as a fraction of the best result, without a warning."""
+
 _IMPROVEMENT_DRAWS = 64
 """Number of draws of a candidate's results for the expected gain in area."""
 
@@ -81,10 +99,13 @@ class Optimum:
         best: best run of the twin and more runs at a distance from it, best first; with two objectives the
             Pareto front, sorted by the first one.
         runs: all runs in order.
+        improvement: largest expected improvement by a further run, as a fraction of the best result; None
+            with two objectives or without a feasible run.
     """
 
     best: tuple[Run, ...]
     runs: tuple[Run, ...]
+    improvement: float | None = None
 
 
 def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
@@ -103,7 +124,8 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
     state.run_initial_designs()
     while state.budget_left() and state.iterate():
         pass
-    return Optimum(state.best(), tuple(runs.requested))
+    improvement = state.expected_improvement()
+    return Optimum(state.best(), tuple(runs.requested), improvement)
 
 
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
@@ -164,7 +186,9 @@ class _Search:
         cma = _cma()
         budget = int(_CMA_SHARE * self._study.file.budget.compliant)
         weights = self._weights_of(np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1))
-        self._run("compliant", self._sample_space(max(2 * self._size, budget // 10)))
+        # Constraints divide the space, so the best designs may be in a part that one descent does not reach.
+        sampled = budget // (2 if self._study.file.constraints else 10)
+        self._run("compliant", self._sample_space(max(2 * self._size, sampled)))
         for k, weight in enumerate(weights):
             share = (budget - len(self._compliant_runs)) // (len(weights) - k)
             scalars = self._scalarise(self._compliant_runs, weight)
@@ -222,7 +246,7 @@ class _Search:
             # With two objectives, the first run of a round always maximises the area.
             objective = self._improved_objective if k_batch or self._objectives == 1 else None
             if k_batch == 0 or self._objectives == 2:
-                mean, sd = self._predict(self._twin_runs, candidates, objective)
+                mean, sd = self._predict(candidates, objective)
             score = self._improvement(mean, sd, assumed_costs, objective)
             score[[not _is_far(run.shares, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
@@ -233,6 +257,18 @@ class _Search:
         self._run("twin", np.array(chosen))
         self._round += 1
         return True
+
+    def expected_improvement(self) -> float | None:
+        """Return the largest expected improvement of new designs, as a fraction of the best result."""
+        best = self.best()[:1]
+        if self._objectives > 1 or (excesses(self._study, best) > 0).any():
+            return None
+        finished = [run.shares for run in self._twin_runs]
+        designs = self._study.space.snapped(self._screened_designs())
+        new = np.array([design for design in designs if _is_far(design, finished)])
+        if not len(new):
+            return 0.0
+        return float(self._scores(new).max() / max(abs(costs(self._study, best)[0, 0]), 1e-12))
 
     def best(self) -> tuple[Run, ...]:
         """Return the best runs of the twin, among those with the least violation of the constraints.
@@ -315,18 +351,13 @@ class _Search:
 
     def _candidates(self) -> list[Run]:
         """Return designs that the twin has not run: those of the low-fidelity model, and new neighbours."""
-        count, objective = _NEIGHBOURS[self._objectives], self._improved_objective
-        optima = self.best() if objective is None else self._distinct_optima(objective)
-        best = optima[:1] if self._objectives == 1 else self.best()
-        parents = [runs[k] for runs in (optima, best) for k in self._rng.integers(len(runs), size=count // 2)]
-        centres = np.array([run.shares for run in parents])
-        std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
-        new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # Redraw one variable of every third candidate, half of the time on a bound, to reach other optima.
-        third = np.arange(0, count, 3)
-        new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
-            self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
-        )
+        count = _NEIGHBOURS[self._objectives]
+        constrained = self._compliant_runs and self._objectives == 1 and self._study.file.constraints
+        if constrained:
+            screened = self._screened_designs()
+            new = screened[np.argsort(-self._scores(screened))[:count]]
+        else:
+            new = self._neighbours(count)
         if self._compliant_runs and len(self._compliant_runs) + count <= self._study.file.budget.compliant:
             self._run("compliant", self._study.space.snapped(new))
         candidates = self._compliant_runs
@@ -336,42 +367,90 @@ class _Search:
         finished = [run.shares for run in self._twin_runs]
         return [run for run in candidates if _is_far(run.shares, finished)]
 
+    def _screened_designs(self) -> np.ndarray:
+        return np.vstack([self._neighbours(_SCREENED), self._sample_space(_SCREENED)])
+
+    def _neighbours(self, count: int) -> np.ndarray:
+        """Return new designs near the best ones, shape (count, d)."""
+        objective = self._improved_objective
+        optima = self.best() if objective is None else self._distinct_optima(objective)
+        best = optima[:1] if self._objectives == 1 else self.best()
+        if self._study.file.constraints and self._objectives == 1:
+            # The best designs with a penalty: some of them just miss the constraints.
+            order = np.argsort(self._scalarise(self._twin_runs, np.ones(1)))
+            optima = tuple(self._twin_runs[k] for k in order[:MAX_REPORTED])
+        parents = [runs[k] for runs in (optima, best) for k in self._rng.integers(len(runs), size=count // 2)]
+        centres = np.array([run.shares for run in parents])
+        std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
+        new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
+        # Redraw one variable of every third candidate, half of the time on a bound, to reach other optima.
+        third = np.arange(0, count, 3)
+        new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
+            self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
+        )
+        return new
+
+    def _scores(self, designs: np.ndarray) -> np.ndarray:
+        """Return the expected improvement of designs that were not run, shape (designs,)."""
+        low_fidelity = None
+        if self._compliant_runs:
+            shares = np.array([run.shares for run in self._compliant_runs])
+            outputs = self._outputs(self._compliant_runs)
+            known = np.isfinite(outputs).all(axis=1)
+            low_fidelity = np.full((len(designs), outputs.shape[1]), np.nan)
+            if known.sum() > self._size + 1:
+                low_fidelity = RBFInterpolator(shares[known], outputs[known], smoothing=_SMOOTHING)(designs)
+        runs = [Run("twin", design, Row("", DONE)) for design in designs]
+        mean, sd = self._predict(runs, 0, low_fidelity)
+        return self._improvement(mean, sd, self._outputs(self._twin_runs), 0)
+
     def _predict(
-        self, known: list[Run], candidates: list[Run], objective: int | None
+        self, candidates: list[Run], objective: int | None, low_fidelity: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predict the twin's outputs; return means and standard deviations, shape (candidates, outputs).
 
         Args:
-            known: runs of the twin.
             candidates: designs to predict.
             objective: objective whose minimum is sought; None: the whole front.
+            low_fidelity: outputs of the low-fidelity model for the candidates; None: it is run if necessary.
         """
-        outputs, low_fidelity = self._outputs(known), self._compliant_outputs([*known, *candidates])
+        known = self._twin_runs
+        outputs, scaled = self._outputs(known), self._compliant_outputs(candidates, low_fidelity)
         shares = 2 * np.array([run.shares for run in (*known, *candidates)]) - 1
         predictions = []
         for column in range(outputs.shape[1]):
             y, x = outputs[:, column], shares
-            if low_fidelity is not None:
-                x = np.column_stack([shares, low_fidelity[:, column]])
+            if scaled is not None:
+                x = np.column_stack([shares, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
                 # Leave out the worst third, because results far from the optimum would distort the fit near
-                # it.
+                # it. Among constraints the search must still know where they are, so they are clipped.
                 order = rows[np.argsort(y[rows])]
-                rows = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
-            predictions.append(_predict_with_process(x[rows], y[rows], x[len(known) :]))
+                better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
+                if self._study.file.constraints:
+                    y = np.minimum(y, y[better[-1]])
+                else:
+                    rows = better
+            remainder = bool(self._study.file.constraints)
+            predictions.append(
+                _predict_with_process(x[rows], y[rows], x[len(known) :], with_remainder=remainder)
+            )
         mean, sd = np.array(predictions).transpose(1, 2, 0)
         return mean, sd
 
-    def _compliant_outputs(self, runs: Sequence[Run]) -> np.ndarray | None:
-        """Return the scaled low-fidelity outputs of the designs of runs, shape (runs, outputs)."""
+    def _compliant_outputs(self, candidates: list[Run], given: np.ndarray | None) -> np.ndarray | None:
+        """Return the scaled low-fidelity outputs of the twin's runs and the candidates, (runs, outputs)."""
         if not self._compliant_runs:
             return None
+        runs = self._twin_runs if given is not None else [*self._twin_runs, *candidates]
         known = {run.shares.tobytes(): run for run in self._compliant_runs}
         missing = [run.shares for run in runs if run.shares.tobytes() not in known]
         if missing:
             known |= {run.shares.tobytes(): run for run in self._run("compliant", np.array(missing))}
         outputs = self._outputs([known[run.shares.tobytes()] for run in runs])
+        if given is not None:
+            outputs = np.vstack([outputs, given])
         # Clipping limits the effect of outliers on the linear part of the process.
         low, median, high = np.nanquantile(outputs, (0.05, 0.5, 0.95), axis=0)
         clipped = np.clip(outputs, 2 * low - median, 2 * high - median)
@@ -425,11 +504,23 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.asarray((width * height).sum(axis=-1) / extent.prod())
 
 
-def _predict_with_process(x: np.ndarray, y: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation at inputs of a Gaussian process fitted to samples."""
+def _predict_with_process(
+    x: np.ndarray, y: np.ndarray, at: np.ndarray, *, with_remainder: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return mean and standard deviation at inputs of a Gaussian process fitted to samples.
+
+    Args:
+        x: inputs of the samples, shape (samples, d).
+        y: values of the samples, shape (samples,).
+        at: inputs, shape (inputs, d).
+        with_remainder: whether the standard deviation includes what the process takes for noise. A simulation
+            has no noise, so a further run may find a structure there.
+    """
     scale, mean = max(float(y.std()), 1e-12), float(y.mean())
     process = GaussianProcess(x, (y - mean) / scale)
     variance = np.diag(process.covariance(at))
+    if with_remainder:
+        variance = variance + np.exp(2 * process.log_hyperparameters[2])
     return mean + scale * process.at(at), scale * np.sqrt(np.maximum(variance, 1e-12))
 
 

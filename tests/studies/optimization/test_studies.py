@@ -21,7 +21,7 @@ from srs_twin.studies.optimization.loading import DesignSpace, VariableFile, loa
 from srs_twin.studies.optimization.report import bound_lines, write_result
 from srs_twin.studies.optimization.result import StudyResult
 from srs_twin.studies.optimization.runs import StudyRuns
-from srs_twin.studies.optimization.search import front, search
+from srs_twin.studies.optimization.search import _Search, front, search
 from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
 STUDY = """
@@ -63,8 +63,8 @@ def cost(f, p, part):
 class Engine:
     """Engine with speed and cost by formula; it records the keys of its points."""
 
-    def __init__(self, breaks_after=math.inf, speed=speed):
-        self.keys, self._left, self._speed = [], breaks_after, speed
+    def __init__(self, breaks_after=math.inf, speed=speed, cost=cost):
+        self.keys, self._left, self._speed, self._cost = [], breaks_after, speed, cost
 
     def __call__(self, experiment, points):
         (plant,) = experiment.plants
@@ -82,7 +82,7 @@ class Engine:
                 continue
             values = {
                 f"{plant}.com_speed_m_s": self._speed(f, p, part),
-                f"{plant}.cost_of_transport": cost(f, p, part),
+                f"{plant}.cost_of_transport": self._cost(f, p, part),
             }
             yield TaskResult(number, Row(point.key, DONE, values), None)
 
@@ -240,6 +240,63 @@ def test_constraints_are_met(tmp_path):
     best, *_ = run_search(question, tmp_path / "out").best
     assert best.metric("cost_of_transport") <= 0.4
     assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
+
+
+def test_an_optimum_that_violates_a_constraint_of_the_low_fidelity_model_is_found(tmp_path):
+    """The twin allows f = √2, at which the cost of the low-fidelity model is 0.56."""
+
+    def dear(f, p, part):
+        return 0.2 + (0.1 if part == "twin" else 0.18) * f**2
+
+    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=24)
+    result = run_search(question, tmp_path / "out", Engine(cost=dear))
+    best, *_ = result.best
+    assert best.metric("cost_of_transport") <= 0.4
+    assert best.metric("com_speed_m_s") > 0.98 * speed(math.sqrt(2), 1.45, "twin")
+    cheap = [
+        run
+        for run in result.runs
+        if run.part == "compliant" and run.shares.tobytes() == best.shares.tobytes()
+    ]
+    assert cheap[0].metric("cost_of_transport") > 0.5
+    assert result.improvement < 0.005
+
+
+def test_expected_improvement_is_the_mean_of_the_feasible_gains(tmp_path):
+    """Reference: random draws of cost and excess, of which infeasible ones gain nothing."""
+    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
+    with StudyRuns(question, tmp_path / "out", Engine()) as runs:
+        state = _Search(question, runs)
+        mean, sd, known = np.array([[-0.30, -0.02]]), np.array([[0.05, 0.03]]), np.array([[-0.31, -0.1]])
+        found = state._improvement(mean, sd, known, 0)[0]
+    draws = mean + sd * np.random.default_rng(1).normal(size=(400_000, 2))
+    gains = np.maximum(-0.31 - draws[:, 0], 0.0) * (draws[:, 1] <= 0)
+    assert found == pytest.approx(gains.mean(), abs=5 * gains.std() / math.sqrt(len(gains)))
+
+
+def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
+    results = {}
+    for twin in (6, 30):
+        limit = "{metric: cost_of_transport, below: 0.4}"
+        question = study(tmp_path, constraints=limit, twin=twin)
+        with StudyRuns(question, tmp_path / f"out_{twin}", Engine()) as runs:
+            results[twin] = StudyResult.evaluate(question, search(question, runs), runs)
+    early, late = results[6], results[30]
+    assert early.improvement > 0.005 > late.improvement
+    reached = [result.designs[0].run.metric("com_speed_m_s") for result in (early, late)]
+    assert reached[1] > 1.02 * reached[0]
+    document = early.document()
+    assert document["expected_improvement"] == early.improvement
+    expected = f"expected to improve the best result by {100 * early.improvement:.1f} %; raise budget.twin."
+    assert document["warning"].startswith("The budget ended the search, although one more run")
+    assert document["warning"].endswith(expected)
+    assert late.document()["warning"] is None
+    _print_result(early)
+    printed = capsys.readouterr().out
+    assert f"warning: {document['warning']}" in printed
+    assert f"expected to improve the best by {100 * early.improvement:.2g} %" in printed
+    write_result(early, tmp_path / "written")
+    assert document["warning"] in (tmp_path / "written/report.html").read_text("utf-8")
 
 
 @pytest.mark.slow
