@@ -175,15 +175,17 @@ def _predictions(path: Path) -> dict[str, Quantiles]:
     if quantities is None:
         quantities = {name: row["all"] for name, row in document.items() if name.startswith("fastest_")}
         unit = "_m_s"
-    return {
-        name: Quantiles(
+    result = {}
+    for name, row in quantities.items():
+        low, high = row[f"interval_95{unit}"]
+        errors = row.get("interval_95_error")
+        result[name] = Quantiles(
             median=row[f"median{unit}"],
-            interval_95=tuple(row[f"interval_95{unit}"]),
-            interval_95_error=tuple(row["interval_95_error"]) if "interval_95_error" in row else None,
+            interval_95=(low, high),
+            interval_95_error=errors and (errors[0], errors[1]),
             robots=count,
         )
-        for name, row in quantities.items()
-    }
+    return result
 
 
 def _commit(path: Path, *options: str) -> str | None:

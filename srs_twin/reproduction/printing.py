@@ -52,7 +52,8 @@ def print_others(*, as_json: bool) -> None:
         print_json({"robots": [row.document() for row in rows]})
         return
     compared = [row for row in rows if row.published is not None]
-    lines, notes = [], {}
+    lines: list[tuple[str, ...]] = []
+    notes: dict[str, str] = {}
     for row in compared:
         published = row.published
         assert published is not None
