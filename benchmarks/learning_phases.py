@@ -142,7 +142,6 @@ def cases(snakes: int, first: int) -> Iterator[tuple[str, str, str, int]]:
     yield from product([shipped], ["time constants", "gain"], [LAW], seeds)
     yield from product([best, *others], ["both"], [LAW], seeds)
     yield from product([best], ["time constants", "gain"], [LAW], seeds)
-    yield from product([best], ["both"], [PHASES, MEANS], seeds)
 
 
 def lines(results: list[dict[str, Any]]) -> Iterator[list[str]]:
