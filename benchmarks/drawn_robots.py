@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,11 @@ from srs_twin.robot.file import RobotFile
 ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "calibration" / "robots" / "others"
 PREDICTIONS = ROOT / "calibration" / "predictions"
+RECOMPUTED = PREDICTIONS / "recomputed"
+"""Folder of later predictions; the files in `PREDICTIONS` were committed before the published values."""
+INTERVALS = ROOT / "calibration" / "intervals"
 
-PUBLISHED_OVER_TWIN = (22 / 39.5, 214 / 186.8, 50 / 80.0, 121 / 157.3)
-"""Published speed over the twin's, generations 1 to 4 (docs/agreement.md), 1."""
-
+BOOTSTRAP_SAMPLES = 2000
 PERIODS = 5
 """Gait periods of a run; a motion is that of the last two."""
 
@@ -68,9 +70,28 @@ def motion(twin: TwinSnake, gait: Gait) -> tuple[float, float]:
     return float(np.hypot(*(run.com[-1] - run.com[before])) / span), float(turned / span)
 
 
+def published_over_twin() -> np.ndarray:
+    """Return published speed over the twin's, generations 1 to 4, from the table in docs/intervals.md."""
+    files = [INTERVALS / f"gen{generation}_straight.json" for generation in range(1, 5)]
+    rows = [json.loads(file.read_text("utf-8"))["plants"]["twin"]["com_speed_m_s"] for file in files]
+    return np.array([row["published"] / row["value"] for row in rows])
+
+
+def interval(values: Sequence[float]) -> dict[str, Any]:
+    """Return the median, the ends of the 95 % interval and their standard errors (bootstrap over robots)."""
+    ends = [0.025, 0.975]
+    drawn = np.random.default_rng(0).choice(values, (BOOTSTRAP_SAMPLES, len(values)))
+    errors = np.quantile(drawn, ends, axis=1).std(axis=1)
+    return {
+        "median": float(f"{np.median(values):.4g}"),
+        "interval_95": [float(f"{end:.4g}") for end in np.quantile(values, ends)],
+        "interval_95_error": [float(f"{error:.2g}") for error in errors],
+    }
+
+
 def model_errors(count: int, seed: int) -> np.ndarray:
     """Return the true speed over that of the twin for some robots, a lognormal fit to four robots."""
-    logs = np.log(PUBLISHED_OVER_TWIN)
+    logs = np.log(published_over_twin())
     n = len(logs)
     units = qmc.LatinHypercube(1, seed=seed + 1).random(count)[:, 0]
     draws = ndtri(units) * logs.std(ddof=1) * math.sqrt(1 + 1 / n)

@@ -1,11 +1,12 @@
 """Predicted speeds and yaw rates of robots that others built.
 
-    uv run python benchmarks/predict_others.py [--robots 40] [--seed 0]
+    uv run python benchmarks/predict_others.py [--robots 146] [--seed 0]
 
 Robots are drawn by Latin hypercube from the intervals in calibration/robots/others/NAME.yaml and crawl on the
 twin. Gait settings that are unknown are drawn as well. Speeds of pneumatic robots are multiplied by the known
 error of the twin (`drawn_robots.model_errors`), those of servo robots are not: their angles are prescribed.
-The intervals are quantiles over the robots. Commit a prediction before the published results.
+The intervals are quantiles over the robots. The files are written to calibration/predictions/recomputed.
+Move the first prediction of a robot to calibration/predictions and commit it before the published results.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from drawn_robots import PREDICTIONS, ROBOTS, ROOT, draw, model_errors, motion, with_values
+from drawn_robots import RECOMPUTED, ROBOTS, ROOT, draw, interval, model_errors, motion, with_values
 
 from srs_twin import Gait
 from srs_twin.io.documents import dump_yaml
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
+from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 Cases = Iterator[tuple[str, TwinSnake, Gait]]
 
@@ -80,19 +82,13 @@ def predict(name: str, count: int, seed: int) -> dict[str, Any]:
             speed, yaw_rate = motion(twin, gait)
             result = yaw_rate if quantity.startswith("yaw_rate") else speed * error
             samples.setdefault(quantity, []).append(result)
-    return {
-        quantity: {
-            "median": float(f"{np.median(values):.4g}"),
-            "interval_95": [float(f"{end:.4g}") for end in np.quantile(values, [0.025, 0.975])],
-        }
-        for quantity, values in samples.items()
-    }
+    return {quantity: interval(values) for quantity, values in samples.items()}
 
 
 def main() -> None:
     """Predict all robots and write a file for each."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", type=int, default=40, help="number of robots")
+    parser.add_argument("--robots", type=int, default=MIN_BOUNDING_SAMPLES, help="number of robots")
     parser.add_argument("--seed", type=int, default=0, help="random seed")
     options = parser.parse_args()
     for name in ROBOT_CASES:
@@ -100,10 +96,11 @@ def main() -> None:
             "robot": (ROBOTS / f"{name}.yaml").relative_to(ROOT).as_posix(),
             "plant": "twin",
             "command": f"benchmarks/predict_others.py --robots {options.robots} --seed {options.seed}",
+            "robots": options.robots,
             "quantities": predict(name, options.robots, options.seed),
         }
         text = dump_yaml(document)
-        (PREDICTIONS / f"{name}.yaml").write_text(text, encoding="utf-8")
+        (RECOMPUTED / f"{name}.yaml").write_text(text, encoding="utf-8")
         print(text, flush=True)
 
 

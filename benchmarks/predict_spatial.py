@@ -1,13 +1,15 @@
 """Predicted fastest serpentine and sidewinding speed of a spatial snake with few published parameters.
 
-    uv run python benchmarks/predict_spatial.py [--robots 40] [--seed 0] [--out FILE] [--runs FILE]
+    uv run python benchmarks/predict_spatial.py [--robots 146] [--seed 0] [--runs FILE]
 
 Robots are drawn from the priors of calibration/robots/others/spatial_530mm.yaml by Latin hypercube, together
 with the two alternatives: wheels (probability 0.75, as all planar generations of the laboratory) or skin, and
 four chambers (0.75) or three at 120°. Every robot crawls with all gaits of a grid; its fastest serpentine is
 the one of a planar wave, its fastest sidewinding that of a wave in both directions. The twin is the only
 plant. Its speeds are multiplied by a random factor, its known error: published speed over that of the twin
-for the four planar generations of the same laboratory. The intervals are quantiles over the robots.
+for the four planar generations of the same laboratory. The intervals are quantiles over the robots. A robot
+takes 20 s. `--runs calibration/predictions/spatial_530mm.yaml --robots 40` uses the speeds of the committed
+prediction again.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from drawn_robots import PREDICTIONS, ROBOTS, ROOT, draw, model_errors, motion, with_values
+from drawn_robots import RECOMPUTED, ROBOTS, ROOT, draw, interval, model_errors, motion, with_values
 
 from srs_twin import Gait
 from srs_twin.control.gait import PitchWave
@@ -27,9 +29,10 @@ from srs_twin.io.documents import dump_yaml
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.robot.spec import RobotSpec
+from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 ROBOT = ROBOTS / "spatial_530mm.yaml"
-OUT = PREDICTIONS / "spatial_530mm.yaml"
+OUT = RECOMPUTED / "spatial_530mm.yaml"
 
 WHEELS_PROBABILITY = 0.75
 """Probability of wheels: the planar generations have them, but a body that lifts itself need not."""
@@ -85,55 +88,56 @@ def fastest(spec: RobotSpec) -> dict[str, Any]:
     return result
 
 
-def quantiles(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
-    """Return median and 95 % interval of a speed over robots."""
-    values = [row[name]["speed_m_s"] * row["model_error"] for row in rows]
-    low, middle, high = np.quantile(values, [0.025, 0.5, 0.975])
-    return {
-        "median_m_s": round(float(middle), 4),
-        "interval_95_m_s": [round(float(low), 4), round(float(high), 4)],
-        "factor": round(float(high / max(low, 1e-6)), 2),
-        "robots": len(values),
-    }
-
-
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     """Return the prediction over all robots, and under each alternative."""
+
+    def of(name: str, group: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            **interval([row[name]["speed_m_s"] * row["model_error"] for row in group]),
+            "robots": len(group),
+        }
+
     groups = {
-        "all": rows,
         "wheels": [r for r in rows if r["wheels"]],
         "skin": [r for r in rows if not r["wheels"]],
         "four_chambers": [r for r in rows if r["four_chambers"]],
         "three_chambers": [r for r in rows if not r["four_chambers"]],
     }
     return {
-        f"fastest_{name}": {key: quantiles(group, name) for key, group in groups.items() if group}
-        for name in NAMES
+        "quantities": {f"fastest_{name}": of(name, rows) for name in NAMES},
+        "alternatives": {
+            f"fastest_{name}": {key: of(name, group) for key, group in groups.items() if group}
+            for name in NAMES
+        },
     }
 
 
 def main() -> None:
     """Draw robots, run their gaits, and write the prediction after every robot."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", type=int, default=40, help="number of robots")
+    parser.add_argument("--robots", type=int, default=MIN_BOUNDING_SAMPLES, help="number of robots")
     parser.add_argument("--seed", type=int, default=0, help="random seed")
-    parser.add_argument("--out", type=Path, default=OUT, help="output file")
     parser.add_argument("--runs", type=Path, help="file of earlier runs, whose speeds are used again")
     options = parser.parse_args()
+    command = f"benchmarks/predict_spatial.py --robots {options.robots} --seed {options.seed}"
+    if options.runs:
+        command += f" --runs {options.runs}"
     rows: list[dict[str, Any]] = []
     errors = model_errors(options.robots, options.seed)
     earlier = yaml.safe_load(options.runs.read_text("utf-8"))["robots"] if options.runs else None
     for k, (file, facts) in enumerate(draw_robots(options.robots, options.seed)):
         speeds = fastest(file.spec()) if earlier is None else {n: earlier[k][n] for n in NAMES}
+        if earlier is not None and facts != {key: earlier[k][key] for key in facts}:
+            raise SystemExit(f"robot {k} of {options.runs} was drawn with other options or distributions")
         rows.append({**facts, "model_error": round(float(errors[k]), 3), **speeds})
         document = {
             "robot": ROBOT.relative_to(ROOT).as_posix(),
             "plant": "twin",
-            "command": f"benchmarks/predict_spatial.py --robots {options.robots} --seed {options.seed}",
+            "command": command,
             **summary(rows),
             "robots": rows,
         }
-        options.out.write_text(dump_yaml(document), encoding="utf-8")
+        OUT.write_text(dump_yaml(document), encoding="utf-8")
         print(len(rows), rows[-1], flush=True)
 
 

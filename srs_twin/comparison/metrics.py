@@ -252,6 +252,12 @@ _COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the
 _MIN_CAUSE_RATIO = 0.25
 """Fraction of a difference that a cause must exceed to be mentioned, 1."""
 
+_LEARNT = (
+    "Learning brought the amplitudes to their targets. It does not control the path, whose curvature changed "
+    "from {:.2g} to {:.2g} 1/m (docs/learning.md)."
+)
+"""Sentence on a run whose amplitudes have converged."""
+
 
 def headline(metrics: Mapping[str, Any]) -> str:
     """Return a summary in a sentence or two, and sentences on its terms and on what limits the result.
@@ -265,6 +271,11 @@ def headline(metrics: Mapping[str, Any]) -> str:
     text, preset = _summary(metrics), metrics.get("preset")
     sentences = [*_contacts(metrics), text]
     sentences += [*[_COMPLIANCE] * ("compliance" in text), *[_PRESET.format(preset)] * bool(preset)]
+    plants = metrics["plants"]
+    shown = plants.get("twin") or plants.get("analytical") or {}
+    ends = [shown.get(f"path_curvature_{name}per_m") for name in ("before_", "")]
+    if shown.get("periods_to_converge") is not None and None not in ends:
+        sentences.append(_LEARNT.format(*ends))
     if overlaps := metrics.get("body_overlap_m"):
         sentences.append(_OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps)))
     return " ".join(sentences)

@@ -48,7 +48,9 @@ Use = Literal["fit", "holdout", "law", "shape"]
 Take = Literal["most", "least", "mean", "spread"]
 Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
 Tolerance = Literal["dissertation", "measurement", "ours"]
-Limitation = Literal["fitted_robot", "tuned_controller", "chosen_obstacles", "between_models"]
+Limitation = Literal[
+    "fitted_robot", "chosen_parameter", "tuned_controller", "chosen_obstacles", "between_models"
+]
 Group = Literal["headline", "own_tolerance"] | Limitation
 Category = Group | Literal["shape", "by_construction", "law", "fit"]
 

@@ -1,15 +1,16 @@
 """Predicted and published motion of robots that others built.
 
 A prediction is a file in calibration/predictions. The file of the same name in calibration/published/others
-has the published values. In a checkout, their commits show that the prediction came first.
+has the published values. In a checkout, their commits show that the prediction came first. The file of the
+same name in calibration/predictions/recomputed has later numbers, which are no predictions.
 """
 
 from __future__ import annotations
 
 import subprocess
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -17,6 +18,8 @@ from srs_twin.errors import UnknownNameError
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
 from srs_twin.io.validation import StrictModel, load_model
+from srs_twin.scenario.expectation import IntervalVerdict, interval_verdict
+from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 _GIT_SECONDS = 10.0
 """Longest time of a git command, s."""
@@ -42,26 +45,55 @@ class PublishedFile(StrictModel):
     """Predicted quantity → published value."""
 
 
-@dataclass(frozen=True)
-class PredictedQuantity:
+@dataclass(frozen=True, kw_only=True)
+class Quantiles:
+    """Quantiles of a quantity over drawn robots.
+
+    Attributes:
+        median: median.
+        interval_95: ends of the 95 % interval.
+        interval_95_error: standard errors of both ends, or None.
+        robots: number of robots; 0 if unknown.
+    """
+
+    median: float
+    interval_95: tuple[float, float]
+    interval_95_error: tuple[float, float] | None
+    robots: int
+
+    def verdict(self, published: float) -> IntervalVerdict:
+        """Return the verdict on a published value: undecided if the robots do not bound the interval."""
+        if self.robots < MIN_BOUNDING_SAMPLES:
+            return IntervalVerdict.UNDECIDED
+        return interval_verdict(published, self.interval_95, self.interval_95_error)
+
+    def cells(self, published: PublishedValue) -> tuple[str, ...]:
+        """Return interval, published value and result as texts."""
+        low, high = self.interval_95
+        result = "inside" if low <= published.value <= high else "outside"
+        if self.verdict(published.value) is IntervalVerdict.UNDECIDED:
+            result += ", undecided"
+        return f"{low:.3g} to {high:.3g}", f"{published.value:.3g}", result
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictedQuantity(Quantiles):
     """Prediction of a quantity, and its published value.
 
     Attributes:
         robot: name of the robot file.
         quantity: quantity, with the settings of the gait.
         unit: unit of the numbers.
-        median: predicted median.
-        interval_95: ends of the predicted 95 % interval.
+        recomputed: later numbers, or None.
         published: published value, or None.
-        prediction_commit: last commit that changed the prediction; None outside a checkout.
+        prediction_commit: last commit that changed a number of the prediction; None outside a checkout.
         comparison_commit: first commit with published values of the robot; None if there is none.
     """
 
     robot: str
     quantity: str
     unit: str
-    median: float
-    interval_95: tuple[float, float]
+    recomputed: Quantiles | None
     published: PublishedValue | None
     prediction_commit: str | None
     comparison_commit: str | None
@@ -71,16 +103,6 @@ class PredictedQuantity:
         """Whether the published value is in the interval; None without one."""
         low, high = self.interval_95
         return None if self.published is None else low <= self.published.value <= high
-
-    def cells(self) -> tuple[str, ...]:
-        """Return robot, quantity, interval, published value and result as texts; needs a published value."""
-        published, (low, high) = self.published, self.interval_95
-        assert published is not None, "only compared quantities are printed"
-        result = "inside" if self.inside else "outside"
-        result += " (known)" if published.known else ""
-        result += " (simulated)" if published.of == "simulation" else ""
-        interval = f"{low:.3g} to {high:.3g}"
-        return self.robot, self.quantity, interval, f"{published.value:.3g}", result
 
     def document(self) -> dict[str, object]:
         """Return JSON values."""
@@ -93,6 +115,12 @@ class PredictedQuantity:
             "interval_95": list(self.interval_95),
             "published": published and published.value,
             "inside": self.inside,
+            "robots": self.robots,
+            "verdict": published and self.verdict(published.value).value,
+            "recomputed": self.recomputed and asdict(self.recomputed),
+            "recomputed_verdict": published
+            and self.recomputed
+            and self.recomputed.verdict(published.value).value,
             "of": published and published.of,
             "known_before": published and published.known,
             "source": published and published.source,
@@ -112,28 +140,52 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
     for path in sorted((folder / "predictions").glob("*.yaml")):
         published_path = folder / "published" / "others" / path.name
         values = load_model(PublishedFile, published_path).values if published_path.exists() else {}
-        predicted = _predictions(load_yaml(path).data)
+        predicted = _predictions(path)
+        recomputed_path = path.parent / "recomputed" / path.name
+        recomputed = _predictions(recomputed_path) if recomputed_path.exists() else {}
         for name in values:
             if name not in predicted:
                 raise UnknownNameError(f"quantity of {path.stem}", name, predicted)
-        commits = _commit(path, "--max-count=1"), _commit(published_path, "--diff-filter=A")
-        for name, (median, low, high) in predicted.items():
-            unit = "rad/s" if name.startswith("yaw_rate") else "m/s"
-            rows.append(
-                PredictedQuantity(path.stem, name, unit, median, (low, high), values.get(name), *commits)
+        prediction_commit = _commit(path, "--max-count=1", "-G[0-9][.][0-9]")
+        comparison_commit = _commit(published_path, "--diff-filter=A")
+        for name, numbers in predicted.items():
+            row = PredictedQuantity(
+                robot=path.stem,
+                quantity=name,
+                unit="rad/s" if name.startswith("yaw_rate") else "m/s",
+                **asdict(numbers),
+                recomputed=recomputed.get(name),
+                published=values.get(name),
+                prediction_commit=prediction_commit,
+                comparison_commit=comparison_commit,
             )
+            rows.append(row)
     return rows
 
 
-def _predictions(document: Any) -> dict[str, tuple[float, float, float]]:
-    """Return median and ends of the 95 % interval by quantity.
+def _predictions(path: Path) -> dict[str, Quantiles]:
+    """Return the quantiles of a file by quantity.
 
     The first prediction, of a spatial snake, has its own keys: it keeps the text that was committed.
     """
-    if "quantities" in document:
-        return {name: (row["median"], *row["interval_95"]) for name, row in document["quantities"].items()}
-    groups = {name: row["all"] for name, row in document.items() if name.startswith("fastest_")}
-    return {name: (row["median_m_s"], *row["interval_95_m_s"]) for name, row in groups.items()}
+    document = load_yaml(path).data
+    robots = document.get("robots", 0)
+    count = robots if isinstance(robots, int) else len(robots)
+    quantities, unit = document.get("quantities"), ""
+    if quantities is None:
+        quantities = {name: row["all"] for name, row in document.items() if name.startswith("fastest_")}
+        unit = "_m_s"
+    result = {}
+    for name, row in quantities.items():
+        low, high = row[f"interval_95{unit}"]
+        errors = row.get("interval_95_error")
+        result[name] = Quantiles(
+            median=row[f"median{unit}"],
+            interval_95=(low, high),
+            interval_95_error=errors and (errors[0], errors[1]),
+            robots=count,
+        )
+    return result
 
 
 def _commit(path: Path, *options: str) -> str | None:

@@ -23,6 +23,7 @@ from srs_twin.reproduction.report import (
     verdict_text,
 )
 from srs_twin.reproduction.verdicts import JudgedClaim, Outcome, load_baseline
+from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
@@ -51,13 +52,23 @@ def print_others(*, as_json: bool) -> None:
         print_json({"robots": [row.document() for row in rows]})
         return
     compared = [row for row in rows if row.published is not None]
-    headings = ("robot", "quantity", "95 % interval", "published", "result")
-    print_table(headings, (row.cells() for row in compared), left=(0, 1, 4))
-    for robot in dict.fromkeys(row.robot for row in compared):
-        first = next(row for row in compared if row.robot == robot)
-        commits = [commit or "(none)" for commit in (first.prediction_commit, first.comparison_commit)]
-        print(f"{robot}: predicted in commit {commits[0]}, compared in commit {commits[1]}")
-    print("known: before the prediction; simulated: by the builders of the robot")
+    lines: list[tuple[str, ...]] = []
+    notes: dict[str, str] = {}
+    for row in compared:
+        published = row.published
+        assert published is not None
+        lines.append((row.robot, row.quantity, *row.cells(published)))
+        if row.recomputed:
+            lines.append(("  recomputed", "", *row.recomputed.cells(published)))
+        notes[row.robot] = (
+            f"{row.robot}: predicted in commit {row.prediction_commit or '(none)'}, "
+            f"compared in commit {row.comparison_commit or '(none)'}"
+            + (", published values known before" if published.known else "")
+            + (", published values simulated by its builders" if published.of == "simulation" else "")
+        )
+    print_table(("robot", "quantity", "95 % interval", "published", "result"), lines, left=(0, 1, 4))
+    print("\n".join(notes.values()))
+    print(f"undecided: fewer than {MIN_BOUNDING_SAMPLES} robots, or near an end (docs/others.md)")
     print(f"{len(rows) - len(compared)} predicted quantities without a published value: --json")
 
 

@@ -16,7 +16,7 @@ from srs_twin.comparison.learning import (
     PeriodAmplitudes,
     learning_metrics,
 )
-from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.control.learning import ILC
 from srs_twin.studies.sweep.task import flat_metrics
 
@@ -249,3 +249,16 @@ def test_a_sweep_has_a_column_for_every_number(real):
 def test_growth_uses_the_periods_before_the_first_update():
     rising = amplitudes([0.0, 0.2, 0.5, 0.1, 0.0, 0.0])
     assert learning_metrics(learnt(RUN, rising))["amplitude_growth_rel"] == pytest.approx(1.5, rel=1e-6)
+
+
+def test_headline_says_what_learning_left_of_the_curvature():
+    learnt_run = {
+        "com_speed_m_s": 0.1,
+        "periods_to_converge": 9.0,
+        "path_curvature_before_per_m": -0.288,
+        "path_curvature_per_m": 0.356,
+    }
+    said = headline({"plants": {"twin": learnt_run}})
+    assert "does not control the path, whose curvature changed from -0.29 to 0.36 1/m" in said
+    for missing in ("periods_to_converge", "path_curvature_per_m"):
+        assert "Learning" not in headline({"plants": {"twin": learnt_run | {missing: None}}})

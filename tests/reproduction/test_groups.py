@@ -26,6 +26,7 @@ GROUPS = (
     "headline",
     "own_tolerance",
     "fitted_robot",
+    "chosen_parameter",
     "tuned_controller",
     "chosen_obstacles",
     "between_models",
@@ -71,6 +72,9 @@ def test_limitations_agree_with_the_runs(claim):
     runs = list(documents(claim))
     is_fitted = any("calibration/fits/" in json.dumps(run["robot"]) for run in runs)
     assert is_fitted == (claim.group == "fitted_robot")
+    # Its robot file says that the time constants were chosen with the speed in view.
+    is_chosen = claim.robot == "gen1" and not claim.all_measures[0].metric.startswith("comparison.")
+    assert is_chosen == (claim.group == "chosen_parameter")
     has_obstacles = any(run.get("planner") or (run.get("world") or {}).get("obstacles") for run in runs)
     assert has_obstacles == (claim.group == "chosen_obstacles")
     is_comparison = all(measure.metric.startswith("comparison.") for measure in claim.all_measures)

@@ -45,6 +45,25 @@ def test_published_value_is_inside_the_interval_or_not(folder, value, inside):
     assert (row.prediction_commit, row.comparison_commit) == (None, None)
 
 
+@pytest.mark.parametrize(
+    ("robots", "value", "verdict"),
+    [(145, 0.1, "undecided"), (146, 0.1, "within"), (146, 0.06, "undecided"), (146, 0.3, "outside")],
+)
+def test_verdict_is_undecided_with_few_robots_or_near_an_end(folder, robots, value, verdict):
+    path = folder / "predictions/recomputed/snake.yaml"
+    path.parent.mkdir()
+    path.write_text(
+        f"robots: {robots}\nquantities: {{speed_m_s: {{median: 0.1, interval_95: [0.05, 0.2], "
+        "interval_95_error: [0.01, 0.02]}}\n"
+    )
+    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_m_s", value))
+    (row,) = others.load_predicted_quantities()
+    document = row.document()
+    assert (document["verdict"], document["recomputed_verdict"]) == ("undecided", verdict)
+    assert document["recomputed"]["robots"] == robots and document["robots"] == 0
+    assert row.recomputed.cells(row.published)[-1].endswith(", undecided") == (verdict == "undecided")
+
+
 def test_prediction_without_published_values_has_no_result(folder):
     (row,) = others.load_predicted_quantities()
     assert row.inside is None and row.document()["published"] is None
@@ -74,6 +93,7 @@ def test_commits_show_that_predictions_came_first(folder):
     published = folder / "published/others/snake.yaml"
     for path, text in (
         (folder / "predictions/snake.yaml", PREDICTION),
+        (folder / "predictions/snake.yaml", f"# of commit 12\n{PREDICTION}"),
         (published, PUBLISHED % ("speed_m_s", 0.1)),
         (published, PUBLISHED % ("speed_m_s", 0.11)),
     ):
@@ -84,7 +104,8 @@ def test_commits_show_that_predictions_came_first(folder):
         ["git", "log", "--format=%h"], cwd=folder, capture_output=True, text=True, check=True
     ).stdout.split()
     (row,) = others.load_predicted_quantities()
-    assert [row.prediction_commit, row.comparison_commit] == [log[2], log[1]]
+    # A comment that was added later changes no number.
+    assert [row.prediction_commit, row.comparison_commit] == [log[3], log[1]]
 
 
 def test_shipped_predictions_were_committed_before_published_values():
@@ -113,3 +134,5 @@ def test_command_prints_every_compared_quantity(capsys):
         assert row["inside"] == (low <= row["published"] <= high)
         line = next(line for line in lines if f"{row['quantity']} " in line)
         assert ("inside" if row["inside"] else "outside") in line
+        assert (row["verdict"] == "undecided") == ("undecided" in line)
+        assert row["robots"] == 40 and row["verdict"] == "undecided"
