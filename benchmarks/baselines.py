@@ -1,8 +1,8 @@
 """Success rates of the project's controllers and of policies that do not know the task, in every environment.
 
     uv run python benchmarks/baselines.py --first 2000 --json FILE
-    uv run python benchmarks/baselines.py --tasks Obstacles --policies blind.npz
-    uv run python benchmarks/baselines.py --tasks GoTo --episodes 500 --first 10000 --policies goto
+    uv run python benchmarks/baselines.py --first 2000 --tasks Obstacles --policies baseline blind.npz
+    uv run python benchmarks/baselines.py --first 10000 --episodes 500 --tasks GoTo --policies baseline goto
 
 An environment is a test of its task only if policies fail that do not do the task:
 
@@ -121,7 +121,7 @@ def open_loop_policy(task: Task, recorded: dict[str, list[np.ndarray]]) -> Polic
 _RECORDED: dict[str, list[np.ndarray]] = {}
 
 
-def policies(name: str, files: list[str]) -> Iterator[tuple[str, Callable[[Task, int], Policy]]]:
+def policies(name: str) -> Iterator[tuple[str, Callable[[Task, int], Policy]]]:
     """Return the names of the policies of a task and functions that return them for an episode."""
     if name != "Crawl3D":  # no controller steers a spatial robot to a goal
         yield "baseline", lambda task, seed: baseline(task)
@@ -131,14 +131,13 @@ def policies(name: str, files: list[str]) -> Iterator[tuple[str, Callable[[Task,
     yield "random, held", lambda task, seed: random_policy(task, seed, HOLD_S)
     for k, action in enumerate(CONSTANTS[name], start=1):
         yield f"constant {k}", lambda task, seed, action=action: lambda _: task.from_physical(action)
-    for file in files:
-        yield file, lambda task, seed, file=file: load_policy(file).bind(task)
 
 
-def score(name: str, policy: str, files: list[str], seed: int) -> dict[str, Any]:
-    """Run one episode."""
+def score(name: str, policy: str, seed: int) -> dict[str, Any]:
+    """Run one episode with a policy of `policies` or a trained one."""
     task = make_task(name)
-    act = dict(policies(name, files))[policy](task, seed)
+    untrained = dict(policies(name))
+    act = untrained[policy](task, seed) if policy in untrained else load_policy(policy).bind(task)
     result = play_episode(task, act, np.random.default_rng(seed))
     succeeded = result.ending in SUCCESSES
     if name == "Module":
@@ -173,7 +172,7 @@ def main() -> None:
     arguments.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
     arguments.add_argument("--episodes", type=int, default=30)
     arguments.add_argument("--first", type=int, default=0, help="first seed")
-    arguments.add_argument("--policies", nargs="+", default=[], help="files or names of trained policies")
+    arguments.add_argument("--policies", nargs="+", help="names of policies, or files of trained ones")
     arguments.add_argument("--json", type=Path, help="file of the episodes, continued if it exists")
     arguments.add_argument("--processes", type=int, default=None)
     options = arguments.parse_args()
@@ -182,12 +181,13 @@ def main() -> None:
         results = [json.loads(line) for line in options.json.read_text("utf-8").splitlines()]
     done = {(r["task"], r["policy"], r["seed"]) for r in results}
     seeds = range(options.first, options.first + options.episodes)
-    trained = {file: load_policy(file).task for file in options.policies}
-    jobs = []
-    for name in options.tasks:
-        files = [file for file, task in trained.items() if task == name]
-        jobs += [(name, policy, files, seed) for policy, _ in policies(name, files) for seed in seeds]
-    jobs = [job for job in jobs if (job[0], job[1], job[3]) not in done]
+    jobs = [
+        (name, policy, seed)
+        for name in options.tasks
+        for policy in options.policies or dict(policies(name))
+        for seed in seeds
+        if (name, policy, seed) not in done
+    ]
     with ProcessPoolExecutor(options.processes) as pool:
         for result in pool.map(score, *zip(*jobs, strict=True)) if jobs else ():
             results.append(result)

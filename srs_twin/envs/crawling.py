@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,11 +31,12 @@ from srs_twin.envs.observed import (
     observation_groups,
     place_signals,
 )
-from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, StepResult, abbreviate, as_finite_array
 from srs_twin.envs.variation import Robot
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import short_digest
 from srs_twin.planning.camera import Camera
+from srs_twin.planning.collision import obstacle_at
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.world import OBSTACLE_FRICTION, Bounds, Circle, Goal, World
@@ -149,6 +150,22 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, Any]:
         """See `Episode.identity`; a twin that is reused was built with the goal of an earlier episode."""
         return super().identity() | {"world": short_digest(self.world)}
+
+    def set_goal(self, place: object) -> None:
+        """See `Episode.set_goal`."""
+        given = as_finite_array(place, (2,))
+        if given is None:
+            raise InputError(f"option goal {abbreviate(place)} is not allowed; give x and y in m")
+        goal = Goal(*given.tolist(), None, GOAL_RADIUS_M)
+        name = f"option goal ({goal.x:g}, {goal.y:g}) is not allowed"
+        if hit := obstacle_at(self.world, goal.x, goal.y):
+            relation = "outside" if hit.startswith("the bounds") else "inside"
+            raise InputError(f"{name}; it is {relation} {hit}")
+        self.goal, self.world = goal, replace(self.world, goal=goal)
+        self._initialise_from_state()
+        if self._distance <= goal.radius:
+            raise InputError(f"{name}; the snake is there already, within {goal.radius:g} m")
+        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
