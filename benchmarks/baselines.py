@@ -184,8 +184,8 @@ def main() -> None:
     jobs = [
         (name, policy, seed)
         for name in options.tasks
-        for policy in options.policies or dict(policies(name))
         for seed in seeds
+        for policy in options.policies or dict(policies(name))
         if (name, policy, seed) not in done
     ]
     with ProcessPoolExecutor(options.processes) as pool:

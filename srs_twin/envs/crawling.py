@@ -1,8 +1,11 @@
-"""GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or among circular obstacles.
+"""GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or through gates between circles.
+
+In Obstacles two rows of circles close the room, and each has a gate at a random place. A snake that does not
+see the circles could feel its way along a row, so contact ends the episode.
 
 The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its weight. By default it is
-the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room, minus 0.5 per
-second of contact. The first term is potential-based shaping with the potential −distance and no discount:
+the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room or in contact with
+an obstacle. The first term is potential-based shaping with the potential −distance and no discount:
 its sum is the distance gained, so it does not change the ranking of policies that reach the goal.
 
 In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch wave of the gait, so
@@ -156,9 +159,9 @@ class CrawlEpisode(ObservedEpisode):
         given = as_finite_array(place, (2,))
         if given is None:
             raise InputError(f"option goal {abbreviate(place)} is not allowed; give x and y in m")
-        goal = Goal(*given.tolist(), None, GOAL_RADIUS_M)
-        name = f"option goal ({goal.x:g}, {goal.y:g}) is not allowed"
-        if hit := obstacle_at(self.world, goal.x, goal.y):
+        x, y = given.tolist()
+        name, goal = f"option goal ({x:g}, {y:g}) is not allowed", Goal(x, y, None, GOAL_RADIUS_M)
+        if hit := obstacle_at(self.world, x, y):
             relation = "outside" if hit.startswith("the bounds") else "inside"
             raise InputError(f"{name}; it is {relation} {hit}")
         self.goal, self.world = goal, replace(self.world, goal=goal)
@@ -225,7 +228,7 @@ class CrawlEpisode(ObservedEpisode):
         }
 
     def _touching(self) -> bool:
-        return bool(np.any(self.state.obstacle_force))
+        return bool((np.abs(self.state.obstacle_force) > 0).any())
 
     def _goal_distance(self, state: SnakeState) -> float:
         return math.hypot(self.goal.x - float(state.com[0]), self.goal.y - float(state.com[1]))

@@ -230,7 +230,7 @@ def test_a_goal_in_an_obstacle_is_refused():
     env.reset(seed=1)
     circle = min(env.episode.world.obstacles, key=lambda item: abs(item.y))
     number = env.episode.world.obstacles.index(circle) + 1
-    with pytest.raises(InputError, match=f"it is inside obstacle {number}$"):
+    with pytest.raises(InputError, match=f"it is inside obstacle {number} "):
         env.reset(seed=1, options={"goal": (circle.x, circle.y)})
 
 
