@@ -158,14 +158,14 @@ SETTLE_M = 0.035
 LOOKAHEAD_M = 0.15
 """Lookahead distance of the steering law, m."""
 
-MARGIN_M = 0.03
-"""Margin of the plan to the obstacles, m."""
-
 STRAY_M = 0.1
 """Cross-track error above which the follower plans again, m."""
 
 AIM_M = 0.05
 """Goal radius of the follower, m; smaller than that of the tasks."""
+
+MARGIN_M = 0.03
+"""Margin between plan and obstacles, m; without it 3 of 12 snakes touch a circle of Obstacles."""
 
 _PLANNER_SETTINGS = Settings(nodes=50_000)
 
