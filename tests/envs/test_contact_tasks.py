@@ -100,6 +100,32 @@ def test_a_grip_needs_forces_on_opposite_sides():
     assert not is_gripped((1.0, 170.0), (0.019, -10.0))
 
 
+def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
+    episode = make_task("Grasp").begin(np.random.default_rng(0))
+    place, none = episode.twin.physics.data.qpos[-3:], np.zeros_like(episode.state.obstacle_force)
+    opposite = none.copy()
+    opposite[-1], opposite[-2] = (1.0, 0.0), (-1.0, 0.0)
+
+    def after_a_shift(force: np.ndarray, shift: float) -> tuple[float, dict[str, float]]:
+        """Return by how much farther the object is from its start, and the values of the reward."""
+        before, episode.state = episode._moved, replace(episode.state, obstacle_force=force)
+        place[0] += shift
+        values = episode._reward_values()
+        return episode._moved - before, values
+
+    moved, values = after_a_shift(none, 0.02)
+    assert moved == pytest.approx(0.02) and values["progress_m"] == 0
+    moved, values = after_a_shift(opposite, 0.02)
+    assert moved == pytest.approx(0.02) and values["progress_m"] == pytest.approx(moved)
+    # From here on the object is 0.3 m farther from its start.
+    episode._item = replace(episode._item, x=episode._item.x - 0.3)
+    for _ in range(18):
+        assert after_a_shift(opposite, 0.0)[1]["dragged"] == 0 and not episode.ending
+    assert after_a_shift(opposite, 0.0)[1]["dragged"] == 1 and episode.ending == "dragged"
+    episode.ending = ""
+    assert after_a_shift(none, -0.6)[1]["object_lost"] == 1 and episode.ending == "object_lost"
+
+
 def test_an_object_is_held_after_two_seconds_at_rest():
     episode = make_task("Grasp").begin(np.random.default_rng(0))
     steps, places = round(HELD_S / 0.1), np.full((40, HOLD), 0.05)
