@@ -1,4 +1,4 @@
-"""Train a policy for the task GoTo with PPO (stable-baselines3), and write it as a small file.
+"""Train a policy for a task with PPO (stable-baselines3), and write it as a small file.
 
     uv run --extra rl python examples/train_ppo.py --seeds 0 1 2 3 4 --out runs/ppo
 
@@ -6,6 +6,9 @@ The reward has a time penalty in addition to the default terms, so that the poli
 For each seed K the script writes seed_K/policy.npz, which `srs_twin.envs.policy.load_policy` reads without
 PyTorch, and the learning curve as seed_K/curve.csv: the steps so far, and the success rate and mean duration
 of the last 100 episodes. A seed whose policy exists is not trained again. curve.png shows all seeds.
+
+`--task Obstacles --observations pose goal gait bends command --time-weight 0` trains a policy that does not
+see the obstacles.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ from __future__ import annotations
 import argparse
 import csv
 from collections import deque
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import gymnasium
@@ -23,11 +28,13 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
+from srs_twin.envs import TASKS
 from srs_twin.envs.policy import NetworkPolicy
+from srs_twin.envs.task import Task
 from srs_twin.plants.twin.mjcf.numerics import PRESETS
 
 GROUPS = ("goal", "gait", "command")
-"""Groups of observations; the policy does not need the pose or the bends."""
+"""Groups of observations for GoTo, which does not need the pose or the bends."""
 
 ENVIRONMENTS = 8
 
@@ -38,11 +45,11 @@ FOLLOWER_S = 5.6
 """Mean duration of planner and follower over 500 goals (docs/environments.md), s."""
 
 
-def make_environment(time_weight: float) -> gymnasium.Env:
+def make_environment(task: str, groups: Sequence[str], time_weight: float) -> gymnasium.Env:
     """Return the environment of the training: coarser steps and a time penalty."""
     return gymnasium.make(
-        "srs_twin.envs:SRSTwin/GoTo-v0",
-        observations=GROUPS,
+        f"srs_twin.envs:SRSTwin/{task}-v0",
+        observations=groups,
         rewards={"time_s": -time_weight},
         **PRESETS["fast"],
     )
@@ -72,7 +79,7 @@ class LearningCurve(BaseCallback):
             self._file.flush()
 
 
-def exported(model: PPO, observations: list[str]) -> NetworkPolicy:
+def exported(model: PPO, task: Task) -> NetworkPolicy:
     """Return the mean action of a model as a network of its raw observations."""
     layers = [*model.policy.mlp_extractor.policy_net, model.policy.action_net]
     linear = [layer for layer in layers if isinstance(layer, torch.nn.Linear)]
@@ -84,14 +91,14 @@ def exported(model: PPO, observations: list[str]) -> NetworkPolicy:
     # The normalisation of the observations becomes part of the first layer.
     biases[0] -= weights[0] @ (normalised.obs_rms.mean * scale)
     weights[0] *= scale
-    return NetworkPolicy("GoTo", tuple(observations), tuple(zip(weights, biases, strict=True)))
+    names = tuple(signal.name for signal in task.observations)
+    return NetworkPolicy(task.name, names, tuple(zip(weights, biases, strict=True)))
 
 
-def train(folder: Path, seed: int, steps: int, time_weight: float) -> None:
+def train(folder: Path, seed: int, steps: int, make: Callable[[], gymnasium.Env]) -> None:
     """Train one policy and write it with its learning curve."""
     folder.mkdir(parents=True, exist_ok=True)
-    environments = DummyVecEnv([lambda: make_environment(time_weight)] * ENVIRONMENTS)
-    names = [signal.name for signal in environments.envs[0].unwrapped.task.observations]
+    environments = DummyVecEnv([make] * ENVIRONMENTS)
     model = PPO(
         "MlpPolicy",
         VecNormalize(environments, gamma=DISCOUNT),
@@ -105,7 +112,7 @@ def train(folder: Path, seed: int, steps: int, time_weight: float) -> None:
         device="cpu",
     )
     model.learn(steps, LearningCurve(folder / "curve.csv"))
-    exported(model, names).save(folder / "policy.npz")
+    exported(model, environments.envs[0].unwrapped.task).save(folder / "policy.npz")
 
 
 def draw(curves: list[Path], path: Path) -> None:
@@ -129,16 +136,19 @@ def draw(curves: list[Path], path: Path) -> None:
 def main() -> None:
     """Train a policy and write it with its learning curve."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--task", choices=TASKS, default="GoTo")
+    parser.add_argument("--observations", nargs="+", default=GROUPS, help="groups of observations")
     parser.add_argument("--steps", type=int, default=200_000, help="environment steps")
     parser.add_argument("--time-weight", type=float, default=0.2, help="penalty per second")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, default=Path("runs/ppo"))
     given = parser.parse_args()
     torch.set_num_threads(1)
+    make = partial(make_environment, given.task, given.observations, given.time_weight)
     for seed in given.seeds:
         folder = given.out / f"seed_{seed}"
         if not (folder / "policy.npz").is_file():
-            train(folder, seed, given.steps, given.time_weight)
+            train(folder, seed, given.steps, make)
     draw([given.out / f"seed_{seed}/curve.csv" for seed in given.seeds], given.out / "curve.png")
     print(f"{given.out}: {len(given.seeds)} policies, curve.png")
 

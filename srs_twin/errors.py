@@ -72,15 +72,23 @@ class UnknownNameError(InputError):
         kind: kind of object with this name, such as "metric".
         name: the unknown name.
         available: all valid names.
-        listing: command or page that lists them, for messages about more than `MAX_LISTED_NAMES` names.
+        listing: command or page that lists them, for messages about more than `longest` names.
+        longest: largest number of names that the message lists.
     """
 
-    def __init__(self, kind: str, name: str, available: Iterable[str], listing: str = "") -> None:
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        available: Iterable[str],
+        listing: str = "",
+        longest: int = MAX_LISTED_NAMES,
+    ) -> None:
         names = sorted(available)
         suggestion = did_you_mean(name, names)
         # Do not list many names, because they would hide the suggestion.
-        hide_list = suggestion and len(names) > MAX_LISTED_NAMES
-        rest = "" if hide_list else f" (available: {format_names(names, listing)})"
+        hide_list = suggestion and len(names) > longest
+        rest = "" if hide_list else f" (available: {format_names(names, listing, longest)})"
         super().__init__(f"unknown {kind} '{name}'{suggestion}{rest}")
 
 
@@ -226,9 +234,9 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
     return next(short, period_s)
 
 
-def format_names(names: Sequence[str], listing: str = "") -> str:
+def format_names(names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES) -> str:
     """Return names for a message: all of a short list, else their number and where they are listed."""
-    if len(names) > MAX_LISTED_NAMES:
+    if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
 

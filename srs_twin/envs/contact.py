@@ -1,15 +1,19 @@
-"""Pegs and Grasp: crawl out of a field of posts, and drag an object with the tail.
+"""Pegs and Grasp: crawl to a goal among posts, and drag an object with the tail.
 
 Pegs: the skin of the snake has the same friction in every direction, so that it hardly moves without posts.
-The episode ends at a given distance from its start, in any direction. Grasp: the tail of a chain of modules
-has to curl around a cylinder and drag it. Both rewards use potentials, as in `crawling`.
+Its goal may be in any direction, because almost every gait moves the snake among posts, but only steering
+brings it to a given place.
+
+Grasp: the tail of a chain of modules has to curl around a cylinder and drag it. The object is gripped in a
+step if it presses on opposite sides of the tail, and held if it was gripped and at rest in the tail for the
+last `HELD_S`. Only the way that the object moves while it is gripped is rewarded, so that pushing it away is
+no success.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,17 +33,16 @@ from srs_twin.envs.observed import (
 from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals
 from srs_twin.envs.variation import Robot
 from srs_twin.planning.camera import Camera
-from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import GRAVITY
-from srs_twin.robot.world import Bounds, Goal, MovableObject, World, peg_field
+from srs_twin.robot.world import Bounds, Circle, Goal, MovableObject, World, peg_field
 
 _SKIN = {"law": "ellipse", "points_per_segment": 3, "forward": 0.3, "backward": 0.3, "transverse": 0.3}
 ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}
 """Robot of the scenario pegs_skin."""
 
-FIELD_RADIUS_M = 0.5
-"""Distance from the start at which the field counts as crossed, m."""
+_GOAL_DISTANCES_M = (0.8, 1.0)
+"""Smallest and largest distance of the goal, m."""
 
 _PITCH_M = 0.13
 """Distance between posts of a row and between rows, m, as in pegs_skin."""
@@ -53,10 +56,10 @@ _JITTER_M = 0.005
 _FRICTION = 0.2
 """Friction coefficient of the posts, 1, as in pegs_skin."""
 
-_ROWS = 10
-"""Number of rows; even, as that of columns, so that the snake is in the middle between two rows."""
+_ROWS = 18
+"""Number of rows; even, so that the snake is in the middle between two rows."""
 
-_COLUMNS = 12
+_COLUMNS = 18
 """Number of posts in a row."""
 
 _SEEN_PEGS = 4
@@ -70,7 +73,9 @@ _ROOM = Bounds((-1.5, 1.5), (-1.5, 1.5))
 
 
 class PegsEpisode(CrawlEpisode):
-    """Episode of crawling out of a field; the goal is the circle around the start."""
+    """Episode of crawling to a goal among posts, which carry the snake."""
+
+    collisions_end = False
 
     def _measure(self) -> dict[str, Sequence[float]]:
         values = super()._measure()
@@ -78,42 +83,28 @@ class PegsEpisode(CrawlEpisode):
         nearest = np.argsort(np.hypot(posts[:, 0], posts[:, 1]), kind="stable")[:_SEEN_PEGS]
         return values | {"pegs": posts[nearest, :2].ravel().tolist()}
 
-    def _goal_distance(self, state: SnakeState) -> float:
-        """Return the distance to the circle, m."""
-        return self.goal.radius - super()._goal_distance(state)
-
-    def _has_arrived(self, distance: float) -> bool:
-        return distance <= 0
-
 
 class PegsTask(CrawlTask):
-    """Task of crawling out of a field of posts (module docstring)."""
+    """Task of crawling to a goal among posts (module docstring)."""
 
     episode_class = PegsEpisode
-    # Among posts, contact is no failure.
-    reward_terms = tuple(
-        replace(term, weight=0.0) if term.name == "touching_s" else term for term in CrawlTask.reward_terms
-    )
 
-    def __init__(self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 15.0, **settings: Any) -> None:
+    def __init__(self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 12.0, **settings: Any) -> None:
         """Create the task; arguments and errors as in `CrawlTask`, with 3 hinges per segment."""
-        arena = Arena(_ROOM, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0), obstacles=1)
+        arena = Arena(_ROOM, (0.0, 0.0), _GOAL_DISTANCES_M, (-math.pi, math.pi), 1, friction=_FRICTION)
         settings = {"hinges_per_segment": 3, **settings}
         super().__init__("Pegs", arena, robot=robot, limit_s=limit_s, **settings)
 
     def _observation_groups(self) -> dict[str, Signals]:
         groups = super()._observation_groups()
-        # Without the goal, whose position follows from that of the snake.
-        del groups["goal"], groups["obstacles"]
+        del groups["obstacles"]
         text = "position of the post with rank {} by distance,"
         pegs = (place_signals(f"peg_{k}", _FAR_M, text.format(k)) for k in range(1, _SEEN_PEGS + 1))
         return groups | {"pegs": tuple(signal for pair in pegs for signal in pair)}
 
-    def _draw_world(self, rng: np.random.Generator) -> tuple[World, float, int]:
-        seed = int(rng.integers(2**32))
+    def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
         first = (-(_COLUMNS - 1) / 2 * _PITCH_M, 0.0)
-        pegs = peg_field(_PITCH_M, _RADIUS_M, _ROWS, _COLUMNS, first, seed, jitter=_JITTER_M)
-        return World(pegs, _ROOM, Goal(0.0, 0.0, None, FIELD_RADIUS_M), friction=_FRICTION), 0.0, seed
+        return peg_field(_PITCH_M, _RADIUS_M, _ROWS, _COLUMNS, first, seed, jitter=_JITTER_M)
 
 
 CHAIN = {"base": "gen2", "geometry": {"connectors": 13}, "gait": {"phase_step_rad": math.pi / 4}}
@@ -125,8 +116,23 @@ HOLD = 4
 DRAG_M = 0.3
 """Distance by which the object must move, m."""
 
+HELD_S = 2.0
+"""Time for which the object must be held at the end, s."""
+
+_OPPOSITE_RAD = 2 * math.pi / 3
+"""Angle between two forces on opposite sides, rad; of forces in balance, two differ by at least as much."""
+
+_TOUCH_N = 0.02
+"""Smallest force of a contact, mean of a step, N."""
+
+_SLIP_M = 0.02
+"""Largest change of a distance between a held object and a connector, m, as in docs/objects.md."""
+
 GRASP_FREQUENCY_HZ = 2.0
 """Gait frequency of the crawling modules, Hz."""
+
+TIMESTEP_S = 0.002
+"""Time step of the twin, s, as in docs/objects.md."""
 
 _LOST_M = 0.25
 """Distance of the object from the middle of the holding modules beyond which it is lost, m. It begins within
@@ -159,14 +165,20 @@ class GraspTask(CameraTask):
     name = "Grasp"
     has_obstacles = True
     reward_terms = (
-        RewardTerm("progress_m", 1.0, "increase of the distance of the object from its start"),
-        RewardTerm("dragged", 1.0, f"1 in the step in which this distance reaches {DRAG_M:g} m"),
+        RewardTerm(
+            "progress_m", 1.0, "increase of the distance of the object from its start while it is gripped"
+        ),
+        RewardTerm(
+            "dragged",
+            1.0,
+            f"1 in the step in which this distance is {DRAG_M:g} m and the object was held for {HELD_S:g} s",
+        ),
         RewardTerm("object_lost", -1.0, "1 in the step in which the object has left the tail"),
         *COSTS,
     )
 
     def __init__(
-        self, *, robot: Robot = CHAIN, limit_s: float = 12.0, camera: Camera = CAMERA, **settings: Any
+        self, *, robot: Robot = CHAIN, limit_s: float = 8.0, camera: Camera = CAMERA, **settings: Any
     ) -> None:
         """Create the task.
 
@@ -180,7 +192,7 @@ class GraspTask(CameraTask):
             UnknownNameError: the twin does not have a setting of that name.
             InputError: the robot, fit, range or time limit is invalid.
         """
-        super().__init__(robot, limit_s, **settings)
+        super().__init__(robot, limit_s, **{"timestep": TIMESTEP_S, **settings})
         check_hold(HOLD, self.robot)
         self.camera = camera
         self.actions = (
@@ -211,7 +223,7 @@ class GraspTask(CameraTask):
 class GraspEpisode(ObservedEpisode):
     """Episode of dragging an object."""
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("_command", "_driven", "_moved")
+    state_attributes: ClassVar[tuple[str, ...]] = ("_command", "_driven", "_moved", "_grips")
 
     def __init__(self, task: GraspTask, twin: TwinSnake, item: MovableObject, seed: int) -> None:
         """Place the straight snake at the origin."""
@@ -219,12 +231,13 @@ class GraspEpisode(ObservedEpisode):
         self._item, self._gait = item, Gait(GRASP_FREQUENCY_HZ)
         self._gait.reset(twin.spec, twin.tick)
         self._command, self._driven, self._moved = [0.0, 0.0, 0.0], 0.0, 0.0
+        self._grips: list[np.ndarray] = []
         super().__init__(task, twin, state, seed)
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
         super()._initialise_from_state()
-        self._moved = self._distance_moved()
+        self._moved, self._grips = self._distance_moved(), []
 
     def _valves(self, action: list[float]) -> np.ndarray:
         grip, drive, self._gait.offset = self._command = action
@@ -257,15 +270,31 @@ class GraspEpisode(ObservedEpisode):
         seen, values = self._observe()
         return values | {"object": [*ahead_and_left(seen, *self._object_place()), self._item.size[0]]}
 
+    def _is_gripped(self) -> bool:
+        """Return whether the object pressed on opposite sides of the holding modules in the last step."""
+        forces = np.asarray(self.state.obstacle_force)[-HOLD - 1 :]
+        directions = [np.arctan2(y, x) for x, y in forces if math.hypot(x, y) > _TOUCH_N]
+        turns = np.subtract.outer(directions, directions)
+        return bool((np.cos(turns) <= math.cos(_OPPOSITE_RAD)).any())
+
+    def _is_held(self) -> bool:
+        """Return whether the object was gripped and at rest in the tail for `HELD_S`."""
+        steps = round(HELD_S / self._task.step_s)
+        return len(self._grips) >= steps and bool((np.ptp(self._grips[-steps:], axis=0) <= _SLIP_M).all())
+
     def _reward_values(self) -> dict[str, float]:
         before, self._moved = self._moved, self._distance_moved()
-        middle = np.asarray(self.state.position)[-HOLD - 1 :].mean(axis=0)
-        if self._moved >= DRAG_M:
+        holding = np.asarray(self.state.position)[-HOLD - 1 :]
+        gripped = self._is_gripped()
+        # Distances to the holding connectors behind the first one locate the object in the tail.
+        distances = np.hypot(*(holding[1:] - self._object_place()).T)
+        self._grips = [*self._grips, distances] if gripped else []
+        if self._moved >= DRAG_M and self._is_held():
             self.ending = "dragged"
-        elif np.hypot(*(np.array(self._object_place()) - middle)) > _LOST_M:
+        elif np.hypot(*(holding.mean(axis=0) - self._object_place())) > _LOST_M:
             self.ending = "object_lost"
         return {
-            "progress_m": self._moved - before,
+            "progress_m": gripped * (self._moved - before),
             "dragged": float(self.ending == "dragged"),
             "object_lost": float(self.ending == "object_lost"),
             **self._costs(),
@@ -273,4 +302,8 @@ class GraspEpisode(ObservedEpisode):
 
     def _info(self) -> dict[str, Any]:
         x, y = self._object_place()
-        return super()._info() | {"object_x_m": x, "object_y_m": y, "object_moved_m": self._moved}
+        return (
+            super()._info()
+            | {"object_x_m": x, "object_y_m": y, "object_moved_m": self._moved}
+            | {"held": self._is_held()}
+        )

@@ -1,8 +1,11 @@
-"""GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or among circular obstacles.
+"""GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or through gates between circles.
+
+In Obstacles two rows of circles close the room, and each has a gate at a random place. A snake that does not
+see the circles could feel its way along a row, so contact ends the episode.
 
 The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its weight. By default it is
-the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room, minus 0.5 per
-second of contact. The first term is potential-based shaping with the potential −distance and no discount:
+the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room or in contact with
+an obstacle. The first term is potential-based shaping with the potential −distance and no discount:
 its sum is the distance gained, so it does not change the ranking of policies that reach the goal.
 
 In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch wave of the gait, so
@@ -14,7 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -31,28 +34,33 @@ from srs_twin.envs.observed import (
     observation_groups,
     place_signals,
 )
-from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, StepResult, abbreviate, as_finite_array
 from srs_twin.envs.variation import Robot
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import short_digest
 from srs_twin.planning.camera import Camera
+from srs_twin.planning.collision import obstacle_at
 from srs_twin.plants.base import SnakeState
 from srs_twin.plants.twin.snake import TwinSnake
-from srs_twin.robot.world import Bounds, Circle, Goal, World, random_circles
+from srs_twin.robot.world import OBSTACLE_FRICTION, Bounds, Circle, Goal, World
 
 GOAL_RADIUS_M = 0.1
 """Distance from the centre of mass to the goal at which it is reached, m."""
 
 _PA_PER_KPA = 1e3
 
-_RADII_M = (0.08, 0.12)
+_RADII_M = (0.12, 0.14)
 """Smallest and largest radius of an obstacle, m."""
 
-_GAP_M = 0.25
-"""Smallest gap between obstacles, m: generation 2 sweeps 0.1 m when straight, 0.17 m in tight turns."""
+_SITES = 6
+"""Number of sites in a row of obstacles; one of the inner sites is free."""
 
-_CLEAR_M = 0.3
-"""Radius around start and goal without obstacles, m."""
+_SPACING_M = 0.30
+"""Distance between neighbouring sites, m. A free site leaves a gate of 0.32 to 0.36 m, and other gaps are at
+most 0.06 m; generation 2 sweeps 0.1 m when straight, 0.17 m in tight turns."""
+
+_SHIFT_M = 0.05
+"""Largest random displacement of a row along itself, m."""
 
 _MARGIN_M = 0.5
 """Distance of observed positions beyond the room, m: a step may end outside, and the camera has noise."""
@@ -68,7 +76,8 @@ class Arena:
         distances: smallest and largest distance of the goal, m.
         bearings: smallest and largest bearing of the goal relative to the heading, rad.
         obstacles: number of circles.
-        obstacle_area: area of the obstacles' centres; None without obstacles.
+        rows: x of the rows of obstacles, m.
+        friction: friction coefficient between obstacles and body.
     """
 
     room: Bounds
@@ -76,7 +85,8 @@ class Arena:
     distances: tuple[float, float]
     bearings: tuple[float, float]
     obstacles: int = 0
-    obstacle_area: Bounds | None = None
+    rows: tuple[float, ...] = ()
+    friction: float = OBSTACLE_FRICTION
 
 
 OPEN = Arena(
@@ -87,15 +97,17 @@ OPEN = Arena(
 )
 """Open floor of task GoTo."""
 
+_ROWS_M = (0.9, 1.9)
+
 CIRCLES = Arena(
-    room=Bounds((-0.6, 2.6), (-1.2, 1.2)),
-    headings=(-0.3, 0.3),
-    distances=(2.0, 2.2),
-    bearings=(-0.2, 0.2),
-    obstacles=4,
-    obstacle_area=Bounds((0.4, 1.6), (-0.6, 0.6)),
+    room=Bounds((-0.6, 3.0), (-0.6, 0.6)),
+    headings=(-0.1, 0.1),
+    distances=(2.5, 2.7),
+    bearings=(-0.1, 0.1),
+    obstacles=len(_ROWS_M) * (_SITES - 1),
+    rows=_ROWS_M,
 )
-"""Floor of task Obstacles: four circles between start and goal."""
+"""Floor of task Obstacles: two rows of circles, each with a gate at a random site, close the room."""
 
 FLOOR = Arena(
     room=Bounds((-2.0, 2.0), (-2.0, 2.0)),
@@ -120,11 +132,13 @@ class CrawlEpisode(ObservedEpisode):
 
     Attributes:
         world: obstacles, room and goal.
+        collisions_end: whether the episode ends when the body touches an obstacle.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("_distance", "_offset")
 
     goal: Goal
+    collisions_end: ClassVar[bool] = True
 
     def __init__(self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, seed: int) -> None:
         """Place the snake at the origin of a world with a goal."""
@@ -139,6 +153,22 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, Any]:
         """See `Episode.identity`; a twin that is reused was built with the goal of an earlier episode."""
         return super().identity() | {"world": short_digest(self.world)}
+
+    def set_goal(self, place: object) -> None:
+        """See `Episode.set_goal`."""
+        given = as_finite_array(place, (2,))
+        if given is None:
+            raise InputError(f"option goal {abbreviate(place)} is not allowed; give x and y in m")
+        x, y = given.tolist()
+        name, goal = f"option goal ({x:g}, {y:g}) is not allowed", Goal(x, y, None, GOAL_RADIUS_M)
+        if hit := obstacle_at(self.world, x, y):
+            relation = "outside" if hit.startswith("the bounds") else "inside"
+            raise InputError(f"{name}; it is {relation} {hit}")
+        self.goal, self.world = goal, replace(self.world, goal=goal)
+        self._initialise_from_state()
+        if self._distance <= goal.radius:
+            raise InputError(f"{name}; the snake is there already, within {goal.radius:g} m")
+        self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
@@ -172,14 +202,17 @@ class CrawlEpisode(ObservedEpisode):
         room, (x, y) = self.world.bounds, self.state.com
         before, self._distance = self._distance, self._goal_distance(self.state)
         offset_before, self._offset = self._offset, self._gait.command.offset
-        if self._has_arrived(self._distance):
+        if self._distance <= self.goal.radius:
             self.ending = "goal_reached"
+        elif self.collisions_end and self._touching():
+            self.ending = "collided"
         elif room and not (room.x[0] <= x <= room.x[1] and room.y[0] <= y <= room.y[1]):
             self.ending = "room_left"
         return {
             "progress_m": before - self._distance,
             "touching_s": self._task.step_s * self._touching(),
             "goal_reached": float(self.ending == "goal_reached"),
+            "collided": float(self.ending == "collided"),
             "room_left": float(self.ending == "room_left"),
             "offset_change": abs(self._offset - offset_before),
             **self._costs(),
@@ -195,11 +228,7 @@ class CrawlEpisode(ObservedEpisode):
         }
 
     def _touching(self) -> bool:
-        return bool(np.any(self.state.obstacle_force))
-
-    def _has_arrived(self, distance: float) -> bool:
-        """Return whether the episode ends at a distance from the goal (m)."""
-        return distance <= self.goal.radius
+        return bool((np.abs(self.state.obstacle_force) > 0).any())
 
     def _goal_distance(self, state: SnakeState) -> float:
         return math.hypot(self.goal.x - float(state.com[0]), self.goal.y - float(state.com[1]))
@@ -233,8 +262,9 @@ class CrawlTask(CameraTask):
     episode_class: ClassVar[type[CrawlEpisode]] = CrawlEpisode
     reward_terms: ClassVar[tuple[RewardTerm, ...]] = (
         RewardTerm("progress_m", 1.0, "decrease of the distance from the centre of mass to the goal"),
-        RewardTerm("touching_s", -0.5, "time in contact with an obstacle"),
+        RewardTerm("touching_s", 0.0, "time in contact with an obstacle"),
         RewardTerm("goal_reached", 1.0, "1 in the step that reaches the goal"),
+        RewardTerm("collided", -1.0, "1 in the step that touches an obstacle, except in Pegs"),
         RewardTerm("room_left", -1.0, "1 in the step that leaves the room"),
         *COSTS,
         RewardTerm("offset_change", 0.0, "absolute change of the steering offset"),
@@ -291,13 +321,19 @@ class CrawlTask(CameraTask):
         heading, distance, bearing = map(float, draws)
         direction = heading + bearing
         goal = Goal(distance * math.cos(direction), distance * math.sin(direction), None, GOAL_RADIUS_M)
-        seed, circles = int(rng.integers(2**32)), tuple[Circle, ...]()
-        if arena.obstacle_area is not None:
-            clear = ((0.0, 0.0, _CLEAR_M), (goal.x, goal.y, _CLEAR_M))
-            circles = random_circles(
-                arena.obstacles, arena.obstacle_area, seed, radius=_RADII_M, gap=_GAP_M, clear=clear
-            )
-        return World(circles, arena.room, goal), heading, seed
+        seed = int(rng.integers(2**32))
+        world = World(self._draw_obstacles(goal, seed), arena.room, goal, friction=arena.friction)
+        return world, heading, seed
+
+    def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
+        """Return the obstacles of an episode."""
+        rng, circles = np.random.default_rng(seed), []
+        for x in self.arena.rows:
+            gate, shift = rng.integers(1, _SITES - 1), rng.uniform(-_SHIFT_M, _SHIFT_M)
+            for site in set(range(_SITES)) - {int(gate)}:
+                y = (site - (_SITES - 1) / 2) * _SPACING_M + shift
+                circles.append(Circle(x, float(y), float(rng.uniform(*_RADII_M))))
+        return tuple(circles)
 
     def _gait_limits(self) -> GaitLimits:
         """Return the bounds of offset, frequency and pressure."""

@@ -97,7 +97,8 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         Args:
             seed: random seed; None: continue with the current generator.
             options: `state`: a saved state, from `episode.save()` in an episode of the same seed, to continue
-                from; or `snake`: a physical state to start from, with `yaw_rate` (rad/s).
+                from; or `snake`: a physical state to start from, with `yaw_rate` (rad/s). `goal`: x and y of
+                the goal, m.
 
         Raises:
             UnknownNameError: an option does not exist.
@@ -120,10 +121,12 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         rng = copy.deepcopy(self.np_random) if seed is None else seeding.np_random(seed)[0]
         # Do not reuse the twin of the running episode with options, because they may be refused.
         episode = self.task.begin(rng, None if checked else self.episode)
+        if "snake" in checked:
+            episode.place(checked["snake"], checked.get("yaw_rate", 0.0))
+        if "goal" in checked:
+            episode.set_goal(checked["goal"])
         if "state" in checked:
             episode.restore(checked["state"])
-        elif "snake" in checked:
-            episode.place(checked["snake"], checked.get("yaw_rate", 0.0))
         return rng, episode
 
     def start_episode(
@@ -161,7 +164,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         return self.episode
 
 
-_RESET_OPTIONS = ("state", "snake", "yaw_rate")
+_RESET_OPTIONS = ("state", "snake", "yaw_rate", "goal")
 _OPTION_TYPES = {
     "state": (SavedState, "a SavedState, which episode.save() returns"),
     "snake": (SnakeState, "a SnakeState, such as plant.state"),
@@ -186,7 +189,7 @@ def _checked_options(options: object) -> dict[str, Any]:
     for name, (expected_type, expected) in _OPTION_TYPES.items():
         if name in options and not isinstance(options[name], expected_type):
             raise InputError(f"option {name} {abbreviate(options[name])} is not allowed; give {expected}")
-    if "state" in options and len(options) > 1:
+    if "state" in options and not {"state", "goal"}.issuperset(options):
         raise InputError("options snake and yaw_rate are not allowed with option state; leave them out")
     if "yaw_rate" in options and "snake" not in options:
         raise InputError("option yaw_rate requires option snake; give both")

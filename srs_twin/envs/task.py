@@ -10,7 +10,7 @@ from __future__ import annotations
 import reprlib
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
@@ -98,11 +98,17 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
     """Check that names are known.
 
     Raises:
-        UnknownNameError: a name is not; the message calls it `kind`.
+        UnknownNameError: a name is not; the message calls it `kind` and lists all known names.
     """
     for name in names:
         if name not in known:
-            raise UnknownNameError(kind, str(name), known)
+            raise UnknownNameError(kind, str(name), known, longest=len(known))
+
+
+def keywords(function: Callable[..., object]) -> set[str]:
+    """Return the names of the arguments of a function that are given by keyword only."""
+    parameters = signature(function).parameters.values()
+    return {entry.name for entry in parameters if entry.kind is entry.KEYWORD_ONLY}
 
 
 def check_seed(seed: object) -> None:
@@ -122,7 +128,7 @@ _MAX_PRINTED_VALUES = 6
 ACTION_RANGES = ("unit", "physical")
 """Ranges of actions: −1 to 1, or the bounds of the signals in their units (until release 1.1)."""
 
-_RESERVED_TWIN_ARGUMENTS = {"spec", "tick", "supply_pa", "base", "world"}
+_RESERVED_TWIN_ARGUMENTS = {"tick", "supply_pa", "base", "world"}
 """Arguments of `TwinSnake` that a task sets itself."""
 
 TIME_UP = "time_up"
@@ -214,7 +220,8 @@ class Task(ABC):
         self._requested_groups = None if observations is None else tuple(observations)
         variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
-        allowed = set(signature(TwinSnake).parameters) - _RESERVED_TWIN_ARGUMENTS
+        own = (keywords(kind.__init__) for kind in type(self).__mro__ if issubclass(kind, Task))
+        allowed = keywords(TwinSnake).union(*own) - _RESERVED_TWIN_ARGUMENTS
         check_names("setting of the task or its twin", twin_settings, allowed)
         self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
         self.robot = variation.file.spec()
@@ -357,6 +364,17 @@ class Episode(Stateful, ABC):
         self.state = self.twin.place(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
         self._initialise_from_state()
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
+
+    def set_goal(self, place: object) -> None:
+        """Move the goal before the first action.
+
+        Args:
+            place: x and y, m.
+
+        Raises:
+            InputError: the task has no goal, or the snake cannot reach one at this place.
+        """
+        raise InputError(f"option goal is not allowed: the task {self._task.name} has no goal at a place")
 
     def _initialise_from_state(self) -> None:
         """Reset the attributes that depend on the first state."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -19,6 +22,40 @@ def test_path_following_reaches_the_goal(task, seed):
         instance, lambda _: np.array([0.0, 2.0, 48.3], dtype=np.float32), np.random.default_rng(seed)
     )
     assert straight.ending != "goal_reached" and straight.reward < score.reward
+
+
+def test_rows_of_circles_have_one_gate_each():
+    task = make_task("Obstacles")
+    width = task.robot.geometry.width
+    gates = set()
+    for seed in range(40):
+        world, *_ = task._draw_world(np.random.default_rng(seed))
+        for x in task.arena.rows:
+            row = sorted((c for c in world.obstacles if c.x == x), key=lambda circle: circle.y)
+            gaps = np.array([b.y - b.radius - a.y - a.radius for a, b in pairwise(row)])
+            gate = int(np.argmax(gaps))
+            gates.add((x, gate))
+            assert 0.32 <= gaps[gate] <= 0.36 and np.delete(gaps, gate).max() < 0.061
+            # Nothing passes beyond the ends of a row, because the room is narrower.
+            edges = row[0].y - row[0].radius, row[-1].y + row[-1].radius
+            assert edges[0] < world.bounds.y[0] - width and edges[1] > world.bounds.y[1] + width
+    assert len(gates) == 8, "four sites in each row"
+
+
+def test_contact_with_a_circle_ends_the_episode():
+    task = make_task("Obstacles")
+    episode = task.begin(np.random.default_rng(0))
+    circle = min(episode.world.obstacles, key=lambda item: abs(item.y))
+    half = episode.twin.spec.geometry.body_length / 2
+    place = np.array([circle.x - circle.radius - half - 0.05, circle.y])
+    episode.place(replace(episode.state, com=place, heading=0.0, theta=np.zeros(5)))
+    total = 0.0
+    while not episode.ending:
+        result = episode.step(task.from_physical([0.0, 2.0, 55.0]))
+        total += result.info["reward_progress_m"]
+    assert episode.ending == "collided" and result.terminated and result.info["touching"]
+    assert result.reward == pytest.approx(result.info["reward_progress_m"] - 1)
+    assert total < 0.3
 
 
 def test_pi_control_tracks_better_than_constant_duties():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from srs_twin.control.grasp import hold_with
 from srs_twin.envs import make_task
-from srs_twin.envs.contact import DRAG_M, FIELD_RADIUS_M, HOLD
+from srs_twin.envs.contact import HELD_S, HOLD
 from srs_twin.envs.gymnasium import SnakeEnv
 from srs_twin.envs.policy import baseline, play_episode
 from srs_twin.errors import InputError
@@ -29,7 +30,7 @@ def test_observed_posts_are_the_nearest_ones():
     seen = [(values[f"peg_{k}_ahead_m"], values[f"peg_{k}_left_m"]) for k in range(1, 5)]
     # The camera has 1 mm and 5 mrad of noise.
     assert np.array(sorted(map(tuple, nearest))) == pytest.approx(np.array(sorted(seen)), abs=0.006)
-    assert not any(name.startswith(("goal", "obstacle")) for name in values)
+    assert not any(name.startswith("obstacle") for name in values)
 
 
 @pytest.mark.slow
@@ -41,18 +42,17 @@ def test_posts_leave_room_for_the_snake_at_the_start():
         assert min(abs(post.y) - post.radius for post in episode.world.obstacles) > half
 
 
-def test_progress_among_posts_is_the_distance_from_the_start():
-    env = SnakeEnv("Pegs")
-    _, info = env.reset(seed=0)
-    first, total = math.hypot(info["com_x_m"], info["com_y_m"]), 0.0
-    policy = baseline(env.task)
+def test_progress_among_posts_is_the_way_to_the_goal_and_contact_ends_nothing():
+    env = SnakeEnv("Pegs", rewards={"touching_s": -0.5})
+    observation, first = env.reset(seed=0)
+    policy, total, touched = baseline(env.task), 0.0, 0
     for _ in range(12):
-        observation, reward, *_, info = env.step(policy(np.zeros(0)))
-        total += reward
-    distance = math.hypot(info["com_x_m"], info["com_y_m"])
-    assert total == pytest.approx(distance - first, abs=1e-9)
-    assert info["goal_distance_m"] == pytest.approx(FIELD_RADIUS_M - distance)
-    assert distance > 0.02 and env.task.weights["touching_s"] == 0
+        observation, reward, *_, info = env.step(policy(observation))
+        total, touched = total + reward, touched + info["touching"]
+    away = math.hypot(info["goal_x_m"] - info["com_x_m"], info["goal_y_m"] - info["com_y_m"])
+    assert info["goal_distance_m"] == pytest.approx(away)
+    assert total == pytest.approx(first["goal_distance_m"] - away - 0.05 * touched, abs=1e-9)
+    assert touched and not info["ending"]
 
 
 @pytest.mark.slow
@@ -65,7 +65,79 @@ def test_baseline_succeeds_and_resting_does_not(name, ending):
     if vented is not None:
         rest = play_episode(make_task(name, limit_s=2.0), lambda _: vented, np.random.default_rng(0))
         assert rest.ending == "time_up" and abs(rest.reward) < 1e-3
-        assert DRAG_M + 1 <= score.reward <= DRAG_M + 1.1
+        assert score.time > HELD_S and 1.2 < score.reward < 1.6
+
+
+@pytest.mark.slow
+def test_pushing_the_object_away_is_no_success():
+    task = make_task("Grasp", limit_s=3.0)
+    for seed in range(2):
+        episode = task.begin(np.random.default_rng(seed))
+        total, grip = 0.0, math.copysign(1.0, episode._item.y)
+        while not episode.ending:
+            result = episode.step(task.from_physical([grip, 0.0, 0.0]))
+            total += result.reward
+        assert episode.ending in ("object_lost", "time_up") and total < 0.1
+
+
+def test_a_grip_needs_forces_on_opposite_sides():
+    episode = make_task("Grasp").begin(np.random.default_rng(0))
+
+    def is_gripped(*forces: tuple[float, float]) -> bool:
+        """Return the verdict on forces (size in N, direction in degrees) on the last connectors."""
+        of_connectors = np.zeros_like(episode.state.obstacle_force)
+        for k, (size, degrees) in enumerate(forces, start=1):
+            angle = math.radians(degrees)
+            of_connectors[-k] = size * math.cos(angle), size * math.sin(angle)
+        episode.state = replace(episode.state, obstacle_force=of_connectors)
+        return episode._is_gripped()
+
+    assert not is_gripped()
+    assert not is_gripped((1.0, 170.0))
+    assert not is_gripped((1.0, 170.0), (2.0, -71.0))
+    assert is_gripped((1.0, 170.0), (2.0, -69.0))
+    assert is_gripped((1.0, 170.0), (2.0, 90.0), (3.0, -60.0))
+    assert not is_gripped((1.0, 170.0), (0.019, -10.0))
+
+
+def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
+    episode = make_task("Grasp").begin(np.random.default_rng(0))
+    place, none = episode.twin.physics.data.qpos[-3:], np.zeros_like(episode.state.obstacle_force)
+    opposite = none.copy()
+    opposite[-1], opposite[-2] = (1.0, 0.0), (-1.0, 0.0)
+
+    def after_a_shift(force: np.ndarray, shift: float) -> tuple[float, dict[str, float]]:
+        """Return by how much farther the object is from its start, and the values of the reward."""
+        before, episode.state = episode._moved, replace(episode.state, obstacle_force=force)
+        place[0] += shift
+        values = episode._reward_values()
+        return episode._moved - before, values
+
+    moved, values = after_a_shift(none, 0.02)
+    assert moved == pytest.approx(0.02) and values["progress_m"] == 0
+    moved, values = after_a_shift(opposite, 0.02)
+    assert moved == pytest.approx(0.02) and values["progress_m"] == pytest.approx(moved)
+    # From here on the object is 0.3 m farther from its start.
+    episode._item = replace(episode._item, x=episode._item.x - 0.3)
+    for _ in range(18):
+        assert after_a_shift(opposite, 0.0)[1]["dragged"] == 0 and not episode.ending
+    assert after_a_shift(opposite, 0.0)[1]["dragged"] == 1 and episode.ending == "dragged"
+    episode.ending = ""
+    assert after_a_shift(none, -0.6)[1]["object_lost"] == 1 and episode.ending == "object_lost"
+
+
+def test_an_object_is_held_after_two_seconds_at_rest():
+    episode = make_task("Grasp").begin(np.random.default_rng(0))
+    steps, places = round(HELD_S / 0.1), np.full((40, HOLD), 0.05)
+    episode._grips = list(places[: steps - 1])
+    assert not episode._is_held()
+    episode._grips = list(places[:steps])
+    assert episode._is_held()
+    places[20, 2] += 0.021
+    episode._grips = list(places)
+    assert not episode._is_held()
+    episode._grips = list(places[:20])
+    assert episode._is_held()
 
 
 @pytest.mark.slow

@@ -102,7 +102,7 @@ def test_copies_of_a_dm_env_give_the_same_episodes(task):
 
 EMPTY_STATE = SavedState({}, {})
 OPTIONS = {
-    "no options": (1, r"options 1 are not allowed; give a dict with state, snake, yaw_rate"),
+    "no options": (1, r"options 1 are not allowed; give a dict with state, snake, yaw_rate, goal"),
     "list": ([], r"options \[\] are not allowed"),
     "unknown": ({"stat": 1}, r"unknown option of reset 'stat'; did you mean state\?"),
     "number": ({1: 1}, r"unknown option of reset '1'"),
@@ -175,6 +175,75 @@ def test_a_state_of_a_later_episode_continues_in_another_environment():
     assert equal_bits([env.step(a) for a in actions], [other.step(a) for a in actions])
     with pytest.raises(InputError, match="the saved state has other settings"):
         other.reset(seed=3, options={"state": state})
+
+
+def test_the_goal_of_an_episode_can_be_given():
+    env = SnakeEnv("GoTo", **SHORT)
+    observation, info = env.reset(seed=3, options={"goal": (0.3, -0.4)})
+    assert (info["goal_x_m"], info["goal_y_m"]) == (0.3, -0.4)
+    distance = np.hypot(0.3 - info["com_x_m"], -0.4 - info["com_y_m"])
+    assert info["goal_distance_m"] == pytest.approx(distance)
+    names = [signal.name for signal in env.task.observations]
+    seen = [observation[names.index(name)] for name in ("goal_ahead_m", "goal_left_m")]
+    assert np.hypot(*seen) == pytest.approx(distance, abs=0.01), "the camera has 1 mm of noise"
+    *_, after = env.step(np.array([0.1, 0.5, 0.8]))
+    assert after["reward_progress_m"] == pytest.approx(distance - after["goal_distance_m"])
+    _, info = env.reset()
+    assert info["goal_x_m"] != 0.3
+
+
+def test_a_given_goal_is_kept_by_saved_and_placed_states():
+    env, other = (SnakeEnv("GoTo", **SHORT) for _ in range(2))
+    goal = {"goal": (0.3, -0.4)}
+    env.reset(seed=3, options=goal)
+    env.step(np.array([0.1, 0.5, 0.8]))
+    other.reset(seed=3, options=goal | {"state": env.episode.save()})
+    actions = sample_actions(env, 2)
+    with pytest.raises(InputError, match="the saved state has other settings"):
+        other.reset(seed=3, options={"state": env.episode.save()})
+    assert equal_bits([env.step(a) for a in actions], [other.step(a) for a in actions])
+    snake = replace(env.episode.state, com=np.array([0.1, 0.0]))
+    _, info = other.reset(seed=3, options=goal | {"snake": snake})
+    assert info["goal_distance_m"] == pytest.approx(np.hypot(0.2, 0.4), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("task", "goal", "message"),
+    [
+        ("GoTo", (1.0,), r"option goal \(1.0,\) is not allowed; give x and y in m"),
+        ("GoTo", (1.0, np.nan), "is not allowed; give x and y in m"),
+        ("GoTo", "here", "option goal 'here' is not allowed"),
+        ("GoTo", (2.6, 0.0), r"option goal \(2.6, 0\) is not allowed; it is outside the bounds"),
+        ("GoTo", (0.05, 0.0), "the snake is there already, within 0.1 m"),
+        ("Module", (1.0, 0.0), "the task Module has no goal at a place"),
+    ],
+)
+def test_goals_that_cannot_be_reached_are_refused(task, goal, message):
+    env = SnakeEnv(task, **SHORT)
+    env.reset(seed=1)
+    with pytest.raises(InputError, match=message):
+        env.reset(seed=1, options={"goal": goal})
+
+
+def test_a_goal_in_an_obstacle_is_refused():
+    env = SnakeEnv("Obstacles", **SHORT)
+    env.reset(seed=1)
+    circle = min(env.episode.world.obstacles, key=lambda item: abs(item.y))
+    number = env.episode.world.obstacles.index(circle) + 1
+    with pytest.raises(InputError, match=f"it is inside obstacle {number} "):
+        env.reset(seed=1, options={"goal": (circle.x, circle.y)})
+
+
+def test_unknown_settings_list_those_of_the_task():
+    settings = ["action_range", "fit", "limit_s", "observations", "ranges", "rewards", "robot"]
+    twin = ["contact", "hinges_per_segment", "layout", "numerics", "pneumatics", "sensor", "timestep"]
+    for task, more in (("Module", []), ("GoTo", ["camera"]), ("Pegs", ["camera"])):
+        with pytest.raises(InputError, match="unknown setting of the task or its twin 'foo'") as refused:
+            SnakeEnv(task, foo=1)
+        listed = str(refused.value).partition("available: ")[2].rstrip(")").split(", ")
+        assert listed == sorted(settings + twin + more)
+    with pytest.raises(InputError, match="'limit'; did you mean limit_s"):
+        SnakeEnv("GoTo", limit=3)
 
 
 def test_refused_reset_leaves_all_environments_of_a_vector_unchanged():

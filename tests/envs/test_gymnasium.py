@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from srs_twin import Gait, InputError, TwinSnake, rollout
 from srs_twin.envs import TASKS, make_task
-from srs_twin.envs.crawling import OPEN, Arena, CrawlTask
+from srs_twin.envs.crawling import OPEN, CrawlTask
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
 from srs_twin.envs.policy import load_policy
 from srs_twin.errors import DivergedError
@@ -218,19 +218,6 @@ def test_divergence_terminates_with_the_previous_observation(task):
         episode.step(action)
 
 
-def test_touching_an_obstacle_is_penalised():
-    arena = Arena(OPEN.room, (0.0, 0.0), (1.5, 1.5), (0.0, 0.0), 1, Bounds((0.42, 0.43), (-0.01, 0.01)))
-    episode = CrawlTask("wall", arena, limit_s=4.0).begin(np.random.default_rng(0))
-    result, touched = episode.first, []
-    while not (result.truncated or result.terminated):
-        before = result.info["goal_distance_m"]
-        result = episode.step([0.0, 1.0, 1.0])
-        gained = before - result.info["goal_distance_m"]
-        assert result.reward == pytest.approx(gained - 0.05 * result.info["touching"], abs=1e-9)
-        touched.append(result.info["touching"])
-    assert any(touched) and not touched[0]
-
-
 def test_actions_are_clipped_and_invalid_ones_refused():
     one, other = SnakeEnv("GoTo"), SnakeEnv("GoTo")
     one.reset(seed=0)
@@ -245,8 +232,8 @@ def test_calls_in_the_wrong_order_and_unknown_names_are_refused():
     env = SnakeEnv("Module")
     with pytest.raises(InputError, match="reset the environment first"):
         env.step(np.zeros(2))
-    with pytest.raises(InputError, match="unknown option of reset 'goal'"):
-        env.reset(options={"goal": 1})
+    with pytest.raises(InputError, match="unknown option of reset 'aim'"):
+        env.reset(options={"aim": 1})
     with pytest.raises(InputError, match="unknown task 'Goto'; did you mean GoTo"):
         SnakeEnv("Goto")
     with pytest.raises(InputError, match="unknown render mode 'human'"):
