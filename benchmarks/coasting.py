@@ -2,11 +2,11 @@
 
 uv run python benchmarks/coasting.py [ROBOTS] [SEED]
 
-Each robot is a gen2 twin with drawn coefficients, whose segments have a rest bend of the stated size and of
-random sign. It is thrown along its body at 0.4 and 0.6 m/s and across at 0.8 m/s. The camera adds 1 mm to
-each coordinate and 0.01 rad to the heading and the bends. "none": bends are not recorded. "shifted": each
-recorded bend also has a constant error of 0.01 rad standard deviation. The fit starts from the shipped robot,
-which is straight.
+Each robot is a gen2 twin with drawn coefficients. Its segments have rest bends of the stated size and of
+random sign. It is pushed along its body at 0.4 and 0.6 m/s and across at 0.8 m/s. The recording adds noise
+with a standard deviation of 1 mm to each coordinate and of 0.01 rad to the heading and the bends. "none":
+bends are not recorded. "shifted": each recorded bend also has a constant error with a standard deviation of
+0.01 rad. The fit starts from the shipped robot, which is straight.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def drawn(rng: np.random.Generator, bend: float) -> RobotSpec:
 
 
 def throw(spec: RobotSpec, velocity: tuple[float, float]) -> list[SnakeState]:
-    """Return the states of a twin that rests in its bent shape and is then thrown with rolling wheels."""
+    """Return the states of a twin that rests in its bent shape and is then pushed on rolling wheels."""
     plant = TwinSnake(spec, contact=LoadedContact("wheel"), tick=TICK_S)
     vented = np.full((spec.segments, 2), -1, dtype=np.int8)
     rest = plant.reset()
@@ -57,7 +57,7 @@ def throw(spec: RobotSpec, velocity: tuple[float, float]) -> list[SnakeState]:
 def recorded(
     states: Sequence[SnakeState], record: str, shift: np.ndarray, rng: np.random.Generator
 ) -> Trajectory:
-    """Return the states as a camera sees them."""
+    """Return the states as a camera records them, with noise."""
     com = np.array([state.com for state in states])
     com = com + CAMERA_M * rng.normal(size=com.shape)
     heading = np.array([state.heading for state in states])
@@ -109,8 +109,8 @@ def row(
 
 def main(robots: int, first_seed: int) -> None:
     print(
-        "| rest bends, ± rad | bends recorded | coefficient | true value in the interval | the same,"
-        " identified ones | refused | errors, % | median half width, % |"
+        "| rest bends, ± rad | bends recorded | coefficient | true value in the interval | true value in the"
+        " interval, identified only | refused | errors, % | median half width, % |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for bend in BENDS_RAD:

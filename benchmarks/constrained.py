@@ -62,7 +62,7 @@ FINE = np.linspace(0, 1, 400)
 WITHIN = 0.02
 
 Splines = dict[tuple[str, str], RectBivariateSpline]
-"""(fidelity, metric) -> metric as a function of the shares of both ranges."""
+"""(fidelity, metric) → spline of the metric over both variables, as fractions of their ranges."""
 
 
 def loaded(folder: Path, runs: int, limited: Limited) -> OptimizationStudy:
@@ -149,8 +149,8 @@ def main() -> None:
                 f"{np.sum(warned & good)} of {good.sum()}",
             ]
         )
-    heads = ["study", "optimum", "violation by compliant there", "within 2 %", "farthest"]
-    print(table([*heads, "warnings of the others", "warnings of these"], rows))
+    heads = ["study", "optimum", "violation by compliant at the optimum", "within 2 %", "largest deviation"]
+    print(table([*heads, "warnings beyond 2 %", "warnings within 2 %"], rows))
 
 
 if __name__ == "__main__":

@@ -245,7 +245,7 @@ def show_material(step: float = 2.5e-4) -> None:
 def show_steps() -> None:
     """Print speeds for damping times and steps, with both readings of the delay, and of `compliant`."""
     rows = []
-    # The damping of generation 1, whose bends vibrate at 1.7 Hz, has no effect.
+    # Generation 1 is left out, because its bends vibrate at 1.7 Hz, where the damping has no effect.
     for case in CASES[2:]:
         for time in (0.00214, 0.004, 0.008, 0.012, 0.016):
             robot = damped(load_robot(case.robot), time)

@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[1]
 ROBOTS = ROOT / "calibration" / "robots" / "others"
 PREDICTIONS = ROOT / "calibration" / "predictions"
 RECOMPUTED = PREDICTIONS / "recomputed"
-"""Folder of later predictions; the files in `PREDICTIONS` were committed before the published values."""
+"""Folder of later numbers; the files in `PREDICTIONS` were committed before the published values."""
 INTERVALS = ROOT / "calibration" / "intervals"
 
 BOOTSTRAP_SAMPLES = 2000
@@ -71,7 +71,7 @@ def motion(twin: TwinSnake, gait: Gait) -> tuple[float, float]:
 
 
 def published_over_twin() -> np.ndarray:
-    """Return published speed over the twin's, generations 1 to 4, from the table in docs/intervals.md."""
+    """Return the ratio of published to simulated speed of generations 1 to 4, from the stored intervals."""
     files = [INTERVALS / f"gen{generation}_straight.json" for generation in range(1, 5)]
     rows = [json.loads(file.read_text("utf-8"))["plants"]["twin"]["com_speed_m_s"] for file in files]
     return np.array([row["published"] / row["value"] for row in rows])

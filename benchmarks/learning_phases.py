@@ -3,12 +3,13 @@
     uv run python benchmarks/learning_phases.py [--snakes 20] [--first 100] [--runs FILE] [--table]
 
 Each snake crawls on the twin for 16 periods with the shipped law, which corrects one duty per chamber from
-the largest bend. Two further controllers show what remains if other properties of the bends were ideal. They
-correct the timing of the valve edges of each segment once per period, from the sensor of the segment: a
-common shift of both edges, until the fundamental of the bend has the phase of the wave in all segments; and
-an opposite shift as well, until the mean bend is zero. Curvature, phases and means are those of the last five
-periods. Finished runs are kept in the file of runs, so that an interrupted study continues; with `--table`
-only the table is printed. A run takes 5 s.
+the largest bend. Two further controllers show what remains if other properties of the bends are ideal. Once
+per period, they correct the timing of the valve edges of each segment with the sensor of the segment. The
+controller "ideal phases" shifts both edges of a segment together, until the fundamental of the bend has the
+phase of the wave in all segments. The controller "ideal phases and means" also shifts the edges in opposite
+directions, until the mean bend is zero. Curvature, phases and means are those of the last five periods.
+Finished runs are kept in the file of runs, so that an interrupted study continues; with `--table` only the
+table is printed. A run takes 5 s.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ class TimedILC(ILC):
 
 
 def run(setting: str, spread: str, controller: str, seed: int) -> dict[str, Any]:
-    """Return the metrics of a snake."""
+    """Run one snake; return its curvature before and after, and errors of amplitude, phase and mean."""
     gain, tau = SPREADS[spread]
     changes = {"robot.modules.gain_spread": gain, "robot.modules.tau_spread": tau, "seed": seed}
     scenario = load_scenario("ilc_straight", set=changes)

@@ -1,10 +1,9 @@
-"""Differences of the speed by frequency and offset of a gait, and SciPy's methods on `rollout`.
+"""Finite differences of the speed in frequency and offset of a gait, and SciPy's methods on `rollout`.
 
 uv run python benchmarks/scipy_steps.py
 
-The reference of a derivative is the slope of a cubic through 41 runs within ±0.1 Hz or ±0.05 of the point.
-There are 20 random gaits of the complete model of gen2 with 0.8 to 2.6 Hz and offsets of 0.05 to 0.25, of 8 s
-each.
+The reference of a derivative is the slope of a cubic fitted to 41 runs within ±0.1 Hz or ±0.05 of the point.
+The complete model of gen2 runs 20 random gaits of 8 s with 0.8 to 2.6 Hz and offsets of 0.05 to 0.25.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ def speed(gait: np.ndarray) -> float:
 
 
 def differences(gait: np.ndarray, axis: int, width: float) -> tuple[np.ndarray, float]:
-    """Return central differences for all steps, and the reference of the derivative."""
+    """Return the central differences at all steps, and the reference of the derivative."""
     direction = np.eye(2)[axis]
     shifts = np.linspace(-width, width, 41)
     values = [speed(gait + shift * direction) for shift in shifts]

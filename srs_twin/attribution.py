@@ -287,7 +287,7 @@ class PlantVariants:
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
-        """Return the twin with the damping time at the ends of its 95 % interval; none without one."""
+        """Return the twins with the damping time at the ends of its 95 % interval, if it has one."""
         file = RobotFile.model_validate(self._scenario.document["robot"])
         record = file.records()["bending.damping_time_s"]
         if record.uncertain is None:

@@ -288,7 +288,7 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     Returns:
         "stale": reason why the file does not apply, or None if robot and scenario are unchanged; "file": its
         path; "renew": the command that renews it; "plants": intervals of the metrics of each plant;
-        "segments": ranges of the twin's speed over uncertain numbers of its segments, or None.
+        "segments": ranges of the twin's speed over stiffness and damping of its segments, or None.
     """
     reference = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
     name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {reference} --write`"

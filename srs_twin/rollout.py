@@ -113,7 +113,7 @@ def rollout(
     """
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, begin, resume)) > 1:
-        raise InputError("rollout: give only one of pose, begin and resume; each sets the whole start")
+        raise InputError("rollout: give only one of pose, begin and resume; each sets the initial state")
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     if plant.layout not in controller.layouts:

@@ -104,7 +104,7 @@ def test_table_states_the_range_over_the_orders():
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
 def test_variants_of_the_twin_keep_its_friction_solver(contact):
-    """Another solver is on no path from the model to the twin, so that its effect would not add up."""
+    """The effect of another solver is no part of the difference between model and twin."""
     variants = PlantVariants(scenario(plants={"analytical": {}, "twin": {"contact": contact}}))
     solver = type(variants.twin().contact)
     changed = [

@@ -83,7 +83,7 @@ def show(result: RunResult) -> None:
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return the table of the contributions of the assumptions to the difference.
 
-    Below an average over the orders of switching, it states the range over these orders.
+    Two rows below an average over the orders of switching show the lowest and the highest contribution.
     """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
     # Narrow headings leave room for the names of the assumptions at 80 columns.
@@ -101,7 +101,7 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     table.add_row("difference", *map(_signed, attribution["gap"]))
     table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
     for name, change in attribution["damping"].items():
-        table.add_row(f"change by a {name}", *map(_signed, change))
+        table.add_row(f"change with a {name}", *map(_signed, change))
     return table
 
 

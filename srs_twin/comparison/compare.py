@@ -302,7 +302,8 @@ class Attribution:
         shares: contributions of the assumptions; together with the remainder they add up to the gap.
         window_s: length of the part of the runs, from the start, that all of this refers to, s; None: the
             whole runs.
-        damping: changes of the gap with the damping of the bends at the ends of its 95 % interval, by name.
+        damping: name of the damping time → change of the gap if the bends of the twin have this damping time,
+            which is an end of its 95 % interval.
     """
 
     reference: tuple[float, ...]

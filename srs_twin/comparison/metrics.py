@@ -256,7 +256,7 @@ _LEARNT = (
     "Learning brought the amplitudes to their targets. It does not control the path, whose curvature changed "
     "from {:.2g} to {:.2g} 1/m (docs/learning.md)."
 )
-"""Sentence on a run whose amplitudes have converged."""
+"""Sentence on a learning run whose amplitudes have converged."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
@@ -357,7 +357,7 @@ def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
 
 
 def _over_segments(metrics: Mapping[str, Any]) -> str:
-    """Return a sentence on the difference in speed over the plausible segments; empty if none is stored."""
+    """Return a sentence on the range of the difference in speed; empty if no range is stored."""
     ranges = (metrics.get("intervals") or {}).get("segments")
     if not ranges:
         return ""
@@ -369,7 +369,7 @@ def _over_segments(metrics: Mapping[str, Any]) -> str:
         text = f"between {low} and {high} % faster"
     else:
         text = f"between {-low} % slower and {high} % faster"
-    return f" Over the plausible stiffness and damping of its segments it is {text}."
+    return f" For plausible values of the stiffness and damping of its segments, it is {text}."
 
 
 def _direction(plant: Mapping[str, Any]) -> str:

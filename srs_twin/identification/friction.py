@@ -22,12 +22,13 @@ least power, on which its wheels are misaligned by
 
 $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert $$
 
-on average, with the heading δ_i of connector i. Slip across the wheels adds to the drag, which is
-μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a frame that turns with the body, and
-the angle between its mean heading and its direction of rolling is fitted. The bends are a nuisance: ε follows
+on average, where δ_i is the heading of connector i. Slip across the wheels adds to the drag, whose
+coefficient is μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a frame that turns with
+the body, and the angle between the mean heading and the direction of rolling is fitted. The fit computes ε
 from the recorded bends, or from the rest bends of the robot file if none are recorded. Errors of the bends
-(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change it by at most their own ε, because ε is a seminorm. Fits with ε
-smaller and larger by the 95 % quantile of that change give further intervals, and the result includes these.
+(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most the ε of the errors, because ε is a seminorm. In
+two further fits, ε is smaller and larger by the 95 % quantile of this bound. The interval of a coefficient
+includes the intervals of these fits.
 """
 
 from __future__ import annotations
@@ -279,13 +280,13 @@ _BEND_ERROR_RAD = 0.01
 """Standard deviation of the mean recorded bend of a segment: markers are not exactly on the centre line."""
 
 _UNSEEN_BEND_RAD = 0.03
-"""Standard deviation of the bend of a segment about the robot file's, if bends are not recorded."""
+"""Standard deviation of a bend from the rest bend in the robot file, if bends are not recorded."""
 
 _BEND_DRAWS = 1000
-"""Number of random errors of the bends."""
+"""Number of random draws of the errors of the bends."""
 
 _MAX_HALF_WIDTH = 0.1
-"""Largest distance of the ends of the interval from an identified coefficient, as a fraction of it."""
+"""Largest distance between an identified coefficient and an end of its interval, as a fraction of it."""
 
 
 @dataclass(frozen=True)
@@ -389,7 +390,7 @@ def fit_coasting(
     model = _CoastingModel(spec, law, share)
     estimate = model.fit(runs, 0.0, watch)
     if "friction.mu_n" not in estimate.values:
-        # The drag of a bent body depends on μ_n, which these runs do not show.
+        # The drag of a bent body depends on μ_n, which these runs do not identify.
         model = replace(model, mu_n=spec.friction.mu_n)
         estimate = model.fit(runs, 0.0, watch)
     ends = [model.fit(runs, side, None) for side in (-1.0, 1.0)]
@@ -433,7 +434,7 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
     high = max(fit.high for fit in fits if fit.high is not None)
     verdict, why, value = parameter.verdict, parameter.why, parameter.value or 0.0
     if verdict == "identified" and max(value - low, high - value) > _MAX_HALF_WIDTH * value:
-        verdict, why = "weakly identified", f"its interval reaches beyond ±{_MAX_HALF_WIDTH:.0%}"
+        verdict, why = "weakly identified", f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
     error = (high - low) / 2 / _STDS_IN_HALF_WIDTH
     return replace(parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why)
 
@@ -446,7 +447,7 @@ class _CoastingModel:
         spec: robot.
         law: friction law.
         share: s of `floor.slide`.
-        mu_n: coefficient of the slip of a bent body across its wheels; None: the fitted μ_n.
+        mu_n: friction coefficient for the slip of a bent body across its wheels; None: the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -459,7 +460,7 @@ class _CoastingModel:
 
         Args:
             runs: coasting tests.
-            side: −1 or 1 for the lower or the upper end of the interval of ε; 0 for its best value.
+            side: −1 or 1 for the lower or the upper end of the interval of ε; 0 for the best estimate of ε.
             watch: see `fit_coasting`.
         """
         angles = [self._misalignment(run, side) for run in runs]
@@ -476,7 +477,7 @@ class _CoastingModel:
         return least_squares(residuals, unknowns, held={"spin_share": self.share}, watch=watch)
 
     def _misalignment(self, run: CoastingTest, side: float) -> float:
-        """Return ε of a run; `side` as in `fit`."""
+        """Return ε of a run; `side` has the meaning of `fit`."""
         known, error = run.bends, _BEND_ERROR_RAD
         if known is None:
             known, error = self.spec.modules.array("bias"), _UNSEEN_BEND_RAD
@@ -512,13 +513,13 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Slip speed at a unit speed that only avoids 0/0."""
+"""Slip speed relative to a speed of 1; it is negligible and only avoids 0/0."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     """Return the initial velocities of run k and its angle of rolling as nuisance parameters.
 
-    A direction in which the run does not move has no velocity.
+    A direction in which the body does not move has no initial velocity to fit.
     """
     few = len(run.time) // 4
     late = run.position[-few:].mean(axis=0)

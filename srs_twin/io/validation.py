@@ -32,9 +32,9 @@ _WITH_UNIT = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.I
 _ANY = object()
 RETIRED_KINDS = {
     "compliant_gait": "it was retired, because none of its reactions helps (docs/contact.md#yielding-gaits)",
-    "ompl": "it was retired; `benchmarks/rrt_connect.py` has it, and best_first solves what it solves",
+    "ompl": "it was retired (`benchmarks/rrt_connect.py` keeps it); use best_first",
 }
-"""Kinds of blocks that earlier versions had → why they are gone, and what to use instead."""
+"""Kind of a block in earlier versions → why it was removed, or what to use instead."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 

@@ -2,7 +2,8 @@
 
 A prediction is a file in calibration/predictions. The file of the same name in calibration/published/others
 has the published values. In a checkout, their commits show that the prediction came first. The file of the
-same name in calibration/predictions/recomputed has later numbers, which are no predictions.
+same name in calibration/predictions/recomputed has numbers that were computed after the published values were
+known, so they are not predictions.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ class PredictedQuantity(Quantiles):
         robot: name of the robot file.
         quantity: quantity, with the settings of the gait.
         unit: unit of the numbers.
-        recomputed: later numbers, or None.
+        recomputed: numbers computed after the published value was known, or None.
         published: published value, or None.
         prediction_commit: last commit that changed a number of the prediction; None outside a checkout.
         comparison_commit: first commit with published values of the robot; None if there is none.

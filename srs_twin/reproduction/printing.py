@@ -68,7 +68,7 @@ def print_others(*, as_json: bool) -> None:
         )
     print_table(("robot", "quantity", "95 % interval", "published", "result"), lines, left=(0, 1, 4))
     print("\n".join(notes.values()))
-    print(f"undecided: fewer than {MIN_BOUNDING_SAMPLES} robots, or near an end (docs/others.md)")
+    print(f"undecided: fewer than {MIN_BOUNDING_SAMPLES} robots, or too close to an end (docs/others.md)")
     print(f"{len(rows) - len(compared)} predicted quantities without a published value: --json")
 
 

@@ -140,9 +140,9 @@ class Uncertain(StrictModel):
         """Return the values at cumulative probabilities.
 
         Args:
-            value: the number.
+            value: number in the file.
             bounds: lowest and highest allowed number, at which all but uniform distributions are truncated.
-            probabilities: of any shape.
+            probabilities: cumulative probabilities, array of any shape.
         """
         if self.low is not None and self.high is not None:
             return self.low + (self.high - self.low) * np.asarray(probabilities)

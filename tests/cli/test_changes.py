@@ -246,7 +246,8 @@ def test_headline_names_difference_and_main_cause(metrics, said):
 )
 def test_headline_states_the_range_over_plausible_segments(speeds, said):
     metrics = both((0.2, 0.16), intervals={"segments": {"stiffness_and_damping": speeds}})
-    assert f"Over the plausible stiffness and damping of its segments it is {said}." in headline(metrics)
+    sentence = f"For plausible values of the stiffness and damping of its segments, it is {said}."
+    assert sentence in headline(metrics)
 
 
 @pytest.mark.parametrize("averaged", [False, True])

@@ -319,7 +319,7 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
 
 @njit
 def _mean_lags(x, part, time):  # type: ignore[no-untyped-def]
-    """Return the mean over each part of a first-order lag behind values that are constant in each part."""
+    """Return the mean in each part of the response of a first-order lag to values constant in each part."""
     lagged, outcome, kept = np.zeros(x.shape[1]), np.empty_like(x), math.exp(-part / time)
     for k in range(len(x)):
         outcome[k] = x[k] + (lagged - x[k]) * (1 - kept) * time / part

@@ -82,7 +82,7 @@ def thrown(
     velocity, *, noise=0.0, seed=0, law="wheel", share=None, heading=0.3, seconds=1.0, mu=(MU_T, MU_N),
     bends=(0.0, 0.0, 0.0, 0.0),
 ) -> CoastingTest:  # fmt: skip
-    """Return a coasting test of a straight body, sampled at 100 Hz, with the recorded bends."""
+    """Return a coasting test that moves as a straight body, sampled at 100 Hz, with bends as recorded."""
     time = np.arange(0.0, seconds, 0.01)
     share = spin_share(SPEC) if share is None else share
     way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], share=share)
@@ -198,7 +198,7 @@ def test_coefficients_of_the_twin_are_recovered(wheels, law):
 
 
 def test_misalignment_is_the_smallest_mean_deviation_from_an_arc():
-    """A uniform arc has none; the reference for a general body is a numerical search."""
+    """A uniform arc has no misalignment; the reference for a general body is a numerical search."""
     assert misalignment(np.full(4, 0.1), SPEC) == pytest.approx(0.0, abs=1e-15)
     # Headings 0, 0, 0.1, 0, 0: a straight line misses only the middle one of five equal masses.
     assert misalignment(np.array([[0.0, 0.1, -0.1, 0.0]]), SPEC) == pytest.approx([0.02])
@@ -244,7 +244,7 @@ def test_unrecorded_bends_are_not_ignored(bent_throws):
     assert slip > 0.05 * MU_T
     assert found.value == pytest.approx(MU_T + slip, rel=0.01)
     assert found.low < MU_T < found.high
-    assert (found.verdict, found.why) == ("weakly identified", "its interval reaches beyond ±10%")
+    assert (found.verdict, found.why) == ("weakly identified", "its interval reaches beyond ±10 %")
 
 
 def test_bends_of_a_body_without_sideways_throws_use_the_known_normal_friction():

@@ -18,7 +18,7 @@ FRICTIONLESS = {"mu_t": 1e-9, "mu_n": 1e-9}
 
 
 def damped(time: float, *, share: float = 1.0) -> RobotSpec:
-    """Return generation 2 without friction, with a damping time (s) and a share of its masses."""
+    """Return generation 2 without friction, with a damping time (s) and all masses multiplied by `share`."""
     spec = robot(**FRICTIONLESS)
     masses = tuple(share * mass for mass in spec.mass.connectors)
     mass = replace(spec.mass, connectors=masses, wheel=share * spec.mass.wheel)
@@ -26,7 +26,7 @@ def damped(time: float, *, share: float = 1.0) -> RobotSpec:
 
 
 def deviation(spec: RobotSpec, timestep: float = 0.001, **options: Any) -> float:
-    """Return the largest distance of the bends from Eq. 14 in a gait, rad."""
+    """Return the largest deviation of the bends from Eq. 14 in a gait, rad."""
     plant, gait = TwinSnake(spec, supply_pa=SUPPLY, timestep=timestep, **options), Gait(2.0, 0.1)
     run = rollout(plant, gait, 0.6, record_hz=1000)
     return float(np.abs(run.stack("bend") - free_bends(plant, gait, run.time).bend).max())
@@ -51,7 +51,8 @@ def test_hinges_of_a_segment_have_its_stiffness_and_its_dissipation(hinges):
     bends = [i for i, name in enumerate(names) if name.startswith(("bend_1", "hinge_1"))]
     assert len(bends) == hinges
     stiffness = np.array([float(model.joint(i).stiffness[0]) for i in bends])
-    # A spring at the end of the step also damps, like h k, by which the model's dampers are reduced.
+    # MuJoCo evaluates the springs at the end of the step h, which adds a damping h k. The twin's dampers are
+    # reduced by h k.
     damping = model.dof_damping[model.jnt_dofadr[bends]] + 0.001 * stiffness
     assert 1 / (1 / stiffness).sum() == pytest.approx(spec.bending.stiffness, rel=1e-9)
     rate = 1.7
@@ -85,7 +86,8 @@ def test_closed_chambers_are_passive(kind, time):
     states = plant.play(closed, 500)
     speed = np.gradient(states.bend, states.time, axis=0)
     motion = (speed**2).sum(axis=1).reshape(10, 50).max(axis=1)
-    # Energy moves between the bends, so a tenth may keep what the one before had, but none grows.
+    # Energy moves between the bends. The motion in a tenth of the run may therefore equal the motion in the
+    # tenth before, but it must not grow.
     rounding = 1e-20 * motion[0]
     assert (motion[1:] <= 1.001 * motion[:-1] + rounding).all()
     assert motion[-1] < 1e-2 * motion[0]

@@ -187,7 +187,7 @@ def test_work_among_pegs_is_that_of_the_torques(make):
     pegs = Circle(0.24, 0.03, POST), Circle(0.24, -0.07, POST), Circle(0.13, 0.05, POST)
     plant = make(spec, World(pegs))
     run = rollout(plant, Gait(2.0), 1.5, record_hz=1000)
-    # The air works on the free bend; the difference to the bend is lost in the material or stored in it.
+    # The air works on the free bend. The material stores or dissipates the part that does not reach the bend.
     torque, free = run.stack("torque"), free_bends(plant, Gait(2.0), run.time).bend
     work = ((torque[1:] + torque[:-1]) / 2 * np.diff(free, axis=0)).sum()
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
@@ -196,7 +196,7 @@ def test_work_among_pegs_is_that_of_the_torques(make):
 @pytest.mark.slow
 def test_body_does_not_pass_through_walls():
     spec = robot("gen2")
-    # Long enough that the body, which slides along it, does not reach its end.
+    # The wall is so long that the body, which slides along it, does not reach its end.
     wall = Polygon(((0.2, -2.0), (0.21, -2.0), (0.21, 2.0), (0.2, 2.0)))
     plant = compliant(spec, World(polygons=(wall,)))
     trajectory = rollout(plant, Gait(2.0), 4.0)

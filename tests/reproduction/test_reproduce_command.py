@@ -124,7 +124,7 @@ def test_readme_counts_the_met_predictions_of_the_baseline():
     readme = (ROOT / "README.md").read_text("utf-8")
     prediction_groups = {
         "**headline predictions** met": ("headline",),
-        "other predictions met": tuple(TITLES)[1:5],
+        "other predictions met": tuple(TITLES)[1:6],
     }
     for title, groups in prediction_groups.items():
         (line,) = re.findall(rf"^\| {re.escape(title)} \| (.*?) \| (.*?) \|", readme, re.M)

@@ -125,7 +125,8 @@ def _print_result(result: StudyResult) -> None:
         if not design["survives"]:
             print(f"best/{k + 1}: changes by more than 1 % with a finer time step or more hinges")
     if result.improvement is not None:
-        print(f"one more run of the twin is expected to improve the best by {100 * result.improvement:.2g} %")
+        gain = f"{100 * result.improvement:.2g} %"
+        print(f"one more run of the twin is expected to improve the best result by {gain}")
     if result.warning:
         print(f"warning: {result.warning}")
     print(", ".join(f"{count} runs of {part}" for part, count in document["evaluations"].items()))

@@ -10,12 +10,13 @@ two at a time; the second is chosen as if the first had given its expected resul
 that the low-fidelity model has run, and in every round new random neighbours of the best designs.
 
 **Constraints.** The low-fidelity model may violate a constraint where the twin does not, and CMA-ES avoids
-such designs. A process per constraint therefore predicts the twin's value, like that of the objective. In
-every round many more neighbours, also of designs that just miss a constraint, are judged with low-fidelity
-results that another process predicts. Only the most promising of them are run.
+such designs. A Gaussian process for each constraint therefore predicts the twin's value, as for the
+objective. In every round, many new designs are judged with low-fidelity results that are interpolated between
+earlier runs. These designs include neighbours of designs that just miss a constraint. Only the most promising
+designs are run.
 
-**End.** After the last run, the largest expected improvement among new neighbours is computed. If it is still
-large, the result contains a warning.
+**End.** After the last run, the largest expected improvement among new designs is computed. If it is above
+`MAX_IMPROVEMENT`, the result contains a warning.
 
 **Two objectives.** The low-fidelity model is searched with several weights of a Tchebycheff scalarisation
 (Knowles 2006). New designs maximise the expected growth of the area dominated by the Pareto front (Emmerich
@@ -75,10 +76,10 @@ _POPULATION = 12
 """Population size of CMA-ES."""
 
 _SCREENED = 256
-"""Number of neighbours, and of designs from the whole space, that are judged without a run."""
+"""Number of neighbours that are judged without a run, and the same number of designs from the whole space."""
 
 _SMOOTHING = 1e-9
-"""Smoothing of the interpolated low-fidelity results, against singular equations."""
+"""Smoothing of the interpolation of low-fidelity results, which keeps its equations regular."""
 
 MAX_IMPROVEMENT = 0.005
 """Largest expected improvement, as a fraction of the best result, without a warning."""
@@ -425,7 +426,8 @@ class _Search:
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
                 # Leave out the worst third, because results far from the optimum would distort the fit near
-                # it. Among constraints the search must still know where they are, so they are clipped.
+                # it. With constraints, these results are clipped instead, because the search must know where
+                # they are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
                 if self._study.file.constraints:
@@ -514,7 +516,7 @@ def _predict_with_process(
         y: values of the samples, shape (samples,).
         at: inputs, shape (inputs, d).
         with_remainder: whether the standard deviation includes what the process takes for noise. A simulation
-            has no noise, so a further run may find a structure there.
+            has no noise, so the remainder is structure that a further run may find.
     """
     scale, mean = max(float(y.std()), 1e-12), float(y.mean())
     process = GaussianProcess(x, (y - mean) / scale)

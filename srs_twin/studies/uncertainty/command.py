@@ -143,7 +143,7 @@ def _print_result(result: Propagation) -> None:
         print(text)
     for name, (low, high) in (result.segments or {}).items():
         varied = name.replace("_", " ")
-        print(f"over the 95 % intervals of {varied} alone, the twin crawls at {low:.3g} to {high:.3g} m/s")
+        print(f"varying only {varied} within 95 % intervals, the twin crawls at {low:.3g} to {high:.3g} m/s")
     plant, metric = result.target
     for entry in result.measure_next()[:_MAX_MEASUREMENTS]:
         print(

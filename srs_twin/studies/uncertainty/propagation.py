@@ -95,7 +95,8 @@ class Propagation:
 
     Attributes:
         study: study.
-        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`; and `SEGMENTS`.
+        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`. The key `SEGMENTS` has
+            the runs over stiffness and damping.
     """
 
     study: UncertaintyStudy
@@ -219,9 +220,10 @@ class Propagation:
 
     @property
     def segments(self) -> dict[str, list[float]] | None:
-        """Lowest and highest speed of the twin over the 95 % intervals of uncertain numbers, m/s.
+        """Lowest and highest speed of the twin over the 95 % intervals of stiffness and damping time, m/s.
 
-        `stiffness_and_damping` varies both numbers, `damping` that alone. None if the runs are missing.
+        The key `stiffness_and_damping` is for runs with both numbers varied, `damping` for runs with only the
+        damping time varied. None if the runs are missing.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():

@@ -23,7 +23,10 @@ COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
 STIFFNESS = "bending.stiffness_nm_per_rad"
 SEGMENTS = "segments"
-"""Runs of the twin over the 95 % intervals of stiffness and damping, with the other numbers of the file."""
+"""Part of the study: runs of the twin over the 95 % intervals of stiffness and damping time.
+
+The other parameters have their values in the robot file.
+"""
 SEGMENT_PROBABILITIES = (0.025, 0.975)
 LEAD = "robot.bending.lead"
 """Field of the two readings of the delay of a bend, which are equally likely."""
@@ -86,7 +89,7 @@ class UncertaintyStudy:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Fidelities that run, and `SEGMENTS` if both plants run and stiffness and damping are uncertain."""
+        """The fidelities, and `SEGMENTS` if both plants run and stiffness and damping time are uncertain."""
         both = {"analytical", "twin"} <= set(self.plants) and {STIFFNESS, DAMPING} <= set(self.priors.paths)
         return (*self.runs, *([SEGMENTS] if both else []))
 
@@ -96,7 +99,7 @@ class UncertaintyStudy:
         return self.draw(self.samples, self.seed)
 
     def sweep(self, part: str) -> Sweep:
-        """Return the runs of a part: of a fidelity the samples, then the `REFERENCE_ROWS`."""
+        """Return the runs of a part; for a fidelity, the `REFERENCE_ROWS` follow the samples."""
         plant = "twin" if part in ("twin", SEGMENTS) else "analytical"
         document = self.surrogate_scenario
         if part != COMPLIANT:
@@ -141,7 +144,7 @@ class UncertaintyStudy:
         )
 
     def _over_segments(self, nominal: Sequence[Any], step: float) -> Iterator[list[Any]]:
-        """Yield rows with the file's value, low, and high value of the stiffness, and of the damping time."""
+        """Yield rows for all pairs of stiffness and damping time, each at its value, low end and high end."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for place in places:

@@ -294,7 +294,7 @@ def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
     _print_result(early)
     printed = capsys.readouterr().out
     assert f"warning: {document['warning']}" in printed
-    assert f"expected to improve the best by {100 * early.improvement:.2g} %" in printed
+    assert f"expected to improve the best result by {100 * early.improvement:.2g} %\n" in printed
     write_result(early, tmp_path / "written")
     assert document["warning"] in (tmp_path / "written/report.html").read_text("utf-8")
 

@@ -328,7 +328,7 @@ def test_stored_range_over_the_segments_is_that_of_other_robots():
             run = rollout(twin, scenario.build_controller(), scenario.duration)
             speeds.append(plant_metrics(run)["com_speed_m_s"])
     stored = stored_intervals(scenario)["segments"]
-    # Close to a resonance the speed changes by 2 % within the rounding of these numbers.
+    # The ends above are rounded. Close to a resonance this rounding changes the speed by up to 2 %.
     assert stored["damping"] == pytest.approx([min(speeds[:3]), max(speeds[:3])], rel=0.005)
     assert stored["stiffness_and_damping"] == pytest.approx([min(speeds), max(speeds)], rel=0.02)
 
