@@ -1,11 +1,12 @@
 """What the damping of the bends does: spectra, damping times, a material of constant loss, and speeds.
 
-    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table]
+    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table] [--picture FILE]
 
 `--spectra`: frequencies at which the bends deviate from the free bends, and the damping times that give the
 loss factor of docs/damping.md there. `--material`: speeds with a material whose loss factor hardly depends on
 the frequency (three Maxwell branches), and with a damper of the same loss. `--steps`: speeds for several
 damping times and steps, with both readings of the delay. `--table`: speeds over stiffness and loss factor.
+`--picture`: the spectra as curves.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from typing import Any
 
 import numpy as np
 from grid import table
+from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, load_robot, rollout
@@ -225,6 +227,21 @@ def show_spectra() -> None:
     print(table(head, rows))
 
 
+def draw_spectra(file: Path) -> None:
+    """Draw the loss of a material of constant loss below each frequency, over the frequency."""
+    figure = Figure(figsize=(6, 3.2), layout="constrained")
+    axes = figure.subplots()
+    for case in CASES:
+        time, _ = damping_time(case, LOSS)
+        frequency, power = spectrum(case, damped(load_robot(case.robot), time))
+        loss = np.cumsum(frequency * power)
+        axes.semilogx(frequency[1:], loss[1:] / loss[-1], label=case.name)
+    axes.set(xlim=(0.2, 100), xlabel="frequency (Hz)", ylabel="share of the loss below", ylim=(0, 1))
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=7)
+    figure.savefig(file, dpi=120)
+
+
 def show_material(step: float = 2.5e-4) -> None:
     """Print speeds with a constant loss factor and with a damper."""
     print("branches:", np.round(branches(LOSS), 4))
@@ -307,8 +324,12 @@ def main() -> None:
     }
     for name, show in shows.items():
         words.add_argument(name, dest="shows", action="append_const", const=show)
-    for show in words.parse_args().shows or ():
+    words.add_argument("--picture", type=Path)
+    options = words.parse_args()
+    for show in options.shows or ():
         show()
+    if options.picture:
+        draw_spectra(options.picture)
 
 
 if __name__ == "__main__":
