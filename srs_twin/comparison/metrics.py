@@ -359,9 +359,9 @@ def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
 def _over_segments(metrics: Mapping[str, Any]) -> str:
     """Return a sentence on the range of the difference in speed; empty if no range is stored."""
     ranges = (metrics.get("intervals") or {}).get("segments")
-    if not ranges:
-        return ""
     reference = metrics["plants"]["analytical"]["com_speed_m_s"]
+    if not ranges or reference < ZERO:
+        return ""
     low, high = (round(100 * (speed / reference - 1)) for speed in ranges["stiffness_and_damping"])
     if high <= 0:
         text = f"between {-low} and {-high} % slower"

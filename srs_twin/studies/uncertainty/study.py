@@ -18,6 +18,7 @@ from srs_twin.scenario.plants import TwinFile
 from srs_twin.scenario.provenance import versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import Experiment, Sweep, Value, sobol_points
+from srs_twin.studies.uncertainty.metric_uncertainty import RANGES
 
 COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
@@ -27,7 +28,6 @@ SEGMENTS = "segments"
 
 The other parameters have their values in the robot file.
 """
-SEGMENT_PROBABILITIES = (0.025, 0.975)
 LEAD = "robot.bending.lead"
 """Field of the two readings of the delay of a bend, which are equally likely."""
 
@@ -149,7 +149,7 @@ class UncertaintyStudy:
         levels = []
         for place in places:
             prior = self.priors.parameters[place]
-            levels.append([prior.value, *prior.quantile(np.array(SEGMENT_PROBABILITIES)).tolist()])
+            levels.append([prior.value, *prior.quantile(np.array(RANGES["interval_95"])).tolist()])
         for pair in product(*levels):
             values = list(nominal)
             for place, value in zip(places, pair, strict=True):
