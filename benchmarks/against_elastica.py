@@ -1,7 +1,8 @@
 """(c) Both plants compared with the continuum snake of PyElastica, each with its default settings.
 
-The bodies and the models differ. The comparison shows how many seconds of a snake one second of computing
-time simulates. `refinement.py` shows the error of the twin's speed with its default settings.
+The bodies and the models differ. The comparison shows how many seconds of a snake one
+second of computing time simulates. `refinement.py` shows the error of the twin's speed
+with its default settings.
 """
 
 from __future__ import annotations
@@ -12,8 +13,13 @@ from timing import Ratio, Result, Task, interleaved
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 
-SIMULATED = 1.0  # s; our plants simulate longer so that every task takes a measurable time
-NEEDS = "PyElastica is not installed: `uv run --group benchmarks python benchmarks/speed.py`"
+SIMULATED = (
+    1.0  # s; our plants simulate longer so that every task takes a measurable time
+)
+NEEDS = (
+    "PyElastica is not installed: `uv run --group benchmarks python"
+    " benchmarks/speed.py`"
+)
 
 
 def run(quick: bool) -> Result:
@@ -63,15 +69,28 @@ def run(quick: bool) -> Result:
     ]
     return Result(
         "(c) gen2 compared with the continuum snake of PyElastica",
-        ["what", "simulated s per wall s", "relative to PyElastica", "relative to PyElastica, recording"],
+        [
+            "what",
+            "simulated s per wall s",
+            "relative to PyElastica",
+            "relative to PyElastica, recording",
+        ],
         rows,
         {
             "ratios": {name: ratio.json() for name, ratio in ratios.items()},
             "times": {name: timing.json() for name, timing in times.items()},
-            "simulated_s_per_wall_s": {name: 1 / timing.median for name, timing in times.items()},
+            "simulated_s_per_wall_s": {
+                name: 1 / timing.median for name, timing in times.items()
+            },
         },
         [
-            "PyElastica: 50 elements, steps of 0.1 ms; with 60 records per second or none.",
-            "Our plants record 100 samples per second. Error of the twin: `benchmarks/refinement.py`.",
+            (
+                "PyElastica: 50 elements, steps of 0.1 ms; with 60 records per second"
+                " or none."
+            ),
+            (
+                "Our plants record 100 samples per second. Error of the twin:"
+                " `benchmarks/refinement.py`."
+            ),
         ],
     )

@@ -1,10 +1,12 @@
 """(a) The analytical model compared with LSODA on the same equations, at equal or smaller error.
 
-Errors are errors of the mean speed, the largest over the gaits, relative to the compiled model with time
-steps of 1/64 ms. The error of LSODA decreases with its tolerance to a few millionths, which confirms this
-reference. The table marks the loosest tolerance of LSODA whose error is not larger than that of the shipped
-default step, and also gives the ratios for other tolerances. Valve times and bends are precomputed for LSODA:
-only its integration is timed, while the time of the shipped model includes the whole public call.
+Errors are errors of the mean speed, the largest over the gaits, relative to the
+compiled model with time steps of 1/64 ms. The error of LSODA decreases with its
+tolerance to a few millionths, which confirms this reference. The table marks the
+loosest tolerance of LSODA whose error is not larger than that of the shipped default
+step, and also gives the ratios for other tolerances. Valve times and bends are
+precomputed for LSODA: only its integration is timed, while the time of the shipped
+model includes the whole public call.
 """
 
 from __future__ import annotations
@@ -28,7 +30,12 @@ DURATION = 3.0  # s; at 2 Hz two periods of warm-up and four evaluated ones
 LONG = 10.0  # s, to measure the simulated seconds per wall second
 REFERENCE_STEP = 0.001 / 64
 GAITS = ((2.0, 0.0), (2.0, 0.2), (2.0, 0.4))  # Hz, offset
-TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)  # relative; the absolute tolerance is a thousandth of it
+TOLERANCES = (
+    1e-2,
+    1e-3,
+    1e-4,
+    1e-5,
+)  # relative; the absolute tolerance is a thousandth of it
 SPEC = load_robot("gen2")
 
 
@@ -46,7 +53,9 @@ class Case:
 
     def plant(self, **options: float) -> AnalyticalSnake:
         """Return the shipped model, optionally with other numerical settings."""
-        return AnalyticalSnake(SPEC, friction=self.friction, supply_pa=SUPPLY, **options)
+        return AnalyticalSnake(
+            SPEC, friction=self.friction, supply_pa=SUPPLY, **options
+        )
 
     def shipped(self, duration: float = DURATION, **options: float) -> Trajectory:
         """Simulate with the shipped model."""
@@ -80,7 +89,10 @@ def errors(result: list[Trajectory], references: list[Trajectory]) -> Errors:
     pairs = list(zip(result, references, strict=True))
     return Errors(
         max(abs(_speed(run) / _speed(reference) - 1) for run, reference in pairs),
-        max(float(np.sqrt(((run.com - ref.com) ** 2).sum(axis=1).mean())) for run, ref in pairs),
+        max(
+            float(np.sqrt(((run.com - ref.com) ** 2).sum(axis=1).mean()))
+            for run, ref in pairs
+        ),
     )
 
 
@@ -96,10 +108,19 @@ def run(quick: bool) -> Result:
         rows += new
     return Result(
         f"(a) analytical `complete` compared with LSODA, gen2, {DURATION:g} s",
-        ["law", "solver", "error: speed, path", "simulated s per wall s", "time relative to shipped"],
+        [
+            "law",
+            "solver",
+            "error: speed, path",
+            "simulated s per wall s",
+            "time relative to shipped",
+        ],
         rows,
         values,
-        ["Bold: loosest tolerance of LSODA whose speed error is not larger than that of the shipped model."],
+        [
+            "Bold: loosest tolerance of LSODA whose speed error is not larger than that"
+            " of the shipped model."
+        ],
     )
 
 
@@ -115,15 +136,23 @@ def _compare(friction: str, quick: bool) -> tuple[list[list[str]], dict[str, Any
         result[tolerance] = errors([lsoda_run for _, lsoda_run in solved], references)
         tasks[f"{tolerance:g}"] = _all([task for task, _ in solved])
     matched = next((t for t in result if result[t].speed <= own.speed), min(result))
-    # Smaller tolerances only show that the errors decrease; timing them would dominate the run time.
-    timed = {name: task for name, task in tasks.items() if name[0] == "s" or float(name) >= matched}
+    # Smaller tolerances only show that the errors decrease; timing them would dominate
+    # the run time.
+    timed = {
+        name: task
+        for name, task in tasks.items()
+        if name[0] == "s" or float(name) >= matched
+    }
     times = interleaved(timed)
     rows = [[friction, "shipped default", str(own), _rate(times["shipped, 10 s"]), "1"]]
     for tolerance, error in result.items():
         cells = ["–", "–"]
         if f"{tolerance:g}" in times:
             ratio = Ratio.between(times[f"{tolerance:g}"], times["shipped"])
-            cells = [_rate(times[f"{tolerance:g}"]), f"**{ratio}**" if tolerance == matched else str(ratio)]
+            cells = [
+                _rate(times[f"{tolerance:g}"]),
+                f"**{ratio}**" if tolerance == matched else str(ratio),
+            ]
         rows.append([friction, f"LSODA, {tolerance:g}", str(error), *cells])
     return rows, {
         "ratio": Ratio.between(times[f"{matched:g}"], times["shipped"]).json(),

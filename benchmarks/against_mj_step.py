@@ -1,7 +1,8 @@
 """(b) Rollouts of the twin compared with a bare loop of `mj_step` under the same controls.
 
-The bare loop can only use the friction of MuJoCo, so it steps the model with the preloaded contact. Its final
-positions must agree with the rollout of that twin. The default twin computes friction with its own solver.
+The bare loop can only use the friction of MuJoCo, so it steps the model with the
+preloaded contact. Its final positions must agree with the rollout of that twin. The
+default twin computes friction with its own solver.
 """
 
 from __future__ import annotations
@@ -35,22 +36,35 @@ def run(quick: bool) -> Result:
     bare()  # repeats from the same start
     error = float(np.abs(data.qpos - last).max())
     if error > 1e-6:
-        raise RuntimeError(f"the bare loop ends {error:.2g} m or rad from the rollout: different controls")
+        raise RuntimeError(
+            f"the bare loop ends {error:.2g} m or rad from the rollout: different"
+            " controls"
+        )
     times = interleaved(
         {
             "mj_step": Task(bare, duration),
-            "preloaded": Task(lambda: rollout(pressed, Gait(2.0, OFFSET), duration), duration),
-            "default": Task(lambda: rollout(default, Gait(2.0, OFFSET), duration), duration),
+            "preloaded": Task(
+                lambda: rollout(pressed, Gait(2.0, OFFSET), duration), duration
+            ),
+            "default": Task(
+                lambda: rollout(default, Gait(2.0, OFFSET), duration), duration
+            ),
         }
     )
-    ratios = {name: Ratio.between(times[name], times["mj_step"]) for name in ("preloaded", "default")}
+    ratios = {
+        name: Ratio.between(times[name], times["mj_step"])
+        for name in ("preloaded", "default")
+    }
     rates = {name: 1 / timing.median for name, timing in times.items()}
     return Result(
         f"(b) twin rollouts compared with a bare mj_step loop, gen2, {duration:g} s",
         ["program", "simulated s per wall s", "time relative to the bare loop"],
         [
             ["mj_step loop, preloaded model", f"{rates['mj_step']:.3g}", "1"],
-            *([f"rollout, {name}", f"{rates[name]:.3g}", str(ratio)] for name, ratio in ratios.items()),
+            *(
+                [f"rollout, {name}", f"{rates[name]:.3g}", str(ratio)]
+                for name, ratio in ratios.items()
+            ),
         ],
         {
             "ratios": {name: ratio.json() for name, ratio in ratios.items()},
@@ -62,7 +76,9 @@ def run(quick: bool) -> Result:
     )
 
 
-def bare_loop(plant: TwinSnake, duration: float) -> tuple[Callable[[], None], mujoco.MjData]:
+def bare_loop(
+    plant: TwinSnake, duration: float
+) -> tuple[Callable[[], None], mujoco.MjData]:
     """Return a loop over the controls of a rollout, and the MuJoCo data that it advances."""
     model = plant.physics.model
     controls = step_controls(plant, duration)

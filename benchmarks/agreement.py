@@ -2,13 +2,16 @@
 
     uv run python benchmarks/agreement.py [--default | --skid | --loads KIND] [--quick]
 
-By default the physics of both plants are matched: the `wheel` law, the same track and inertia of the
-connectors, bends stiff enough to follow their free value, and the preloaded contact. Other settings:
+By default the physics of both plants are matched: the `wheel` law, the same track and
+inertia of the connectors, bends stiff enough to follow their free value, and the
+preloaded contact. Other settings:
 
-- `--default`: the shipped robot, the default twin and the default friction of the model;
+- `--default`: the shipped robot, the default twin and the default friction of the
+  model;
 - `--skid`: matched physics on skids, with the `ellipse` law;
-- `--loads`: the loaded contact and wheels without inertia about their axles. `momentary` uses momentary loads
-  in both plants, `across` the load distribution of the analytical model in both, `static` the static loads.
+- `--loads`: the loaded contact and wheels without inertia about their axles.
+  `momentary` uses momentary loads in both plants, `across` the load distribution of the
+  analytical model in both, `static` the static loads.
 """
 
 from __future__ import annotations
@@ -31,31 +34,57 @@ def main() -> None:
     """Print one table each for straight and turning gaits, with and without rigid gaps."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument(
-        "--default", action="store_true", help="use the default settings instead of matched physics"
+        "--default",
+        action="store_true",
+        help="use the default settings instead of matched physics",
     )
-    arguments.add_argument("--skid", action="store_true", help="use skids and the ellipse law")
-    arguments.add_argument("--loads", choices=LOADS, help="wheel loads in the friction law of the twin")
     arguments.add_argument(
-        "--quick", action="store_true", help="simulate the corner points and the middle point only"
+        "--skid", action="store_true", help="use skids and the ellipse law"
+    )
+    arguments.add_argument(
+        "--loads", choices=LOADS, help="wheel loads in the friction law of the twin"
+    )
+    arguments.add_argument(
+        "--quick",
+        action="store_true",
+        help="simulate the corner points and the middle point only",
     )
     selected = arguments.parse_args()
-    common: dict[str, float] = {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
+    common: dict[str, float] = (
+        {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
+    )
     law = "axis" if selected.default else "ellipse" if selected.skid else "wheel"
     wheels: dict[str, object] = (
-        {} if selected.default else {"contact": PreloadedContact("skid" if selected.skid else "rolling")}
+        {}
+        if selected.default
+        else {"contact": PreloadedContact("skid" if selected.skid else "rolling")}
     )
     loads: dict[str, object] = {} if selected.default else {"inertia": "connector"}
     if selected.loads:
-        wheels = {"contact": LoadedContact(load=selected.loads), "numerics": Numerics(wheel_spin=0.0)}
+        wheels = {
+            "contact": LoadedContact(load=selected.loads),
+            "numerics": Numerics(wheel_spin=0.0),
+        }
         loads |= {"load": "static" if selected.loads == "static" else "momentary"}
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA))
     if selected.quick:
         points = points[::4]
     for gaps, offset in product((False, True), (0.0, 0.2)):
         runs = [
-            Run(plant, frequency=f, supply_pa=p * 1e3, offset=offset, gaps=gaps, options=options, **common)
+            Run(
+                plant,
+                frequency=f,
+                supply_pa=p * 1e3,
+                offset=offset,
+                gaps=gaps,
+                options=options,
+                **common,
+            )
             for f, p in points
-            for plant, options in (("analytical", {"friction": law} | loads), ("twin", wheels))
+            for plant, options in (
+                ("analytical", {"friction": law} | loads),
+                ("twin", wheels),
+            )
         ]
         done = run_all(runs)
         print(f"\n{'with' if gaps else 'without'} gaps, offset {offset}\n")
@@ -64,20 +93,36 @@ def main() -> None:
 
 def _table(points: list, pairs: list) -> str:
     head = (
-        "f Hz", "p kPa", "analytical mm/s", "twin mm/s", "speed %", "analytical rad/s", "twin rad/s", "yaw %",
-        "shape % body", "bend RMS %",
-    )  # fmt: skip
+        "f Hz",
+        "p kPa",
+        "analytical mm/s",
+        "twin mm/s",
+        "speed %",
+        "analytical rad/s",
+        "twin rad/s",
+        "yaw %",
+        "shape % body",
+        "bend RMS %",
+    )
     rows = []
     for (f, p), (reference, candidate) in zip(points, pairs, strict=True):
         a, b = plant_metrics(reference), plant_metrics(candidate)
         c = compare(reference, candidate).metrics
         yaw_a, yaw_b = a["yaw_rate_rad_s"], b["yaw_rate_rad_s"]
-        rows.append((
-            f"{f:g}", f"{p:g}", f"{1e3 * a['com_speed_m_s']:.1f}", f"{1e3 * b['com_speed_m_s']:.1f}",
-            f"{100 * c['com_speed_rel']:+.1f}", f"{yaw_a:.4f}", f"{yaw_b:.4f}",
-            f"{100 * (yaw_b / yaw_a - 1):+.1f}" if abs(yaw_a) > 1e-3 else "–",
-            f"{100 * c['shape_rms_body']:.2f}", f"{100 * c['bend_rms_rel']:.2f}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                f"{f:g}",
+                f"{p:g}",
+                f"{1e3 * a['com_speed_m_s']:.1f}",
+                f"{1e3 * b['com_speed_m_s']:.1f}",
+                f"{100 * c['com_speed_rel']:+.1f}",
+                f"{yaw_a:.4f}",
+                f"{yaw_b:.4f}",
+                f"{100 * (yaw_b / yaw_a - 1):+.1f}" if abs(yaw_a) > 1e-3 else "–",
+                f"{100 * c['shape_rms_body']:.2f}",
+                f"{100 * c['bend_rms_rel']:.2f}",
+            )
+        )
     return table(head, rows)
 
 

@@ -1,8 +1,9 @@
 """Success rates of the project's controllers and of policies that do not know the task, in every environment.
 
-    uv run python benchmarks/baselines.py --first 2000 --json FILE
-    uv run python benchmarks/baselines.py --first 2000 --tasks Obstacles --policies baseline blind.npz
-    uv run python benchmarks/baselines.py --first 10000 --episodes 500 --tasks GoTo --policies baseline goto
+    uv run python benchmarks/baselines.py --first 2000 --json FILE uv run python
+    benchmarks/baselines.py --first 2000 --tasks Obstacles --policies baseline blind.npz
+    uv run python benchmarks/baselines.py --first 10000 --episodes 500 --tasks GoTo
+    --policies baseline goto
 
 An environment is a test of its task only if policies fail that do not do the task:
 
@@ -10,12 +11,13 @@ An environment is a test of its task only if policies fail that do not do the ta
 - random, held: an action drawn every 2 s;
 - constant: the best of the actions `CONSTANTS`, counted after the runs;
 - open loop: the actions of the controller in the episode of seed 0, the last one held;
-- blind: the controller, which gets the numbers of `HIDDEN` in place of the goal, the obstacles, the object or
-  the reference.
+- blind: the controller, which gets the numbers of `HIDDEN` in place of the goal, the
+  obstacles, the object or the reference.
 
-Episodes count as a success if they end as in `SUCCESSES`; in Module, which always lasts until the time limit,
-if the mean error is at most `MODULE_ERROR_RAD`. `--json` stores every episode. Runs that the file contains
-are not repeated, and several processes may share the tasks, each with its own file.
+Episodes count as a success if they end as in `SUCCESSES`; in Module, which always lasts
+until the time limit, if the mean error is at most `MODULE_ERROR_RAD`. `--json` stores
+every episode. Runs that the file contains are not repeated, and several processes may
+share the tasks, each with its own file.
 """
 
 from __future__ import annotations
@@ -51,7 +53,10 @@ CONSTANTS = {
     "GoTo": [[0.0, 2.0, 55.5]],
     "Obstacles": [[0.0, 2.0, 55.5]],
     "Module": [[0.5, 0.5]],
-    "Crawl3D": [[0.0, SPATIAL_FREQUENCIES_HZ[1], 28.9, 0.5, lag] for lag in (math.pi / 2, -math.pi / 2)],
+    "Crawl3D": [
+        [0.0, SPATIAL_FREQUENCIES_HZ[1], 28.9, 0.5, lag]
+        for lag in (math.pi / 2, -math.pi / 2)
+    ],
     "Pegs": [[0.0, 1.0, 48.3]],
     "Grasp": [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]],
 }
@@ -130,19 +135,28 @@ def policies(name: str) -> Iterator[tuple[str, Callable[[Task, int], Policy]]]:
     yield "random", lambda task, seed: random_policy(task, seed, task.step_s)
     yield "random, held", lambda task, seed: random_policy(task, seed, HOLD_S)
     for k, action in enumerate(CONSTANTS[name], start=1):
-        yield f"constant {k}", lambda task, seed, action=action: lambda _: task.from_physical(action)
+        yield (
+            f"constant {k}",
+            lambda task, seed, action=action: lambda _: task.from_physical(action),
+        )
 
 
 def score(name: str, policy: str, seed: int) -> dict[str, Any]:
     """Run one episode with a policy of `policies` or a trained one."""
     task = make_task(name)
     untrained = dict(policies(name))
-    act = untrained[policy](task, seed) if policy in untrained else load_policy(policy).bind(task)
+    act = (
+        untrained[policy](task, seed)
+        if policy in untrained
+        else load_policy(policy).bind(task)
+    )
     result = play_episode(task, act, np.random.default_rng(seed))
     succeeded = result.ending in SUCCESSES
     if name == "Module":
         succeeded = -result.reward <= MODULE_ERROR_RAD * result.time
-    return {"task": name, "policy": policy, "seed": seed, "success": succeeded} | vars(result)
+    return {"task": name, "policy": policy, "seed": seed, "success": succeeded} | vars(
+        result
+    )
 
 
 def rows(results: list[dict[str, Any]]) -> Iterator[list[str]]:
@@ -153,14 +167,25 @@ def rows(results: list[dict[str, Any]]) -> Iterator[list[str]]:
     best: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for (task, policy), group in groups.items():
         key = task, "constant" if policy.startswith("constant") else policy
-        if sum(r["success"] for r in group) >= sum(r["success"] for r in best.get(key, ())):
+        if sum(r["success"] for r in group) >= sum(
+            r["success"] for r in best.get(key, ())
+        ):
             best[key] = group
     for (task, policy), group in best.items():
         endings = Counter(r["ending"] for r in group)
-        counts = ", ".join(f"{count} `{ending}`" for ending, count in endings.most_common())
+        counts = ", ".join(
+            f"{count} `{ending}`" for ending, count in endings.most_common()
+        )
         share = f"{sum(r['success'] for r in group)} of {len(group)}"
         reward, time = (mean(r[key] for r in group) for key in ("reward", "time"))
-        yield [f"`{task}`", Path(policy).stem, share, counts, f"{reward:.2f}", f"{time:.1f}"]
+        yield [
+            f"`{task}`",
+            Path(policy).stem,
+            share,
+            counts,
+            f"{reward:.2f}",
+            f"{time:.1f}",
+        ]
 
 
 HEAD = ["environment", "policy", "successes", "endings", "mean return", "mean time, s"]
@@ -172,13 +197,19 @@ def main() -> None:
     arguments.add_argument("--tasks", nargs="+", choices=TASKS, default=TASKS)
     arguments.add_argument("--episodes", type=int, default=30)
     arguments.add_argument("--first", type=int, default=0, help="first seed")
-    arguments.add_argument("--policies", nargs="+", help="names of policies, or files of trained ones")
-    arguments.add_argument("--json", type=Path, help="file of the episodes, continued if it exists")
+    arguments.add_argument(
+        "--policies", nargs="+", help="names of policies, or files of trained ones"
+    )
+    arguments.add_argument(
+        "--json", type=Path, help="file of the episodes, continued if it exists"
+    )
     arguments.add_argument("--processes", type=int, default=None)
     options = arguments.parse_args()
     results = []
     if options.json and options.json.is_file():
-        results = [json.loads(line) for line in options.json.read_text("utf-8").splitlines()]
+        results = [
+            json.loads(line) for line in options.json.read_text("utf-8").splitlines()
+        ]
     done = {(r["task"], r["policy"], r["seed"]) for r in results}
     seeds = range(options.first, options.first + options.episodes)
     jobs = [

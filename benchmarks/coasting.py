@@ -2,10 +2,11 @@
 
 uv run python benchmarks/coasting.py [ROBOTS] [SEED]
 
-Each robot is a gen2 twin with drawn coefficients. Its segments have rest bends of the stated size and of
-random sign. It is pushed along its body at 0.4 and 0.6 m/s and across at 0.8 m/s. The recording adds noise
-with a standard deviation of 1 mm to each coordinate and of 0.01 rad to the heading and the bends. "none":
-bends are not recorded. "shifted": each recorded bend also has a constant error with a standard deviation of
+Each robot is a gen2 twin with drawn coefficients. Its segments have rest bends of the
+stated size and of random sign. It is pushed along its body at 0.4 and 0.6 m/s and
+across at 0.8 m/s. The recording adds noise with a standard deviation of 1 mm to each
+coordinate and of 0.01 rad to the heading and the bends. "none": bends are not recorded.
+"shifted": each recorded bend also has a constant error with a standard deviation of
 0.01 rad. The fit starts from the shipped robot, which is straight.
 """
 
@@ -17,7 +18,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from srs_twin import LoadedContact, RobotSpec, SnakeState, Trajectory, TwinSnake, load_robot
+from srs_twin import (
+    LoadedContact,
+    RobotSpec,
+    SnakeState,
+    Trajectory,
+    TwinSnake,
+    load_robot,
+)
 from srs_twin.errors import InputError
 from srs_twin.identification.estimate import FitEstimate
 from srs_twin.identification.friction import CoastingTest, fit_coasting
@@ -36,8 +44,13 @@ CAMERA_M, CAMERA_RAD, SHIFT_RAD = 1e-3, 0.01, 0.01
 def drawn(rng: np.random.Generator, bend: float) -> RobotSpec:
     """Return gen2 with drawn coefficients and rest bends of one size and random signs."""
     bends = bend * rng.choice([-1.0, 1.0], GEN2.segments)
-    values = {f"modules.bias_rad_{k}": float(value) for k, value in enumerate(bends, start=1)}
-    values |= {"friction.mu_t": rng.uniform(0.03, 0.08), "friction.mu_n": rng.uniform(0.4, 0.7)}
+    values = {
+        f"modules.bias_rad_{k}": float(value) for k, value in enumerate(bends, start=1)
+    }
+    values |= {
+        "friction.mu_t": rng.uniform(0.03, 0.08),
+        "friction.mu_n": rng.uniform(0.4, 0.7),
+    }
     return with_values(GEN2, values)
 
 
@@ -49,13 +62,18 @@ def throw(spec: RobotSpec, velocity: tuple[float, float]) -> list[SnakeState]:
     for _ in range(20):
         rest = plant.step(vented)
     c, s = np.cos(HEADING_RAD), np.sin(HEADING_RAD)
-    world = np.array([c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]])
+    world = np.array(
+        [c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]]
+    )
     first = plant.place(replace(rest, com_velocity=world, heading=HEADING_RAD))
     return [first, *(plant.step(vented) for _ in range(round(SECONDS / TICK_S)))]
 
 
 def recorded(
-    states: Sequence[SnakeState], record: str, shift: np.ndarray, rng: np.random.Generator
+    states: Sequence[SnakeState],
+    record: str,
+    shift: np.ndarray,
+    rng: np.random.Generator,
 ) -> Trajectory:
     """Return the states as a camera records them, with noise."""
     com = np.array([state.com for state in states])
@@ -63,15 +81,25 @@ def recorded(
     heading = np.array([state.heading for state in states])
     heading = heading + CAMERA_RAD * rng.normal(size=heading.shape)
     bends = np.array([state.bend for state in states])
-    bends = bends + CAMERA_RAD * rng.normal(size=bends.shape) + (shift if record == "shifted" else 0.0)
-    columns = {"time": TICK_S * np.arange(len(com)), "com_x": com[:, 0], "com_y": com[:, 1]}
+    bends = (
+        bends
+        + CAMERA_RAD * rng.normal(size=bends.shape)
+        + (shift if record == "shifted" else 0.0)
+    )
+    columns = {
+        "time": TICK_S * np.arange(len(com)),
+        "com_x": com[:, 0],
+        "com_y": com[:, 1],
+    }
     columns["heading"] = heading
     if record != "none":
         columns |= {f"bend_{k}": column for k, column in enumerate(bends.T, start=1)}
     return Trajectory(columns)
 
 
-def fitted(throws: Sequence[list[SnakeState]], record: str, seed: int) -> FitEstimate | None:
+def fitted(
+    throws: Sequence[list[SnakeState]], record: str, seed: int
+) -> FitEstimate | None:
     """Return the fit of the recorded throws; None if a test is refused because the body turns."""
     rng = np.random.default_rng([seed, RECORDS.index(record)])
     shift = SHIFT_RAD * rng.normal(size=GEN2.segments)
@@ -86,7 +114,11 @@ def fitted(throws: Sequence[list[SnakeState]], record: str, seed: int) -> FitEst
 
 
 def row(
-    bend: float, record: str, name: str, fits: Sequence[FitEstimate | None], truths: Sequence[float]
+    bend: float,
+    record: str,
+    name: str,
+    fits: Sequence[FitEstimate | None],
+    truths: Sequence[float],
 ) -> str:
     """Return a row of the table for one coefficient."""
     known = [
@@ -96,21 +128,29 @@ def row(
     ]
     held = [parameter.low <= truth <= parameter.high for parameter, truth in known]  # type: ignore[operator]
     sure = [
-        contains for contains, (found, _) in zip(held, known, strict=True) if found.verdict == "identified"
+        contains
+        for contains, (found, _) in zip(held, known, strict=True)
+        if found.verdict == "identified"
     ]
     errors = [100 * (parameter.value / truth - 1) for parameter, truth in known]  # type: ignore[operator]
     widths = [50 * (p.high - p.low) / p.value for p, _ in known]  # type: ignore[operator]
-    span = f"{min(errors):+.1f} to {max(errors):+.1f} | {np.median(widths):.1f}" if known else "| "
+    span = (
+        f"{min(errors):+.1f} to {max(errors):+.1f} | {np.median(widths):.1f}"
+        if known
+        else "| "
+    )
     return (
-        f"| {bend:g} | {record} | {name.removeprefix('friction.')} | {sum(held)} of {len(held)} | "
-        f"{sum(sure)} of {len(sure)} | {len(fits) - len(known)} | {span} |"
+        f"| {bend:g} | {record} | {name.removeprefix('friction.')} | {sum(held)} of"
+        f" {len(held)} | {sum(sure)} of {len(sure)} | {len(fits) - len(known)} |"
+        f" {span} |"
     )
 
 
 def main(robots: int, first_seed: int) -> None:
     print(
-        "| rest bends, ± rad | bends recorded | coefficient | true value in the interval | true value in the"
-        " interval, identified only | refused | errors, % | median half width, % |"
+        "| rest bends, ± rad | bends recorded | coefficient | true value in the"
+        " interval | true value in the interval, identified only | refused | errors, %"
+        " | median half width, % |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for bend in BENDS_RAD:
@@ -118,7 +158,10 @@ def main(robots: int, first_seed: int) -> None:
         specs = [drawn(np.random.default_rng(seed), bend) for seed in seeds]
         thrown = [[throw(spec, velocity) for velocity in THROWS_M_S] for spec in specs]
         for record in RECORDS:
-            fits = [fitted(throws, record, seed) for throws, seed in zip(thrown, seeds, strict=True)]
+            fits = [
+                fitted(throws, record, seed)
+                for throws, seed in zip(thrown, seeds, strict=True)
+            ]
             for name, truths in (
                 ("friction.mu_t", [spec.friction.mu_t for spec in specs]),
                 ("friction.mu_n", [spec.friction.mu_n for spec in specs]),

@@ -1,10 +1,12 @@
 """Error of constrained optima of the two-fidelity search, and its warnings.
 
-uv run python benchmarks/constrained.py [--seeds 20] [--runs 30] [--out runs/constrained]
+uv run python benchmarks/constrained.py [--seeds 20] [--runs 30] [--out
+runs/constrained]
 
-Both fidelities run a grid of 25 frequencies and 19 phase steps of gen2_straight once. The searches then read
-cubic splines through the grid instead of simulating, so that many seeds cost little, and the optimum is that
-of the same splines at 400 x 400 points. The constraint of each study is active at its optimum.
+Both fidelities run a grid of 25 frequencies and 19 phase steps of gen2_straight once.
+The searches then read cubic splines through the grid instead of simulating, so that
+many seeds cost little, and the optimum is that of the same splines at 400 x 400 points.
+The constraint of each study is active at its optimum.
 """
 
 from __future__ import annotations
@@ -22,7 +24,12 @@ from scipy.interpolate import RectBivariateSpline
 from srs_twin.compute.workers import TaskResult
 from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
 from srs_twin.studies.optimization.runs import PLANTS, StudyRuns
-from srs_twin.studies.optimization.search import MAX_IMPROVEMENT, Optimum, excesses, search
+from srs_twin.studies.optimization.search import (
+    MAX_IMPROVEMENT,
+    Optimum,
+    excesses,
+    search,
+)
 from srs_twin.studies.sweep.execution import local
 from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.studies.sweep.task import DONE, Row
@@ -68,7 +75,12 @@ Splines = dict[tuple[str, str], RectBivariateSpline]
 def loaded(folder: Path, runs: int, limited: Limited) -> OptimizationStudy:
     path = folder / "limited.yaml"
     constraint = f"{{metric: {limited.metric}, {limited.side}: {limited.limit}}}"
-    text = STUDY.format(objective=limited.objective, goal=limited.goal, constraints=constraint, runs=runs)
+    text = STUDY.format(
+        objective=limited.objective,
+        goal=limited.goal,
+        constraints=constraint,
+        runs=runs,
+    )
     path.write_text(text, "utf-8")
     return load_study(path)
 
@@ -91,14 +103,21 @@ class SplineEngine:
     def __init__(self, study: OptimizationStudy, found: Splines) -> None:
         self._study, self._found = study, found
 
-    def __call__(self, experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
+    def __call__(
+        self, experiment: Experiment, points: Sequence[Point]
+    ) -> Iterator[TaskResult[Row]]:
         """Yield the rows of points."""
         (plant,) = experiment.plants
         part = {"analytical": "compliant"}.get(plant, plant)
         for number, point in enumerate(points):
             space = self._study.space
-            shares = space.shares([float(str(point.changes[name])) for name in space.variables])
-            values = {f"{plant}.{name}": float(self._found[part, name](*shares)[0, 0]) for name in METRICS}
+            shares = space.shares(
+                [float(str(point.changes[name])) for name in space.variables]
+            )
+            values = {
+                f"{plant}.{name}": float(self._found[part, name](*shares)[0, 0])
+                for name in METRICS
+            }
             yield TaskResult(number, Row(point.key, DONE, values), None)
 
 
@@ -112,10 +131,14 @@ def searched(study: OptimizationStudy, seed: int, found: Splines) -> Optimum:
 
 
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--seeds", type=int, default=20)
     words.add_argument("--first-seed", type=int, default=0)
-    words.add_argument("--runs", type=int, default=30, help="runs of the twin per search")
+    words.add_argument(
+        "--runs", type=int, default=30, help="runs of the twin per search"
+    )
     words.add_argument("--out", type=Path, default=Path("runs/constrained"))
     given = words.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -123,24 +146,41 @@ def main() -> None:
     fine = {key: spline(FINE, FINE) for key, spline in found.items()}
     rows = []
     for limited in STUDIES:
-        gain = fine["twin", limited.objective] * (1 if limited.goal == "maximize" else -1)
+        gain = fine["twin", limited.objective] * (
+            1 if limited.goal == "maximize" else -1
+        )
         side = 1 if limited.side == "below" else -1
-        optimum = np.where(side * (fine["twin", limited.metric] - limited.limit) <= 0, gain, -np.inf)
+        optimum = np.where(
+            side * (fine["twin", limited.metric] - limited.limit) <= 0, gain, -np.inf
+        )
         best, place = optimum.max(), np.unravel_index(optimum.argmax(), optimum.shape)
         excess = side * (fine["compliant", limited.metric][place] / limited.limit - 1)
         study = loaded(given.out, given.runs, limited)
         seeds = range(given.first_seed, given.first_seed + given.seeds)
         ends = [searched(study, seed, found) for seed in seeds]
-        errors = np.array([1 - end.best[0].metric(limited.objective) / abs(best) for end in ends])
+        errors = np.array(
+            [1 - end.best[0].metric(limited.objective) / abs(best) for end in ends]
+        )
         errors *= 1 if limited.goal == "maximize" else -1
-        errors = np.where([(excesses(study, end.best[:1]) > 0).any() for end in ends], np.inf, errors)
+        errors = np.where(
+            [(excesses(study, end.best[:1]) > 0).any() for end in ends], np.inf, errors
+        )
         warned = np.array([(end.improvement or 0.0) > MAX_IMPROVEMENT for end in ends])
         good = errors <= WITHIN
         for seed, error, end in zip(seeds, errors, ends, strict=True):
-            print(limited.metric, seed, f"{100 * error:.2f} %", end.improvement, flush=True)
+            print(
+                limited.metric,
+                seed,
+                f"{100 * error:.2f} %",
+                end.improvement,
+                flush=True,
+            )
         rows.append(
             [
-                f"{limited.objective}; {limited.metric} {limited.side} {limited.limit:g}",
+                (
+                    f"{limited.objective}; {limited.metric} {limited.side}"
+                    f" {limited.limit:g}"
+                ),
                 f"{abs(best):.4g}",
                 f"{100 * excess:+.0f} %",
                 f"{good.sum()} of {len(good)}",
@@ -149,7 +189,13 @@ def main() -> None:
                 f"{np.sum(warned & good)} of {good.sum()}",
             ]
         )
-    heads = ["study", "optimum", "violation by compliant at the optimum", "within 2 %", "largest deviation"]
+    heads = [
+        "study",
+        "optimum",
+        "violation by compliant at the optimum",
+        "within 2 %",
+        "largest deviation",
+    ]
     print(table([*heads, "warnings beyond 2 %", "warnings within 2 %"], rows))
 
 

@@ -1,12 +1,14 @@
 """Contact forces from valve commands, pressures and bends, on robots that were not used to choose settings.
 
-    uv run python benchmarks/contact_estimate.py [--robot gen2] [--first 0] [--robots 36] [--free 300]
+    uv run python benchmarks/contact_estimate.py [--robot gen2] [--first 0] [--robots
+    36] [--free 300]
         [--data FOLDER] [--json FILE] [--picture]
 
-docs/contact-forces.md states the conditions, which were fixed before the evaluation. A twin crawls freely for
-12 s; then a known force presses on its body every 4 s. False alarms are counted while the same robot crawls
-freely for `--free` seconds on the analytical model `compliant`, the cheapest plant with bends that deflect.
-Robots with seeds from 1000 serve to choose settings. `--data` stores the records of the twins, and
+docs/contact-forces.md states the conditions, which were fixed before the evaluation. A
+twin crawls freely for 12 s; then a known force presses on its body every 4 s. False
+alarms are counted while the same robot crawls freely for `--free` seconds on the
+analytical model `compliant`, the cheapest plant with bends that deflect. Robots with
+seeds from 1000 serve to choose settings. `--data` stores the records of the twins, and
 `--picture` writes docs/images/contact_roc.png.
 """
 
@@ -28,7 +30,12 @@ from matplotlib.figure import Figure
 
 from srs_twin import AnalyticalSnake, load_robot
 from srs_twin.control.gait import Gait
-from srs_twin.live.contact_observer import COVERAGE, THRESHOLD, WINDOW_S, ContactObserver
+from srs_twin.live.contact_observer import (
+    COVERAGE,
+    THRESHOLD,
+    WINDOW_S,
+    ContactObserver,
+)
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import hinge_stations
 from srs_twin.plants.twin.snake import TwinSnake
@@ -55,9 +62,13 @@ def drawn_robot(nominal: RobotSpec, seed: int) -> RobotSpec:
         return np.exp(SPREAD * rng.standard_normal(shape))
 
     modules = Modules.from_arrays(
-        gain=factors(n, 2), bias=BIAS_RAD * rng.standard_normal(n), tau_fill=factors(n, 2),
-        tau_vent=factors(n, 2), sensor_gain=np.ones(n), sensor_bias=np.zeros(n),
-    )  # fmt: skip
+        gain=factors(n, 2),
+        bias=BIAS_RAD * rng.standard_normal(n),
+        tau_fill=factors(n, 2),
+        tau_vent=factors(n, 2),
+        sensor_gain=np.ones(n),
+        sensor_bias=np.zeros(n),
+    )
     return replace(nominal, variation=modules)
 
 
@@ -67,7 +78,11 @@ def gait_of(robot: str, seed: int) -> tuple[float, int, str]:
     frequency = choices[seed % len(choices)]
     # The smallest whole number of periods that is a whole number of samples.
     period = Fraction(1 / TICK_S / frequency).limit_denominator(100)
-    return frequency, period.numerator, CHAMBERS[seed // (2 if len(choices) == 2 else 1) % 2]
+    return (
+        frequency,
+        period.numerator,
+        CHAMBERS[seed // (2 if len(choices) == 2 else 1) % 2],
+    )
 
 
 class Finger:
@@ -80,10 +95,15 @@ class Finger:
         mujoco.mj_forward(model, data)
         hinges = hinge_stations(HINGES, g.segment_length, g.rigid_gap)
         starts = np.arange(twin.spec.segments)[:, None] * g.pitch + hinges
-        names = [f"{kind}_{j + 1}{end}" for j in range(twin.spec.segments)
-                 for kind, end in (("connector", ""), ("link", "_1"))]  # fmt: skip
+        names = [
+            f"{kind}_{j + 1}{end}"
+            for j in range(twin.spec.segments)
+            for kind, end in (("connector", ""), ("link", "_1"))
+        ]
         self._edges = starts.ravel()
-        self._bodies = [model.body(name).id for name in [*names, f"connector_{g.connectors}"]]
+        self._bodies = [
+            model.body(name).id for name in [*names, f"connector_{g.connectors}"]
+        ]
         head = data.body("connector_1").xpos[0]
         self._origins = [head - data.xpos[body][0] for body in self._bodies]
 
@@ -100,7 +120,11 @@ class Finger:
 
 
 def crawl(
-    plant: Plant, frequency: float, seconds: float, seed: int, press: Callable[[float], None]
+    plant: Plant,
+    frequency: float,
+    seconds: float,
+    seed: int,
+    press: Callable[[float], None],
 ) -> dict[str, np.ndarray]:
     """Return the samples of a crawling robot: time, command, pressure with noise, reading."""
     gait, rng = Gait(frequency), np.random.default_rng((seed, 3))
@@ -110,10 +134,16 @@ def crawl(
         press(float(state.time))
         valves = gait.step(state)
         state = plant.step(valves)
-        mean = np.asarray(valves, dtype=float).reshape(-1, *valves.shape[-2:]).mean(axis=0)
+        mean = (
+            np.asarray(valves, dtype=float).reshape(-1, *valves.shape[-2:]).mean(axis=0)
+        )
         rows.append((np.asarray(state.time), mean, state.pressure, state.sensed))
-    time, command, pressure, sensed = (np.array(column) for column in zip(*rows, strict=True))
-    pressure = np.maximum(pressure + PRESSURE_NOISE_PA * rng.standard_normal(pressure.shape), 0.0)
+    time, command, pressure, sensed = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
+    pressure = np.maximum(
+        pressure + PRESSURE_NOISE_PA * rng.standard_normal(pressure.shape), 0.0
+    )
     return {"time": time, "command": command, "pressure": pressure, "sensed": sensed}
 
 
@@ -121,14 +151,25 @@ def touched(robot: str, seed: int) -> dict[str, np.ndarray]:
     """Return samples of a twin, and its contacts: begin, duration (s), force (N), place (m)."""
     nominal, rng = load_robot(robot), np.random.default_rng((seed, 2))
     frequency, _, chambers = gait_of(robot, seed)
-    twin = TwinSnake(drawn_robot(nominal, seed), pneumatics=chambers, sensor="hall", tick=TICK_S)
-    least = FRICTIONS * nominal.friction.mu_n * np.mean(nominal.mass.connectors) * GRAVITY
-    begins = LEARNING_S + SPACING_S * np.arange(CONTACTS) + rng.uniform(0.0, 1.0, CONTACTS)
+    twin = TwinSnake(
+        drawn_robot(nominal, seed), pneumatics=chambers, sensor="hall", tick=TICK_S
+    )
+    least = (
+        FRICTIONS * nominal.friction.mu_n * np.mean(nominal.mass.connectors) * GRAVITY
+    )
+    begins = (
+        LEARNING_S + SPACING_S * np.arange(CONTACTS) + rng.uniform(0.0, 1.0, CONTACTS)
+    )
     force = rng.uniform(least, 1.5 * least, CONTACTS) * rng.choice([-1, 1], CONTACTS)
     contacts = np.stack(
-        [begins, rng.uniform(0.3, 0.6, CONTACTS), force,
-         rng.uniform(0.0, nominal.geometry.body_length, CONTACTS)], axis=1
-    )  # fmt: skip
+        [
+            begins,
+            rng.uniform(0.3, 0.6, CONTACTS),
+            force,
+            rng.uniform(0.0, nominal.geometry.body_length, CONTACTS),
+        ],
+        axis=1,
+    )
     finger: list[Finger] = []
 
     def press(time: float) -> None:
@@ -145,11 +186,15 @@ def estimates(robot: str, seed: int, samples: dict[str, np.ndarray]) -> np.ndarr
     """Return score, force, place and their intervals over time, shape (samples, 7); NaN while learning."""
     observer = ContactObserver(load_robot(robot), TICK_S, gait_of(robot, seed)[1])
     rows = []
-    for sample in zip(samples["command"], samples["pressure"], samples["sensed"], strict=True):
+    for sample in zip(
+        samples["command"], samples["pressure"], samples["sensed"], strict=True
+    ):
         e = observer.update(*sample)
-        row = (math.nan,) * 7 if e is None else (
-            e.score, e.force, e.place, *e.force_interval, *e.place_interval
-        )  # fmt: skip
+        row = (
+            (math.nan,) * 7
+            if e is None
+            else (e.score, e.force, e.place, *e.force_interval, *e.place_interval)
+        )
         rows.append(row)
     return np.array(rows)
 
@@ -167,8 +212,16 @@ def judged(robot: str, seed: int, samples: dict[str, np.ndarray]) -> list[list[f
 def free_scores(robot: str, seed: int, seconds: float) -> np.ndarray:
     """Return the scores of a robot that crawls freely on the model `compliant`."""
     spec = drawn_robot(load_robot(robot), seed)
-    plant = AnalyticalSnake(spec, model="compliant", friction="wheel", sensor="hall", tick=TICK_S)
-    samples = crawl(plant, gait_of(robot, seed)[0], LEARNING_S + WINDOW_S + seconds, seed, lambda _: None)
+    plant = AnalyticalSnake(
+        spec, model="compliant", friction="wheel", sensor="hall", tick=TICK_S
+    )
+    samples = crawl(
+        plant,
+        gait_of(robot, seed)[0],
+        LEARNING_S + WINDOW_S + seconds,
+        seed,
+        lambda _: None,
+    )
     scores = estimates(robot, seed, samples)[:, 0]
     return np.asarray(scores[np.isfinite(scores)])
 
@@ -181,7 +234,9 @@ def alarms(scores: np.ndarray, threshold: float) -> int:
 
 def main() -> None:
     """Simulate, estimate and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--robot", default="gen2", choices=FREQUENCIES_HZ)
     words.add_argument("--first", type=int, default=0)
     words.add_argument("--robots", type=int, default=36)
@@ -202,7 +257,9 @@ def main() -> None:
                 np.savez(stored, **samples)  # type: ignore[arg-type]
         free = free_scores(given.robot, seed, given.free).tolist() if given.free else []
         gait = gait_of(given.robot, seed)
-        results.append({"gait": gait, "contacts": judged(given.robot, seed, samples), "free": free})
+        results.append(
+            {"gait": gait, "contacts": judged(given.robot, seed, samples), "free": free}
+        )
     if given.json:
         given.json.write_text(json.dumps(results) + "\n", "utf-8")
     print_detection(results, given.picture)
@@ -213,23 +270,38 @@ def print_detection(results: list[dict[str, Any]], picture: bool) -> None:
     """Print detected contacts and false alarms over the threshold, and draw them."""
     scores = np.array([row[3] for r in results for row in r["contacts"]])
     hours = sum(len(r["free"]) for r in results) * TICK_S / 3600
-    print(f"{len(results)} robots, {len(scores)} contacts, {hours:.2f} h of free crawling")
+    print(
+        f"{len(results)} robots, {len(scores)} contacts, {hours:.2f} h of free crawling"
+    )
     levels = np.linspace(2.5, 15.0, 51)
     free = [np.array(r["free"]) for r in results]
-    false = [sum(alarms(row, level) for row in free) / max(hours, 1e-9) for level in levels]
+    false = [
+        sum(alarms(row, level) for row in free) / max(hours, 1e-9) for level in levels
+    ]
     found = [100 * (scores > level).mean() for level in levels], false
-    lines = [[f"{t:g}", *(f"{np.interp(t, levels, row):.1f}" for row in found)] for t in THRESHOLDS]
+    lines = [
+        [f"{t:g}", *(f"{np.interp(t, levels, row):.1f}" for row in found)]
+        for t in THRESHOLDS
+    ]
     print(table(["threshold", "detected, %", "false alarms per hour"], lines))
-    print(f"largest score without contact {max(max(r['free'], default=0) for r in results):.2f}, "
-          f"smallest of a contact {scores.min():.2f}")  # fmt: skip
+    print(
+        "largest score without contact"
+        f" {max(max(r['free'], default=0) for r in results):.2f}, smallest of a contact"
+        f" {scores.min():.2f}"
+    )
     if picture:
         figure = Figure(figsize=(6.4, 3.2), layout="constrained")
         curve, both = figure.subplots(1, 2)
         curve.plot(found[1], found[0], "o-", ms=3)
         curve.set(
-            xlabel="false alarms per hour", ylabel="detected contacts, %", xscale="symlog", ylim=(0, 103)
+            xlabel="false alarms per hour",
+            ylabel="detected contacts, %",
+            xscale="symlog",
+            ylim=(0, 103),
         )
-        both.semilogy(levels, np.maximum(found[1], 0.1 / hours), label="false alarms per hour")
+        both.semilogy(
+            levels, np.maximum(found[1], 0.1 / hours), label="false alarms per hour"
+        )
         both.semilogy(levels, found[0], label="detected contacts, %")
         both.axvline(THRESHOLD, color="0.6", lw=1)
         both.set(xlabel="threshold of the score")
@@ -240,30 +312,50 @@ def print_detection(results: list[dict[str, Any]], picture: bool) -> None:
 def print_errors(results: list[dict[str, Any]], pitch: float) -> None:
     """Print the errors of force and place, and the coverage of the intervals."""
     rows = np.array([row for r in results for row in r["contacts"]])
-    gaits = [(f"{r['gait'][0]:g} Hz", r["gait"][2]) for r in results for _ in r["contacts"]]
+    gaits = [
+        (f"{r['gait'][0]:g} Hz", r["gait"][2]) for r in results for _ in r["contacts"]
+    ]
     force, place = rows[:, 0], rows[:, 1] / pitch
     error, off = np.abs(rows[:, 4] / force - 1), np.abs(rows[:, 5] / pitch - place)
     groups = [("all", np.ones(len(rows), dtype=bool))]
-    groups += [(f"{a} to {a + 1} segments from the head", (place >= a) & (place < a + 1))
-               for a in range(int(place.max()) + 1)]  # fmt: skip
+    groups += [
+        (f"{a} to {a + 1} segments from the head", (place >= a) & (place < a + 1))
+        for a in range(int(place.max()) + 1)
+    ]
     for names in zip(*gaits, strict=True):
         groups += [(name, np.array(names) == name) for name in sorted(set(names))]
     lines = []
     for name, chosen in groups:
         shares = [
-            (rows[:, 3] > THRESHOLD)[chosen].mean(), (off <= 1)[chosen].mean(),
+            (rows[:, 3] > THRESHOLD)[chosen].mean(),
+            (off <= 1)[chosen].mean(),
             ((rows[:, 6] <= force) & (force <= rows[:, 7]))[chosen].mean(),
             ((rows[:, 8] <= rows[:, 1]) & (rows[:, 1] <= rows[:, 9]))[chosen].mean(),
-        ]  # fmt: skip
+        ]
         width = np.nanmedian(((rows[:, 7] - rows[:, 6]) / np.abs(force))[chosen])
         medians = np.nanmedian(error[chosen]), np.nanmedian(off[chosen])
-        lines.append([
-            name, str(chosen.sum()), f"{100 * shares[0]:.0f}", f"{100 * medians[0]:.0f}", f"{medians[1]:.2f}",
-            *(f"{100 * value:.0f}" for value in shares[1:]), f"{width:.2f}",
-        ])  # fmt: skip
-    heads = ["contacts", "number", "detected, %", "median force error, %", "median place error, segments",
-             "within one segment, %", f"force in {COVERAGE:.0%} interval", "place in interval",
-             "width of the force interval over the force"]  # fmt: skip
+        lines.append(
+            [
+                name,
+                str(chosen.sum()),
+                f"{100 * shares[0]:.0f}",
+                f"{100 * medians[0]:.0f}",
+                f"{medians[1]:.2f}",
+                *(f"{100 * value:.0f}" for value in shares[1:]),
+                f"{width:.2f}",
+            ]
+        )
+    heads = [
+        "contacts",
+        "number",
+        "detected, %",
+        "median force error, %",
+        "median place error, segments",
+        "within one segment, %",
+        f"force in {COVERAGE:.0%} interval",
+        "place in interval",
+        "width of the force interval over the force",
+    ]
     print(table(heads, lines))
 
 

@@ -1,11 +1,13 @@
 """What the damping of the bends does: spectra, damping times, a material of constant loss, and speeds.
 
-    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table] [--picture FILE]
+    uv run python benchmarks/damping.py [--spectra] [--material] [--steps] [--table]
+    [--picture FILE]
 
-`--spectra`: frequencies at which the bends deviate from the free bends, and the damping times that give the
-loss factor of docs/damping.md there. `--material`: speeds with a material whose loss factor hardly depends on
-the frequency (three Maxwell branches), and with a damper of the same loss. `--steps`: speeds for several
-damping times and steps, with both readings of the delay. `--table`: speeds over stiffness and loss factor.
+`--spectra`: frequencies at which the bends deviate from the free bends, and the damping
+times that give the loss factor of docs/damping.md there. `--material`: speeds with a
+material whose loss factor hardly depends on the frequency (three Maxwell branches), and
+with a damper of the same loss. `--steps`: speeds for several damping times and steps,
+with both readings of the delay. `--table`: speeds over stiffness and loss factor.
 `--picture`: the spectra as curves.
 """
 
@@ -70,7 +72,9 @@ class Case:
 
     def run(self, plant: AnalyticalSnake | TwinSnake, record_hz: float = 50.0) -> Any:
         """Return the trajectory of the gait."""
-        return rollout(plant, Gait(self.frequency, self.offset), self.duration, record_hz=record_hz)
+        return rollout(
+            plant, Gait(self.frequency, self.offset), self.duration, record_hz=record_hz
+        )
 
     def speeds(self, plant: AnalyticalSnake | TwinSnake) -> tuple[float, float]:
         """Return speed (mm/s) and yaw rate (rad/s) of the gait."""
@@ -79,10 +83,15 @@ class Case:
 
 
 CASES = (
-    Case("gen1", 0.33, 0.0, 25.9e3), Case("gen1", 1.0, 0.0, 25.9e3), Case("gen2", 1.0, 0.0, 48.3e3),
-    Case("gen2", 2.0, 0.0, 48.3e3), Case("gen2", 2.0, 0.2, 48.3e3), Case("gen3", 0.9, 0.0, 48.3e3),
-    Case("gen4", 1.5, 0.0, 51e3), Case("gen4", 1.5, 0.3, 51e3),
-)  # fmt: skip
+    Case("gen1", 0.33, 0.0, 25.9e3),
+    Case("gen1", 1.0, 0.0, 25.9e3),
+    Case("gen2", 1.0, 0.0, 48.3e3),
+    Case("gen2", 2.0, 0.0, 48.3e3),
+    Case("gen2", 2.0, 0.2, 48.3e3),
+    Case("gen3", 0.9, 0.0, 48.3e3),
+    Case("gen4", 1.5, 0.0, 51e3),
+    Case("gen4", 1.5, 0.3, 51e3),
+)
 
 
 def damped(spec: RobotSpec, time: float) -> RobotSpec:
@@ -108,8 +117,8 @@ def spectrum(case: Case, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
 def equivalent_frequency(frequency: np.ndarray, power: np.ndarray) -> float:
     """Return the frequency at which a damper must have the loss factor, Hz.
 
-    A damper dissipates in proportion to f² |E|², a material of constant loss to f |E|². Both dissipate the
-    same if the loss factors are equal at Σ f² |E|² / Σ f |E|².
+    A damper dissipates in proportion to f² |E|², a material of constant loss to f |E|².
+    Both dissipate the same if the loss factors are equal at Σ f² |E|² / Σ f |E|².
     """
     return float((frequency**2 * power).sum() / (frequency * power).sum())
 
@@ -126,14 +135,17 @@ def damping_time(case: Case, loss: float) -> tuple[float, float]:
 class ConstantLoss(LagPneumatics):
     """Chambers in a material with Maxwell branches, which are expressed as a change of the free bends.
 
-    A branch has the moment k_b (e − z) with e = q_f − q and τ_b ż = e − z. The moments of spring and branches
-    are those of a stiffer spring with the free bend q_f − Σ k_b z / K, where K is the sum of all stiffnesses.
-    Within a step e changes linearly, as in the plant.
+    A branch has the moment k_b (e − z) with e = q_f − q and τ_b ż = e − z. The moments
+    of spring and branches are those of a stiffer spring with the free bend q_f − Σ k_b
+    z / K, where K is the sum of all stiffnesses. Within a step e changes linearly, as
+    in the plant.
     """
 
     depends_on_bend = True
 
-    def __init__(self, spec: RobotSpec, shares: np.ndarray, *, supply_pa: float, step: float) -> None:
+    def __init__(
+        self, spec: RobotSpec, shares: np.ndarray, *, supply_pa: float, step: float
+    ) -> None:
         """Take the stiffness of each branch over that of the spring."""
         self._shares = shares / (1 + shares.sum())
         self._times = np.array(BRANCH_TIMES_S)
@@ -146,7 +158,11 @@ class ConstantLoss(LagPneumatics):
         self._branches = np.zeros((len(self._times), self._segments))
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: np.ndarray | None,
+        bend_rate: np.ndarray | None,
     ) -> Trace:
         before = self.bend.copy()
         trace = super()._simulate(schedule, times, bend, bend_rate)
@@ -177,7 +193,9 @@ def branches(loss: float) -> np.ndarray:
         found = modulus(shares, BAND_HZ)
         return found.imag / found.real / loss - 1
 
-    return least_squares(error, np.full(len(BRANCH_TIMES_S), loss / 2), bounds=(0, np.inf)).x
+    return least_squares(
+        error, np.full(len(BRANCH_TIMES_S), loss / 2), bounds=(0, np.inf)
+    ).x
 
 
 def modulus(shares: np.ndarray, frequency: float | np.ndarray) -> np.ndarray:
@@ -186,15 +204,24 @@ def modulus(shares: np.ndarray, frequency: float | np.ndarray) -> np.ndarray:
     return np.asarray(1 + (shares * phase / (1 + phase)).sum(axis=-1))
 
 
-def material_plant(case: Case, loss: float, frequency: float, step: float) -> AnalyticalSnake:
+def material_plant(
+    case: Case, loss: float, frequency: float, step: float
+) -> AnalyticalSnake:
     """Return `compliant` with Maxwell branches and the stiffness of the robot file at a frequency (Hz)."""
     spec, shares = load_robot(case.robot), branches(loss)
     spring = spec.bending.stiffness / modulus(shares, frequency).real
-    whole = replace(spec.bending, stiffness=spring * (1 + shares.sum()), damping_time=1e-6)
+    whole = replace(
+        spec.bending, stiffness=spring * (1 + shares.sum()), damping_time=1e-6
+    )
     spec = replace(spec, bending=whole)
     chambers = ConstantLoss(spec, shares, supply_pa=case.supply_pa, step=step)
     return AnalyticalSnake(
-        spec, model="compliant", friction="wheel", inertia="connector", timestep=step, pneumatics=chambers
+        spec,
+        model="compliant",
+        friction="wheel",
+        inertia="connector",
+        timestep=step,
+        pneumatics=chambers,
     )
 
 
@@ -217,13 +244,33 @@ def show_spectra() -> None:
         time, frequency = damping_time(case, LOSS)
         power = spectrum(case, damped(load_robot(case.robot), time))
         share = np.cumsum(power[0] * power[1]) / (power[0] * power[1]).sum()
-        low, middle, high = (power[0][np.searchsorted(share, level)] for level in (0.1, 0.5, 0.9))
+        low, middle, high = (
+            power[0][np.searchsorted(share, level)] for level in (0.1, 0.5, 0.9)
+        )
         times = [
             f"{1e3 * loss / (2 * np.pi * frequency):.1f}"
             for loss in (LOSS, LOSS / FACTOR**2, LOSS * FACTOR**2)
         ]
-        rows.append([case.name, f"{frequency:.1f}", f"{low:.1f}", f"{middle:.1f}", f"{high:.1f}", *times])
-    head = ["gait", "f, Hz", "10 % below, Hz", "50 %", "90 %", "T, ms", "lower", "upper"]
+        rows.append(
+            [
+                case.name,
+                f"{frequency:.1f}",
+                f"{low:.1f}",
+                f"{middle:.1f}",
+                f"{high:.1f}",
+                *times,
+            ]
+        )
+    head = [
+        "gait",
+        "f, Hz",
+        "10 % below, Hz",
+        "50 %",
+        "90 %",
+        "T, ms",
+        "lower",
+        "upper",
+    ]
     print(table(head, rows))
 
 
@@ -236,7 +283,12 @@ def draw_spectra(file: Path) -> None:
         frequency, power = spectrum(case, damped(load_robot(case.robot), time))
         loss = np.cumsum(frequency * power)
         axes.semilogx(frequency[1:], loss[1:] / loss[-1], label=case.name)
-    axes.set(xlim=(0.2, 100), xlabel="frequency (Hz)", ylabel="share of the loss below", ylim=(0, 1))
+    axes.set(
+        xlim=(0.2, 100),
+        xlabel="frequency (Hz)",
+        ylabel="share of the loss below",
+        ylim=(0, 1),
+    )
     axes.grid(alpha=0.3)
     axes.legend(fontsize=7)
     figure.savefig(file, dpi=120)
@@ -248,21 +300,34 @@ def show_material(step: float = 2.5e-4) -> None:
     rows = []
     for case in CASES:
         time, frequency = damping_time(case, LOSS)
-        damper = case.speeds(compliant(case, damped(load_robot(case.robot), time), step))
+        damper = case.speeds(
+            compliant(case, damped(load_robot(case.robot), time), step)
+        )
         material = case.speeds(material_plant(case, LOSS, frequency, step))
         change = 100 * (material[0] / damper[0] - 1)
-        rows.append([
-            case.name, f"{1e3 * time:.1f}", f"{damper[0]:.1f} ({damper[1]:.3f})",
-            f"{material[0]:.1f} ({material[1]:.3f})", f"{change:+.1f}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                case.name,
+                f"{1e3 * time:.1f}",
+                f"{damper[0]:.1f} ({damper[1]:.3f})",
+                f"{material[0]:.1f} ({material[1]:.3f})",
+                f"{change:+.1f}",
+            ]
+        )
         print(rows[-1], flush=True)
-    print(table(["gait", "T, ms", "damper, mm/s (rad/s)", "constant loss", "difference, %"], rows))
+    print(
+        table(
+            ["gait", "T, ms", "damper, mm/s (rad/s)", "constant loss", "difference, %"],
+            rows,
+        )
+    )
 
 
 def show_steps() -> None:
     """Print speeds for damping times and steps, with both readings of the delay, and of `compliant`."""
     rows = []
-    # Generation 1 is left out, because its bends vibrate at 1.7 Hz, where the damping has no effect.
+    # Generation 1 is left out, because its bends vibrate at 1.7 Hz, where the damping
+    # has no effect.
     for case in CASES[2:]:
         for time in (0.00214, 0.004, 0.008, 0.012, 0.016):
             robot = damped(load_robot(case.robot), time)
@@ -270,20 +335,34 @@ def show_steps() -> None:
                 case.speeds(TwinSnake(robot, supply_pa=case.supply_pa, timestep=h))
                 for h in (0.001, 0.0005, 0.00025)
             ]
-            cells.append(case.speeds(TwinSnake(without_lead(robot), supply_pa=case.supply_pa)))
+            cells.append(
+                case.speeds(TwinSnake(without_lead(robot), supply_pa=case.supply_pa))
+            )
             cells.append(case.speeds(compliant(case, robot, 5e-4)))
-            rows.append([case.name, f"{1e3 * time:g}", *(f"{v:.1f} ({w:.3f})" for v, w in cells)])
+            rows.append(
+                [
+                    case.name,
+                    f"{1e3 * time:g}",
+                    *(f"{v:.1f} ({w:.3f})" for v, w in cells),
+                ]
+            )
             print(rows[-1], flush=True)
-    print(table(["gait", "T, ms", "1 ms", "0.5 ms", "0.25 ms", "no lead", "compliant"], rows))
+    print(
+        table(
+            ["gait", "T, ms", "1 ms", "0.5 ms", "0.25 ms", "no lead", "compliant"], rows
+        )
+    )
 
 
 def without_lead(spec: RobotSpec) -> RobotSpec:
     """Return a robot whose damping delays the free bend, with the same delay in all (`bending.lead`)."""
     delay = spec.bending.damping_time - spec.actuator.tau_mode
     actuator = replace(
-        spec.actuator, tau_mode=spec.bending.damping_time, tau_fill=spec.actuator.tau_fill - delay,
+        spec.actuator,
+        tau_mode=spec.bending.damping_time,
+        tau_fill=spec.actuator.tau_fill - delay,
         tau_vent=spec.actuator.tau_vent - delay,
-    )  # fmt: skip
+    )
     return replace(spec, actuator=actuator)
 
 
@@ -294,20 +373,30 @@ def show_table() -> None:
         nominal = load_robot(case.robot)
         _, frequency = damping_time(case, LOSS)
         model = case.speeds(
-            AnalyticalSnake(nominal, friction="wheel", inertia="connector", supply_pa=case.supply_pa)
+            AnalyticalSnake(
+                nominal, friction="wheel", inertia="connector", supply_pa=case.supply_pa
+            )
         )
         for loss in (LOSS / FACTOR**2, LOSS, LOSS * FACTOR**2):
             time = loss / (2 * np.pi * frequency)
             cells = []
             for factor in (0.5, 1.0, 2.0):
                 bending = replace(
-                    nominal.bending, damping_time=time, stiffness=factor * nominal.bending.stiffness
+                    nominal.bending,
+                    damping_time=time,
+                    stiffness=factor * nominal.bending.stiffness,
                 )
                 step = stable_step(0.001, time)
-                plant = TwinSnake(replace(nominal, bending=bending), supply_pa=case.supply_pa, timestep=step)
+                plant = TwinSnake(
+                    replace(nominal, bending=bending),
+                    supply_pa=case.supply_pa,
+                    timestep=step,
+                )
                 speed, yaw = case.speeds(plant)
                 turn = f", {yaw:.2f} rad/s" if case.offset else ""
-                cells.append(f"{speed:.0f} ({100 * (speed / model[0] - 1):+.0f} %{turn})")
+                cells.append(
+                    f"{speed:.0f} ({100 * (speed / model[0] - 1):+.0f} %{turn})"
+                )
             rows.append([case.name, f"{loss:.3f}", f"{1e3 * time:.2f}", *cells])
             print(rows[-1], flush=True)
     print(table(["gait", "η", "T, ms", "k/2", "k", "2 k"], rows))
@@ -315,7 +404,9 @@ def show_table() -> None:
 
 def main() -> None:
     """Print the tables that the options ask for."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     shows = {
         "--spectra": show_spectra,
         "--material": show_material,

@@ -32,16 +32,23 @@ PERIODS = 5
 """Gait periods of a run; a motion is that of the last two."""
 
 
-def draw(file: RobotFile, count: int, choices: int, seed: int) -> tuple[np.ndarray, list[dict[str, float]]]:
+def draw(
+    file: RobotFile, count: int, choices: int, seed: int
+) -> tuple[np.ndarray, list[dict[str, float]]]:
     """Draw robots by Latin hypercube.
 
     Returns:
-        uniform numbers for further choices, shape (count, choices), and the drawn values by path, one
-        dictionary per robot.
+        uniform numbers for further choices, shape (count, choices), and the drawn
+        values by path, one dictionary per robot.
     """
     priors = Priors.from_robot(file)
-    units = qmc.LatinHypercube(len(priors.parameters) + choices, seed=seed).random(count)
-    values = [dict(zip(priors.paths, priors.quantile(u[choices:]), strict=True)) for u in units]
+    units = qmc.LatinHypercube(len(priors.parameters) + choices, seed=seed).random(
+        count
+    )
+    values = [
+        dict(zip(priors.paths, priors.quantile(u[choices:]), strict=True))
+        for u in units
+    ]
     return units[:, :choices], values
 
 
@@ -67,13 +74,18 @@ def motion(twin: TwinSnake, gait: Gait) -> tuple[float, float]:
     before = int(np.searchsorted(run.time, run.time[-1] - 2 / gait.frequency))
     span = run.time[-1] - run.time[before]
     turned = run["heading"][-1] - run["heading"][before]
-    return float(np.hypot(*(run.com[-1] - run.com[before])) / span), float(turned / span)
+    return float(np.hypot(*(run.com[-1] - run.com[before])) / span), float(
+        turned / span
+    )
 
 
 def published_over_twin() -> np.ndarray:
     """Return the ratio of published to simulated speed of generations 1 to 4, from the stored intervals."""
     files = [INTERVALS / f"gen{generation}_straight.json" for generation in range(1, 5)]
-    rows = [json.loads(file.read_text("utf-8"))["plants"]["twin"]["com_speed_m_s"] for file in files]
+    rows = [
+        json.loads(file.read_text("utf-8"))["plants"]["twin"]["com_speed_m_s"]
+        for file in files
+    ]
     return np.array([row["published"] / row["value"] for row in rows])
 
 

@@ -1,9 +1,10 @@
 """Continuum snake of PyElastica: rod, muscles, floor and damping of its example, with default settings.
 
-The problem is ContinuumSnakeCase of the PyElastica repository (Zhang et al., Nat. Commun. 2021): a rod of
-0.35 m with 50 elements, a travelling wave of muscle torque with a period of 2 s, anisotropic Coulomb friction
-on a plane, and position Verlet with steps of 0.1 ms. Only the public API is used. The example records 60
-times per simulated second; `ContinuumSnake` can omit the records.
+The problem is ContinuumSnakeCase of the PyElastica repository (Zhang et al., Nat.
+Commun. 2021): a rod of 0.35 m with 50 elements, a travelling wave of muscle torque with
+a period of 2 s, anisotropic Coulomb friction on a plane, and position Verlet with steps
+of 0.1 ms. Only the public API is used. The example records 60 times per simulated
+second; `ContinuumSnake` can omit the records.
 """
 
 from __future__ import annotations
@@ -24,13 +25,22 @@ GRAVITY = 9.80665
 FROUDE = 0.1
 MU = LENGTH / (PERIOD**2 * GRAVITY * FROUDE)
 MU_SHARES = np.array([1.0, 1.5, 2.0])  # forward, backward, sideways
-SPLINE = np.array([3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3])  # N·m along the body
+SPLINE = np.array(
+    [3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3]
+)  # N·m along the body
 WAVE_LENGTH = 1.0  # body lengths
 UP, AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 RECORD_HZ = 60
 
 
-class _Simulator(ea.BaseSystemCollection, ea.Constraints, ea.Forcing, ea.Damping, ea.CallBacks, ea.Contact):
+class _Simulator(
+    ea.BaseSystemCollection,
+    ea.Constraints,
+    ea.Forcing,
+    ea.Damping,
+    ea.CallBacks,
+    ea.Contact,
+):
     """Simulator with the features that the example uses."""
 
 
@@ -76,13 +86,17 @@ class ContinuumSnake:
         self._simulator.append(rod)
         self._add_floor(rod)
         self._add_muscles(rod)
-        self._simulator.add_forcing_to(rod).using(ea.GravityForces, acc_gravity=-GRAVITY * UP)
+        self._simulator.add_forcing_to(rod).using(
+            ea.GravityForces, acc_gravity=-GRAVITY * UP
+        )
         self._simulator.dampen(rod).using(
             ea.AnalyticalLinearDamper, damping_constant=2e-3, time_step=TIMESTEP
         )
         if record:
             every = int(1 / (RECORD_HZ * TIMESTEP))
-            self._simulator.collect_diagnostics(rod).using(_Recorder, every=every, kept=self.kept)
+            self._simulator.collect_diagnostics(rod).using(
+                _Recorder, every=every, kept=self.kept
+            )
         self._simulator.finalize()
 
     def advance(self, duration: float) -> None:

@@ -3,9 +3,10 @@
     uv run python benchmarks/environments.py --environments 64 --seconds 3
     uv run python benchmarks/environments.py --check    # compare the distances travelled instead
 
-All contenders run the same gait in turns on the same number of threads. The plain rollout is a `TwinBatch`
-that plays the script of the gait in chunks of one environment step (0.1 s), and again in chunks of 1 s. The
-vector also processes actions, observations and rewards. The goals are out of reach, so no episode ends.
+All contenders run the same gait in turns on the same number of threads. The plain
+rollout is a `TwinBatch` that plays the script of the gait in chunks of one environment
+step (0.1 s), and again in chunks of 1 s. The vector also processes actions,
+observations and rewards. The goals are out of reach, so no episode ends.
 """
 
 from __future__ import annotations
@@ -19,7 +20,16 @@ from typing import Any
 
 import numpy as np
 from grid import table
-from timing import ROUNDS, Ratio, Result, Task, Timing, interleaved, machine, three_figures
+from timing import (
+    ROUNDS,
+    Ratio,
+    Result,
+    Task,
+    Timing,
+    interleaved,
+    machine,
+    three_figures,
+)
 
 from srs_twin import Gait, TwinBatch, load_robot
 from srs_twin.envs.crawling import OPEN, CrawlTask
@@ -37,7 +47,9 @@ class Vector:
         for env in self._envs.envs:
             assert isinstance(env.task, CrawlTask)
             env.task.arena = replace(OPEN, distances=(2.4, 2.4))
-        action = self._envs.envs[0].task.from_physical([OFFSET, FREQUENCY_HZ, PRESSURE_KPA])
+        action = self._envs.envs[0].task.from_physical(
+            [OFFSET, FREQUENCY_HZ, PRESSURE_KPA]
+        )
         self._actions = np.tile(action, (count, 1))
         self._envs.reset(seed=0)
 
@@ -52,7 +64,9 @@ class Plain:
 
     def __init__(self, count: int, threads: int | None, chunk: float) -> None:
         robot = load_robot("gen2")
-        self._batch = TwinBatch([robot] * count, supply_pa=1e3 * PRESSURE_KPA, threads=threads, tick=STEP_S)
+        self._batch = TwinBatch(
+            [robot] * count, supply_pa=1e3 * PRESSURE_KPA, threads=threads, tick=STEP_S
+        )
         self._gait, self._chunk, self._time = Gait(FREQUENCY_HZ, OFFSET), chunk, 0.0
         self._gait.reset(robot, STEP_S)
 
@@ -89,18 +103,35 @@ def measure(count: int, seconds: float, rounds: int, threads: int | None) -> Res
     ratios = {name: Ratio.between(times[name], times["vector"]) for name in times}
     shares = {name: Ratio.between(work[name], work["vector"]) for name in times}
     rows = [
-        [name, three_figures(1 / times[name].median), str(ratios[name]), str(shares[name])] for name in times
+        [
+            name,
+            three_figures(1 / times[name].median),
+            str(ratios[name]),
+            str(shares[name]),
+        ]
+        for name in times
     ]
     values: dict[str, Any] = {"environments": count, "seconds": seconds} | {
-        name: times[name].json()
-        | {"vector_share": ratios[name].json(), "vector_share_processor": shares[name].json()}
+        name: (
+            times[name].json()
+            | {
+                "vector_share": ratios[name].json(),
+                "vector_share_processor": shares[name].json(),
+            }
+        )
         for name in times
     }
     return Result(
         f"{count} environments compared with batched rollouts of the same twins",
-        ["contender", "simulated s per s", "relative rate of the vector", "relative rate in processor time"],
-        rows, values,
-    )  # fmt: skip
+        [
+            "contender",
+            "simulated s per s",
+            "relative rate of the vector",
+            "relative rate in processor time",
+        ],
+        rows,
+        values,
+    )
 
 
 def check() -> None:
@@ -109,27 +140,43 @@ def check() -> None:
     for contender in (vector, plain, whole):
         contender.run(1.0)
     distance = np.hypot(*plain._batch.state.com.T)
-    np.testing.assert_allclose(np.hypot(*whole._batch.state.com.T), distance, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        np.hypot(*whole._batch.state.com.T), distance, rtol=1e-6, atol=1e-9
+    )
     env_distance = [np.hypot(*env.episode.state.com) for env in vector._envs.envs]
     np.testing.assert_allclose(env_distance, distance, rtol=1e-6, atol=1e-5)
     if min(distance) < 0.1 or any(env.episode.ending for env in vector._envs.envs):
-        raise AssertionError(f"distances {distance}: the snakes must crawl, and no episode may end")
+        raise AssertionError(
+            f"distances {distance}: the snakes must crawl, and no episode may end"
+        )
     print("distances travelled, m:", *(f"{item:.6f}" for item in distance))
 
 
 def main() -> None:
     """Print the table and the values."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--environments", type=int, default=64, help="number of environments")
-    arguments.add_argument("--seconds", type=float, default=2.0, help="simulated time per round, s")
-    arguments.add_argument("--rounds", type=int, default=ROUNDS, help="number of rounds")
-    arguments.add_argument("--threads", type=int, default=None, help="number of threads")
-    arguments.add_argument("--check", action="store_true", help="compare the distances travelled and stop")
+    arguments.add_argument(
+        "--environments", type=int, default=64, help="number of environments"
+    )
+    arguments.add_argument(
+        "--seconds", type=float, default=2.0, help="simulated time per round, s"
+    )
+    arguments.add_argument(
+        "--rounds", type=int, default=ROUNDS, help="number of rounds"
+    )
+    arguments.add_argument(
+        "--threads", type=int, default=None, help="number of threads"
+    )
+    arguments.add_argument(
+        "--check", action="store_true", help="compare the distances travelled and stop"
+    )
     options = arguments.parse_args()
     if options.check:
         check()
         return
-    result = measure(options.environments, options.seconds, options.rounds, options.threads)
+    result = measure(
+        options.environments, options.seconds, options.rounds, options.threads
+    )
     print(f"{result.title}\n\n{table(result.head, result.rows)}\n")
     print(json.dumps(result.values | {"machine": machine()}, indent=1))
 

@@ -3,8 +3,9 @@
     uv run python benchmarks/exported_models.py                       # programs installed here
     uv run python benchmarks/exported_models.py --python mjx=/tmp/mjx/bin/python --robots gen2
 
-Each program runs in a process of its own, which needs the program and NumPy only. It gets an exported scene
-and the chamber pressures of the twin at the beginning of each time step, and prints the mean speed.
+Each program runs in a process of its own, which needs the program and NumPy only. It
+gets an exported scene and the chamber pressures of the twin at the beginning of each
+time step, and prints the mean speed.
 """
 
 from __future__ import annotations
@@ -34,7 +35,10 @@ SUPPLY_KPA = {
     "limited": 131.0,
     "limited_raw": 131.0,
 }
-"""Robot → supply pressure. The last three are generation 4 with a dead zone and with a limit of the bends."""
+"""Robot → supply pressure.
+
+The last three are generation 4 with a dead zone and with a limit of the bends.
+"""
 
 CHANGES = {
     "dead_zone": {"onset_share": 1.0, "onset": 0.3, "onset_width": 0.1},
@@ -59,7 +63,10 @@ def run_dm_control(folder: Path, controls: np.ndarray) -> Path2:
     from dm_control import mjcf
 
     return _stepped(
-        mjcf.Physics.from_mjcf_model(mjcf.from_path(str(folder / "scene.xml"))).model.ptr, controls
+        mjcf.Physics.from_mjcf_model(
+            mjcf.from_path(str(folder / "scene.xml"))
+        ).model.ptr,
+        controls,
     )
 
 
@@ -105,7 +112,9 @@ def run_newton(folder: Path, controls: np.ndarray) -> Path2:
     import mujoco
     import newton
 
-    rows = _all_controls(mujoco.MjModel.from_xml_path(str(folder / "scene_mjx.xml")), controls)
+    rows = _all_controls(
+        mujoco.MjModel.from_xml_path(str(folder / "scene_mjx.xml")), controls
+    )
     builder = newton.ModelBuilder()
     newton.solvers.SolverMuJoCo.register_custom_attributes(builder)
     builder.add_mjcf(str(folder / "scene_mjx.xml"))
@@ -140,7 +149,9 @@ def run_drake(folder: Path, controls: np.ndarray) -> Path2:
         path.append(plant.CalcCenterOfMassPositionInWorld(context)[:2].tolist())
     height = plant.CalcCenterOfMassPositionInWorld(context)[2]
     if height < 0:
-        raise RuntimeError(f"{plant.num_actuators()} actuators, no floor: falls to {height:.1f} m")
+        raise RuntimeError(
+            f"{plant.num_actuators()} actuators, no floor: falls to {height:.1f} m"
+        )
     return path
 
 
@@ -151,7 +162,10 @@ def run_usd(folder: Path, controls: np.ndarray) -> Path2:
     with tempfile.TemporaryDirectory() as out:
         mujoco_usd_converter.Converter().convert(str(folder / "scene.xml"), out)
         size = sum(path.stat().st_size for path in Path(out).rglob("*.usd*"))
-    raise RuntimeError(f"converts to {size / 1000:.0f} kB; not simulated: pairs, sensors, keys are ignored")
+    raise RuntimeError(
+        f"converts to {size / 1000:.0f} kB; not simulated: pairs, sensors, keys are"
+        " ignored"
+    )
 
 
 PROGRAMS: dict[str, tuple[str, Callable[[Path, np.ndarray], Path2]]] = {
@@ -220,10 +234,14 @@ def export(name: str, folder: Path) -> tuple[np.ndarray, float]:
     spec = replace(spec, actuator=replace(spec.actuator, **CHANGES.get(name, {})))
     write_files(robot_files(spec, linear=True), folder)
     twin = TwinSnake(spec, contact="preloaded", supply_pa=1e3 * SUPPLY_KPA[name])
-    pressure = step_controls(twin, PERIODS / FREQUENCY_HZ, frequency=FREQUENCY_HZ, offset=0.0)
+    pressure = step_controls(
+        twin, PERIODS / FREQUENCY_HZ, frequency=FREQUENCY_HZ, offset=0.0
+    )
     converted = equivalent_linear_pressure(spec, pressure.reshape(len(pressure), -1, 2))
     converted = converted.reshape(len(pressure), -1)
-    path = rollout(twin, Gait(FREQUENCY_HZ), PERIODS / FREQUENCY_HZ, record_hz=1 / twin.timestep).com[1:]
+    path = rollout(
+        twin, Gait(FREQUENCY_HZ), PERIODS / FREQUENCY_HZ, record_hz=1 / twin.timestep
+    ).com[1:]
     return pressure if name == "limited_raw" else converted, mean_speed(path)
 
 
@@ -232,7 +250,11 @@ def run_elsewhere(python: str, program: str, folder: Path, controls: Path) -> st
     words = [python, __file__, "--child", program, str(folder), str(controls)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     lines = done.stdout.splitlines()
-    return lines[-1] if lines else json.dumps({"reason": done.stderr.strip().splitlines()[-1]})
+    return (
+        lines[-1]
+        if lines
+        else json.dumps({"reason": done.stderr.strip().splitlines()[-1]})
+    )
 
 
 def child(program: str, folder: str, controls: str) -> None:
@@ -250,10 +272,18 @@ def child(program: str, folder: str, controls: str) -> None:
 def main() -> None:
     """Print a row per program and robot."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--programs", nargs="+", default=list(PROGRAMS), choices=PROGRAMS)
-    parser.add_argument("--robots", nargs="+", default=list(SUPPLY_KPA), choices=SUPPLY_KPA)
     parser.add_argument(
-        "--python", action="append", default=[], metavar="PROGRAM=PATH", help="interpreter that has a program"
+        "--programs", nargs="+", default=list(PROGRAMS), choices=PROGRAMS
+    )
+    parser.add_argument(
+        "--robots", nargs="+", default=list(SUPPLY_KPA), choices=SUPPLY_KPA
+    )
+    parser.add_argument(
+        "--python",
+        action="append",
+        default=[],
+        metavar="PROGRAM=PATH",
+        help="interpreter that has a program",
     )
     parser.add_argument("--child", nargs=3, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -261,7 +291,10 @@ def main() -> None:
         child(*options.child)
         return
     pythons = dict(item.split("=", 1) for item in options.python)
-    print("| program | version | robot | speed, m/s | twin, m/s | difference |\n|---|---|---|---|---|---|")
+    print(
+        "| program | version | robot | speed, m/s | twin, m/s | difference"
+        " |\n|---|---|---|---|---|---|"
+    )
     for name in options.robots:
         with tempfile.TemporaryDirectory() as temporary:
             folder, file = Path(temporary), Path(temporary) / "controls.npy"
@@ -272,8 +305,14 @@ def main() -> None:
                 found = json.loads(run_elsewhere(python, program, folder, file))
                 result = found.get("reason", "")
                 if "speed" in found:
-                    result = f"{found['speed']:.5f} | {expected:.5f} | {found['speed'] / expected - 1:+.2%}"
-                print(f"| {program} | {found.get('version', '')} | {name} | {result} |", flush=True)
+                    result = (
+                        f"{found['speed']:.5f} | {expected:.5f} |"
+                        f" {found['speed'] / expected - 1:+.2%}"
+                    )
+                print(
+                    f"| {program} | {found.get('version', '')} | {name} | {result} |",
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":

@@ -19,15 +19,22 @@ ROOT = Path(__file__).parents[1]
 
 def main() -> None:
     """Insert each fault, run its tests and remove it; exit with 1 if a fault is not detected."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--only", default="", help="only faults whose name contains one of these words")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "--only", default="", help="only faults whose name contains one of these words"
+    )
     only = parser.parse_args().only
     listed = yaml.safe_load((ROOT / "benchmarks/faults.yaml").read_text("utf-8"))
     faults = [fault for fault in listed if only in fault["name"]]
     with tempfile.TemporaryDirectory() as folder:
         copy = copied_to(Path(folder) / "copy")
         unnoticed = [fault["name"] for fault in faults if not noticed(copy, **fault)]
-    print(f"{len(unnoticed)} of {len(faults)} faults not detected: {', '.join(unnoticed) or 'none'}")
+    print(
+        f"{len(unnoticed)} of {len(faults)} faults not detected:"
+        f" {', '.join(unnoticed) or 'none'}"
+    )
     sys.exit(bool(unnoticed))
 
 
@@ -72,14 +79,42 @@ def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None
     Returns:
         Name of the test, or a message if pytest itself failed.
     """
-    pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-rfE", "-p", "no:cacheprovider", *words]
-    environment = os.environ | {"PYTHONPATH": str(copy), "NUMBA_CACHE_DIR": str(copy / "machine-code")}
+    pytest = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-x",
+        "-q",
+        "-rfE",
+        "-p",
+        "no:cacheprovider",
+        *words,
+    ]
+    environment = os.environ | {
+        "PYTHONPATH": str(copy),
+        "NUMBA_CACHE_DIR": str(copy / "machine-code"),
+    }
     limit = functools.partial(resource.setrlimit, resource.RLIMIT_CPU, (cpu_s, cpu_s))
-    done = subprocess.run(pytest, cwd=copy, env=environment, capture_output=True, text=True, preexec_fn=limit)
+    done = subprocess.run(
+        pytest,
+        cwd=copy,
+        env=environment,
+        capture_output=True,
+        text=True,
+        preexec_fn=limit,
+    )
     if done.returncode == 0:
         return None
-    lines = [line for line in done.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return lines[0].split(" ", 1)[1].partition(" - ")[0] if lines else f"pytest ended with {done.returncode}"
+    lines = [
+        line
+        for line in done.stdout.splitlines()
+        if line.startswith(("FAILED", "ERROR"))
+    ]
+    return (
+        lines[0].split(" ", 1)[1].partition(" - ")[0]
+        if lines
+        else f"pytest ended with {done.returncode}"
+    )
 
 
 if __name__ == "__main__":

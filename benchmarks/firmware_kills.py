@@ -1,11 +1,13 @@
 """Venting delays of examples/firmware: kills of controller, broker and firmware, and losses of the link.
 
-    uv run --group dev python benchmarks/firmware_kills.py [--kills 60] [--losses 20] [--seed 1]
+    uv run --group dev python benchmarks/firmware_kills.py [--kills 60] [--losses 20]
+    [--seed 1]
 
-Events come in random order at random times. Kills hit the controller, the broker or the microcontroller's
-interpreter (SIGKILL, or a hang or an error in a sensor's driver). A loss stalls the link for 0.3 to 3 s and
-then delivers what was sent meanwhile, or it breaks the connection. Delays are counted from the expiry of the
-command that was obeyed last, 0.2 s after it was sent. Exits with 1 where a delay exceeds its bound.
+Events come in random order at random times. Kills hit the controller, the broker or the
+microcontroller's interpreter (SIGKILL, or a hang or an error in a sensor's driver). A
+loss stalls the link for 0.3 to 3 s and then delivers what was sent meanwhile, or it
+breaks the connection. Delays are counted from the expiry of the command that was obeyed
+last, 0.2 s after it was sent. Exits with 1 where a delay exceeds its bound.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ class Study:
         events: kind of event → number.
         vents: all times at which the chambers were vented.
         resets: number of resets by the watchdog.
-        oldest: largest age of a command at the time at which the valves were set for it, s.
+        oldest: largest age of a command at the time at which the valves were set for
+            it, s.
     """
 
     events: Counter[str]
@@ -48,17 +51,23 @@ class Study:
     @property
     def of_loop(self) -> np.ndarray:
         """Delays after the command's expiry while the loop ran, s."""
-        return np.array([vent.delay for vent in self.vents if vent.cause is Cause.EXPIRY])
+        return np.array(
+            [vent.delay for vent in self.vents if vent.cause is Cause.EXPIRY]
+        )
 
     @property
     def of_errors(self) -> np.ndarray:
         """Delays after the command's expiry where the loop ended by an error, s; negative before it."""
-        return np.array([vent.delay for vent in self.vents if vent.cause is Cause.ERROR])
+        return np.array(
+            [vent.delay for vent in self.vents if vent.cause is Cause.ERROR]
+        )
 
     @property
     def of_resets(self) -> np.ndarray:
         """Delays of resets after the watchdog was fed last, s."""
-        return np.array([vent.time - vent.fed for vent in self.vents if vent.cause is Cause.RESET])
+        return np.array(
+            [vent.time - vent.fed for vent in self.vents if vent.cause is Cause.RESET]
+        )
 
     @property
     def late(self) -> bool:
@@ -73,7 +82,10 @@ class Study:
     def table(self) -> str:
         """Return events and delays as a table."""
         lines = [
-            "events: " + ", ".join(f"{count} {kind}" for kind, count in sorted(self.events.items())),
+            "events: "
+            + ", ".join(
+                f"{count} {kind}" for kind, count in sorted(self.events.items())
+            ),
             f"resets: {self.resets}",
             f"{'chambers vented':<44}{'times':>6}{'95 %':>8}{'largest':>9}   s",
         ]
@@ -93,7 +105,9 @@ class Study:
 def study(folder: Path, *, kills: int, losses: int, seed: int) -> Study:
     """Run a robot through kills and losses in random order."""
     draw = random.Random(seed)
-    events = [draw.choice(KILLS) for _ in range(kills)] + [draw.choice(LOSSES) for _ in range(losses)]
+    events = [draw.choice(KILLS) for _ in range(kills)] + [
+        draw.choice(LOSSES) for _ in range(losses)
+    ]
     draw.shuffle(events)
     with Rig(folder) as rig:
         for event in events:
@@ -140,7 +154,9 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        result = study(Path(folder), kills=options.kills, losses=options.losses, seed=options.seed)
+        result = study(
+            Path(folder), kills=options.kills, losses=options.losses, seed=options.seed
+        )
     print(result.table())
     return int(result.late)
 

@@ -1,11 +1,13 @@
 """Following of plans in six kinds of solvable worlds, by snakes with unequal modules.
 
-    uv run python benchmarks/followed_worlds.py [--worlds 100] [--spread 0.1] [--robots gen2 gen4]
+    uv run python benchmarks/followed_worlds.py [--worlds 100] [--spread 0.1] [--robots
+    gen2 gen4]
 
-If `--spread` exceeds the spread of the scenario, plans are still made with the margin for the scenario.
-Each world has its own seed, which draws the modules, the camera noise (twice that of the scenario) and the
-world. A run succeeds if it reaches the goal without contact. Contacts are detected by MuJoCo on the twin, and
-on both plants by polygons through the recorded connectors. A refused plan counts as a failure.
+If `--spread` exceeds the spread of the scenario, plans are still made with the margin
+for the scenario. Each world has its own seed, which draws the modules, the camera noise
+(twice that of the scenario) and the world. A run succeeds if it reaches the goal
+without contact. Contacts are detected by MuJoCo on the twin, and on both plants by
+polygons through the recorded connectors. A refused plan counts as a failure.
 """
 
 from __future__ import annotations
@@ -40,35 +42,61 @@ def run(order: Order) -> dict[str, Any]:
     """Follow the plan in one world."""
     robot, plant, seed, spread = order
     document = copy.deepcopy(dict(load_scenario(SCENARIOS[robot]).document))
-    document |= {"expect": [], "seed": seed, "start": {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0}}
+    document |= {
+        "expect": [],
+        "seed": seed,
+        "start": {"x_m": 0.0, "y_m": 0.0, "heading_rad": 0.0},
+    }
     for key in ("position_noise_m", "heading_noise_rad"):
         document["controller"]["camera"][key] *= 2
     planner = parse_scenario(document).planner
     assert planner is not None, "it follows"
     modules = document["robot"]["modules"]
-    if spread > modules["gain_spread"]["value"]:  # excursions not measured: margin of a smaller spread
+    if (
+        spread > modules["gain_spread"]["value"]
+    ):  # excursions not measured: margin of a smaller spread
         del document["planner"]["margin_probability"]
         document["planner"]["margin_m"] = planner.margin.path
     modules["gain_spread"]["value"] = spread
     kind = list(KINDS)[seed % len(KINDS)]
     run_up = getattr(planner.file, "run_up_m", 0.0)
-    case = drawn(kind, seed, planner.problem.footprint, run_up, planner.margin.run_up - planner.margin.path)
+    case = drawn(
+        kind,
+        seed,
+        planner.problem.footprint,
+        run_up,
+        planner.margin.run_up - planner.margin.path,
+    )
     document["world"] = _world(case)
     scenario = parse_scenario(document)
-    results = {"order": order, "kind": kind, "ending": "no_plan", "succeeded": False, "touched": False}
+    results = {
+        "order": order,
+        "kind": kind,
+        "ending": "no_plan",
+        "succeeded": False,
+        "touched": False,
+    }
     assert scenario.planner is not None, "it follows"
     plan = scenario.planner.plan()
     if not plan.found:
         return results
     duration = float(math.ceil(20 + 2 * plan.length / min(planner.footprint.speeds)))
     motion = rollout(
-        scenario.build_plant(plant), scenario.build_controller(), duration,
-        pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
-    )  # fmt: skip
+        scenario.build_plant(plant),
+        scenario.build_controller(),
+        duration,
+        pose=scenario.pose,
+        seed=seed,
+        record_hz=scenario.record_hz,
+    )
     metrics = following_metrics(motion)
     touched = touches(motion, case) or bool(metrics["contacts"])
     # Steering has no effect during the run-up, so it has a separate margin.
-    begun = [e.time for e in motion.events if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text]
+    begun = [
+        e.time
+        for e in motion.events
+        if e.kind in ("replanned", "no_new_plan") and "run_up" in e.text
+    ]
     later = motion.time >= (begun[0] if begun else math.inf if run_up else 0.0)
     return results | {
         "ending": motion.metadata["control"]["following"]["ending"] or "time_out",
@@ -86,37 +114,60 @@ def _world(case: Witnessed) -> dict[str, Any]:
     assert world.bounds is not None, "drawn with bounds"
     return {
         "bounds": {"x_m": list(world.bounds.x), "y_m": list(world.bounds.y)},
-        "obstacles": [{"x_m": c.x, "y_m": c.y, "radius_m": c.radius} for c in world.obstacles],
-        "polygons": [{"corners_m": [list(corner) for corner in p.corners]} for p in world.polygons],
+        "obstacles": [
+            {"x_m": c.x, "y_m": c.y, "radius_m": c.radius} for c in world.obstacles
+        ],
+        "polygons": [
+            {"corners_m": [list(corner) for corner in p.corners]}
+            for p in world.polygons
+        ],
         "goal": {
-            "x_m": goal.x, "y_m": goal.y, "heading_rad": math.remainder(goal.heading or 0.0, 2 * math.pi),
-            "radius_m": max(goal.radius, 0.05), "heading_tolerance_rad": goal.heading_tolerance,
+            "x_m": goal.x,
+            "y_m": goal.y,
+            "heading_rad": math.remainder(goal.heading or 0.0, 2 * math.pi),
+            "radius_m": max(goal.radius, 0.05),
+            "heading_tolerance_rad": goal.heading_tolerance,
         },
-    }  # fmt: skip
+    }
 
 
 def touches(motion: Trajectory, case: Witnessed) -> bool:
     """Return whether the body, straight between adjacent connectors, ever overlaps an obstacle."""
     body = shapely.buffer(
-        shapely.linestrings(motion.position), motion.metadata["body_width_m"] / 2 - 1e-3, cap_style="flat"
+        shapely.linestrings(motion.position),
+        motion.metadata["body_width_m"] / 2 - 1e-3,
+        cap_style="flat",
     )
-    things = [shapely.Point(c.x, c.y).buffer(c.radius) for c in case.problem.world.obstacles]
+    things = [
+        shapely.Point(c.x, c.y).buffer(c.radius) for c in case.problem.world.obstacles
+    ]
     things += [shapely.Polygon(p.corners) for p in case.problem.world.polygons]
     return bool(shapely.intersects(body, shapely.union_all(things)).any())
 
 
 def main() -> None:
     """Follow all plans and print the table."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--worlds", type=int, default=100)
     words.add_argument("--first", type=int, default=0)
     words.add_argument("--spread", type=float, default=0.1)
-    words.add_argument("--robots", nargs="+", choices=SCENARIOS, default=list(SCENARIOS))
+    words.add_argument(
+        "--robots", nargs="+", choices=SCENARIOS, default=list(SCENARIOS)
+    )
     words.add_argument("--plants", nargs="+", choices=PLANTS, default=PLANTS)
-    words.add_argument("--json", type=Path, metavar="FILE", help="also write every run to this file")
+    words.add_argument(
+        "--json", type=Path, metavar="FILE", help="also write every run to this file"
+    )
     options = words.parse_args()
     seeds = range(options.first, options.first + options.worlds)
-    orders = [(r, p, seed, options.spread) for r in options.robots for p in options.plants for seed in seeds]
+    orders = [
+        (r, p, seed, options.spread)
+        for r in options.robots
+        for p in options.plants
+        for seed in seeds
+    ]
     rows: list[dict[str, Any]] = []
     for done in run_tasks(run, orders):
         if done.result is None:
@@ -133,9 +184,16 @@ def main() -> None:
 
 
 HEADINGS = (
-    "robot", "plant", "reached without contact", "touched", "no plan", "other endings", "inside the margin",
-    "new plans, median", "minimum clearance, mm",
-)  # fmt: skip
+    "robot",
+    "plant",
+    "reached without contact",
+    "touched",
+    "no plan",
+    "other endings",
+    "inside the margin",
+    "new plans, median",
+    "minimum clearance, mm",
+)
 
 
 def summary(rows: list[dict[str, Any]]) -> list[str]:

@@ -3,9 +3,10 @@
     uv run python benchmarks/following.py                              # three fields, 20 seeds each
     uv run python benchmarks/following.py --seeds 2 --scenarios follow_fig57 --json out.json
 
-Each seed draws the modules of generation 4 and the camera noise, for both plants. A run succeeds if it
-reaches the goal without contact. Contacts are detected by the obstacle forces on the twin, and by distance on
-the analytical model, which obstacles do not stop. All followers have the same plan, delay and camera.
+Each seed draws the modules of generation 4 and the camera noise, for both plants. A run
+succeeds if it reaches the goal without contact. Contacts are detected by the obstacle
+forces on the twin, and by distance on the analytical model, which obstacles do not
+stop. All followers have the same plan, delay and camera.
 """
 
 from __future__ import annotations
@@ -47,12 +48,16 @@ Order = tuple[str, str, str, int]
 def run(order: Order) -> dict[str, Any]:
     """Run one scenario with a follower, a plant and a seed."""
     name, follower, plant, seed = order
-    document = copy.deepcopy(dict(load_scenario(name).document)) | {"expect": [], "seed": seed}
+    document = copy.deepcopy(dict(load_scenario(name).document)) | {
+        "expect": [],
+        "seed": seed,
+    }
     document["duration_s"] = LONGEST_S
     ours = parse_scenario(document, name=name).planner
     assert ours is not None, "it follows"
     if "margin_probability" in document["planner"]:
-        # The setting belongs to the project's follower; both followers have the same plan.
+        # The setting belongs to the project's follower; both followers have the same
+        # plan.
         del document["planner"]["margin_probability"]
         document["planner"]["margin_m"] = round(ours.margin.path, 4)
     controller = document["controller"]
@@ -63,14 +68,26 @@ def run(order: Order) -> dict[str, Any]:
         controller.update(BEARING)
     scenario = parse_scenario(document, name=name)
     motion = rollout(
-        scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
-        pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
-    )  # fmt: skip
+        scenario.build_plant(plant),
+        scenario.build_controller(),
+        scenario.duration,
+        pose=scenario.pose,
+        seed=seed,
+        record_hz=scenario.record_hz,
+    )
     ending = motion.metadata["control"]["following"]["ending"] or "time_out"
     names = (
-        "goal_reached", "cross_track_rms_m", "cross_track_max_m", "inside_share", "contacts", "clearance_m",
-        "arrival_error_m", "arrival_heading_error_rad", "following_time_s", "replans",
-    )  # fmt: skip
+        "goal_reached",
+        "cross_track_rms_m",
+        "cross_track_max_m",
+        "inside_share",
+        "contacts",
+        "clearance_m",
+        "arrival_error_m",
+        "arrival_heading_error_rad",
+        "following_time_s",
+        "replans",
+    )
     metrics = plant_metrics(motion)
     return {
         "order": order,
@@ -83,7 +100,8 @@ def run(order: Order) -> dict[str, Any]:
 def cross_track_later(motion: Trajectory) -> float:
     """Return the largest cross-track error after learning, m; 0 if the run ended before."""
     aside = [
-        np.abs(ReferencePath(leg.segments).coordinates(motion.com[leg.samples])[1]) for leg in legs(motion)
+        np.abs(ReferencePath(leg.segments).coordinates(motion.com[leg.samples])[1])
+        for leg in legs(motion)
     ]
     later = np.concatenate(aside)[motion.time[: sum(map(len, aside))] > LEARNT_S]
     return float(later.max(initial=0.0))
@@ -93,14 +111,18 @@ def inside_text_share(motion: Trajectory, robot: str) -> float:
     """Return the fraction of time in which the body is inside the dissertation's box about the path."""
     control = motion.metadata["control"]
     text = control["following"] | {"footprint": asdict(load_footprint(TEXT_BOX[robot]))}
-    dissertation_run = replace(motion, metadata=motion.metadata | {"control": control | {"following": text}})
+    dissertation_run = replace(
+        motion, metadata=motion.metadata | {"control": control | {"following": text}}
+    )
     return float(following_metrics(dissertation_run)["inside_share"])
 
 
 def succeeded(row: dict[str, Any]) -> bool:
     """Return whether a run reached the goal without contact."""
     clear = row["clearance_m"] is None or row["clearance_m"] > 0
-    return bool(row["goal_reached"]) and (clear if row["contacts"] is None else row["contacts"] == 0)
+    return bool(row["goal_reached"]) and (
+        clear if row["contacts"] is None else row["contacts"] == 0
+    )
 
 
 def summary(rows: list[dict[str, Any]]) -> list[str]:
@@ -112,15 +134,22 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
         return f"{factor * np.median(known):.3g}" if known else "–"
 
     return [
-        name, plant, follower, f"{sum(map(succeeded, rows))} of {len(rows)}",
-        str(sum(row["goal_reached"] for row in rows)), median("cross_track_rms_m", 1e3),
+        name,
+        plant,
+        follower,
+        f"{sum(map(succeeded, rows))} of {len(rows)}",
+        str(sum(row["goal_reached"] for row in rows)),
+        median("cross_track_rms_m", 1e3),
         f"{1e3 * max(row['cross_track_max_m'] for row in rows):.3g}",
         f"{1e3 * max(row['cross_track_later_m'] for row in rows):.3g}",
-        median("inside_share", 100), median("inside_text_share", 100),
-        least_clearance(rows), median("arrival_error_m", 1e3),
-        median("arrival_heading_error_rad"), median("following_time_s"),
+        median("inside_share", 100),
+        median("inside_text_share", 100),
+        least_clearance(rows),
+        median("arrival_error_m", 1e3),
+        median("arrival_heading_error_rad"),
+        median("following_time_s"),
         str(sum(row["replans"] for row in rows)),
-    ]  # fmt: skip
+    ]
 
 
 def least_clearance(rows: list[dict[str, Any]]) -> str:
@@ -130,27 +159,44 @@ def least_clearance(rows: list[dict[str, Any]]) -> str:
 
 
 HEADINGS = (
-    "field", "plant", "follower", "reached without contact", "reached", "cross-track RMS, median, mm",
-    "largest, mm", "largest after 4 s, mm", "inside, median, %", "inside the dissertation's box, %",
-    "minimum clearance, mm", "distance from the goal, median, mm", "heading error, median, rad",
-    "time, median, s", "new plans, total",
-)  # fmt: skip
+    "field",
+    "plant",
+    "follower",
+    "reached without contact",
+    "reached",
+    "cross-track RMS, median, mm",
+    "largest, mm",
+    "largest after 4 s, mm",
+    "inside, median, %",
+    "inside the dissertation's box, %",
+    "minimum clearance, mm",
+    "distance from the goal, median, mm",
+    "heading error, median, rad",
+    "time, median, s",
+    "new plans, total",
+)
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     options.add_argument("--scenarios", nargs="+", default=FIELDS, metavar="NAME")
     options.add_argument("--seeds", type=int, default=20)
     options.add_argument("--plants", nargs="+", default=PLANTS, choices=PLANTS)
     options.add_argument("--followers", nargs="+", default=FOLLOWERS, choices=FOLLOWERS)
     options.add_argument("--workers", type=int, default=2)
-    options.add_argument("--json", type=Path, metavar="FILE", help="also write every run to this file")
+    options.add_argument(
+        "--json", type=Path, metavar="FILE", help="also write every run to this file"
+    )
     selected = options.parse_args()
     orders = [
         (name, follower, plant, seed)
-        for name in selected.scenarios for plant in selected.plants for follower in selected.followers
+        for name in selected.scenarios
+        for plant in selected.plants
+        for follower in selected.followers
         for seed in range(selected.seeds)
-    ]  # fmt: skip
+    ]
     rows: list[dict[str, Any]] = [{}] * len(orders)
     for done in run_tasks(run, orders, workers=selected.workers):
         if done.result is None:

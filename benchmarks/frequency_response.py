@@ -1,10 +1,12 @@
 """Closed-loop frequency response of a module with both controllers, with its scatter (Fig. 44).
 
-    uv run python benchmarks/frequency_response.py [--results DIR] [--out docs/images/frequency_response.png]
+    uv run python benchmarks/frequency_response.py [--results DIR] [--out
+    docs/images/frequency_response.png]
 
-Runs the shipped sweeps fig44_direct and fig44_iterative (some minutes; existing rows are kept), plots
-amplitude and phase lag for both controllers on both benches, and prints them as a table. Error bars are one
-standard deviation over the periods of a run and the draws of the sensor noise.
+Runs the shipped sweeps fig44_direct and fig44_iterative (some minutes; existing rows
+are kept), plots amplitude and phase lag for both controllers on both benches, and
+prints them as a table. Error bars are one standard deviation over the periods of a run
+and the draws of the sensor noise.
 """
 
 from __future__ import annotations
@@ -25,8 +27,14 @@ from srs_twin.viewing.plots.style import finish, save
 FREQUENCY = "controller.reference.frequency_hz"
 CONTROLLERS = {"direct": "#0072B2", "iterative": "#D55E00"}
 PLANTS = {"analytical": ("--", "s"), "twin": ("-", "o")}
-SHOWN = {"amplitude_rel": "amplitude relative to the reference", "phase_lag_rad": "phase lag (rad)"}
-SPREAD = {"amplitude_rel": "amplitude_spread_rel", "phase_lag_rad": "phase_lag_spread_rad"}
+SHOWN = {
+    "amplitude_rel": "amplitude relative to the reference",
+    "phase_lag_rad": "phase lag (rad)",
+}
+SPREAD = {
+    "amplitude_rel": "amplitude_spread_rel",
+    "phase_lag_rad": "phase_lag_spread_rad",
+}
 
 Columns = Mapping[str, np.ndarray]
 
@@ -38,16 +46,24 @@ def results(controller: str, folder: Path) -> Columns:
         opened.run(local(None), opened.missing())
         opened.finish()
     read = pq.read_table(folder / name / "results.parquet")
-    return {column: read.column(column).to_numpy(zero_copy_only=False) for column in read.column_names}
+    return {
+        column: read.column(column).to_numpy(zero_copy_only=False)
+        for column in read.column_names
+    }
 
 
-def response(columns: Columns, plant: str, metric: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def response(
+    columns: Columns, plant: str, metric: str
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return frequencies (Hz), means over the draws, and standard deviations over periods and draws."""
     frequencies = np.unique(columns[FREQUENCY])
     means, deviations = [], []
     for frequency in frequencies:
         rows = columns[FREQUENCY] == frequency
-        values, within = columns[f"{plant}.{metric}"][rows], columns[f"{plant}.{SPREAD[metric]}"][rows]
+        values, within = (
+            columns[f"{plant}.{metric}"][rows],
+            columns[f"{plant}.{SPREAD[metric]}"][rows],
+        )
         means.append(values.mean())
         deviations.append(np.sqrt(np.mean(within**2) + values.var()))
     return frequencies, np.array(means), np.array(deviations)
@@ -61,17 +77,30 @@ def draw(result: Mapping[str, Columns]) -> Figure:
             for plant, (dash, marker) in PLANTS.items():
                 frequency, mean, deviation = response(columns, plant, metric)
                 axes.errorbar(
-                    frequency, mean, deviation, color=CONTROLLERS[controller], linestyle=dash, marker=marker,
-                    markersize=4, linewidth=1.3, capsize=3, label=f"{controller} SMC, {plant}",
+                    frequency,
+                    mean,
+                    deviation,
+                    color=CONTROLLERS[controller],
+                    linestyle=dash,
+                    marker=marker,
+                    markersize=4,
+                    linewidth=1.3,
+                    capsize=3,
+                    label=f"{controller} SMC, {plant}",
                     markerfacecolor="none" if plant == "analytical" else None,
-                )  # fmt: skip
+                )
         axes.set_xscale("log")
         axes.set_xticks(frequency, [f"{item:g}" for item in frequency])
         axes.minorticks_off()
         axes.set_xlabel("frequency (Hz)", fontsize=9)
         finish(axes, label)
     axes.legend(fontsize=8, frameon=False, loc="upper left")
-    figure.suptitle("A sine of 34.3°: closed-loop frequency response", x=0.01, ha="left", fontsize=10)
+    figure.suptitle(
+        "A sine of 34.3°: closed-loop frequency response",
+        x=0.01,
+        ha="left",
+        fontsize=10,
+    )
     return figure
 
 
@@ -83,17 +112,28 @@ def report(result: Mapping[str, Columns]) -> str:
         for plant in PLANTS:
             for metric in SHOWN:
                 _, mean, deviation = response(columns, plant, metric)
-                cells = [f"{m:.3f} ± {d:.3f}" for m, d in zip(mean, deviation, strict=True)]
+                cells = [
+                    f"{m:.3f} ± {d:.3f}" for m, d in zip(mean, deviation, strict=True)
+                ]
                 rows.append([controller, plant, SHOWN[metric], *cells])
     return table(["SMC", "bench", "", *(f"{item:g} Hz" for item in frequencies)], rows)
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--results", type=Path, default=Path("runs/sweeps"), help="folder for the sweeps")
-    arguments.add_argument("--out", type=Path, help="output file of the figure, .png or .svg")
+    arguments.add_argument(
+        "--results",
+        type=Path,
+        default=Path("runs/sweeps"),
+        help="folder for the sweeps",
+    )
+    arguments.add_argument(
+        "--out", type=Path, help="output file of the figure, .png or .svg"
+    )
     options = arguments.parse_args()
-    result = {controller: results(controller, options.results) for controller in CONTROLLERS}
+    result = {
+        controller: results(controller, options.results) for controller in CONTROLLERS
+    }
     if options.out is not None:
         save(draw(result), options.out)
     print(report(result))

@@ -2,12 +2,14 @@
 
     uv run python benchmarks/front.py
 
-Every setting runs the same gaits of generation 2 (1, 1.5, 2 Hz, offset 0 and 0.2; for the twin at the shipped
-stiffness and at 20 N·m/rad). Its error is the largest difference of the mean speed from that of a much finer
-one, its cost the processor time of one run over that of the default's, the settings timed in turns.
+Every setting runs the same gaits of generation 2 (1, 1.5, 2 Hz, offset 0 and 0.2; for
+the twin at the shipped stiffness and at 20 N·m/rad). Its error is the largest
+difference of the mean speed from that of a much finer one, its cost the processor time
+of one run over that of the default's, the settings timed in turns.
 
-Contacts of the twin are compared with the values of `load_reference.py` instead, at all its points with a
-single axle per connector: largest errors of speed, and of the yaw rate where a snake turns.
+Contacts of the twin are compared with the values of `load_reference.py` instead, at all
+its points with a single axle per connector: largest errors of speed, and of the yaw
+rate where a snake turns.
 """
 
 from __future__ import annotations
@@ -84,7 +86,9 @@ def main() -> None:
     """Print one table a plant, and one of the contacts."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     tables = [*SETTINGS, "contacts"]
-    parser.add_argument("--only", nargs="+", choices=tables, default=tables, help="which tables")
+    parser.add_argument(
+        "--only", nargs="+", choices=tables, default=tables, help="which tables"
+    )
     for plant in parser.parse_args().only:
         if plant == "contacts":
             _contacts()
@@ -99,25 +103,44 @@ def main() -> None:
             worst, rms = np.abs(errors).max(), np.sqrt((errors**2).mean())
             rows.append([name, f"{cost:.2f}", f"{worst:.2f}", f"{rms:.2f}"])
         print(f"\n{plant}\n")
-        print(table(["setting", "cost", "largest error, %", "RMS error, %"], rows), flush=True)
+        print(
+            table(["setting", "cost", "largest error, %", "RMS error, %"], rows),
+            flush=True,
+        )
 
 
 def _contacts() -> None:
     names = [name for name, point in POINTS.items() if point.tail is None]
-    runs = {label: Run("twin", supply_pa=48.3e3, offset=0.4, options=more) for label, more in CONTACTS}
+    runs = {
+        label: Run("twin", supply_pa=48.3e3, offset=0.4, options=more)
+        for label, more in CONTACTS
+    }
     costs, rows, values = _costs(runs), [], stored()
     with ProcessPoolExecutor() as pool:
         for label, options in CONTACTS:
             results = [pool.submit(crawled, name, **options) for name in names]
-            both = [(item.result(), values[name]) for item, name in zip(results, names, strict=True)]
+            both = [
+                (item.result(), values[name])
+                for item, name in zip(results, names, strict=True)
+            ]
             speed = 100 * np.array([a.speed_mm_s / b.speed[0] - 1 for a, b in both])
-            turn = 100 * np.array([a.yaw_rate / b.yaw[0] - 1 for a, b in both if turns(b)])
+            turn = 100 * np.array(
+                [a.yaw_rate / b.yaw[0] - 1 for a, b in both if turns(b)]
+            )
             cells = [
-                f"{np.abs(errors).max():.1f} ({np.sqrt((errors**2).mean()):.1f})" for errors in (speed, turn)
+                f"{np.abs(errors).max():.1f} ({np.sqrt((errors**2).mean()):.1f})"
+                for errors in (speed, turn)
             ]
             rows.append([label, f"{costs[label] / costs[CONTACTS[0][0]]:.2f}", *cells])
-            print(label, *(f"{n} {a:+.1f}" for n, a in zip(names, speed, strict=True)), file=sys.stderr)
-    print(table(["contact", "cost", "speed: largest (RMS) error, %", "yaw rate"], rows), flush=True)
+            print(
+                label,
+                *(f"{n} {a:+.1f}" for n, a in zip(names, speed, strict=True)),
+                file=sys.stderr,
+            )
+    print(
+        table(["contact", "cost", "speed: largest (RMS) error, %", "yaw rate"], rows),
+        flush=True,
+    )
 
 
 def _runs(plant: str, options: dict[str, Any]) -> list[Run]:

@@ -2,11 +2,12 @@
 
     uv run python benchmarks/fuzz.py [--only NAME …] [--examples 10000] [--no-commands]
 
-`tests/hostile` defines the parsers, their valid and malformed files, and the generator. Each generated file
-is read by the parser in this process (MJCF: in a process forked for each file). Any exception other than
-`InputError` counts as untyped. Malformed files are given to `srs-twin` in a separate process with a wall time
-limit, or to the parser in a fresh Python where no command reads such files. The script exits with 1 if an
-exception is untyped, or if a file is not refused with exit code 2 within 2 s.
+`tests/hostile` defines the parsers, their valid and malformed files, and the generator.
+Each generated file is read by the parser in this process (MJCF: in a process forked for
+each file). Any exception other than `InputError` counts as untyped. Malformed files are
+given to `srs-twin` in a separate process with a wall time limit, or to the parser in a
+fresh Python where no command reads such files. The script exits with 1 if an exception
+is untyped, or if a file is not refused with exit code 2 within 2 s.
 """
 
 from __future__ import annotations
@@ -64,17 +65,25 @@ def main() -> None:
     names = [parser.name for parser in PARSERS]
     words.add_argument("--only", nargs="+", choices=names, default=names)
     words.add_argument("--examples", type=int, default=10_000)
-    words.add_argument("--no-commands", action="store_true", help="read the generated files only")
+    words.add_argument(
+        "--no-commands", action="store_true", help="read the generated files only"
+    )
     given_words = words.parse_args()
     chosen = [parser for parser in PARSERS if parser.name in given_words.only]
     rows, faults = [], 0
     for parser in chosen:
         result = generate(parser, given_words.examples)
         faults += sum(result.untyped.values())
-        rows.append([
-            parser.name, str(result.tried), str(result.read), str(sum(result.untyped.values())),
-            f"{1e3 * result.seconds / result.tried:.1f}", f"{result.slowest_s:.2f}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                parser.name,
+                str(result.tried),
+                str(result.read),
+                str(sum(result.untyped.values())),
+                f"{1e3 * result.seconds / result.tried:.1f}",
+                f"{result.slowest_s:.2f}",
+            ]
+        )
         for error, times in result.untyped.items():
             print(f"{parser.name}: untyped, {times} times: {error}", flush=True)
     head = ["parser", "generated", "read", "untyped", "mean, ms", "slowest, s"]
@@ -92,24 +101,36 @@ def generate(parser: Parser, examples: int) -> Generated:
         for generator, share in SHARES.items():
 
             @settings(
-                max_examples=max(1, round(share * examples)), deadline=None, database=None,
-                phases=[Phase.generate], suppress_health_check=list(HealthCheck),
-            )  # fmt: skip
+                max_examples=max(1, round(share * examples)),
+                deadline=None,
+                database=None,
+                phases=[Phase.generate],
+                suppress_health_check=list(HealthCheck),
+            )
             @given(parser.generated[generator])
             def look(content: bytes) -> None:
                 begun = time.perf_counter()
                 try:
                     result.read += parser.survives(content, path) is None
-                except Exception as error:  # unforeseen exceptions are what the test looks for
+                except (
+                    Exception
+                ) as error:  # unforeseen exceptions are what the test looks for
                     last = traceback.extract_tb(error.__traceback__)[-1]
                     message = " ".join(str(error).split())[:200]
-                    result.untyped[f"{type(error).__name__}: {message} ({last.filename}:{last.lineno})"] += 1
+                    result.untyped[
+                        f"{type(error).__name__}: {message}"
+                        f" ({last.filename}:{last.lineno})"
+                    ] += 1
                 spent = time.perf_counter() - begun
                 result.tried += 1
                 result.seconds += spent
                 result.slowest_s = max(result.slowest_s, spent)
                 if result.tried % 1000 == 0:
-                    print(f"{parser.name}: {result.tried} of {examples}", file=sys.stderr, flush=True)
+                    print(
+                        f"{parser.name}: {result.tried} of {examples}",
+                        file=sys.stderr,
+                        flush=True,
+                    )
 
             look()
     return result
@@ -132,7 +153,9 @@ def commands(chosen: list[Parser]) -> int:
         slowest = f"{times[0][0]:.2f} ({times[0][1]})"
         rows.append([parser.name, str(len(times)), str(bad), f"{middle:.2f}", slowest])
         faults += bad
-        print(f"{parser.name}: {len(times)} malformed files", file=sys.stderr, flush=True)
+        print(
+            f"{parser.name}: {len(times)} malformed files", file=sys.stderr, flush=True
+        )
     head = ["parser", "malformed", "wrong refusals", "median, s", "slowest, s"]
     print(f"Malformed files, each in a separate process\n\n{table(head, rows)}")
     return faults
@@ -143,20 +166,27 @@ def start(parser: Parser, malformed: Malformed) -> tuple[float, str]:
     with tempfile.TemporaryDirectory() as room:
         path = path_of(parser, Path(room))
         malformed.write(path)
-        words = [str(Path(sys.executable).with_name("srs-twin")), *parser.words(Path(path.name))]
+        words = [
+            str(Path(sys.executable).with_name("srs-twin")),
+            *parser.words(Path(path.name)),
+        ]
         if parser.command is None:
             words = [sys.executable, "-c", IN_PYTHON, parser.function, path.name]
         before = {item.name for item in Path(room).iterdir()}
         begun = time.perf_counter()
         try:
-            done = subprocess.run(words, cwd=room, capture_output=True, text=True, timeout=HANGS_S)
+            done = subprocess.run(
+                words, cwd=room, capture_output=True, text=True, timeout=HANGS_S
+            )
         except subprocess.TimeoutExpired:
             return HANGS_S, f"did not end within {HANGS_S:g} s"
         taken = time.perf_counter() - begun
         left = {item.name for item in Path(room).iterdir()} - before
     checks = {
         f"exit code {done.returncode}": done.returncode == 2,
-        f"message {done.stderr[:200]!r}": malformed.says in done.stderr and path.name in done.stderr,
+        f"message {done.stderr[:200]!r}": (
+            malformed.says in done.stderr and path.name in done.stderr
+        ),
         "a traceback": "Traceback" not in done.stderr,
         f"wrote {sorted(left)}": not left,
         f"took {taken:.2f} s": taken < LIMIT_S,

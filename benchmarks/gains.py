@@ -2,21 +2,24 @@
 
     uv run python benchmarks/gains.py [--quick]
 
-Every set of a grid, and of a finer grid around the best set, is tested on one module with Eq. 14
-(`module_law`) and 0.2° RMS of sensor noise. The criteria, in this order, follow the dissertation ('minimizing
-rise time and then limiting subsequent oscillations'):
+Every set of a grid, and of a finer grid around the best set, is tested on one module
+with Eq. 14 (`module_law`) and 0.2° RMS of sensor noise. The criteria, in this order,
+follow the dissertation ('minimizing rise time and then limiting subsequent
+oscillations'):
 
 1. The rise time of the 25° step is within 10 % of the smallest.
-2. Its overshoot is within 5 % of the step of the smallest, where 5 % is the settling band. The overshoot is
-   the worst of five benches: two draws of noise, time constants 15 % shorter and longer, 2 g at the free end.
-3. Direct: the error is inside that band, 1.25°, from 0.25 s after each of many steps, on all benches, and the
-   lag at 6 Hz is at most 0.5 rad.
-4. Of the remaining sets, direct takes the one with the fewest valve openings over all experiments, which is
-   the purpose of the controller. The valves of iterative open once per carrier period in any case, so it
-   takes the smallest K.
+2. Its overshoot is within 5 % of the step of the smallest, where 5 % is the settling
+   band. The overshoot is the worst of five benches: two draws of noise, time constants
+   15 % shorter and longer, 2 g at the free end.
+3. Direct: the error is inside that band, 1.25°, from 0.25 s after each of many steps,
+   on all benches, and the lag at 6 Hz is at most 0.5 rad.
+4. Of the remaining sets, direct takes the one with the fewest valve openings over all
+   experiments, which is the purpose of the controller. The valves of iterative open
+   once per carrier period in any case, so it takes the smallest K.
 
-The tuned and the printed gains (E6) are then compared with the dissertation. The search takes some minutes.
-Criterion 4 matters: twice the K gives an equally good step with half the openings at 6 Hz.
+The tuned and the printed gains (E6) are then compared with the dissertation. The search
+takes some minutes. Criterion 4 matters: twice the K gives an equally good step with
+half the openings at 6 Hz.
 """
 
 from __future__ import annotations
@@ -33,7 +36,14 @@ from grid import table
 
 from srs_twin import Trajectory
 from srs_twin.comparison.tracking import tracking_metrics
-from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
+from srs_twin.control.reference import (
+    Constant,
+    Reference,
+    Sine,
+    Square,
+    Staircase,
+    Step,
+)
 from srs_twin.control.smc import K_S_PER_RAD, DirectSMC, IterativeSMC, SlidingMode
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
@@ -56,11 +66,24 @@ JUMPS: tuple[Reference, float] = (
     len(LEVELS_DEG) * EACH_S,
 )
 
-BENCHES = (Module(), Module(seed=1), Module(pace=0.85), Module(pace=1.15), Module(end_kg=0.002))
+BENCHES = (
+    Module(),
+    Module(seed=1),
+    Module(pace=0.85),
+    Module(pace=1.15),
+    Module(end_kg=0.002),
+)
 BAND = 0.05
 
-DIRECT_GRID = [[14, 20, 29, 41, 58, 82], [15, 21, 30, 42, 60, 84, 118], [11, 16, 22, 31, 44]]
-ITERATIVE_GRID = [[0.0125, 0.018, 0.025, 0.035, 0.05, 0.07, 0.1, 0.14], [4, 6, 8, 11, 16, 22, 30]]
+DIRECT_GRID = [
+    [14, 20, 29, 41, 58, 82],
+    [15, 21, 30, 42, 60, 84, 118],
+    [11, 16, 22, 31, 44],
+]
+ITERATIVE_GRID = [
+    [0.0125, 0.018, 0.025, 0.035, 0.05, 0.07, 0.1, 0.14],
+    [4, 6, 8, 11, 16, 22, 30],
+]
 
 Make = Callable[[Reference, np.ndarray], SlidingMode]
 Grid = Sequence[Sequence[float]]
@@ -68,7 +91,9 @@ Grid = Sequence[Sequence[float]]
 
 def direct(reference: Reference, sets: np.ndarray) -> SlidingMode:
     """Return a direct controller; each module has one set of D (1/s), ε (°/s) and cutoff (Hz)."""
-    return DirectSMC(reference, D=sets[:, 0], epsilon=sets[:, 1] * DEGREE, cutoff_hz=sets[:, 2])
+    return DirectSMC(
+        reference, D=sets[:, 0], epsilon=sets[:, 1] * DEGREE, cutoff_hz=sets[:, 2]
+    )
 
 
 def iterative(reference: Reference, sets: np.ndarray) -> SlidingMode:
@@ -76,7 +101,9 @@ def iterative(reference: Reference, sets: np.ndarray) -> SlidingMode:
     return IterativeSMC(reference, K=sets[:, 0], D=sets[:, 1])
 
 
-def measured(make: Make, sets: np.ndarray, experiment: tuple[Reference, float], module: Module) -> list[Any]:
+def measured(
+    make: Make, sets: np.ndarray, experiment: tuple[Reference, float], module: Module
+) -> list[Any]:
     """Return the metrics of every set, and its late error after each step."""
     reference, duration = experiment
     runs = module.follow(make(reference, sets), duration, count=len(sets))
@@ -105,14 +132,18 @@ def search(make: Make, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
     if make is iterative:
         return sets[good], sets[good, 0] + 1e-6 * sets[good, 1]
     sets = sets[good]
-    late = np.max([column(measured(make, sets, JUMPS, bench), "late_rad") for bench in BENCHES], axis=0)
+    late = np.max(
+        [column(measured(make, sets, JUMPS, bench), "late_rad") for bench in BENCHES],
+        axis=0,
+    )
     sets = sets[late <= BAND * STEP_RAD]
     if not len(sets):
         raise SystemExit("no set of this grid meets criteria 1 to 3 on all benches")
     lag = column(measured(make, sets, SINES["6 Hz"], BENCHES[0]), "phase_lag_rad")
     if not (lag <= 0.5).any():
         raise SystemExit(
-            f"no set of this grid has a lag of at most 0.5 rad at 6 Hz; the smallest is {lag.min():.2f}"
+            "no set of this grid has a lag of at most 0.5 rad at 6 Hz; the smallest is"
+            f" {lag.min():.2f}"
         )
     sets = sets[lag <= 0.5]
     openings = [
@@ -137,7 +168,10 @@ def report(make: Make, names: str, grid: Grid) -> np.ndarray:
     for stage in ("coarse", "fine"):
         sets, cost = search(make, grid)
         order = np.argsort(cost)
-        print(f"\n{make.__name__}, {stage}: {len(sets)} of {np.prod([len(v) for v in grid])} sets pass")
+        print(
+            f"\n{make.__name__}, {stage}: {len(sets)} of"
+            f" {np.prod([len(v) for v in grid])} sets pass"
+        )
         rows = [[*(f"{v:g}" for v in sets[i]), f"{cost[i]:.3g}"] for i in order[:5]]
         print(table([*names.split(), "criterion 4"], rows), flush=True)
         best = sets[order[0]]
@@ -150,21 +184,36 @@ def line(name: str, controller: Callable[[Reference], SlidingMode]) -> list[str]
 
     def run(experiment: tuple[Reference, float], leak: float = 0.0) -> Any:
         module = Module(leak_per_s=leak)
-        return tracking_metrics(module.follow(controller(experiment[0]), experiment[1])[0])
+        return tracking_metrics(
+            module.follow(controller(experiment[0]), experiment[1])[0]
+        )
 
-    step, square, hold, leaking = run(STEP), run(SQUARE), run(HOLD), run(HOLD, LEAK_PER_S)
+    step, square, hold, leaking = (
+        run(STEP),
+        run(SQUARE),
+        run(HOLD),
+        run(HOLD, LEAK_PER_S),
+    )
     sines = [run(e) for e in SINES.values()]
     return [
         name,
-        f"{_ms(step['rise_time_s'])}, {100 * step['overshoot_rel']:.1f} %, "
-        f"{_ms(step['settling_5_s'])}, {_ms(step['settling_2_s'])}",
-        f"{step['ripple_pp_rad'] / DEGREE:.2f}, {step['sensed_ripple_pp_rad'] / DEGREE:.2f}",
+        (
+            f"{_ms(step['rise_time_s'])}, {100 * step['overshoot_rel']:.1f} %, "
+            f"{_ms(step['settling_5_s'])}, {_ms(step['settling_2_s'])}"
+        ),
+        (
+            f"{step['ripple_pp_rad'] / DEGREE:.2f},"
+            f" {step['sensed_ripple_pp_rad'] / DEGREE:.2f}"
+        ),
         *(f"{s['amplitude_rel']:.3f}, {s['phase_lag_rad']:+.2f}" for s in sines),
         f"{sines[0]['fit_residual_rad'] / DEGREE:.2f}",
         f"{sines[-1]['inlet_openings']:.0f}",
         f"{square['inlet_openings']:.0f}",
         f"{hold['inlet_openings']:.0f}",
-        *(f"{r['steady_rms_rad'] / DEGREE:.2f}, {r['ripple_pp_rad'] / DEGREE:.2f}" for r in (hold, leaking)),
+        *(
+            f"{r['steady_rms_rad'] / DEGREE:.2f}, {r['ripple_pp_rad'] / DEGREE:.2f}"
+            for r in (hold, leaking)
+        ),
     ]
 
 
@@ -186,16 +235,31 @@ HEAD = [
 ]
 
 
-def from_the_text(name: str, step: str, six_hertz: str, openings: tuple[str, str]) -> list[str]:
+def from_the_text(
+    name: str, step: str, six_hertz: str, openings: tuple[str, str]
+) -> list[str]:
     """Return a row with the values of the dissertation, with dashes for missing ones."""
     between = ["–"] * (len(SINES) - 1)
-    return [f"text, {name}", step, "–", *between, six_hertz, "–", *openings, "–", "–", "–"]
+    return [
+        f"text, {name}",
+        step,
+        "–",
+        *between,
+        six_hertz,
+        "–",
+        *openings,
+        "–",
+        "–",
+        "–",
+    ]
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument(
-        "--quick", action="store_true", help="compare the shipped and the printed gains without a search"
+        "--quick",
+        action="store_true",
+        help="compare the shipped and the printed gains without a search",
     )
     rows = []
     if not arguments.parse_args().quick:
@@ -206,15 +270,26 @@ def main() -> None:
             line("iterative, tuned", lambda r: iterative(r, i[None])),
         ]
     rows += [
-        from_the_text("direct", "–, below its ripple, 200", "15 % above, at most 0.5", ("67", "26")),
+        from_the_text(
+            "direct",
+            "–, below its ripple, 200",
+            "15 % above, at most 0.5",
+            ("67", "26"),
+        ),
         from_the_text("iterative", "–, 40 %, 400", "–, 0.5 more", ("349", "213")),
         line("direct, shipped", DirectSMC),
         line("direct, printed", lambda r: DirectSMC(r, D=0.5, epsilon=2 * DEGREE)),
         line("iterative, shipped", IterativeSMC),
         line("iterative, K doubled", lambda r: IterativeSMC(r, K=2 * K_S_PER_RAD)),
         line("iterative, K halved", lambda r: IterativeSMC(r, K=K_S_PER_RAD / 2)),
-        line("iterative, printed, Eq. 29", lambda r: IterativeSMC(r, K=1.5 / DEGREE, D=0.0067)),
-        line("iterative, printed, Eq. 30", lambda r: IterativeSMC(r, K=1.5 / DEGREE, D=0.0067 / 1.5)),
+        line(
+            "iterative, printed, Eq. 29",
+            lambda r: IterativeSMC(r, K=1.5 / DEGREE, D=0.0067),
+        ),
+        line(
+            "iterative, printed, Eq. 30",
+            lambda r: IterativeSMC(r, K=1.5 / DEGREE, D=0.0067 / 1.5),
+        ),
     ]
     print(f"\n{table(HEAD, rows)}")
 

@@ -5,10 +5,11 @@
     uv run python benchmarks/golden.py --only plans --only fits
     uv run python benchmarks/golden.py --only scenarios --scenario gen2_straight
 
-Runs the commands as a user does, in an empty folder: every shipped scenario with its plants (Parquet files,
-metrics.json without wall times and versions), a sweep, the verdicts of `reproduce --quick`, a fit of each
-kind, and 50 plans. The digests are valid for one processor target, which golden.json names: results on other
-targets differ in the last digits (docs/sweeps.md).
+Runs the commands as a user does, in an empty folder: every shipped scenario with its
+plants (Parquet files, metrics.json without wall times and versions), a sweep, the
+verdicts of `reproduce --quick`, a fit of each kind, and 50 plans. The digests are valid
+for one processor target, which golden.json names: results on other targets differ in
+the last digits (docs/sweeps.md).
 """
 
 from __future__ import annotations
@@ -43,17 +44,30 @@ _WALL = ("wall_s", "realtime_factor", "versions")
 _FIND = "actuator.tau_fill_s,actuator.tau_vent_s"
 FITS = {
     "friction": "pulls.csv --validate {0}/pulls_check.csv --robot gen2",
-    "actuator": f"steps.csv --validate {{0}}/steps_check.csv --robot gen2 --head snake:1a --find {_FIND}",
-    "locomotion": "walk_straight.csv --validate {0}/walk_check.csv --robot gen2 --starts 1 "
-    "--find geometry.rigid_gap_m,bending.stiffness_nm_per_rad",
+    "actuator": (
+        "steps.csv --validate {0}/steps_check.csv --robot gen2 --head snake:1a"
+        f" --find {_FIND}"
+    ),
+    "locomotion": (
+        "walk_straight.csv --validate {0}/walk_check.csv --robot gen2 --starts 1 "
+        "--find geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
+    ),
 }
 
 
 def scenarios(folder: Path, *names: str) -> Iterator[tuple[str, str]]:
     """Yield the digests of runs: each trajectory file, and metrics.json without wall times."""
     out = folder / "runs"
-    where = out / names[0] if len(names) == 1 else out  # a single scenario writes to the folder itself
-    _run("run", *(names or [str(HERE.parent / "scenarios")]), "--out", str(where), "--quiet")
+    where = (
+        out / names[0] if len(names) == 1 else out
+    )  # a single scenario writes to the folder itself
+    _run(
+        "run",
+        *(names or [str(HERE.parent / "scenarios")]),
+        "--out",
+        str(where),
+        "--quiet",
+    )
     for run in sorted(path for path in out.iterdir() if path.is_dir()):
         for path in sorted(run.glob("*.parquet")):
             yield f"{run.name}/{path.name}", _digest(path.read_bytes())
@@ -65,7 +79,15 @@ def sweep(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
     """Yield the digest of a sweep's table without its keys, which depend on the source code."""
     _run("sweep", SWEEP, "--out", str(folder / "sweep"), "--quiet")
     rows = pq.read_table(folder / "sweep" / "results.parquet").to_pylist()
-    yield SWEEP, _digest(sorted(json.dumps(_without(row, ("key", *_WALL)), sort_keys=True) for row in rows))
+    yield (
+        SWEEP,
+        _digest(
+            sorted(
+                json.dumps(_without(row, ("key", *_WALL)), sort_keys=True)
+                for row in rows
+            )
+        ),
+    )
 
 
 def reproduction(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
@@ -79,7 +101,10 @@ def reproduction(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
 def fits(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
     """Yield the digest of the file that each kind of fit writes."""
     for kind, words in FITS.items():
-        arguments = [str(EXAMPLES / words.split()[0]), *shlex.split(words.format(EXAMPLES))[1:]]
+        arguments = [
+            str(EXAMPLES / words.split()[0]),
+            *shlex.split(words.format(EXAMPLES))[1:],
+        ]
         _run(
             "calibrate",
             kind,
@@ -100,7 +125,11 @@ def plans(folder: Path, *_: str) -> Iterator[tuple[str, str]]:
     for seed in range(PLANS):
         answer = plan(drawn_problem(seed))
         result.append(
-            [answer.outcome.name, repr([astuple(item) for item in answer.segments]), answer.expanded]
+            [
+                answer.outcome.name,
+                repr([astuple(item) for item in answer.segments]),
+                answer.expanded,
+            ]
         )
     yield f"{PLANS} plans", _digest(result)
 
@@ -112,34 +141,62 @@ PARTS: dict[str, Callable[..., Iterator[tuple[str, str]]]] = {
 
 def main() -> int:
     """Compute digests; write them, or print the names of those that differ."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="write these digests to golden.json")
-    parser.add_argument("--only", action="append", choices=PARTS, help="compute only this group (repeatable)")
-    parser.add_argument("--scenario", action="append", default=[], help="run only this scenario (repeatable)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument(
+        "--write", action="store_true", help="write these digests to golden.json"
+    )
+    parser.add_argument(
+        "--only",
+        action="append",
+        choices=PARTS,
+        help="compute only this group (repeatable)",
+    )
+    parser.add_argument(
+        "--scenario",
+        action="append",
+        default=[],
+        help="run only this scenario (repeatable)",
+    )
     options = parser.parse_args()
     golden = json.loads(GOLDEN.read_text("utf-8")) if GOLDEN.is_file() else {}
     result: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in options.only or PARTS:
-            result |= {f"{name}/{key}": value for key, value in PARTS[name](Path(folder), *options.scenario)}
+            result |= {
+                f"{name}/{key}": value
+                for key, value in PARTS[name](Path(folder), *options.scenario)
+            }
             print(f"{name}: done", file=sys.stderr, flush=True)
     if options.write:
         kept = golden.get("sha256", {}) | result
-        text = json.dumps({"arithmetic": arithmetic(), "sha256": kept}, indent=1, sort_keys=True)
+        text = json.dumps(
+            {"arithmetic": arithmetic(), "sha256": kept}, indent=1, sort_keys=True
+        )
         GOLDEN.write_text(text + "\n", "utf-8")
         return 0
     if golden["arithmetic"] != arithmetic():
-        print(f"golden.json was computed with {golden['arithmetic']}, this machine uses {arithmetic()}")
+        print(
+            f"golden.json was computed with {golden['arithmetic']}, this machine uses"
+            f" {arithmetic()}"
+        )
         return 2
     wanted = {
         key: value
         for key, value in golden["sha256"].items()
         if key.split("/")[0] in (options.only or PARTS)
         and not (
-            options.scenario and key.startswith("scenarios/") and key.split("/")[1] not in options.scenario
+            options.scenario
+            and key.startswith("scenarios/")
+            and key.split("/")[1] not in options.scenario
         )
     }
-    moved = sorted(key for key in wanted.keys() | result.keys() if wanted.get(key) != result.get(key))
+    moved = sorted(
+        key
+        for key in wanted.keys() | result.keys()
+        if wanted.get(key) != result.get(key)
+    )
     print(
         "\n".join(
             [
@@ -156,25 +213,36 @@ def _run(*words: str, cwd: Path | None = None) -> None:
     command = [sys.executable, "-c", "from srs_twin.cli import main; main()", *words]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
     if done.returncode not in (0, 1):
-        raise SystemExit(f"{shlex.join(words)}: exit {done.returncode}\n{done.stderr[-2000:]}")
+        raise SystemExit(
+            f"{shlex.join(words)}: exit {done.returncode}\n{done.stderr[-2000:]}"
+        )
 
 
 def _without(value: Any, keys: tuple[str, ...]) -> Any:
     """Return a JSON value without some keys at any depth, including keys that follow a plant's name.
 
-    Sentences and paths become empty: their wording and the place of the checkout do not count.
+    Sentences and paths become empty: their wording and the place of the checkout do not
+    count.
     """
     if isinstance(value, str) and (" " in value or "/" in value):
         return ""
     if isinstance(value, dict):
-        return {k: _without(item, keys) for k, item in value.items() if k.rpartition(".")[2] not in keys}
+        return {
+            k: _without(item, keys)
+            for k, item in value.items()
+            if k.rpartition(".")[2] not in keys
+        }
     if isinstance(value, list):
         return [_without(item, keys) for item in value]
     return value
 
 
 def _digest(value: Any) -> str:
-    data = value if isinstance(value, bytes) else json.dumps(value, sort_keys=True).encode()
+    data = (
+        value
+        if isinstance(value, bytes)
+        else json.dumps(value, sort_keys=True).encode()
+    )
     return hashlib.sha256(data).hexdigest()
 
 

@@ -1,11 +1,12 @@
 """Grasp and drag of random objects by a chain of generation 2's modules.
 
-    uv run python benchmarks/grasp.py [--objects 50] [--mode sensed] [--payload] [--json FILE]
+    uv run python benchmarks/grasp.py [--objects 50] [--mode sensed] [--payload] [--json
+    FILE]
 
-docs/objects.md states the ranges, which were fixed before the runs. An object counts as held and dragged if
-it has moved by 0.3 m within 10 s and is then inside the curl: the distances of its centre to three holding
-connectors within 20 mm of those when the drag began. `--payload` instead drags one cylinder with growing
-floor friction.
+docs/objects.md states the ranges, which were fixed before the runs. An object counts as
+held and dragged if it has moved by 0.3 m within 10 s and is then inside the curl: the
+distances of its centre to three holding connectors within 20 mm of those when the drag
+began. `--payload` instead drags one cylinder with growing floor friction.
 """
 
 from __future__ import annotations
@@ -40,39 +41,61 @@ def chain() -> RobotSpec:
     """Return generation 2 with 12 modules and one wave over the eight modules that crawl."""
     gen2 = load_robot("gen2")
     return replace(
-        gen2, name="chain", geometry=replace(gen2.geometry, connectors=MODULES + 1),
+        gen2,
+        name="chain",
+        geometry=replace(gen2.geometry, connectors=MODULES + 1),
         mass=replace(gen2.mass, connectors=gen2.mass.connectors[:1] * (MODULES + 1)),
         phase_step=2 * math.pi / (MODULES - HOLD),
-    )  # fmt: skip
+    )
 
 
 def drawn_object(seed: int) -> tuple[MovableObject, str]:
     """Return an object next to the tail, and its side."""
     spec, rng = chain(), np.random.default_rng((seed, 4))
-    radius, mass, load = rng.uniform(*RADIUS_M), rng.uniform(*MASS_KG), rng.uniform(*LOAD_N)
+    radius, mass, load = (
+        rng.uniform(*RADIUS_M),
+        rng.uniform(*MASS_KG),
+        rng.uniform(*LOAD_N),
+    )
     behind, gap, side = rng.uniform(*BEHIND_M), rng.uniform(*GAP_M), rng.choice([1, -1])
     first = spec.geometry.body_length / 2 - (MODULES - HOLD) * spec.geometry.pitch
     y = side * (spec.geometry.width / 2 + gap + radius)
     item = MovableObject(
-        (float(radius),), float(mass), float(load / (mass * GRAVITY)), first - behind, float(y)
+        (float(radius),),
+        float(mass),
+        float(load / (mass * GRAVITY)),
+        first - behind,
+        float(y),
     )
     return item, "left" if side > 0 else "right"
 
 
-def dragged(item: MovableObject, side: str, mode: str, seconds: float = SECONDS) -> dict[str, Any]:
+def dragged(
+    item: MovableObject, side: str, mode: str, seconds: float = SECONDS
+) -> dict[str, Any]:
     """Run one grasp; return the distance that the object moved, its speed and its shift in the curl."""
     twin = TwinSnake(chain(), world=World(objects=(item,)), timestep=PRESET_S)
     start = np.array([item.x, item.y])
     # The curl moves the object by up to 50 mm before the drag begins.
     far = None if seconds > SECONDS else DRAGGED_M + 0.06
     run = rollout(
-        twin, Grasp(FREQUENCY_HZ, mode=mode, side=side, hold=HOLD), seconds,
-        until=None if far is None else lambda state: bool(np.hypot(*(state.qpos[-3:-1] - start)) > far),
-    )  # fmt: skip
+        twin,
+        Grasp(FREQUENCY_HZ, mode=mode, side=side, hold=HOLD),
+        seconds,
+        until=(
+            None
+            if far is None
+            else lambda state: bool(np.hypot(*(state.qpos[-3:-1] - start)) > far)
+        ),
+    )
     place = np.stack([run["object_x_1"], run["object_y_1"]], axis=-1)
     dragging = run["grasp_phase"] == 2
     moved = float(np.hypot(*(place[-1] - place[0])))
-    result = {"moved_m": moved, "load_n": item.mass * item.friction * GRAVITY, "radius_m": item.size[0]}
+    result = {
+        "moved_m": moved,
+        "load_n": item.mass * item.friction * GRAVITY,
+        "radius_m": item.size[0],
+    }
     if not dragging.any():
         return result | {"held": False, "reason": "missed"}
     first = int(np.argmax(dragging))
@@ -84,9 +107,12 @@ def dragged(item: MovableObject, side: str, mode: str, seconds: float = SECONDS)
     speed = np.hypot(*(place[-1] - place[half])) / (run.time[-1] - run.time[half])
     held_m = float(np.hypot(*(place[-1] - place[first])))
     return result | {
-        "held": shift < INSIDE_M and held_m >= DRAGGED_M, "shift_m": shift, "dragged_m": held_m,
-        "speed_m_s": float(speed), "reason": "" if shift < INSIDE_M else "lost",
-    }  # fmt: skip
+        "held": shift < INSIDE_M and held_m >= DRAGGED_M,
+        "shift_m": shift,
+        "dragged_m": held_m,
+        "speed_m_s": float(speed),
+        "reason": "" if shift < INSIDE_M else "lost",
+    }
 
 
 def judged(seed: int, mode: str) -> dict[str, Any]:
@@ -103,7 +129,9 @@ def payload(load: float) -> dict[str, Any]:
 
 def main() -> None:
     """Run and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--objects", type=int, default=50)
     words.add_argument("--mode", choices=["sensed", "open_loop"], default="sensed")
     words.add_argument("--payload", action="store_true")
@@ -122,7 +150,10 @@ def main() -> None:
         rows = [[f"{r['load_n']:.2f}", f"{r.get('speed_m_s', 0):.3f}"] for r in results]
         print(table(["floor friction, N", "speed, m/s"], rows))
     else:
-        print(f"{sum(r['held'] for r in results)} of {len(results)} held and dragged {DRAGGED_M} m")
+        print(
+            f"{sum(r['held'] for r in results)} of {len(results)} held and dragged"
+            f" {DRAGGED_M} m"
+        )
     if given.json:
         given.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
 

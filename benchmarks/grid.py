@@ -8,9 +8,21 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from srs_twin import AnalyticalSnake, Gait, Plant, RobotSpec, Trajectory, TwinSnake, load_robot, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    Plant,
+    RobotSpec,
+    Trajectory,
+    TwinSnake,
+    load_robot,
+    rollout,
+)
 
-PLANTS: dict[str, Callable[..., Any]] = {"analytical": AnalyticalSnake, "twin": TwinSnake}
+PLANTS: dict[str, Callable[..., Any]] = {
+    "analytical": AnalyticalSnake,
+    "twin": TwinSnake,
+}
 
 
 @dataclass(frozen=True)
@@ -31,19 +43,25 @@ class Run:
         """Return the robot with the changes of this run."""
         spec = load_robot(self.robot)
         if self.stiffness is not None:
-            spec = replace(spec, bending=replace(spec.bending, stiffness=self.stiffness))
+            spec = replace(
+                spec, bending=replace(spec.bending, stiffness=self.stiffness)
+            )
         if not self.gaps:
             spec = replace(spec, geometry=replace(spec.geometry, rigid_gap=0.0))
         return spec
 
     def build(self) -> Plant:
         """Return the plant."""
-        plant: Plant = PLANTS[self.plant](self.spec(), supply_pa=self.supply_pa, **self.options)
+        plant: Plant = PLANTS[self.plant](
+            self.spec(), supply_pa=self.supply_pa, **self.options
+        )
         return plant
 
     def trajectory(self, plant: Plant | None = None) -> Trajectory:
         """Simulate, on a new plant unless one is given."""
-        return rollout(plant or self.build(), Gait(self.frequency, self.offset), self.duration)
+        return rollout(
+            plant or self.build(), Gait(self.frequency, self.offset), self.duration
+        )
 
 
 def run_all(runs: Sequence[Run]) -> list[Trajectory]:
@@ -54,5 +72,9 @@ def run_all(runs: Sequence[Run]) -> list[Trajectory]:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return a Markdown table."""
-    lines = [" | ".join(head), " | ".join("---" for _ in head), *(" | ".join(row) for row in rows)]
+    lines = [
+        " | ".join(head),
+        " | ".join("---" for _ in head),
+        *(" | ".join(row) for row in rows),
+    ]
     return "\n".join(f"| {line} |" for line in lines)

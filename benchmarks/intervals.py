@@ -2,8 +2,9 @@
 
 uv run python benchmarks/intervals.py [REPETITIONS]
 
-Noise: 10 % and 8 % of the mean for pulls, 1 mm for positions, 0.01 rad for bends (white, or with a
-correlation of 0.8 between samples at 100 Hz), 1 mm and 0.01 rad for gait runs.
+Noise: 10 % and 8 % of the mean for pulls, 1 mm for positions, 0.01 rad for bends
+(white, or with a correlation of 0.8 between samples at 100 Hz), 1 mm and 0.01 rad for
+gait runs.
 """
 
 from __future__ import annotations
@@ -19,7 +20,12 @@ from srs_twin import Gait, Trajectory, load_robot
 from srs_twin.identification.actuator import Response, fit_actuator, predict_response
 from srs_twin.identification.estimate import FitEstimate
 from srs_twin.identification.fit_file import array_hash
-from srs_twin.identification.friction import CoastingTest, Pulls, fit_coasting, fit_pulls
+from srs_twin.identification.friction import (
+    CoastingTest,
+    Pulls,
+    fit_coasting,
+    fit_pulls,
+)
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
 from srs_twin.identification.parameters import with_values
 from srs_twin.identification.static_tables import StaticTable, fit_static
@@ -30,13 +36,19 @@ from srs_twin.pneumatics.chambers import air_bend
 GEN2, MODULE = load_robot("gen2"), load_robot("gen4_module")
 FRICTION = {"friction.mu_t": 0.06, "friction.mu_n": 0.5}
 ACTUATOR = {
-    "actuator.tau_fill_s": 0.15, "actuator.tau_vent_s": 0.09, "actuator.tau_mode_s": 0.01,
-    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
-}  # fmt: skip
+    "actuator.tau_fill_s": 0.15,
+    "actuator.tau_vent_s": 0.09,
+    "actuator.tau_mode_s": 0.01,
+    "modules.gain_plus_1": 1.2,
+    "modules.gain_minus_1": 0.8,
+    "modules.bias_rad_1": 0.05,
+}
 STATIC = {
-    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
+    "modules.gain_plus_1": 1.2,
+    "modules.gain_minus_1": 0.8,
+    "modules.bias_rad_1": 0.05,
     "actuator.bend_limit_rad": 1.4,
-}  # fmt: skip
+}
 GAIT = {"friction.mu_t": 0.055, "friction.mu_n": 0.48, "geometry.rigid_gap_m": 0.022}
 Fit = Callable[[np.random.Generator], FitEstimate]
 
@@ -52,7 +64,12 @@ def correlated(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
 def pulls(rng: np.random.Generator) -> FitEstimate:
     factor = 0.25 * 9.81 / 120.0
     return fit_pulls(
-        Pulls(factor * rng.normal(0.06, 0.006, 10), factor * rng.normal(0.5, 0.04, 10), 120.0, 0.25)
+        Pulls(
+            factor * rng.normal(0.06, 0.006, 10),
+            factor * rng.normal(0.5, 0.04, 10),
+            120.0,
+            0.25,
+        )
     )
 
 
@@ -60,10 +77,14 @@ def coasting(rng: np.random.Generator) -> FitEstimate:
     time = np.arange(0.0, 1.0, 0.01)
     runs = []
     for k, velocity in enumerate([(0.5, 0.0), (0.0, 0.8)]):
-        path = slide(velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2))
+        path = slide(
+            velocity, time, law="wheel", mu_t=0.06, mu_n=0.5, share=spin_share(GEN2)
+        )
         x, y = (path + 1e-3 * rng.normal(size=path.shape)).T
         straight = {f"bend_{j}": 0 * time for j in range(1, 5)}
-        seen = Trajectory({"time": time, "com_x": x, "com_y": y, "heading": 0 * time} | straight)
+        seen = Trajectory(
+            {"time": time, "com_x": x, "com_y": y, "heading": 0 * time} | straight
+        )
         runs.append(CoastingTest.from_trajectory(seen, f"throw_{k}", start=0.0))
     return fit_coasting(runs, GEN2)
 
@@ -81,7 +102,8 @@ def actuator(rho: float) -> Fit:
     )
     bend, _ = predict_response(blank, with_values(MODULE, ACTUATOR))
     return lambda rng: fit_actuator(
-        [replace(blank, bend=bend + 0.01 * correlated(rng, len(time), rho)[:, None])], MODULE
+        [replace(blank, bend=bend + 0.01 * correlated(rng, len(time), rho)[:, None])],
+        MODULE,
     )
 
 
@@ -89,7 +111,11 @@ def static(rng: np.random.Generator) -> FitEstimate:
     pressure = np.zeros((14, 1, 2))
     pressure[:7, 0, 0] = pressure[7:, 0, 1] = np.linspace(0, 90e3, 7)
     robot = with_values(MODULE, STATIC)
-    bend = robot.modules.array("bias") + air_bend(robot, pressure) + 0.01 * rng.normal(size=(14, 1))
+    bend = (
+        robot.modules.array("bias")
+        + air_bend(robot, pressure)
+        + 0.01 * rng.normal(size=(14, 1))
+    )
     return fit_static([StaticTable("table", array_hash(bend), pressure, bend)], MODULE)
 
 
@@ -98,20 +124,32 @@ def gaits() -> Fit:
     truth = []
     for frequency, offset in [(2.0, 0.0), (1.5, 0.2)]:
         run = GaitRun(
-            Trajectory({"time": np.array([0.0, 3.0])}), Gait(frequency, offset), 48e3, f"{frequency} Hz"
+            Trajectory({"time": np.array([0.0, 3.0])}),
+            Gait(frequency, offset),
+            48e3,
+            f"{frequency} Hz",
         )
-        truth.append(replace(run, trajectory=model.simulate(run, with_values(GEN2, GAIT))))
+        truth.append(
+            replace(run, trajectory=model.simulate(run, with_values(GEN2, GAIT)))
+        )
 
     def noisy(run: GaitRun, rng: np.random.Generator) -> GaitRun:
         columns = dict(run.trajectory.columns)
         for name in ("com_x", "com_y", "heading", *(f"bend_{j}" for j in range(1, 5))):
-            columns[name] = columns[name] + (1e-3 if name[0] == "c" else 1e-2) * rng.normal(
-                size=len(run.trajectory)
-            )
-        return replace(run, trajectory=Trajectory(columns, metadata=run.trajectory.metadata))
+            columns[name] = columns[name] + (
+                1e-3 if name[0] == "c" else 1e-2
+            ) * rng.normal(size=len(run.trajectory))
+        return replace(
+            run, trajectory=Trajectory(columns, metadata=run.trajectory.metadata)
+        )
 
     return lambda rng: fit_locomotion(
-        [noisy(run, rng) for run in truth], GEN2, list(GAIT), model=model, against="shapes", starts=1
+        [noisy(run, rng) for run in truth],
+        GEN2,
+        list(GAIT),
+        model=model,
+        against="shapes",
+        starts=1,
     )
 
 
@@ -124,7 +162,10 @@ def main(repetitions: int) -> None:
         ("static table", static, STATIC, repetitions),
         ("gait runs, complete", gaits(), GAIT, repetitions),
     )
-    print("| data | parameter | true value in the interval | no value | mean error / standard error |")
+    print(
+        "| data | parameter | true value in the interval | no value | mean error /"
+        " standard error |"
+    )
     print("|---|---|---|---|---|")
     for name, fit, truth, count in fits:
         result = [fit(np.random.default_rng([seed, 8])) for seed in range(count)]
@@ -133,7 +174,8 @@ def main(repetitions: int) -> None:
             held = sum(p.low <= value <= p.high for p in item)  # type: ignore[operator]
             bias = np.mean([(p.value - value) / p.standard_error for p in item])  # type: ignore[operator]
             print(
-                f"| {name} | {parameter} | {held} of {count} | {count - len(item)} | {bias:+.2f} |",
+                f"| {name} | {parameter} | {held} of {count} | {count - len(item)} |"
+                f" {bias:+.2f} |",
                 flush=True,
             )
 

@@ -3,10 +3,11 @@
     uv run python benchmarks/kills.py [--kills 200] [--runs 400] [--seed 0]
     uv run python benchmarks/kills.py --commands 300 --finishes 2000
 
-Kills the sweep, one of its workers or their fork server by SIGKILL, at random times after the start or the
-latest row, and starts the sweep again until it is complete. Its rows must equal those of an undisturbed
-sweep. With --commands, run, sweep, optimize, uncertainty and reproduce are killed and resumed
-(`kills_of_commands.py`). With --finishes, several processes complete their files in one folder at once.
+Kills the sweep, one of its workers or their fork server by SIGKILL, at random times
+after the start or the latest row, and starts the sweep again until it is complete. Its
+rows must equal those of an undisturbed sweep. With --commands, run, sweep, optimize,
+uncertainty and reproduce are killed and resumed (`kills_of_commands.py`). With
+--finishes, several processes complete their files in one folder at once.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ def _of_commands(arguments: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as name:
             counts = kills_of_commands.finishes(Path(name), arguments.finishes)
         print(f"sets completed at once: {dict(counts)}", flush=True)
-        faults += [f"{count} {kind} sets" for kind, count in counts.items() if kind != "whole"]
+        faults += [
+            f"{count} {kind} sets" for kind, count in counts.items() if kind != "whole"
+        ]
     names = [arguments.only] if arguments.only else list(kills_of_commands.CASES)
     rng = random.Random(arguments.seed)
     for command in names if arguments.commands else ():
@@ -39,11 +42,13 @@ def _of_commands(arguments: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as name:
             for file, text in kills_of_commands.FILES.items():
                 (Path(name) / file).write_text(text)
-            result = kills_of_commands.killed(command, Path(name), -(-arguments.commands // len(names)), rng)
+            result = kills_of_commands.killed(
+                command, Path(name), -(-arguments.commands // len(names)), rng
+            )
         took = time.perf_counter() - begun
         print(
-            f"{command}: {result.kills} kills in {result.trials} trials, {took:.0f} s; after a kill: "
-            f"{dict(result.left)}; faults: {len(result.faults)}",
+            f"{command}: {result.kills} kills in {result.trials} trials, {took:.0f} s;"
+            f" after a kill: {dict(result.left)}; faults: {len(result.faults)}",
             flush=True,
         )
         faults += result.faults
@@ -56,13 +61,25 @@ def main() -> None:
     """Print the kills and whether the results are the same."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=200, help="number of kills")
-    parser.add_argument("--runs", type=int, default=400, help="number of runs of the sweep")
-    parser.add_argument("--duration", type=float, default=100.0, help="simulated time of a run, s")
-    parser.add_argument("--longest", type=float, default=0.5, help="longest time to the next kill, s")
+    parser.add_argument(
+        "--runs", type=int, default=400, help="number of runs of the sweep"
+    )
+    parser.add_argument(
+        "--duration", type=float, default=100.0, help="simulated time of a run, s"
+    )
+    parser.add_argument(
+        "--longest", type=float, default=0.5, help="longest time to the next kill, s"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed")
-    parser.add_argument("--commands", type=int, help="total number of kills of all commands")
-    parser.add_argument("--only", choices=kills_of_commands.CASES, help="kill this command only")
-    parser.add_argument("--finishes", type=int, help="number of sets completed in one folder at once")
+    parser.add_argument(
+        "--commands", type=int, help="total number of kills of all commands"
+    )
+    parser.add_argument(
+        "--only", choices=kills_of_commands.CASES, help="kill this command only"
+    )
+    parser.add_argument(
+        "--finishes", type=int, help="number of sets completed in one folder at once"
+    )
     arguments = parser.parse_args()
     if arguments.commands or arguments.finishes:
         sys.exit(_of_commands(arguments))
@@ -73,19 +90,31 @@ def main() -> None:
         quiet = start(sweep, folder / "quiet")
         begun = time.perf_counter()
         if quiet.wait():
-            sys.exit(f"the undisturbed sweep failed: {quiet.stderr.read() if quiet.stderr else ''}")
+            sys.exit(
+                "the undisturbed sweep failed:"
+                f" {quiet.stderr.read() if quiet.stderr else ''}"
+            )
         alone = time.perf_counter() - begun
         begun = time.perf_counter()
         killed = disturbed(
-            sweep, folder / "killed", arguments.kills, random.Random(arguments.seed), arguments.longest
+            sweep,
+            folder / "killed",
+            arguments.kills,
+            random.Random(arguments.seed),
+            arguments.longest,
         )
         took = time.perf_counter() - begun
         same = digest(folder / "killed") == digest(folder / "quiet")
-        victims = ", ".join(f"{count} of the {who}" for who, count in sorted(killed.victims.items()))
+        victims = ", ".join(
+            f"{count} of the {who}" for who, count in sorted(killed.victims.items())
+        )
         print(f"{arguments.runs} runs, {alone:.0f} s undisturbed")
         print(f"killed: {victims}; {killed.starts} starts, {took:.0f} s")
         print(f"rows after each kill of the sweep: {killed.rows}")
-        print(f"the results are {'the same' if same else 'NOT the same'}: {digest(folder / 'killed')}")
+        print(
+            f"the results are {'the same' if same else 'NOT the same'}:"
+            f" {digest(folder / 'killed')}"
+        )
         sys.exit(0 if same else 1)
 
 

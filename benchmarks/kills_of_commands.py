@@ -1,9 +1,10 @@
 """Commands killed at random: whether every set of files is complete and the resumed result unchanged.
 
-Part of `kills.py`. Each trial begins in an empty folder or in one with an earlier result. The command and its
-workers are killed by SIGKILL, at a random time after the start or just after the first file is written. It is
-started again until it ends. After each kill, a folder with a completion mark must hold the files of a single
-result, the earlier or the new one. At the end the folder must equal that of an undisturbed command.
+Part of `kills.py`. Each trial begins in an empty folder or in one with an earlier
+result. The command and its workers are killed by SIGKILL, at a random time after the
+start or just after the first file is written. It is started again until it ends. After
+each kill, a folder with a completion mark must hold the files of a single result, the
+earlier or the new one. At the end the folder must equal that of an undisturbed command.
 """
 
 from __future__ import annotations
@@ -82,27 +83,46 @@ class Case:
 
 CASES = {
     "run": Case(
-        "run ./scenario.yaml --set seed=7 --set controller.frequency_hz=1.9", "run ./scenario.yaml", "",
-        "metrics.json", ("metrics.json", "scenario.resolved.yaml", "*.parquet"),
+        "run ./scenario.yaml --set seed=7 --set controller.frequency_hz=1.9",
+        "run ./scenario.yaml",
+        "",
+        "metrics.json",
+        ("metrics.json", "scenario.resolved.yaml", "*.parquet"),
     ),
     "sweep": Case(
-        "sweep earlier_sweep.yaml --workers 1", "sweep sweep.yaml --workers 1", "--changed",
-        "sweep.json", ("sweep.json", "sweep.yaml", "scenario.resolved.yaml", "results.parquet"),
+        "sweep earlier_sweep.yaml --workers 1",
+        "sweep sweep.yaml --workers 1",
+        "--changed",
+        "sweep.json",
+        ("sweep.json", "sweep.yaml", "scenario.resolved.yaml", "results.parquet"),
     ),
     "optimize": Case(
-        "optimize ./earlier_study.yaml --workers 1", "optimize ./study.yaml --workers 1", "--changed",
-        "study.json", ("study.json", "evaluations.parquet", "best/*.yaml"),
+        "optimize ./earlier_study.yaml --workers 1",
+        "optimize ./study.yaml --workers 1",
+        "--changed",
+        "study.json",
+        ("study.json", "evaluations.parquet", "best/*.yaml"),
     ),
     "uncertainty": Case(
-        f"{_UNCERTAIN} 16 --set duration_s=2", f"{_UNCERTAIN} 17 --set duration_s=2.2", "--changed",
-        "intervals.json", ("intervals.json", "*.parquet", "analytical/sweep.json", "analytical/*.parquet"),
+        f"{_UNCERTAIN} 16 --set duration_s=2",
+        f"{_UNCERTAIN} 17 --set duration_s=2.2",
+        "--changed",
+        "intervals.json",
+        (
+            "intervals.json",
+            "*.parquet",
+            "analytical/sweep.json",
+            "analytical/*.parquet",
+        ),
     ),
     "reproduce": Case(
         "reproduce --only ilc-law --no-figures -j 1",
-        "reproduce --only gen1-no-turn --only ilc-law --no-figures -j 1", "",
-        "reproduce.json", ("reproduce.json",),
+        "reproduce --only gen1-no-turn --only ilc-law --no-figures -j 1",
+        "",
+        "reproduce.json",
+        ("reproduce.json",),
     ),
-}  # fmt: skip
+}
 
 
 @dataclass
@@ -111,14 +131,18 @@ class Tally:
 
     kills: int = 0
     trials: int = 0
-    left: Counter[str] = field(default_factory=Counter)  # state of a folder after a kill → count
+    left: Counter[str] = field(
+        default_factory=Counter
+    )  # state of a folder after a kill → count
     faults: list[str] = field(default_factory=list)
 
 
 def contents(folder: Path, case: Case) -> dict[tuple[str, str], Any]:
     """Return the values of a set by (file, position in it), without wall times."""
     result: dict[tuple[str, str], Any] = {}
-    for path in sorted({item for pattern in case.products for item in folder.glob(pattern)}):
+    for path in sorted(
+        {item for pattern in case.products for item in folder.glob(pattern)}
+    ):
         name = str(path.relative_to(folder))
         if path.suffix == ".json":
             leaves = dict(_leaves(json.loads(path.read_text("utf-8")), ""))
@@ -157,7 +181,9 @@ def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
         began = time.perf_counter()
         _finish(room, f"{words} --out {name}-{kind}")
         took = time.perf_counter() - began
-    sets = {kind: contents(room / f"{name}-{kind}", case) for kind in ("earlier", "new")}
+    sets = {
+        kind: contents(room / f"{name}-{kind}", case) for kind in ("earlier", "new")
+    }
     if not all(sets.values()) or sets["earlier"] == sets["new"]:
         raise RuntimeError(f"{name}: needs two different results")
     while tally.kills < kills:
@@ -171,13 +197,16 @@ def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
             tally.kills += 1
             marked = (out / case.mark).exists()
             left = contents(out, case) if marked else {}
-            state = next((kind for kind, whole in sets.items() if left == whole), "mixed")
+            state = next(
+                (kind for kind, whole in sets.items() if left == whole), "mixed"
+            )
             tally.left[state if marked else "unmarked"] += 1
             if marked and state == "mixed":
                 tally.faults.append(f"{name} {words}: mixed after kill {tally.kills}")
         _finish(room, words)
         moved = diff(
-            *(Results(item, {}) for item in (sets["new"], contents(out, case))), Tolerances(rel=0, abs=0)
+            *(Results(item, {}) for item in (sets["new"], contents(out, case))),
+            Tolerances(rel=0, abs=0),
         )
         tally.faults += [f"{name} {words}: {item}" for item in moved.moved]
         if any(out.rglob(".part-*")):
@@ -188,9 +217,13 @@ def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
 
 def _start(room: Path, words: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [str(COMMAND), *words.split(), "--quiet"], cwd=room, stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE, text=True, start_new_session=True,
-    )  # fmt: skip
+        [str(COMMAND), *words.split(), "--quiet"],
+        cwd=room,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
 
 
 def _finish(room: Path, words: str) -> None:
@@ -200,7 +233,9 @@ def _finish(room: Path, words: str) -> None:
         if process.returncode in (0, 1):  # 1: a claim differs from the baseline
             return
         if "another sweep works" not in error_output:
-            raise RuntimeError(f"{words}: exit code {process.returncode}: {error_output}")
+            raise RuntimeError(
+                f"{words}: exit code {process.returncode}: {error_output}"
+            )
         time.sleep(0.1)  # a killed process keeps the lock briefly
 
 
@@ -230,7 +265,10 @@ def finishes(folder: Path, count: int, workers: int = 4) -> Counter[str]:
     fork, result = get_context("fork"), Counter[str]()
     rounds = -(-count // workers)
     gate = fork.Barrier(workers + 1)
-    processes = [fork.Process(target=_finishes, args=(folder, k, rounds, gate)) for k in range(workers)]
+    processes = [
+        fork.Process(target=_finishes, args=(folder, k, rounds, gate))
+        for k in range(workers)
+    ]
     for item in processes:
         item.start()
     for _ in range(rounds):
@@ -246,7 +284,13 @@ def finishes(folder: Path, count: int, workers: int = 4) -> Counter[str]:
     return result
 
 
-_SET = ("metrics.json", "scenario.resolved.yaml", "report.html", "recording.rrd", "analytical.parquet")
+_SET = (
+    "metrics.json",
+    "scenario.resolved.yaml",
+    "report.html",
+    "recording.rrd",
+    "analytical.parquet",
+)
 
 
 def _finishes(folder: Path, who: int, rounds: int, gate: Any) -> None:

@@ -2,11 +2,12 @@
 
     uv run python benchmarks/leak.py [--draws 20]
 
-Runs the shipped scenarios module_hold_leak_… with many draws of the sensor noise on both benches, which takes
-some minutes. Prints each metric as mean ± standard deviation over the draws, and the difference of the means
-(twin minus analytical) with its 95 % interval (Welch). Then repeats this for direct SMC with single effects
-switched. `drift` is the peak-to-peak value of the bend averaged over a carrier period (1/60 s), the part of
-an oscillation that is not ripple of the carrier.
+Runs the shipped scenarios module_hold_leak_… with many draws of the sensor noise on
+both benches, which takes some minutes. Prints each metric as mean ± standard deviation
+over the draws, and the difference of the means (twin minus analytical) with its 95 %
+interval (Welch). Then repeats this for direct SMC with single effects switched. `drift`
+is the peak-to-peak value of the bend averaged over a carrier period (1/60 s), the part
+of an oscillation that is not ripple of the carrier.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ def drift(run: Trajectory) -> float:
     time, bend = run.time, run["bend_1"]
     turned = np.append(0.0, np.cumsum(np.diff(time) * (bend[1:] + bend[:-1]) / 2))
     later = time[time >= time[-1] / 2 + 1 / CARRIER_HZ]
-    means = CARRIER_HZ * (np.interp(later, time, turned) - np.interp(later - 1 / CARRIER_HZ, time, turned))
+    means = CARRIER_HZ * (
+        np.interp(later, time, turned) - np.interp(later - 1 / CARRIER_HZ, time, turned)
+    )
     return float(np.ptp(means))
 
 
@@ -77,23 +80,38 @@ def measured(job: tuple[str, str, str, int]) -> dict[str, float]:
     kind, switch, plant, seed = job
     scenario = changed(kind, SWITCHED[switch])
     run = rollout(
-        scenario.build_plant(plant), scenario.build_controller(), scenario.duration,
-        seed=seed, record_hz=scenario.record_hz,
-    )  # fmt: skip
+        scenario.build_plant(plant),
+        scenario.build_controller(),
+        scenario.duration,
+        seed=seed,
+        record_hz=scenario.record_hz,
+    )
     result = plant_metrics(run) | {"drift": drift(run)}
     return {
-        name: float(result[name]) if name == "inlet_openings" else math.degrees(result[name])
+        name: (
+            float(result[name])
+            if name == "inlet_openings"
+            else math.degrees(result[name])
+        )
         for name in SHOWN
     }
 
 
-def draws(pool: ProcessPoolExecutor, kind: str, switch: str, count: int) -> dict[str, dict[str, np.ndarray]]:
+def draws(
+    pool: ProcessPoolExecutor, kind: str, switch: str, count: int
+) -> dict[str, dict[str, np.ndarray]]:
     """Return the values over the draws by plant and metric."""
     jobs = [(kind, switch, plant, seed) for plant in PLANTS for seed in range(count)]
     rows = list(pool.map(measured, jobs))
     return {
         plant: {
-            name: np.array([row[name] for job, row in zip(jobs, rows, strict=True) if job[2] == plant])
+            name: np.array(
+                [
+                    row[name]
+                    for job, row in zip(jobs, rows, strict=True)
+                    if job[2] == plant
+                ]
+            )
             for name in SHOWN
         }
         for plant in PLANTS
@@ -124,7 +142,9 @@ def by_controller(pool: ProcessPoolExecutor, count: int) -> str:
         result = draws(pool, kind, "as shipped", count)
         for name, words in SHOWN.items():
             ours, theirs = (result[plant][name] for plant in PLANTS)
-            rows.append([kind, words, spread(ours), spread(theirs), apart(ours, theirs)])
+            rows.append(
+                [kind, words, spread(ours), spread(theirs), apart(ours, theirs)]
+            )
     return table(["SMC", "", *PLANTS, "twin minus analytical"], rows)
 
 
@@ -132,20 +152,32 @@ def by_switch(pool: ProcessPoolExecutor, count: int) -> str:
     """Return the table of direct SMC with single effects switched."""
     rows = []
     for switch, changes in SWITCHED.items():
-        result = draws(pool, "direct", switch, 1 if "sensor.noise_uv" in changes else count)
+        result = draws(
+            pool, "direct", switch, 1 if "sensor.noise_uv" in changes else count
+        )
         ours, theirs = (result[plant]["inlet_openings"] for plant in PLANTS)
         errors = (spread(result[plant]["steady_rms_rad"]) for plant in PLANTS)
-        rows.append([switch, spread(ours), spread(theirs), apart(ours, theirs), *errors])
+        rows.append(
+            [switch, spread(ours), spread(theirs), apart(ours, theirs), *errors]
+        )
     heads = [f"openings, {plant}" for plant in PLANTS]
     return table(
-        ["direct SMC", *heads, "twin minus analytical", *(f"RMS error (°), {p}" for p in PLANTS)], rows
+        [
+            "direct SMC",
+            *heads,
+            "twin minus analytical",
+            *(f"RMS error (°), {p}" for p in PLANTS),
+        ],
+        rows,
     )
 
 
 def main() -> None:
     """Print both tables."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--draws", type=int, default=20, help="number of draws of the sensor noise")
+    arguments.add_argument(
+        "--draws", type=int, default=20, help="number of draws of the sensor noise"
+    )
     count = arguments.parse_args().draws
     with ProcessPoolExecutor(2) as pool:
         print(by_controller(pool, count), flush=True)

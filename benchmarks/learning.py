@@ -2,7 +2,8 @@
 
     uv run python benchmarks/learning.py [--draws 20] [--spread 0.15]
 
-A draw counts if the radius of the open-loop path is below 5 m. The study takes 10 to 15 minutes.
+A draw counts if the radius of the open-loop path is below 5 m. The study takes 10 to 15
+minutes.
 """
 
 from __future__ import annotations
@@ -29,7 +30,10 @@ vary:
   controller.carrier_hz: {carriers}
 metrics: [periods_to_converge, path_bend_before_per_m, path_bend_per_m, path_bend_left_rel]
 """
-TARGETS = {"0.7 rad": ("ilc_curve", ", controller.offset: 0.0"), "the smallest": ("ilc_straight", "")}
+TARGETS = {
+    "0.7 rad": ("ilc_curve", ", controller.offset: 0.0"),
+    "the smallest": ("ilc_straight", ""),
+}
 
 
 def main() -> None:
@@ -41,30 +45,48 @@ def main() -> None:
     rows = []
     for target, (scenario, fixed) in TARGETS.items():
         with tempfile.TemporaryDirectory() as folder:
-            columns = results(Path(folder), scenario, fixed, options.draws, options.spread)
+            columns = results(
+                Path(folder), scenario, fixed, options.draws, options.spread
+            )
         for carrier in CARRIERS_HZ:
             chosen = np.array(columns["controller.carrier_hz"]) == carrier
             for plant in ("analytical", "twin"):
-                rows.append([target, f"{carrier} Hz", plant, *line(columns, plant, chosen)])
+                rows.append(
+                    [target, f"{carrier} Hz", plant, *line(columns, plant, chosen)]
+                )
     headings = [
-        "target", "carrier", "plant", "within 5 % by period 12", "initially curved", "ten times straighter",
-        "straightening factor, median (least)", "final curvature, median (largest), 1/m",
-    ]  # fmt: skip
+        "target",
+        "carrier",
+        "plant",
+        "within 5 % by period 12",
+        "initially curved",
+        "ten times straighter",
+        "straightening factor, median (least)",
+        "final curvature, median (largest), 1/m",
+    ]
     print(table(headings, rows))
 
 
-def results(folder: Path, scenario: str, fixed: str, draws: int, spread: float) -> dict[str, list[float]]:
+def results(
+    folder: Path, scenario: str, fixed: str, draws: int, spread: float
+) -> dict[str, list[float]]:
     """Run one sweep and return its columns."""
     path = folder / "learning.yaml"
     text = SWEEP.format(
-        scenario=scenario, fixed=fixed, spread=spread, seeds=list(range(draws)), carriers=list(CARRIERS_HZ)
+        scenario=scenario,
+        fixed=fixed,
+        spread=spread,
+        seeds=list(range(draws)),
+        carriers=list(CARRIERS_HZ),
     )
     with atomic_write(path) as part:
         part.write_text(text, "utf-8")
     with open_sweep(load_sweep(path), folder / "out") as opened:
         opened.run(local(), opened.missing())
         opened.finish()
-    result: dict[str, list[float]] = pq.read_table(folder / "out" / "results.parquet").to_pydict()
+    result: dict[str, list[float]] = pq.read_table(
+        folder / "out" / "results.parquet"
+    ).to_pydict()
     return result
 
 
@@ -78,9 +100,12 @@ def line(columns: dict[str, list[float]], plant: str, chosen: np.ndarray) -> lis
     left, after = column("path_bend_left_rel"), column("path_bend_per_m")
     within, times = column("periods_to_converge") <= 12, 1 / left[curled]
     return [
-        f"{within.sum()} of {len(within)}", str(curled.sum()), f"{(left[curled] <= 0.1).sum()}",
-        f"{np.median(times):.0f} ({times.min():.1f})", f"{np.median(after):.3f} ({after.max():.3f})",
-    ]  # fmt: skip
+        f"{within.sum()} of {len(within)}",
+        str(curled.sum()),
+        f"{(left[curled] <= 0.1).sum()}",
+        f"{np.median(times):.0f} ({times.min():.1f})",
+        f"{np.median(after):.3f} ({after.max():.3f})",
+    ]
 
 
 if __name__ == "__main__":

@@ -2,12 +2,14 @@
 
     uv run python benchmarks/live_ablation.py [--seeds 3] [--first 6300] [--rows FILE]
 
-Refinements of the estimate: robots walk for 30 s; motion capture fails after 20 s. Figures are RMS errors of
-bends and position (from 5 to 20 s, predicted to now), of the position one second ahead, and of the position
-after ten seconds without motion capture, as a share of the distance. With poor cameras, seven times as noisy
-as assumed, only the bends and their coverage change.
+Refinements of the estimate: robots walk for 30 s; motion capture fails after 20 s.
+Figures are RMS errors of bends and position (from 5 to 20 s, predicted to now), of the
+position one second ahead, and of the position after ten seconds without motion capture,
+as a share of the distance. With poor cameras, seven times as noisy as assumed, only the
+bends and their coverage change.
 
-Refinements of the fault detector: faults and false alarms as in `live_faults`, under `CONDITIONS`.
+Refinements of the fault detector: faults and false alarms as in `live_faults`, under
+`CONDITIONS`.
 
 All versions of a robot get the same messages. FILE is that of `live_faults`.
 """
@@ -74,7 +76,9 @@ def _no_sensor_errors(shadow: Shadow) -> None:
     with ExitStack() as changed:
         for name in ("_OFFSET_SD_RAD", "_SCALE_SD"):
             changed.enter_context(patch.object(fault_detector, name, 1e-4))
-        shadow.faults = FaultDetector(shadow.spec, supply_pa=shadow.faults.supply.nominal)
+        shadow.faults = FaultDetector(
+            shadow.spec, supply_pa=shadow.faults.supply.nominal
+        )
 
 
 def _no_levels(shadow: Shadow) -> None:
@@ -149,31 +153,53 @@ def errors(part: str, seed: int) -> dict[str, float]:
     prepare(shadow)
     truth, rows, predictions = recording.truth, [], []
     for time, messages in recording.updates:
-        found = shadow.update(time, [m for m in messages if m.kind != POSES or time < BLIND_S])
+        found = shadow.update(
+            time, [m for m in messages if m.kind != POSES or time < BLIND_S]
+        )
         if found is None:
             continue
         if SETTLED_S < time < BLIND_S:
-            rows.append(np.array([found.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
+            rows.append(
+                np.array(
+                    [
+                        found.time,
+                        *found.bend,
+                        *found.pose,
+                        *found.bend_sd,
+                        *found.pose_sd,
+                    ]
+                )
+            )
             if round(time * 50) % 25 == 0 and time < BLIND_S - 1:
                 predictions.append(shadow.predict())
     n = truth.shape[1] - 4
 
     def true(times: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(times, truth[:, 0], truth[:, k]) for k in range(1, n + 4)], axis=1)
+        return np.stack(
+            [np.interp(times, truth[:, 0], truth[:, k]) for k in range(1, n + 4)],
+            axis=1,
+        )
 
     estimate = np.array(rows)
     error, sd = estimate[:, 1 : n + 4] - true(estimate[:, 0]), estimate[:, n + 4 :]
-    ahead = [np.hypot(*(p.pose[-1, :2] - true(p.time[-1:])[0, n : n + 2])) for p in predictions]
-    distance = np.hypot(*np.diff(truth[truth[:, 0] >= BLIND_S][:, n + 1 : n + 3], axis=0).T).sum()
+    ahead = [
+        np.hypot(*(p.pose[-1, :2] - true(p.time[-1:])[0, n : n + 2]))
+        for p in predictions
+    ]
+    distance = np.hypot(
+        *np.diff(truth[truth[:, 0] >= BLIND_S][:, n + 1 : n + 3], axis=0).T
+    ).sum()
     assert found is not None
     blind = np.hypot(*(found.pose[:2] - true(np.array([time]))[0, n : n + 2]))
     inside = np.abs(error) < 1.96 * sd
     return {
         "bend": float(np.sqrt(np.mean(error[:, :n] ** 2))),
-        "bend_inside": float(np.mean(inside[:, :n])), "pose_inside": float(np.mean(inside[:, n:])),
+        "bend_inside": float(np.mean(inside[:, :n])),
+        "pose_inside": float(np.mean(inside[:, n:])),
         "place": float(np.sqrt(np.mean((error[:, n : n + 2] ** 2).sum(axis=1)))),
-        "ahead": float(np.sqrt(np.mean(np.square(ahead)))), "blind": float(blind / distance),
-    }  # fmt: skip
+        "ahead": float(np.sqrt(np.mean(np.square(ahead)))),
+        "blind": float(blind / distance),
+    }
 
 
 def report(done: Sequence[dict[str, Any]]) -> None:
@@ -182,11 +208,29 @@ def report(done: Sequence[dict[str, Any]]) -> None:
     for part in ESTIMATE_PARTS:
         mine = [row for row in done if row["what"] == f"estimate: {part}"]
         if mine:
-            mean = {name: np.mean([row[name] for row in mine]) for name in mine[0] if name in _FIGURES}
+            mean = {
+                name: np.mean([row[name] for row in mine])
+                for name in mine[0]
+                if name in _FIGURES
+            }
             lines.append(
-                [part, *(f"{scale * mean[name]:.{digits}f}" for name, (scale, digits) in _FIGURES.items())]
+                [
+                    part,
+                    *(
+                        f"{scale * mean[name]:.{digits}f}"
+                        for name, (scale, digits) in _FIGURES.items()
+                    ),
+                ]
             )
-    heads = ["removed", "bends, rad", "inside, %", "position, mm", "inside, %", "1 s ahead, mm", "blind, %"]
+    heads = [
+        "removed",
+        "bends, rad",
+        "inside, %",
+        "position, mm",
+        "inside, %",
+        "1 s ahead, mm",
+        "blind, %",
+    ]
     print(table(heads, lines))
     lines = []
     for part in DETECTOR_PARTS:
@@ -194,30 +238,54 @@ def report(done: Sequence[dict[str, Any]]) -> None:
         for condition in CONDITIONS.values():
             some = [row for row in mine if row["condition"] == condition]
             rows = [row for each in some for row in each["rows"]]
-            cells = [[row for row in rows if (row["fault"] == SLOW_LEAK) == slow] for slow in (False, True)]
+            cells = [
+                [row for row in rows if (row["fault"] == SLOW_LEAK) == slow]
+                for slow in (False, True)
+            ]
             if rows:
-                lines.append([
-                    part, condition,
-                    *(f"{sum(row['in_time'] for row in cell)} of {len(cell)}" for cell in cells),
-                    str(sum(len(row["others"]) for row in rows)),
-                    str(sum(len(each["alarms"]) for each in some)),
-                ])  # fmt: skip
-    heads = ["removed", "condition", "in time", "slow leaks in time", "other parts", "false alarms"]
+                lines.append(
+                    [
+                        part,
+                        condition,
+                        *(
+                            f"{sum(row['in_time'] for row in cell)} of {len(cell)}"
+                            for cell in cells
+                        ),
+                        str(sum(len(row["others"]) for row in rows)),
+                        str(sum(len(each["alarms"]) for each in some)),
+                    ]
+                )
+    heads = [
+        "removed",
+        "condition",
+        "in time",
+        "slow leaks in time",
+        "other parts",
+        "false alarms",
+    ]
     print(table(heads, lines))
 
 
 _FIGURES = {
-    "bend": (1, 4), "bend_inside": (100, 0), "place": (1e3, 2), "pose_inside": (100, 0), "ahead": (1e3, 1),
+    "bend": (1, 4),
+    "bend_inside": (100, 0),
+    "place": (1e3, 2),
+    "pose_inside": (100, 0),
+    "ahead": (1e3, 1),
     "blind": (100, 1),
-}  # fmt: skip
+}
 
 
 def main() -> None:
     """Run and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--seeds", type=int, default=3)
     words.add_argument("--first", type=int, default=6300)
-    words.add_argument("--rows", type=Path, metavar="FILE", help="file of finished runs, JSON lines")
+    words.add_argument(
+        "--rows", type=Path, metavar="FILE", help="file of finished runs, JSON lines"
+    )
     given = words.parse_args()
     report(list(missing(planned(given.first, given.seeds), given.rows, outcome)))
 
@@ -225,11 +293,17 @@ def main() -> None:
 def planned(first: int, seeds: int) -> list[tuple[str, int, str]]:
     """Return all orders."""
     every = range(first, first + seeds)
-    orders = [(f"estimate: {part}", seed, "nominal") for seed in every for part in ESTIMATE_PARTS]
+    orders = [
+        (f"estimate: {part}", seed, "nominal")
+        for seed in every
+        for part in ESTIMATE_PARTS
+    ]
     return orders + [
         (f"faults: {part}", seed, CONDITIONS[initial])
-        for seed in every for part, (*_, initials) in DETECTOR_PARTS.items() for initial in initials
-    ]  # fmt: skip
+        for seed in every
+        for part, (*_, initials) in DETECTOR_PARTS.items()
+        for initial in initials
+    ]
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
     uv run python benchmarks/live_clock_steps.py [--seed 700] [--after 4]
 
-A robot of generation 2 follows a plan. After five seconds one sender's stamps are wrong by a step, in one
-message or in all later ones: the robot's, the cameras', or the controller's. Stated are the longest time
-without a used message of the sender and the share of ticks in which the robot is vented. Robot and messages:
-`live_runs`.
+A robot of generation 2 follows a plan. After five seconds one sender's stamps are wrong
+by a step, in one message or in all later ones: the robot's, the cameras', or the
+controller's. Stated are the longest time without a used message of the sender and the
+share of ticks in which the robot is vented. Robot and messages: `live_runs`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,11 @@ from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, VALVES, Mes
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import EstimateSteering
 
-KINDS = {"robot": (BENDS, PRESSURES, VALVES), "cameras": (POSES,), "controller": (COMMAND,)}
+KINDS = {
+    "robot": (BENDS, PRESSURES, VALVES),
+    "cameras": (POSES,),
+    "controller": (COMMAND,),
+}
 STEPS_S = (0.1, 0.3, 0.9, 1.5, 5.0)
 BEFORE_S = 5.0
 SCENARIO = "follow_orifice"
@@ -57,8 +61,13 @@ class SteeredRobot:
     def __init__(self, seed: int) -> None:
         scenario = load_scenario(SCENARIO)
         self._run = Run(seed, 60.0, robot="gen2", frequency=2.0)
-        self._robot, self._wire = self._run.emulated(start=scenario.pose), Wire(self._run)
-        self.twin = Shadow(load_robot("gen2"), seed=seed, supply_pa=self._robot.supply_pa)
+        self._robot, self._wire = (
+            self._run.emulated(start=scenario.pose),
+            Wire(self._run),
+        )
+        self.twin = Shadow(
+            load_robot("gen2"), seed=seed, supply_pa=self._robot.supply_pa
+        )
         self.steering = EstimateSteering(scenario, self.twin, self._robot.tick)
         self._command, self._heard = None, -1.0
         self.time, self.vented_ticks, self.ticks = 0.0, 0, 0
@@ -105,7 +114,11 @@ class SteeredRobot:
             return
         kinds = KINDS.get(self.step.sender, KINDS["robot"])
         for (source, kind, result), count in self.twin.buffer.counts.items():
-            if kind in kinds and result == "taken" and count > before.get((source, kind, result), 0):
+            if (
+                kind in kinds
+                and result == "taken"
+                and count > before.get((source, kind, result), 0)
+            ):
                 self.used.append(self.time)
                 return
 
@@ -119,17 +132,25 @@ def measured(robot: SteeredRobot, after_s: float, step: Step) -> list[str]:
     gap = np.diff([begin, *robot.used, robot.time]).max()
     uncertain = max(clock.uncertainty for clock in robot.twin.buffer.clocks.values())
     return [
-        step.sender or "none", f"{step.seconds:+g}", "all later" if step.lasts else "one", f"{gap:.2f}",
-        f"{100 * robot.vented_ticks / robot.ticks:.0f}", f"{uncertain:.2f}",
+        step.sender or "none",
+        f"{step.seconds:+g}",
+        "all later" if step.lasts else "one",
+        f"{gap:.2f}",
+        f"{100 * robot.vented_ticks / robot.ticks:.0f}",
+        f"{uncertain:.2f}",
         robot.steering.summary()["ending"] if robot.steering.finished else "steered",
         ", ".join(sorted(robot.faults)) or "–",
-    ]  # fmt: skip
+    ]
 
 
 def main() -> None:
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--seed", type=int, default=700)
-    words.add_argument("--after", type=float, default=4.0, metavar="S", help="time after the step")
+    words.add_argument(
+        "--after", type=float, default=4.0, metavar="S", help="time after the step"
+    )
     options = words.parse_args()
     robot = SteeredRobot(options.seed)
     robot.proceed(BEFORE_S)
@@ -143,9 +164,15 @@ def main() -> None:
     with ProcessPoolExecutor() as pool:
         rows = list(pool.map(partial(measured, robot, options.after), steps))
     head = [
-        "sender", "step, s", "messages", "longest gap, s", "vented ticks, %", "uncertain age, s", "session",
+        "sender",
+        "step, s",
+        "messages",
+        "longest gap, s",
+        "vented ticks, %",
+        "uncertain age, s",
+        "session",
         "faults",
-    ]  # fmt: skip
+    ]
     print(table(head, rows))
 
 

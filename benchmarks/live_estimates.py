@@ -2,9 +2,10 @@
 
     uv run python benchmarks/live_estimates.py [--seeds 4] [--json FILE]
 
-The robot and what its messages suffer are those of `live_runs`: a gait that turns left and right for 25 s.
-Estimates count from 5 s on. The blind cases lose motion capture after 10, 30 or 60 s; their error is that of
-the place 10 s later, as a share of the way since.
+The robot and what its messages suffer are those of `live_runs`: a gait that turns left
+and right for 25 s. Estimates count from 5 s on. The blind cases lose motion capture
+after 10, 30 or 60 s; their error is that of the place 10 s later, as a share of the way
+since.
 """
 
 from __future__ import annotations
@@ -48,7 +49,10 @@ def judged(order: tuple[str, int]) -> dict[str, Any]:
     n = truth.shape[1] - 4
 
     def true(times: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(times, truth[:, 0], truth[:, k]) for k in range(1, n + 4)], axis=1)
+        return np.stack(
+            [np.interp(times, truth[:, 0], truth[:, k]) for k in range(1, n + 4)],
+            axis=1,
+        )
 
     told: dict[str, Any] = {"case": name, "seed": seed}
     if since is not None:
@@ -59,17 +63,32 @@ def judged(order: tuple[str, int]) -> dict[str, Any]:
         sd = np.hypot(*end[2 * n + 4 : 2 * n + 6])
         return told | {"blind": float(off / way), "blind_inside": bool(off < 2.45 * sd)}
     late = estimate[:, 0] > SETTLED_S
-    off, sd = (estimate[:, 1 : n + 4] - true(estimate[:, 0]))[late], estimate[late, n + 4 :]
+    off, sd = (
+        (estimate[:, 1 : n + 4] - true(estimate[:, 0]))[late],
+        estimate[late, n + 4 :],
+    )
     inside = np.abs(off) < 1.96 * sd
     told |= {
-        "bend": float(np.sqrt(np.mean(off[:, :n] ** 2))), "bend_inside": float(inside[:, :n].mean()),
+        "bend": float(np.sqrt(np.mean(off[:, :n] ** 2))),
+        "bend_inside": float(inside[:, :n].mean()),
         "pose": float(np.sqrt(np.mean((off[:, n : n + 2] ** 2).sum(axis=1)))),
         "pose_inside": float(inside[:, n:].mean()),
-    }  # fmt: skip
-    ahead = [p for p in found["predictions"] if p.begun > SETTLED_S and p.time[-1] < truth[-1, 0]]
+    }
+    ahead = [
+        p
+        for p in found["predictions"]
+        if p.begun > SETTLED_S and p.time[-1] < truth[-1, 0]
+    ]
     poses = [true(p.time)[:, n:] for p in ahead]
     told["ahead"] = float(
-        np.sqrt(np.mean([((t - p.pose)[-1, :2] ** 2).sum() for p, t in zip(ahead, poses, strict=True)]))
+        np.sqrt(
+            np.mean(
+                [
+                    ((t - p.pose)[-1, :2] ** 2).sum()
+                    for p, t in zip(ahead, poses, strict=True)
+                ]
+            )
+        )
     )
     told["ahead_inside"] = float(
         np.mean([p.contains(t)[-1].mean() for p, t in zip(ahead, poses, strict=True)])
@@ -84,7 +103,9 @@ def judged(order: tuple[str, int]) -> dict[str, Any]:
 
 def main() -> None:
     """Run and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--seeds", type=int, default=4)
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
@@ -95,16 +116,27 @@ def main() -> None:
     for name in CASES:
         mine = [row for row in rows if row["case"] == name]
 
-        def pair(what: str, scale: float, digits: int, mine: list[dict[str, Any]] = mine) -> str:
+        def pair(
+            what: str, scale: float, digits: int, mine: list[dict[str, Any]] = mine
+        ) -> str:
             if what not in mine[0]:
                 return "–"
             off = scale * np.mean([row[what] for row in mine])
-            return f"{off:.{digits}f} ({100 * np.mean([row[what + '_inside'] for row in mine]):.0f} %)"
+            return (
+                f"{off:.{digits}f}"
+                f" ({100 * np.mean([row[what + '_inside'] for row in mine]):.0f} %)"
+            )
 
-        lines.append([
-            name, pair("bend", 1, 3), pair("pose", 1e3, 1), pair("ahead", 1e3, 0), pair("gain", 100, 1),
-            pair("blind", 100, 0),
-        ])  # fmt: skip
+        lines.append(
+            [
+                name,
+                pair("bend", 1, 3),
+                pair("pose", 1e3, 1),
+                pair("ahead", 1e3, 0),
+                pair("gain", 100, 1),
+                pair("blind", 100, 0),
+            ]
+        )
     print("RMS errors, in brackets how many truths lie in the 95 % intervals")
     heads = [
         "robot",

@@ -2,10 +2,11 @@
 
     uv run python benchmarks/live_recordings.py
 
-The robot of calibration/examples/my_snake is not the one that the bank knows (gen2): modules, lags and
-stiffness differ. Bends by its markers stand for readings, with 0.02 rad of noise; its log for the commands.
-A recording holds no broken valve, so sensors break here, one a run, in the middle of what is left after the
-two seconds in which nothing is named.
+The robot of calibration/examples/my_snake is not the one that the bank knows (gen2):
+modules, lags and stiffness differ. Bends by its markers stand for readings, with 0.02
+rad of noise; its log for the commands. A recording holds no broken valve, so sensors
+break here, one a run, in the middle of what is left after the two seconds in which
+nothing is named.
 """
 
 from __future__ import annotations
@@ -24,8 +25,13 @@ from srs_twin.recordings.signals.clock import join
 from srs_twin.recordings.signals.logs import read_valves
 
 FOLDER = Path("calibration/examples/my_snake")
-TAKES = {"walk_straight": None, "walk_left": None, "walk_check": None, "steps": "snake:1a",
-         "steps_check": "snake:1a"}  # fmt: skip
+TAKES = {
+    "walk_straight": None,
+    "walk_left": None,
+    "walk_check": None,
+    "steps": "snake:1a",
+    "steps_check": "snake:1a",
+}
 """Name → the marker at the head, where it does not crawl."""
 NOISE_RAD = 0.02
 BREAKS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
@@ -48,7 +54,9 @@ def named(
     begun = (time[-1] + time[0] + START_S) / 2
     if fault:
         broken = time >= begun
-        bends[broken, segment] = BREAKS[fault](bends[broken, segment], time[broken] - begun)
+        bends[broken, segment] = BREAKS[fault](
+            bends[broken, segment], time[broken] - begun
+        )
     bank = FaultDetector(spec, supply_pa=spec.supply.nominal)
     for k in range(1, len(time)):
         row = np.searchsorted(log.time, (time[k] + time[k - 1]) / 2, side="right") - 1
@@ -65,15 +73,28 @@ def main() -> None:
     takes = []
     for name, head in TAKES.items():
         motion = read_motion(FOLDER / f"{name}.csv", spec, head=head)
-        takes.append(join(motion, read_valves(FOLDER / f"{name}.valves.csv", spec), spec))
+        takes.append(
+            join(motion, read_valves(FOLDER / f"{name}.valves.csv", spec), spec)
+        )
     sound = [named(take, spec, "", 0, seed) for take in takes for seed in range(4)]
-    rows.append(["none", f"{sum(not what for _, what in sound)} of {len(sound)} name nothing", ""])
+    rows.append(
+        [
+            "none",
+            f"{sum(not what for _, what in sound)} of {len(sound)} name nothing",
+            "",
+        ]
+    )
     for fault in BREAKS:
         found = [
             (segment + 1, *named(take, spec, fault, segment, segment))
-            for take in takes for segment in range(spec.segments)
-        ]  # fmt: skip
-        right = [after for segment, after, what in found if what == {segment: fault} and after > 0]
+            for take in takes
+            for segment in range(spec.segments)
+        ]
+        right = [
+            after
+            for segment, after, what in found
+            if what == {segment: fault} and after > 0
+        ]
         after = f"{np.median(right):.2f}" if right else "–"
         rows.append([fault, f"{len(right)} of {len(found)} named rightly", after])
     print(table(["fault", "outcome", "after, median, s"], rows))

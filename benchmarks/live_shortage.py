@@ -2,9 +2,10 @@
 
     uv run python benchmarks/live_shortage.py [--shares 0.1 0.2 0.5] [--seconds 120]
 
-An emulated robot obeys a gait, and live twins listen to it. The processor time per second that one of them
-needs is measured first. Then three of them get a share of it: a process that has used its share is stopped
-until it may use more. At the end one gets SIGKILL, one SIGTERM and one the word `stop`. Needs mosquitto.
+An emulated robot obeys a gait, and live twins listen to it. The processor time per
+second that one of them needs is measured first. Then three of them get a share of it: a
+process that has used its share is stopped until it may use more. At the end one gets
+SIGKILL, one SIGTERM and one the word `stop`. Needs mosquitto.
 """
 
 from __future__ import annotations
@@ -58,7 +59,12 @@ def walk(client: mqtt.Client, ended: threading.Event) -> None:
 def walking_robot(folder: Path) -> Iterator[tuple[mqtt.Client, list[str]]]:
     """Run a broker and an emulated robot under a gait; yield a client and the options of a live twin."""
     broker_port, natnet_port = free_port(), free_port()
-    options = ["--mqtt", f"127.0.0.1:{broker_port}", "--natnet", f"127.0.0.1:{natnet_port}"]
+    options = [
+        "--mqtt",
+        f"127.0.0.1:{broker_port}",
+        "--natnet",
+        f"127.0.0.1:{natnet_port}",
+    ]
     with broker(folder, broker_port):
         emulator = subprocess.Popen([SRS_TWIN, "emulate", ROBOT, *options, "--quiet"])
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
@@ -90,7 +96,9 @@ class Listener:
         self.folder = folder
         self._printed = (folder / "printed.txt").open("wb")
         command = [SRS_TWIN, "shadow", ROBOT, *options, "--out", str(folder / "out")]
-        self.process = subprocess.Popen(command, stdout=self._printed, stderr=subprocess.STDOUT)
+        self.process = subprocess.Popen(
+            command, stdout=self._printed, stderr=subprocess.STDOUT
+        )
 
     def processor_time(self) -> float:
         """Return the processor time of its threads so far, s."""
@@ -108,7 +116,8 @@ class Listener:
         with contextlib.suppress(ProcessLookupError, FileNotFoundError):
             while self.process.poll() is None:
                 due = self.processor_time() - used - share * (time.monotonic() - began)
-                # A process that did not get its share, because the machine is busy, does not get it later.
+                # A process that did not get its share, because the machine is busy,
+                # does not get it later.
                 used += min(due + share * PERIOD_S, 0.0)
                 os.kill(self.process.pid, signal.SIGSTOP if due > 0 else signal.SIGCONT)
                 time.sleep(CHECK_S)
@@ -116,7 +125,11 @@ class Listener:
     def warnings(self) -> str:
         """Return the warnings about a slow machine."""
         text = (self.folder / "printed.txt").read_text("utf-8", "replace")
-        lines = [line for line in re.split(r"[\r\n]+", text) if re.search(r"skip|behind|too_old|slow", line)]
+        lines = [
+            line
+            for line in re.split(r"[\r\n]+", text)
+            if re.search(r"skip|behind|too_old|slow", line)
+        ]
         return "; ".join(dict.fromkeys(lines)) or "–"
 
     def last_arrival(self) -> float:
@@ -148,9 +161,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=120.0)
     given = parser.parse_args()
     rows = []
-    with tempfile.TemporaryDirectory() as name, walking_robot(Path(name)) as (client, options):
+    with (
+        tempfile.TemporaryDirectory() as name,
+        walking_robot(Path(name)) as (client, options),
+    ):
         for share in given.shares:
-            listeners = [Listener(Path(name) / f"{share}-{end}", options) for end in ("kill", "term", "stop")]
+            listeners = [
+                Listener(Path(name) / f"{share}-{end}", options)
+                for end in ("kill", "term", "stop")
+            ]
             killed, terminated, stopped = listeners
             time.sleep(START_S)
             used = killed.processor_time()
@@ -168,11 +187,26 @@ def main() -> None:
             client.publish(topic(ROBOT, CONTROL), b"stop")
             after_word = time_to_obey(stopped, time.monotonic())
             warnings = stopped.warnings()
-            rows.append([f"{share:g} of {need:.2f}", after_word, after_signal, f"{lost:.2f} s", warnings])
+            rows.append(
+                [
+                    f"{share:g} of {need:.2f}",
+                    after_word,
+                    after_signal,
+                    f"{lost:.2f} s",
+                    warnings,
+                ]
+            )
             print(rows[-1], flush=True)
     print(
         table(
-            ["processor", "`stop`: obeyed; ended", "SIGTERM: obeyed; ended", "journal lost", "warnings"], rows
+            [
+                "processor",
+                "`stop`: obeyed; ended",
+                "SIGTERM: obeyed; ended",
+                "journal lost",
+                "warnings",
+            ],
+            rows,
         )
     )
 

@@ -1,11 +1,13 @@
 """Faults while a shadow steers a robot: how many goals are reached, and how safely the others end.
 
-    uv run python benchmarks/live_steering.py [--seeds 4] [--scenario NAME] [--pneumatics lag] [--json FILE]
+    uv run python benchmarks/live_steering.py [--seeds 4] [--scenario NAME]
+    [--pneumatics lag] [--json FILE]
 
-Which faults can be steered with is decided here, before any run: sensors and markers that fail, one stuck
-valve, a slow leak, a supply with half of its pressure. With an empty supply, or without motion capture,
-nobody can steer: there a safe stop is asked for, clear of obstacles. As many robots without a fault tell how
-often goals are missed anyhow. Robot and messages: `live_runs`.
+Which faults can be steered with is decided here, before any run: sensors and markers
+that fail, one stuck valve, a slow leak, a supply with half of its pressure. With an
+empty supply, or without motion capture, nobody can steer: there a safe stop is asked
+for, clear of obstacles. As many robots without a fault tell how often goals are missed
+anyhow. Robot and messages: `live_runs`.
 """
 
 from __future__ import annotations
@@ -24,11 +26,20 @@ from live_runs import Run, steered
 SCENARIOS = {"orifice": "follow_orifice", "lag": "follow_fig57"}
 SINCE, LIMIT_S = 6.0, 90.0
 STEERABLE = (
-    *(f"dead_sensor:{j}" for j in (1, 2, 3, 4)), *(f"dead_sensor:{j}=frozen" for j in (1, 3)),
-    *(f"drifting_sensor:{j}" for j in (2, 4)), *(f"lost_marker:{j}" for j in (1, 3, 5)),
-    "stuck_valve:1+=closed", "stuck_valve:2-=closed", "stuck_valve:3+=open", "stuck_valve:4-=open",
-    "stuck_valve:2+=open", "stuck_valve:4+=closed", "leak:2+", "leak:3-", "starved",
-)  # fmt: skip
+    *(f"dead_sensor:{j}" for j in (1, 2, 3, 4)),
+    *(f"dead_sensor:{j}=frozen" for j in (1, 3)),
+    *(f"drifting_sensor:{j}" for j in (2, 4)),
+    *(f"lost_marker:{j}" for j in (1, 3, 5)),
+    "stuck_valve:1+=closed",
+    "stuck_valve:2-=closed",
+    "stuck_valve:3+=open",
+    "stuck_valve:4-=open",
+    "stuck_valve:2+=open",
+    "stuck_valve:4+=closed",
+    "leak:2+",
+    "leak:3-",
+    "starved",
+)
 SOUND, NO_CAMERA = "none", "no camera"
 OTHERS = ("starved=empty", NO_CAMERA)
 """Faults with which nobody can steer."""
@@ -36,38 +47,68 @@ OTHERS = ("starved=empty", NO_CAMERA)
 
 def main() -> None:
     """Run and print."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--seeds", type=int, default=1, help="robots a fault")
-    words.add_argument("--scenario", help="default: that with the footprint of such chambers")
-    words.add_argument("--pneumatics", default="orifice", choices=SCENARIOS, help="chambers of the robot")
+    words.add_argument(
+        "--scenario", help="default: that with the footprint of such chambers"
+    )
+    words.add_argument(
+        "--pneumatics",
+        default="orifice",
+        choices=SCENARIOS,
+        help="chambers of the robot",
+    )
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
     scenario = given.scenario or SCENARIOS[given.pneumatics]
     # Chambers that lag do not begin to leak.
-    steerable = [each for each in STEERABLE if given.pneumatics == "orifice" or "leak" not in each]
-    groups = {"with a fault": steerable, "nobody can steer": OTHERS, "sound": [SOUND] * len(steerable)}
+    steerable = [
+        each
+        for each in STEERABLE
+        if given.pneumatics == "orifice" or "leak" not in each
+    ]
+    groups = {
+        "with a fault": steerable,
+        "nobody can steer": OTHERS,
+        "sound": [SOUND] * len(steerable),
+    }
     once = [(group, fault) for group, faults in groups.items() for fault in faults]
     kinds = once * given.seeds
     runs = [
         Run(
-            100 * seed + k + 1, LIMIT_S, fault="" if fault in (SOUND, NO_CAMERA) else f"{fault}@{SINCE}",
-            robot="gen2", frequency=2.0, cameras_s=SINCE if fault == NO_CAMERA else LIMIT_S,
+            100 * seed + k + 1,
+            LIMIT_S,
+            fault="" if fault in (SOUND, NO_CAMERA) else f"{fault}@{SINCE}",
+            robot="gen2",
+            frequency=2.0,
+            cameras_s=SINCE if fault == NO_CAMERA else LIMIT_S,
             pneumatics=given.pneumatics,
         )
         for seed in range(given.seeds)
         for k, (_, fault) in enumerate(once)
-    ]  # fmt: skip
+    ]
     with ProcessPoolExecutor() as pool:
         rows = list(pool.map(steered, [(run, scenario) for run in runs]))
     lines = [
         [
-            fault, str(row["seed"]), str(row["ending"]), f"{row['time_s']:.0f}",
+            fault,
+            str(row["seed"]),
+            str(row["ending"]),
+            f"{row['time_s']:.0f}",
             f"{1e3 * row['clearance_m']:.0f}",
-            "; ".join(f"{what} at {at:.1f} s" for what, at in row["faults"].items()) or "–",
+            "; ".join(f"{what} at {at:.1f} s" for what, at in row["faults"].items())
+            or "–",
         ]
         for (_, fault), row in zip(kinds, rows, strict=True)
-    ]  # fmt: skip
-    print(table(["fault", "seed", "ending", "after, s", "least clearance, mm", "named"], lines))
+    ]
+    print(
+        table(
+            ["fault", "seed", "ending", "after, s", "least clearance, mm", "named"],
+            lines,
+        )
+    )
     for group in groups:
         mine = [row for (of, _), row in zip(kinds, rows, strict=True) if of == group]
         goals = sum(row["ending"] == "goal_reached" for row in mine)

@@ -3,10 +3,10 @@
     uv run python benchmarks/module_table.py              # run the scenarios module_…, 20 draws with the leak
     uv run python benchmarks/module_table.py --from-json  # only write the table from docs/module.json
 
-The results are written to docs/module.json, and the table between two marks in docs/module.md. Tests verify
-that the table agrees with these results, and that the shipped scenarios still give them. Values in bold miss
-their criterion. `difference` is the largest difference of the benches in a row, relative to the analytical
-value.
+The results are written to docs/module.json, and the table between two marks in
+docs/module.md. Tests verify that the table agrees with these results, and that the
+shipped scenarios still give them. Values in bold miss their criterion. `difference` is
+the largest difference of the benches in a row, relative to the analytical value.
 """
 
 from __future__ import annotations
@@ -62,12 +62,18 @@ def figures(draws: int) -> dict[str, Any]:
             result = leak.draws(pool, kind, "as shipped", draws)
             by_controller[kind] = {
                 plant: {
-                    name: {"mean": float(values.mean()), "deviation": float(values.std(ddof=1))}
+                    name: {
+                        "mean": float(values.mean()),
+                        "deviation": float(values.std(ddof=1)),
+                    }
                     for name, values in metrics.items()
                 }
                 for plant, metrics in result.items()
             }
-    return {"scenarios": scenarios, "leak": {"draws": draws, "angles": "degrees", "of": by_controller}}
+    return {
+        "scenarios": scenarios,
+        "leak": {"draws": draws, "angles": "degrees", "of": by_controller},
+    }
 
 
 def report(result: Mapping[str, Any]) -> str:
@@ -87,15 +93,22 @@ def main() -> None:
     """Write both files."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument(
-        "--from-json", action="store_true", help="only write the table, from docs/module.json"
+        "--from-json",
+        action="store_true",
+        help="only write the table, from docs/module.json",
     )
     arguments.add_argument(
-        "--draws", type=int, default=20, help="number of draws of the sensor noise with a leak"
+        "--draws",
+        type=int,
+        default=20,
+        help="number of draws of the sensor noise with a leak",
     )
     options = arguments.parse_args()
     if not options.from_json:
         with atomic_write(FIGURES) as part:
-            Path(part).write_text(json.dumps(figures(options.draws), indent=1) + "\n", "utf-8")
+            Path(part).write_text(
+                json.dumps(figures(options.draws), indent=1) + "\n", "utf-8"
+            )
     lines = report(json.loads(FIGURES.read_text("utf-8")))
     page = placed(PAGE.read_text("utf-8"), lines)
     with atomic_write(PAGE) as part:

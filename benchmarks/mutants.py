@@ -1,9 +1,10 @@
 """Mutation testing: random mutants of the sources, each of which the tests should detect.
 
-A file of srs_twin is drawn with a probability proportional to its lines of code, then a line, a kind of
-mutation and a mutation. Each mutant is put into a copy of the sources. The nearest tests run first, then the
-rest of the default run. A mutant survives if all of them pass. Mutants in equivalent_mutants.yaml change no
-result, for the reason given there, and are skipped.
+A file of srs_twin is drawn with a probability proportional to its lines of code, then a
+line, a kind of mutation and a mutation. Each mutant is put into a copy of the sources.
+The nearest tests run first, then the rest of the default run. A mutant survives if all
+of them pass. Mutants in equivalent_mutants.yaml change no result, for the reason given
+there, and are skipped.
 """
 
 from __future__ import annotations
@@ -44,15 +45,32 @@ class Mutant:
 
 def main() -> None:
     """Draw mutants and run the tests on them; exit with 1 if one survives."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed")
     parser.add_argument("--count", type=int, default=40, help="number of mutants")
-    parser.add_argument("--only", type=int, nargs="*", help="numbers of the mutants to try (default: all)")
-    parser.add_argument("--list", action="store_true", help="print the mutants and stop")
-    parser.add_argument("--nearest", action="store_true", help="try the nearest test files only")
-    parser.add_argument("--jobs", type=int, default=1, help="number of parallel mutants")
-    parser.add_argument("--json", type=Path, help="file for the mutants and their first failing tests")
-    parser.add_argument("--folder", type=Path, help="keep the copies and their machine code here")
+    parser.add_argument(
+        "--only",
+        type=int,
+        nargs="*",
+        help="numbers of the mutants to try (default: all)",
+    )
+    parser.add_argument(
+        "--list", action="store_true", help="print the mutants and stop"
+    )
+    parser.add_argument(
+        "--nearest", action="store_true", help="try the nearest test files only"
+    )
+    parser.add_argument(
+        "--jobs", type=int, default=1, help="number of parallel mutants"
+    )
+    parser.add_argument(
+        "--json", type=Path, help="file for the mutants and their first failing tests"
+    )
+    parser.add_argument(
+        "--folder", type=Path, help="keep the copies and their machine code here"
+    )
     chosen = parser.parse_args()
     mutants = list(enumerate(draw(chosen.seed, chosen.count), 1))
     mutants = [item for item in mutants if not chosen.only or item[0] in chosen.only]
@@ -62,7 +80,9 @@ def main() -> None:
         return
     tried = [item for item in mutants if not why_equivalent(item[1])]
     with tempfile.TemporaryDirectory() as temporary:
-        result = try_all(tried, chosen.folder or Path(temporary), chosen.jobs, chosen.nearest)
+        result = try_all(
+            tried, chosen.folder or Path(temporary), chosen.jobs, chosen.nearest
+        )
     if chosen.json:
         rows = [
             {"number": number, "file": mutant.file, **asdict(mutant.mutation)}
@@ -72,7 +92,8 @@ def main() -> None:
         chosen.json.write_text(json.dumps(rows, indent=1, ensure_ascii=False), "utf-8")
     survivors = [str(mutant) for number, mutant in tried if result[number] is None]
     print(
-        f"{len(tried) - len(survivors)} of {len(tried)} mutants found, {len(mutants) - len(tried)} equivalent"
+        f"{len(tried) - len(survivors)} of {len(tried)} mutants found,"
+        f" {len(mutants) - len(tried)} equivalent"
     )
     print("Survivors:", *(survivors or ["none"]), sep="\n  ")
     sys.exit(bool(survivors))
@@ -81,7 +102,9 @@ def main() -> None:
 def draw(seed: int, count: int) -> Iterator[Mutant]:
     """Yield mutants of different lines; the same seed gives the same ones."""
     random_numbers = random.Random(seed)
-    files = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "srs_twin").rglob("*.py"))
+    files = sorted(
+        path.relative_to(ROOT).as_posix() for path in (ROOT / "srs_twin").rglob("*.py")
+    )
     weights = [code_lines(text_of(file)) for file in files]
     drawn: set[tuple[str, int]] = set()
     while len(drawn) < count:
@@ -118,8 +141,14 @@ def line_of(mutant: Mutant) -> str:
 def why_equivalent(mutant: Mutant) -> str | None:
     """Return the listed reason why a mutant changes no result; None if it is not listed."""
     change = f"{mutant.mutation.old} → {mutant.mutation.new}"
-    for item in yaml.safe_load((ROOT / "benchmarks/equivalent_mutants.yaml").read_text("utf-8")):
-        if (item["file"], item["line"], item["change"]) == (mutant.file, line_of(mutant), change):
+    for item in yaml.safe_load(
+        (ROOT / "benchmarks/equivalent_mutants.yaml").read_text("utf-8")
+    ):
+        if (item["file"], item["line"], item["change"]) == (
+            mutant.file,
+            line_of(mutant),
+            change,
+        ):
             return str(item["why"])
     return None
 

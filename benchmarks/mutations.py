@@ -62,7 +62,9 @@ def mutations(source: str) -> list[Mutation]:
 def changes_program(mutation: Mutation, source: str) -> bool:
     """Return whether the mutated source is valid Python with another syntax tree."""
     try:
-        return ast.dump(ast.parse(mutation.applied(source))) != ast.dump(ast.parse(source))
+        return ast.dump(ast.parse(mutation.applied(source))) != ast.dump(
+            ast.parse(source)
+        )
     except SyntaxError:
         return False
 
@@ -78,10 +80,15 @@ def code_lines(source: str) -> int:
         tokenize.STRING,
     )
     tokens = tokenize.generate_tokens(io.StringIO(source).readline)
-    return len({token.start[0] for token in tokens if token.type not in nothing} - {source.count("\n") + 1})
+    return len(
+        {token.start[0] for token in tokens if token.type not in nothing}
+        - {source.count("\n") + 1}
+    )
 
 
-def _reached(node: ast.AST, parent: ast.AST | None) -> Iterator[tuple[ast.AST, ast.AST | None]]:
+def _reached(
+    node: ast.AST, parent: ast.AST | None
+) -> Iterator[tuple[ast.AST, ast.AST | None]]:
     """Yield the executed nodes with their parents: no annotations, strings, or imports for type checkers."""
     if isinstance(node, ast.JoinedStr):  # its positions are unknown before Python 3.12
         return
@@ -105,19 +112,31 @@ class _Site:
     def all(self) -> Iterator[Mutation]:
         """Yield the mutations of the node."""
         match self._node:
-            case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
+            case ast.Constant(value=int() | float() as value) if not isinstance(
+                value, bool
+            ):
                 yield from self._number(value)
-            case ast.Compare(left=left, ops=[op], comparators=[right]) if type(op) in _COMPARISONS:
+            case ast.Compare(left=left, ops=[op], comparators=[right]) if (
+                type(op) in _COMPARISONS
+            ):
                 old, others = _COMPARISONS[type(op)]
                 for new in others:
                     yield from self._operator(left, right, "comparison", old, new)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in _SIGNS and not _joins(left, right):
+            case ast.BinOp(left=left, op=op, right=right) if type(
+                op
+            ) in _SIGNS and not _joins(left, right):
                 yield from self._operator(left, right, "sign", *_SIGNS[type(op)])
-            case ast.AugAssign(target=left, op=op, value=right) if type(op) in _SIGNS and not _joins(right):
-                yield from self._operator(left, right, "sign", *(f"{sign}=" for sign in _SIGNS[type(op)]))
+            case ast.AugAssign(target=left, op=op, value=right) if type(
+                op
+            ) in _SIGNS and not _joins(right):
+                yield from self._operator(
+                    left, right, "sign", *(f"{sign}=" for sign in _SIGNS[type(op)])
+                )
             case ast.UnaryOp(op=ast.USub(), operand=operand):
                 yield self._replaced(self._node, "sign", self._text(operand))
-            case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name), args=[angle]) if name in _ANGLES:
+            case ast.Call(
+                func=ast.Name(id=name) | ast.Attribute(attr=name), args=[angle]
+            ) if name in _ANGLES:
                 yield self._replaced(self._node, "unit", f"({self._text(angle)})")
 
     def _number(self, value: float) -> Iterator[Mutation]:
@@ -126,7 +145,11 @@ class _Site:
         if isinstance(parent, ast.Subscript | ast.Slice) and isinstance(value, int):
             for other in {0: (1,), 1: (0, 2)}.get(value, (value - 1, value + 1)):
                 yield self._replaced(node, "index", str(other))
-        elif isinstance(parent, ast.BinOp) and isinstance(parent.op, ast.Mult | ast.Div) and _of_unit(value):
+        elif (
+            isinstance(parent, ast.BinOp)
+            and isinstance(parent.op, ast.Mult | ast.Div)
+            and _of_unit(value)
+        ):
             yield self._replaced(node, "unit", repr(value / 10))
         elif isinstance(value, int):
             yield self._replaced(node, "constant", str(value + 1))
@@ -134,7 +157,9 @@ class _Site:
             for other in (0.9 * value, 2 * value) if value else (1.0,):
                 yield self._replaced(node, "constant", repr(other))
 
-    def _operator(self, left: ast.AST, right: ast.AST, kind: str, old: str, new: str) -> Iterator[Mutation]:
+    def _operator(
+        self, left: ast.AST, right: ast.AST, kind: str, old: str, new: str
+    ) -> Iterator[Mutation]:
         """Yield the change of an operator between its operands."""
         after, before = self._offset(left, "end_"), self._offset(right)
         between = self._source[after:before]
@@ -152,7 +177,10 @@ class _Site:
 
     def _offset(self, node: ast.AST, which: str = "") -> int:
         """Return where a node begins or ends, in characters from the beginning of the file."""
-        line, column = getattr(node, f"{which}lineno"), getattr(node, f"{which}col_offset")
+        line, column = (
+            getattr(node, f"{which}lineno"),
+            getattr(node, f"{which}col_offset"),
+        )
         within = self._lines[line - 1].encode()[:column].decode()
         return sum(map(len, self._lines[: line - 1])) + len(within)
 

@@ -1,15 +1,17 @@
 """Error of the two-fidelity optimum relative to the optimum of the twin, and the number of twin runs.
 
-    uv run python benchmarks/optimum.py [--studies gen2_speed gen2_transport] [--seeds 20] [--truth 1000]
-    uv run --with pymoo python benchmarks/optimum.py --studies gen2_front --seeds 6 --truth 2000 [--rival]
+    uv run python benchmarks/optimum.py [--studies gen2_speed gen2_transport] [--seeds
+    20] [--truth 1000] uv run --with pymoo python benchmarks/optimum.py --studies
+    gen2_front --seeds 6 --truth 2000 [--rival]
 
-The reference is a CMA-ES search with the given number of twin runs, without the low-fidelity plant. The
-two-fidelity search with each seed is compared with it, by its best twin run out of at most 50. All runs are
-kept in --out.
+The reference is a CMA-ES search with the given number of twin runs, without the
+low-fidelity plant. The two-fidelity search with each seed is compared with it, by its
+best twin run out of at most 50. All runs are kept in --out.
 
-For two objectives the reference is the front of CMA-ES with ten weights, and the compared value is the area
-that a front dominates, starting from the unchanged scenario. With --rival the area of NSGA-II (pymoo) is
-printed too: on the twin, and on the low-fidelity plant with its best designs repeated on the twin.
+For two objectives the reference is the front of CMA-ES with ten weights, and the
+compared value is the area that a front dominates, starting from the unchanged scenario.
+With --rival the area of NSGA-II (pymoo) is printed too: on the twin, and on the
+low-fidelity plant with its best designs repeated on the twin.
 """
 
 from __future__ import annotations
@@ -37,8 +39,15 @@ def truth(study: OptimizationStudy, runs: StudyRuns, budget: int) -> float:
     best, restarts = np.inf, 0
     rng, asked = np.random.default_rng(99), 0
     while asked < budget:
-        options = {"bounds": [0, 1], "seed": 500 + restarts, "verbose": -9, "popsize": POPULATION}
-        strategy = cma.CMAEvolutionStrategy(rng.uniform(0.2, 0.8, study.space.size), 0.25, options)
+        options = {
+            "bounds": [0, 1],
+            "seed": 500 + restarts,
+            "verbose": -9,
+            "popsize": POPULATION,
+        }
+        strategy = cma.CMAEvolutionStrategy(
+            rng.uniform(0.2, 0.8, study.space.size), 0.25, options
+        )
         while asked < budget and not strategy.stop():
             designs = study.space.snapped(np.array(strategy.ask()))
             result = runs.run("twin", designs)
@@ -53,11 +62,17 @@ def truth(study: OptimizationStudy, runs: StudyRuns, budget: int) -> float:
 def true_front(study: OptimizationStudy, runs: StudyRuns, budget: int) -> np.ndarray:
     """Return the costs of all runs of CMA-ES with ten weights of the two objectives."""
     result: list[Run] = runs.run(
-        "twin", study.space.snapped(np.random.default_rng(98).random((100, study.space.size)))
+        "twin",
+        study.space.snapped(np.random.default_rng(98).random((100, study.space.size))),
     )
     scale = np.nanstd(costs(study, result), axis=0)
     for k, weight in enumerate(np.linspace(0.05, 0.95, 10)):
-        options = {"bounds": [0, 1], "seed": 700 + k, "verbose": -9, "popsize": POPULATION}
+        options = {
+            "bounds": [0, 1],
+            "seed": 700 + k,
+            "verbose": -9,
+            "popsize": POPULATION,
+        }
         start = result[int(np.argmin(_weighed(study, result, weight, scale)))].shares
         strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.02, 0.98), 0.2, options)
         asked = 0
@@ -69,10 +84,19 @@ def true_front(study: OptimizationStudy, runs: StudyRuns, budget: int) -> np.nda
     return fine(study, result)
 
 
-def _weighed(study: OptimizationStudy, result: list[Run], weight: float, scale: np.ndarray) -> np.ndarray:
-    cost, excess = costs(study, result) / scale, np.maximum(excesses(study, result), 0).sum(axis=1)
+def _weighed(
+    study: OptimizationStudy, result: list[Run], weight: float, scale: np.ndarray
+) -> np.ndarray:
+    cost, excess = (
+        costs(study, result) / scale,
+        np.maximum(excesses(study, result), 0).sum(axis=1),
+    )
     value = cost @ [weight, 1 - weight]
-    return np.where(np.isnan(value) | np.isnan(excess), 1e6, np.where(excess > 0, 1e3 * (1 + excess), value))
+    return np.where(
+        np.isnan(value) | np.isnan(excess),
+        1e6,
+        np.where(excess > 0, 1e3 * (1 + excess), value),
+    )
 
 
 def fine(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
@@ -86,10 +110,14 @@ def area(points: np.ndarray, worst: np.ndarray) -> float:
     points = points[(points < worst).all(axis=1)]
     points = points[np.argsort(points[:, 0])]
     ends = np.append(points[1:, 0], worst[0])
-    return float(np.sum((ends - points[:, 0]) * (worst[1] - np.minimum.accumulate(points[:, 1]))))
+    return float(
+        np.sum((ends - points[:, 0]) * (worst[1] - np.minimum.accumulate(points[:, 1])))
+    )
 
 
-def genetic(study: OptimizationStudy, runs: StudyRuns, part: str, budget: int, seed: int = 1) -> list[Run]:
+def genetic(
+    study: OptimizationStudy, runs: StudyRuns, part: str, budget: int, seed: int = 1
+) -> list[Run]:
     """Return the costs of the runs of NSGA-II."""
     from pymoo.algorithms.moo.nsga2 import NSGA2
     from pymoo.core.problem import Problem
@@ -98,34 +126,60 @@ def genetic(study: OptimizationStudy, runs: StudyRuns, part: str, budget: int, s
     result: list[Run] = []
 
     class Designs(Problem):
-        def _evaluate(self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any) -> None:
+        def _evaluate(
+            self, x: np.ndarray, out: dict[str, Any], *_: Any, **__: Any
+        ) -> None:
             mine = runs.run(part, study.space.snapped(x))
             result.extend(mine)
             out["F"] = np.nan_to_num(costs(study, mine), nan=1e3)
             out["G"] = np.nan_to_num(excesses(study, mine), nan=1e3)
 
-    limits = sum((item.below is not None) + (item.above is not None) for item in study.file.constraints)
-    asked = Designs(n_var=study.space.size, n_obj=2, n_ieq_constr=limits, xl=0.0, xu=1.0)
+    limits = sum(
+        (item.below is not None) + (item.above is not None)
+        for item in study.file.constraints
+    )
+    asked = Designs(
+        n_var=study.space.size, n_obj=2, n_ieq_constr=limits, xl=0.0, xu=1.0
+    )
     minimize(asked, NSGA2(pop_size=40), ("n_eval", budget), seed=seed, verbose=False)
     return result
 
 
-def rival(study: OptimizationStudy, runs: StudyRuns, budget: int, worst: np.ndarray) -> float:
+def rival(
+    study: OptimizationStudy, runs: StudyRuns, budget: int, worst: np.ndarray
+) -> float:
     """Print the areas of NSGA-II; return the largest."""
     result = genetic(study, runs, "twin", budget)
-    areas = {n: area(fine(study, result[:n]), worst) for n in (60, 200, 500, 1000, budget) if n <= budget}
-    print("NSGA-II on the twin:", {n: round(item, 4) for n, item in areas.items()}, flush=True)
+    areas = {
+        n: area(fine(study, result[:n]), worst)
+        for n in (60, 200, 500, 1000, budget)
+        if n <= budget
+    }
+    print(
+        "NSGA-II on the twin:",
+        {n: round(item, 4) for n, item in areas.items()},
+        flush=True,
+    )
     cheap, chosen = genetic(study, runs, "compliant", 1000), list[Run]()
     while len(chosen) < 60 and cheap:
         members = front(costs(study, cheap))
         chosen += [run for run, member in zip(cheap, members, strict=True) if member]
-        cheap = [run for run, member in zip(cheap, members, strict=True) if not member and run not in chosen]
+        cheap = [
+            run
+            for run, member in zip(cheap, members, strict=True)
+            if not member and run not in chosen
+        ]
     there = runs.run("twin", np.array([run.shares for run in chosen[:60]]))
-    print(f"NSGA-II on compliant, 60 on the twin: {area(fine(study, there), worst):.4f}", flush=True)
+    print(
+        f"NSGA-II on compliant, 60 on the twin: {area(fine(study, there), worst):.4f}",
+        flush=True,
+    )
     return max(areas.values())
 
 
-def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *, rivals: bool) -> list[str]:
+def fronts(
+    study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *, rivals: bool
+) -> list[str]:
     """Compare the areas of the fronts; return a row of the table."""
     begun = Run("twin", np.zeros(study.space.size), runs.rows("twin", [{}])[0])
     worst = costs(study, [begun])[0]
@@ -135,7 +189,9 @@ def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *
     shares, most = [], 0
     for seed in range(seeds):
         runs.reset()
-        answer = search(replace(study, file=study.file.model_copy(update={"seed": seed})), runs)
+        answer = search(
+            replace(study, file=study.file.model_copy(update={"seed": seed})), runs
+        )
         shares.append(area(costs(study, answer.best), worst) / truth)
         most = max(most, sum(run.part == "twin" for run in answer.runs))
         print(study.name, seed, f"{100 * shares[-1]:.1f} % of the area", flush=True)
@@ -151,8 +207,15 @@ def fronts(study: OptimizationStudy, runs: StudyRuns, seeds: int, budget: int, *
 
 def penalised(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
     """Return costs for CMA-ES, in which failed and infeasible runs have the largest costs."""
-    cost, excess = costs(study, result)[:, 0], np.maximum(excesses(study, result), 0).sum(axis=1)
-    return np.where(np.isnan(cost) | np.isnan(excess), 1e6, np.where(excess > 0, 1e3 * (1 + excess), cost))
+    cost, excess = (
+        costs(study, result)[:, 0],
+        np.maximum(excesses(study, result), 0).sum(axis=1),
+    )
+    return np.where(
+        np.isnan(cost) | np.isnan(excess),
+        1e6,
+        np.where(excess > 0, 1e3 * (1 + excess), cost),
+    )
 
 
 def kept(study: OptimizationStudy, result: list[Run]) -> float:
@@ -164,11 +227,17 @@ def kept(study: OptimizationStudy, result: list[Run]) -> float:
 
 def main() -> None:
     """Search and print the tables."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--studies", nargs="+", default=["gen2_speed", "gen2_transport"])
     words.add_argument("--seeds", type=int, default=20)
-    words.add_argument("--truth", type=int, default=1000, help="number of twin runs of the reference")
-    words.add_argument("--rival", action="store_true", help="also run NSGA-II for two objectives")
+    words.add_argument(
+        "--truth", type=int, default=1000, help="number of twin runs of the reference"
+    )
+    words.add_argument(
+        "--rival", action="store_true", help="also run NSGA-II for two objectives"
+    )
     words.add_argument("--out", type=Path, default=Path("runs/optimum"))
     words.add_argument("--json", type=Path, metavar="FILE")
     selected = words.parse_args()
@@ -177,7 +246,15 @@ def main() -> None:
         study = load_study(name)
         with StudyRuns(study, selected.out / name, local()) as runs:
             if len(study.file.objectives) == 2:
-                lines.append(fronts(study, runs, selected.seeds, selected.truth, rivals=selected.rival))
+                lines.append(
+                    fronts(
+                        study,
+                        runs,
+                        selected.seeds,
+                        selected.truth,
+                        rivals=selected.rival,
+                    )
+                )
                 continue
             best = truth(study, runs, selected.truth)
             result = []
@@ -187,7 +264,12 @@ def main() -> None:
                 answer = search(replace(study, file=file), runs)
                 twin = [run for run in answer.runs if run.part == "twin"]
                 result.append((kept(study, list(answer.best)), len(twin)))
-                print(name, seed, f"{result[-1][0]:.5g} with {result[-1][1]}, truth {best:.5g}", flush=True)
+                print(
+                    name,
+                    seed,
+                    f"{result[-1][0]:.5g} with {result[-1][1]}, truth {best:.5g}",
+                    flush=True,
+                )
         deviation = np.array([(value - best) / abs(best) for value, _ in result])
         near, most = int((deviation <= 0.02).sum()), max(count for _, count in result)
         lines.append(
@@ -200,7 +282,18 @@ def main() -> None:
             ]
         )
         summary[name] = {"truth": best, "off": deviation.tolist(), "runs": most}
-    print(table(["study", "optimum of the twin alone", "within 2 %", "farthest", "runs of the twin"], lines))
+    print(
+        table(
+            [
+                "study",
+                "optimum of the twin alone",
+                "within 2 %",
+                "farthest",
+                "runs of the twin",
+            ],
+            lines,
+        )
+    )
     if selected.json:
         selected.json.write_text(json.dumps(summary, indent=1) + "\n", "utf-8")
 

@@ -2,9 +2,9 @@
 
     uv run python benchmarks/passages.py [--worlds 2] [--first 0]
 
-The worlds have one to three walls of polygons or circles. Each wall has one gap of 1.05 to 1.8 widths of the
-straight body, margin included. There are `--worlds` worlds of each kind for six footprints. Plans are checked
-by sampling.
+The worlds have one to three walls of polygons or circles. Each wall has one gap of 1.05
+to 1.8 widths of the straight body, margin included. There are `--worlds` worlds of each
+kind for six footprints. Plans are checked by sampling.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ RATIOS = (1.05, 1.1, 1.3, 1.8)
 
 def main() -> None:
     """Plan in all worlds and print the table."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--worlds", type=int, default=3)
     words.add_argument("--first", type=int, default=0)
     options = words.parse_args()
@@ -44,7 +46,8 @@ def main() -> None:
                     answer = plan(case.problem)
                     seconds.append(time.process_time() - begin)
                     bad = answer.found and (
-                        deepest(answer, case.problem) > TOUCH or misses(answer, case.problem)
+                        deepest(answer, case.problem) > TOUCH
+                        or misses(answer, case.problem)
                     )
                     wrong, proofs = wrong + bad, proofs + answer.proven
                     solved[ratio, name].append(answer.found and not bad)
@@ -53,7 +56,11 @@ def main() -> None:
         counts = [solved[ratio, name] for name in bodies()]
         every = [item for some in counts for item in some]
         lines.append(
-            [f"{ratio:g}", *(f"{sum(c)} of {len(c)}" for c in counts), f"{100 * np.mean(every):.1f} %"]
+            [
+                f"{ratio:g}",
+                *(f"{sum(c)} of {len(c)}" for c in counts),
+                f"{100 * np.mean(every):.1f} %",
+            ]
         )
     print(table(["widths", *bodies(), "all"], lines))
     p95 = np.quantile(seconds, 0.95)

@@ -36,9 +36,13 @@ CASES = {
 
 def measure(kind: str, seed: int, changes: dict[str, object]) -> tuple[float, float]:
     """Return the speed of the centre of mass along its path (m/s), and the mechanical power (W)."""
-    scenario = load_scenario("pegs_skin", set={"seed": seed, "duration_s": DURATION_S} | changes)
+    scenario = load_scenario(
+        "pegs_skin", set={"seed": seed, "duration_s": DURATION_S} | changes
+    )
     plant, controller = scenario.build_plant(kind), scenario.build_controller()
-    run = rollout(plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed)
+    run = rollout(
+        plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed
+    )
     metrics = plant_metrics(run)
     return metrics["com_speed_m_s"], metrics["mechanical_power_w"]
 
@@ -48,9 +52,13 @@ def main() -> None:
     print("| plant | speed, m/s | power, W |\n|---|---|---|")
     for name, (kind, changes) in CASES.items():
         runs = np.array([measure(kind, seed, changes) for seed in FIELDS])
-        (speed, power), errors = runs.mean(axis=0), runs.std(axis=0, ddof=1) / math.sqrt(len(runs))
+        (speed, power), errors = (
+            runs.mean(axis=0),
+            runs.std(axis=0, ddof=1) / math.sqrt(len(runs)),
+        )
         print(
-            f"| {name} | {speed:.4f} ± {errors[0]:.4f} | {power:.3f} ± {errors[1]:.3f} |",
+            f"| {name} | {speed:.4f} ± {errors[0]:.4f} | {power:.3f} ±"
+            f" {errors[1]:.3f} |",
             flush=True,
         )
 

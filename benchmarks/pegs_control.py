@@ -3,8 +3,9 @@
     uv run python benchmarks/pegs_control.py                # an hour; twin: --plant twin --seeds 6
     uv run python benchmarks/pegs_control.py --plant twin --seeds 6 --cell 0.16,0.44
 
-Seeds from 101 displace the posts and draw the gains and time constants of the modules (5 % spread). They were
-not used for the choice of amplitude, gain and threshold (seeds 1 to 4).
+Seeds from 101 displace the posts and draw the gains and time constants of the modules
+(5 % spread). They were not used for the choice of amplitude, gain and threshold (seeds
+1 to 4).
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ CONTROLLERS = {
 """Keys of the controller `yielding_gait:YieldingGait`; a gain of 0 is the open-loop wave."""
 
 
-def speed(seed: int, cell: tuple[float, float], keys: dict[str, object], plant: str) -> float:
+def speed(
+    seed: int, cell: tuple[float, float], keys: dict[str, object], plant: str
+) -> float:
     """Return the speed of the centre of mass along its path, m/s."""
     pitch, stiffness = cell
     changes = {
@@ -56,20 +59,28 @@ def speed(seed: int, cell: tuple[float, float], keys: dict[str, object], plant: 
     allow_plugin(Path(__file__).with_name("yielding_gait.py"))
     scenario = load_scenario("pegs_skin", set=changes)
     snake, controller = scenario.build_plant(plant), scenario.build_controller()
-    run = rollout(snake, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed)
+    run = rollout(
+        snake, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed
+    )
     return float(plant_metrics(run)["com_speed_m_s"])
 
 
 def main() -> None:
     """Print mean speeds with 95 % intervals."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--plant", default="analytical", choices=("analytical", "twin"))
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--cell", help="spacing and stiffness; default: all cells")
     options = parser.parse_args()
     cells = [tuple(map(float, options.cell.split(",")))] if options.cell else CELLS
     seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
-    print("| controller | " + " | ".join(f"{p:g} m, {k:g} N·m/rad" for p, k in cells) + " |")
+    print(
+        "| controller | "
+        + " | ".join(f"{p:g} m, {k:g} N·m/rad" for p, k in cells)
+        + " |"
+    )
     print("|---" * (1 + len(cells)) + "|")
     with ProcessPoolExecutor() as pool:
         for name, keys in CONTROLLERS.items():

@@ -4,9 +4,10 @@
     uv run python benchmarks/planning.py --draws 5 --worlds 100       # a short run
     uv run --group benchmarks python benchmarks/planning.py --json out.json --plot out.png
 
-Times are wall times of one process after a warm-up. The fields of the dissertation are easy for any planner
-with backtracking, so fields of 35 to 55 circles are planned as well. The safety part uses separate worlds
-with different bodies, polygons, gaps and tolerances; an independent check by sampling tests every plan.
+Times are wall times of one process after a warm-up. The fields of the dissertation are
+easy for any planner with backtracking, so fields of 35 to 55 circles are planned as
+well. The safety part uses separate worlds with different bodies, polygons, gaps and
+tolerances; an independent check by sampling tests every plan.
 """
 
 from __future__ import annotations
@@ -61,8 +62,16 @@ def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
     body, ends = load_footprint("gen2_section52"), (FIG54_START, FIG54_GOAL)
     clear = tuple((end.x, end.y, 0.06) for end in ends)
     seeded = 1000 * count + seed
-    circles = random_circles(count, FIG54_BOUNDS, seeded, radius=(0.04, 0.09), gap=0.045, clear=clear)
-    return Problem(FIG54_START, FIG54_GOAL, World(circles, FIG54_BOUNDS), body, ARCS if arcs else None)
+    circles = random_circles(
+        count, FIG54_BOUNDS, seeded, radius=(0.04, 0.09), gap=0.045, clear=clear
+    )
+    return Problem(
+        FIG54_START,
+        FIG54_GOAL,
+        World(circles, FIG54_BOUNDS),
+        body,
+        ARCS if arcs else None,
+    )
 
 
 def planners() -> dict[str, Settings]:
@@ -77,7 +86,9 @@ def planners() -> dict[str, Settings]:
 
 
 def study(
-    draws: int, counts: Sequence[int] = COUNTS, problem: Callable[..., Problem] = fig54_problem
+    draws: int,
+    counts: Sequence[int] = COUNTS,
+    problem: Callable[..., Problem] = fig54_problem,
 ) -> dict[str, dict[int, list[Plan]]]:
     """Return all plans by planner and number of obstacles."""
     answers: dict[str, dict[int, list[Plan]]] = {}
@@ -86,7 +97,9 @@ def study(
         plan(problem(max(counts), 0, arcs=name == "greedy"), settings, planner=name)
         answers[name] = {
             count: [
-                plan(problem(count, seed, arcs=name == "greedy"), settings, planner=name)
+                plan(
+                    problem(count, seed, arcs=name == "greedy"), settings, planner=name
+                )
                 for seed in range(draws)
             ]
             for count in counts
@@ -97,7 +110,12 @@ def study(
 def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
     """Return the statistics of the planners over all worlds and by number of obstacles."""
     solved = {
-        name: {(count, seed) for count, plans in by.items() for seed, p in enumerate(plans) if p.found}
+        name: {
+            (count, seed)
+            for count, plans in by.items()
+            for seed, p in enumerate(plans)
+            if p.found
+        }
         for name, by in answers.items()
     }
     everyone = set[tuple[int, int]]().union(*solved.values())
@@ -116,7 +134,10 @@ def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
             "most_ms": max(ms),
             "mean_length_m": float(np.mean(lengths)) if lengths else None,
             "outcomes": dict(Counter(p.outcome.value for p in plans)),
-            "success": {count: sum(p.found for p in item) / len(item) for count, item in by.items()},
+            "success": {
+                count: sum(p.found for p in item) / len(item)
+                for count, item in by.items()
+            },
         }
     return result
 
@@ -157,12 +178,20 @@ def full_map(seed: int) -> tuple[Polygon, ...]:
     from PIL import Image
 
     columns, rows, cell = MAP
-    drawn, picture = np.random.default_rng(seed), np.full((rows, columns), 255, dtype=np.uint8)
+    drawn, picture = (
+        np.random.default_rng(seed),
+        np.full((rows, columns), 255, dtype=np.uint8),
+    )
     while np.sum(picture == 0) < FULL:
         wide, high = drawn.integers(3, 10, 2)
         x, y = drawn.integers(0, columns - wide), drawn.integers(0, rows - high)
         ends = (x < 40 and y > rows - 40) or (x > columns - 40 and y < 40)
-        if not ends and (picture[max(y - 5, 0) : y + high + 5, max(x - 5, 0) : x + wide + 5] > 0).all():
+        if (
+            not ends
+            and (
+                picture[max(y - 5, 0) : y + high + 5, max(x - 5, 0) : x + wide + 5] > 0
+            ).all()
+        ):
             picture[y : y + high, x : x + wide] = 0
     with TemporaryDirectory() as room:
         Image.fromarray(picture).save(Path(room, "map.pgm"))
@@ -185,7 +214,10 @@ def maps(count: int) -> str:
         for seed in range(count):
             world = World((), Bounds((0.0, 12.0), (0.0, 8.0)), polygons=full_map(seed))
             problem = Problem(
-                Pose(0.5, 0.5, 0.3), Goal(11.5, 7.4, None, radius=0.03), world, load_footprint(name)
+                Pose(0.5, 0.5, 0.3),
+                Goal(11.5, 7.4, None, radius=0.03),
+                world,
+                load_footprint(name),
             )
             begun = time.process_time()
             answer = plan(problem)
@@ -193,7 +225,14 @@ def maps(count: int) -> str:
             if answer.found:
                 lengths.append(f"{answer.length:.1f}")
         least, most = min(seconds), max(seconds)
-        rows.append([name, f"{least:.2f} to {most:.2f}", f"{len(lengths)} of {count}", ", ".join(lengths)])
+        rows.append(
+            [
+                name,
+                f"{least:.2f} to {most:.2f}",
+                f"{len(lengths)} of {count}",
+                ", ".join(lengths),
+            ]
+        )
     return table(["footprint", "processor time, s", "found", "lengths, m"], rows)
 
 
@@ -204,15 +243,30 @@ def tables(result: dict[str, Any]) -> str:
     total = sum(result[names[0]]["outcomes"].values())
     rows = [
         [
-            name, str(r["solved"]), str(r["drivable"]), f"{100 * r['share_of_solved_by_any']:.1f} %",
-            str(r["misses_of_greedy"]), f"{r['median_ms']:.2f}", f"{r['p95_ms']:.2f}", f"{r['most_ms']:.1f}",
+            name,
+            str(r["solved"]),
+            str(r["drivable"]),
+            f"{100 * r['share_of_solved_by_any']:.1f} %",
+            str(r["misses_of_greedy"]),
+            f"{r['median_ms']:.2f}",
+            f"{r['p95_ms']:.2f}",
+            f"{r['most_ms']:.1f}",
             f"{r['mean_length_m']:.3f}" if r["mean_length_m"] else "-",
         ]
         for name, r in ((name, result[name]) for name in names)
-    ]  # fmt: skip
+    ]
     head = ["planner", f"solved of {total}", "drivable", "of the solvable worlds"]
-    head += ["unsolved, but solved by greedy", "median, ms", "95 %, ms", "max, ms", "mean length, m"]
-    by_count = [[name, *(f"{100 * share:.0f}" for share in success[name].values())] for name in names]
+    head += [
+        "unsolved, but solved by greedy",
+        "median, ms",
+        "95 %, ms",
+        "max, ms",
+        "mean length, m",
+    ]
+    by_count = [
+        [name, *(f"{100 * share:.0f}" for share in success[name].values())]
+        for name in names
+    ]
     return f"{table(head, rows)}\n\n{table(['success %', *map(str, success[names[0]])], by_count)}"
 
 
@@ -229,7 +283,12 @@ def draw(result: dict[str, Any], path: Path) -> None:
         if name in result:
             share = [100 * result[name]["success"][c] for c in COUNTS]
             axes.plot(list(COUNTS), share, "o-", label=name, markersize=size)
-    axes.set(xlabel="obstacles of 18", ylabel="success, %", ylim=(-4, 104), xticks=list(COUNTS))
+    axes.set(
+        xlabel="obstacles of 18",
+        ylabel="success, %",
+        ylim=(-4, 104),
+        xticks=list(COUNTS),
+    )
     axes.legend()
     with atomic_write(path) as part:
         figure.savefig(part, dpi=150)
@@ -238,11 +297,19 @@ def draw(result: dict[str, Any], path: Path) -> None:
 def main(words: Sequence[str] | None = None) -> int:
     """Print the tables; return 1 if a plan is faulty or the default planner misses a target."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--draws", type=int, default=50, help="draws for each number of obstacles")
-    parser.add_argument("--worlds", type=int, default=1000, help="number of problems of the safety part")
-    parser.add_argument("--maps", type=int, default=5, help="number of maps with many occupied cells")
+    parser.add_argument(
+        "--draws", type=int, default=50, help="draws for each number of obstacles"
+    )
+    parser.add_argument(
+        "--worlds", type=int, default=1000, help="number of problems of the safety part"
+    )
+    parser.add_argument(
+        "--maps", type=int, default=5, help="number of maps with many occupied cells"
+    )
     parser.add_argument("--json", type=Path, help="write all values to this file")
-    parser.add_argument("--plot", type=Path, help="write the plot of success to this file")
+    parser.add_argument(
+        "--plot", type=Path, help="write the plot of success to this file"
+    )
     options = parser.parse_args(words)
     result, narrow = (
         summary(study(options.draws)),
@@ -257,16 +324,29 @@ def main(words: Sequence[str] | None = None) -> int:
         with atomic_write(options.json) as part:
             part.write_text(
                 json.dumps(
-                    {"study": result, "narrow": narrow, "safety": safe, "machine": machine()}, indent=1
+                    {
+                        "study": result,
+                        "narrow": narrow,
+                        "safety": safe,
+                        "machine": machine(),
+                    },
+                    indent=1,
                 ),
                 "utf-8",
             )
     if options.plot:
         draw(result, options.plot)
     default = result["best_first"]
-    good = default["misses_of_greedy"] == 0 and default["share_of_solved_by_any"] >= 0.98
+    good = (
+        default["misses_of_greedy"] == 0 and default["share_of_solved_by_any"] >= 0.98
+    )
     return (
-        0 if good and default["median_ms"] < 50 and default["p95_ms"] < 250 and not safe["bad_seeds"] else 1
+        0
+        if good
+        and default["median_ms"] < 50
+        and default["p95_ms"] < 250
+        and not safe["bad_seeds"]
+        else 1
     )
 
 

@@ -2,11 +2,13 @@
 
     uv run python benchmarks/predict_others.py [--robots 146] [--seed 0]
 
-Robots are drawn by Latin hypercube from the intervals in calibration/robots/others/NAME.yaml and crawl on the
-twin. Gait settings that are unknown are drawn as well. Speeds of pneumatic robots are multiplied by the known
-error of the twin (`drawn_robots.model_errors`), those of servo robots are not: their angles are prescribed.
-The intervals are quantiles over the robots. The files are written to calibration/predictions/recomputed.
-Move the first prediction of a robot to calibration/predictions and commit it before the published results.
+Robots are drawn by Latin hypercube from the intervals in
+calibration/robots/others/NAME.yaml and crawl on the twin. Gait settings that are
+unknown are drawn as well. Speeds of pneumatic robots are multiplied by the known error
+of the twin (`drawn_robots.model_errors`), those of servo robots are not: their angles
+are prescribed. The intervals are quantiles over the robots. The files are written to
+calibration/predictions/recomputed. Move the first prediction of a robot to
+calibration/predictions and commit it before the published results.
 """
 
 from __future__ import annotations
@@ -17,7 +19,16 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
-from drawn_robots import RECOMPUTED, ROBOTS, ROOT, draw, interval, model_errors, motion, with_values
+from drawn_robots import (
+    RECOMPUTED,
+    ROBOTS,
+    ROOT,
+    draw,
+    interval,
+    model_errors,
+    motion,
+    with_values,
+)
 
 from srs_twin import Gait
 from srs_twin.io.documents import dump_yaml
@@ -44,7 +55,11 @@ def onal(file: RobotFile, u: np.ndarray) -> Cases:
     frequency, step = low * (high / low) ** u[0], 2 * math.pi / (4 if u[1] < 0.5 else 5)
     twin = TwinSnake(file.spec(), timestep=0.002)
     yield "speed_m_s", twin, Gait(frequency, phase_step=step)
-    yield f"yaw_rate_rad_s, offset {ONAL_OFFSET:g}", twin, Gait(frequency, ONAL_OFFSET, phase_step=step)
+    yield (
+        f"yaw_rate_rad_s, offset {ONAL_OFFSET:g}",
+        twin,
+        Gait(frequency, ONAL_OFFSET, phase_step=step),
+    )
 
 
 def zhao(file: RobotFile, u: np.ndarray) -> Cases:
@@ -55,7 +70,10 @@ def zhao(file: RobotFile, u: np.ndarray) -> Cases:
     # The mean of sign(sin x + φ) is 2/π asin φ.
     offset = math.sin(math.pi / 2 * ZHAO_BIAS_RAD / full)
     for amplitude, k in ZHAO_GAITS:
-        twin = TwinSnake(with_values(file, {"actuator.bend_rad": full * amplitude}).spec(), timestep=0.002)
+        twin = TwinSnake(
+            with_values(file, {"actuator.bend_rad": full * amplitude}).spec(),
+            timestep=0.002,
+        )
         name = f"A {amplitude:g} rad, k {k:g}"
         yield f"speed_m_s, {name}", twin, Gait(frequency, phase_step=joints * k)
         if amplitude == k == 1:
@@ -88,14 +106,19 @@ def predict(name: str, count: int, seed: int) -> dict[str, Any]:
 def main() -> None:
     """Predict all robots and write a file for each."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", type=int, default=MIN_BOUNDING_SAMPLES, help="number of robots")
+    parser.add_argument(
+        "--robots", type=int, default=MIN_BOUNDING_SAMPLES, help="number of robots"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed")
     options = parser.parse_args()
     for name in ROBOT_CASES:
         document = {
             "robot": (ROBOTS / f"{name}.yaml").relative_to(ROOT).as_posix(),
             "plant": "twin",
-            "command": f"benchmarks/predict_others.py --robots {options.robots} --seed {options.seed}",
+            "command": (
+                f"benchmarks/predict_others.py --robots {options.robots} --seed"
+                f" {options.seed}"
+            ),
             "robots": options.robots,
             "quantities": predict(name, options.robots, options.seed),
         }

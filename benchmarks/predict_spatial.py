@@ -2,13 +2,15 @@
 
     uv run python benchmarks/predict_spatial.py [--robots 146] [--seed 0] [--runs FILE]
 
-Robots are drawn from the priors of calibration/robots/others/spatial_530mm.yaml by Latin hypercube, together
-with the two alternatives: wheels (probability 0.75, as all planar generations of the laboratory) or skin, and
-four chambers (0.75) or three at 120°. Every robot crawls with all gaits of a grid; its fastest serpentine is
-the one of a planar wave, its fastest sidewinding that of a wave in both directions. The twin is the only
-plant. Its speeds are multiplied by a random factor, its known error: published speed over that of the twin
-for the four planar generations of the same laboratory. The intervals are quantiles over the robots. A robot
-takes 20 s. `--runs calibration/predictions/spatial_530mm.yaml --robots 40` uses the speeds of the committed
+Robots are drawn from the priors of calibration/robots/others/spatial_530mm.yaml by
+Latin hypercube, together with the two alternatives: wheels (probability 0.75, as all
+planar generations of the laboratory) or skin, and four chambers (0.75) or three at
+120°. Every robot crawls with all gaits of a grid; its fastest serpentine is the one of
+a planar wave, its fastest sidewinding that of a wave in both directions. The twin is
+the only plant. Its speeds are multiplied by a random factor, its known error: published
+speed over that of the twin for the four planar generations of the same laboratory. The
+intervals are quantiles over the robots. A robot takes 20 s. `--runs
+calibration/predictions/spatial_530mm.yaml --robots 40` uses the speeds of the committed
 prediction again.
 """
 
@@ -21,7 +23,16 @@ from typing import Any
 
 import numpy as np
 import yaml
-from drawn_robots import RECOMPUTED, ROBOTS, ROOT, draw, interval, model_errors, motion, with_values
+from drawn_robots import (
+    RECOMPUTED,
+    ROBOTS,
+    ROOT,
+    draw,
+    interval,
+    model_errors,
+    motion,
+    with_values,
+)
 
 from srs_twin import Gait
 from srs_twin.control.gait import PitchWave
@@ -65,14 +76,20 @@ def draw_robots(count: int, seed: int) -> list[tuple[RobotFile, dict[str, Any]]]
         changes: dict[str, Any] = dict(values)
         if not wheels:
             changes["contact.forward"] = np.interp(u[2], (0, 1), SKIN_FORWARD)
-            changes["contact.transverse"] = changes["contact.forward"] * np.interp(u[3], (0, 1), SKIN_RATIO)
+            changes["contact.transverse"] = changes["contact.forward"] * np.interp(
+                u[3], (0, 1), SKIN_RATIO
+            )
         if not four:
             changes["chamber.directions_deg"] = THREE_CHAMBERS
-        robots.append((with_values(file, changes), {"wheels": wheels, "four_chambers": four}))
+        robots.append(
+            (with_values(file, changes), {"wheels": wheels, "four_chambers": four})
+        )
     return robots
 
 
-def speed(twin: TwinSnake, frequency: float, step: float, pitch: PitchWave | None) -> float:
+def speed(
+    twin: TwinSnake, frequency: float, step: float, pitch: PitchWave | None
+) -> float:
     """Return the speed of a gait over its last two periods, m/s; 0 for a run that diverged."""
     return motion(twin, Gait(frequency, phase_step=step, pitch=pitch))[0]
 
@@ -82,9 +99,17 @@ def fastest(spec: RobotSpec) -> dict[str, Any]:
     twin = TwinSnake(spec, timestep=TIMESTEP_S)
     result: dict[str, Any] = {}
     for name, gaits in (("serpentine", SERPENTINE), ("sidewinding", SIDEWINDING)):
-        speeds = {(f, k): speed(twin, f, *gaits[k]) for f in FREQUENCIES_HZ for k in range(len(gaits))}
+        speeds = {
+            (f, k): speed(twin, f, *gaits[k])
+            for f in FREQUENCIES_HZ
+            for k in range(len(gaits))
+        }
         best = max(speeds, key=lambda key: speeds[key])
-        result[name] = {"speed_m_s": round(speeds[best], 4), "frequency_hz": best[0], "gait": best[1]}
+        result[name] = {
+            "speed_m_s": round(speeds[best], 4),
+            "frequency_hz": best[0],
+            "gait": best[1],
+        }
     return result
 
 
@@ -106,7 +131,9 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "quantities": {f"fastest_{name}": of(name, rows) for name in NAMES},
         "alternatives": {
-            f"fastest_{name}": {key: of(name, group) for key, group in groups.items() if group}
+            f"fastest_{name}": {
+                key: of(name, group) for key, group in groups.items() if group
+            }
             for name in NAMES
         },
     }
@@ -115,20 +142,37 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     """Draw robots, run their gaits, and write the prediction after every robot."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--robots", type=int, default=MIN_BOUNDING_SAMPLES, help="number of robots")
+    parser.add_argument(
+        "--robots", type=int, default=MIN_BOUNDING_SAMPLES, help="number of robots"
+    )
     parser.add_argument("--seed", type=int, default=0, help="random seed")
-    parser.add_argument("--runs", type=Path, help="file of earlier runs, whose speeds are used again")
+    parser.add_argument(
+        "--runs", type=Path, help="file of earlier runs, whose speeds are used again"
+    )
     options = parser.parse_args()
-    command = f"benchmarks/predict_spatial.py --robots {options.robots} --seed {options.seed}"
+    command = (
+        f"benchmarks/predict_spatial.py --robots {options.robots} --seed {options.seed}"
+    )
     if options.runs:
         command += f" --runs {options.runs}"
     rows: list[dict[str, Any]] = []
     errors = model_errors(options.robots, options.seed)
-    earlier = yaml.safe_load(options.runs.read_text("utf-8"))["robots"] if options.runs else None
+    earlier = (
+        yaml.safe_load(options.runs.read_text("utf-8"))["robots"]
+        if options.runs
+        else None
+    )
     for k, (file, facts) in enumerate(draw_robots(options.robots, options.seed)):
-        speeds = fastest(file.spec()) if earlier is None else {n: earlier[k][n] for n in NAMES}
+        speeds = (
+            fastest(file.spec())
+            if earlier is None
+            else {n: earlier[k][n] for n in NAMES}
+        )
         if earlier is not None and facts != {key: earlier[k][key] for key in facts}:
-            raise SystemExit(f"robot {k} of {options.runs} was drawn with other options or distributions")
+            raise SystemExit(
+                f"robot {k} of {options.runs} was drawn with other options or"
+                " distributions"
+            )
         rows.append({**facts, "model_error": round(float(errors[k]), 3), **speeds})
         document = {
             "robot": ROBOT.relative_to(ROOT).as_posix(),

@@ -1,12 +1,14 @@
 """Published predictions and their intervals: E, u_num, u_input and u_D of ASME V&V 20, one row each.
 
-    uv run python benchmarks/predicted_rows.py --out FOLDER [--samples 32] [--only ID]... [--table]
+    uv run python benchmarks/predicted_rows.py --out FOLDER [--samples 32] [--only
+    ID]... [--table]
 
-Runs the predictions of `srs-twin reproduce` for robots drawn from their priors, for the nominal robots, and
-with half the time step. Parameters that were fitted to three rows of Table 8 are drawn from that fit, and the
-module on its bench has the prior of generation 4's actuator. Not included are plans and their following
-(minutes each), orders, and bounds that the project defined. u_D is half the difference between the two sides
-in Table 8, and 1 % elsewhere. An interrupted study continues when started again.
+Runs the predictions of `srs-twin reproduce` for robots drawn from their priors, for the
+nominal robots, and with half the time step. Parameters that were fitted to three rows
+of Table 8 are drawn from that fit, and the module on its bench has the prior of
+generation 4's actuator. Not included are plans and their following (minutes each),
+orders, and bounds that the project defined. u_D is half the difference between the two
+sides in Table 8, and 1 % elsewhere. An interrupted study continues when started again.
 """
 
 from __future__ import annotations
@@ -32,7 +34,14 @@ from srs_twin.reproduction.verdicts import judge
 from srs_twin.robot.file import RobotFile, load_robot_file
 
 ROOT = Path(__file__).parents[1]
-LEFT_OUT = ("follow-sim", "experiments", "gen1-grid", "gen1-shape-rms", "smc-6hz-amplitude.low", "ilc-")
+LEFT_OUT = (
+    "follow-sim",
+    "experiments",
+    "gen1-grid",
+    "gen1-shape-rms",
+    "smc-6hz-amplitude.low",
+    "ilc-",
+)
 PRINTED = 0.01
 SIGNS = {"near": "", "below": "≤ ", "above": "≥ "}
 DIMENSIONS = 16
@@ -45,14 +54,21 @@ Numbers = dict[tuple[str, str], float]
 def fitted() -> dict[str, tuple[float, float]]:
     """Return value and standard error of the parameters that were fitted to Table 8."""
     result = load_fit(ROOT / "calibration/fits/gen4_table8_twin.yaml").parameters
-    return {p.name: (p.value, p.standard_error or 0.0) for p in result if p.value is not None}
+    return {
+        p.name: (p.value, p.standard_error or 0.0)
+        for p in result
+        if p.value is not None
+    }
 
 
 def in_robot(robot: Document, shares: np.ndarray) -> Document:
     """Return the plain data of a robot whose parameters are at the given quantiles."""
     file = RobotFile.model_validate(robot)
     if all(record.uncertain is None for record in file.records().values()):
-        known, own = load_robot_file("gen4").records(), file.model_dump(mode="json", exclude_none=True)
+        known, own = (
+            load_robot_file("gen4").records(),
+            file.model_dump(mode="json", exclude_none=True),
+        )
         for key in ("tau_fill_s", "tau_vent_s", "bend_rad"):
             uncertain = known[f"actuator.{key}"].uncertain
             assert uncertain is not None
@@ -60,17 +76,27 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
         file = RobotFile.model_validate(own)
     priors = Priors.from_robot(file)
     count = len(priors.parameters)
-    values = dict(zip(priors.paths, priors.quantile(shares[:count]).tolist(), strict=True))
-    for share, (path, (value, error)) in zip(shares[count:], fitted().items(), strict=False):
+    values = dict(
+        zip(priors.paths, priors.quantile(shares[:count]).tolist(), strict=True)
+    )
+    for share, (path, (value, error)) in zip(
+        shares[count:], fitted().items(), strict=False
+    ):
         section, key = path.split(".")
-        if "calibration/fits" in str(robot["friction"]["mu_t"]["source"]) and key in robot.get(section, {}):
+        if "calibration/fits" in str(
+            robot["friction"]["mu_t"]["source"]
+        ) and key in robot.get(section, {}):
             values[path] = value + error * float(ndtri(share))
     changed = dict(robot)
     for path, value in values.items():
         section, key = path.split(".")
         old = changed[section][key]
-        several = [value] * len(old["value"]) if isinstance(old["value"], list) else value
-        new = {name: item for name, item in old.items() if name != "uncertain"} | {"value": several}
+        several = (
+            [value] * len(old["value"]) if isinstance(old["value"], list) else value
+        )
+        new = {name: item for name, item in old.items() if name != "uncertain"} | {
+            "value": several
+        }
         changed[section] = {**changed[section], key: new}
     return changed
 
@@ -78,22 +104,34 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
 def alteration(which: str | np.ndarray) -> Callable[[Document], Document] | None:
     """Return a function that changes the robots or the time step of scenarios; None for nominal runs."""
     if isinstance(which, np.ndarray):
-        return lambda document: {**document, "robot": in_robot(document["robot"], which)}
+        return lambda document: {
+            **document,
+            "robot": in_robot(document["robot"], which),
+        }
     if which == AS_IT_STANDS:
         return None
 
     def halved(document: Document) -> Document:
-        steps = {name: {**p, "timestep_s": p["timestep_s"] / 2} for name, p in document["plants"].items()}
+        steps = {
+            name: {**p, "timestep_s": p["timestep_s"] / 2}
+            for name, p in document["plants"].items()
+        }
         return {**document, "plants": steps}
 
     return halved
 
 
-def numbers(claims: tuple[Claim, ...], folder: Path, which: str | np.ndarray) -> Numbers:
+def numbers(
+    claims: tuple[Claim, ...], folder: Path, which: str | np.ndarray
+) -> Numbers:
     """Return the predictions by (row, plant)."""
     with open_store(folder, alteration(which)) as store:
         rows = judge(claims, store)
-    return {(row.claim.id, k): item.value for row in rows for k, item in row.outcomes.items()}
+    return {
+        (row.claim.id, k): item.value
+        for row in rows
+        for k, item in row.outcomes.items()
+    }
 
 
 def scatter(claim: Claim, every: Mapping[str, Claim]) -> float:
@@ -106,51 +144,82 @@ def scatter(claim: Claim, every: Mapping[str, Claim]) -> float:
     return PRINTED * abs(claim.value)
 
 
-def rows(claims: tuple[Claim, ...], result: Mapping[str, Numbers]) -> Iterator[list[str]]:
+def rows(
+    claims: tuple[Claim, ...], result: Mapping[str, Numbers]
+) -> Iterator[list[str]]:
     """Yield the rows of the table."""
     every = {claim.id: claim for claim in claims}
     for claim, plant in product(claims, ("analytical", "twin")):
-        stands, half = (result[k].get((claim.id, plant), np.nan) for k in (AS_IT_STANDS, HALF_STEP))
-        drawn = np.array([item.get((claim.id, plant), np.nan) for k, item in result.items() if k.isdigit()])
+        stands, half = (
+            result[k].get((claim.id, plant), np.nan) for k in (AS_IT_STANDS, HALF_STEP)
+        )
+        drawn = np.array(
+            [
+                item.get((claim.id, plant), np.nan)
+                for k, item in result.items()
+                if k.isdigit()
+            ]
+        )
         drawn = drawn[~np.isnan(drawn)]
         if np.isnan(stands) or len(drawn) < 8:
             continue
         stated = claim.value or 0.0
         terms = {
-            "u_num": 2 * abs(half - stands), "u_input": float(drawn.std(ddof=1)),
+            "u_num": 2 * abs(half - stands),
+            "u_input": float(drawn.std(ddof=1)),
             "u_D": scatter(claim, every),
-        }  # fmt: skip
+        }
         low, middle, high = np.quantile(drawn, (0.025, 0.5, 0.975))
         further = 1.96 * np.hypot(terms["u_num"], terms["u_D"])
-        low, high = middle - np.hypot(middle - low, further), middle + np.hypot(high - middle, further)
+        low, high = (
+            middle - np.hypot(middle - low, further),
+            middle + np.hypot(high - middle, further),
+        )
         short = max(stated - high if claim.rule != "below" else 0.0, 0.0)
         over = max(low - stated if claim.rule != "above" else 0.0, 0.0)
         score = high - low + 40 * (short + over)
         cells = [stated, stands, stands - stated, *terms.values()]
         yield [
-            f"`{claim.id}`", plant, f"{SIGNS[claim.rule]}{stated:.4g}", *(f"{v:.3g}" for v in cells[1:]),
-            max(terms, key=terms.__getitem__), f"{low:.3g} to {high:.3g}", "no" if short + over else "yes",
-            f"{(high - low) / abs(stated):.0%}" if stated else "–", f"{score:.3g}",
-        ]  # fmt: skip
+            f"`{claim.id}`",
+            plant,
+            f"{SIGNS[claim.rule]}{stated:.4g}",
+            *(f"{v:.3g}" for v in cells[1:]),
+            max(terms, key=terms.__getitem__),
+            f"{low:.3g} to {high:.3g}",
+            "no" if short + over else "yes",
+            f"{(high - low) / abs(stated):.0%}" if stated else "–",
+            f"{score:.3g}",
+        ]
 
 
 def main() -> None:
     """Run the predictions, evaluate them and print the table."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--out", type=Path, required=True)
     words.add_argument("--samples", type=int, default=32)
     words.add_argument("--only", action="append", default=[])
     words.add_argument(
-        "--table", action="store_true", help="print the table of the existing results without running"
+        "--table",
+        action="store_true",
+        help="print the table of the existing results without running",
     )
     options = words.parse_args()
     claims = tuple(
-        claim.model_copy(update={"cause": []}) for claim in load_claims()
-        if claim.use == "holdout" and claim.rule in SIGNS and not claim.id.startswith(LEFT_OUT)
+        claim.model_copy(update={"cause": []})
+        for claim in load_claims()
+        if claim.use == "holdout"
+        and claim.rule in SIGNS
+        and not claim.id.startswith(LEFT_OUT)
         and claim.id.startswith(tuple(options.only) or "")
-    )  # fmt: skip
-    shares = qmc.Sobol(DIMENSIONS, rng=0).random_base2(max(options.samples - 1, 1).bit_length())
-    todo: dict[str, str | np.ndarray] = {item: item for item in (AS_IT_STANDS, HALF_STEP)}
+    )
+    shares = qmc.Sobol(DIMENSIONS, rng=0).random_base2(
+        max(options.samples - 1, 1).bit_length()
+    )
+    todo: dict[str, str | np.ndarray] = {
+        item: item for item in (AS_IT_STANDS, HALF_STEP)
+    }
     todo |= {str(k): item for k, item in enumerate(shares[: options.samples])}
     result = {}
     for name, which in todo.items():
@@ -158,12 +227,25 @@ def main() -> None:
             continue
         result[name] = numbers(claims, options.out / name, which)
         print(f"{name}: {len(result[name])} numbers", file=sys.stderr, flush=True)
-    head = ["row", "plant", "published", "value", "E", "u_num", "u_input", "u_D", "largest"]
+    head = [
+        "row",
+        "plant",
+        "published",
+        "value",
+        "E",
+        "u_num",
+        "u_input",
+        "u_D",
+        "largest",
+    ]
     lines = list(rows(claims, result))
     print(table([*head, "95 %", "consistent", "width", "score"], lines))
     for plant in ("analytical", "twin"):
         of_plant = [line for line in lines if line[1] == plant]
-        print(f"\n{plant}: {sum(line[10] == 'yes' for line in of_plant)} of {len(of_plant)} rows consistent")
+        print(
+            f"\n{plant}: {sum(line[10] == 'yes' for line in of_plant)} of"
+            f" {len(of_plant)} rows consistent"
+        )
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     uv run python benchmarks/proofs.py [--worlds 28]
 
-Worlds of six kinds that are solvable by construction, for six footprints, are given to the proofs alone at
-both resolutions. Infeasible problems are pockets with an outward goal heading and closed rooms; these go to
-the planner with its default settings.
+Worlds of six kinds that are solvable by construction, for six footprints, are given to
+the proofs alone at both resolutions. Infeasible problems are pockets with an outward
+goal heading and closed rooms; these go to the planner with its default settings.
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ from grid import table
 from srs_twin.planning.collision import obstacle_grid
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import load_footprint
-from srs_twin.planning.infeasibility import COARSE, FINE, is_disconnected, prove_unreachable
+from srs_twin.planning.infeasibility import (
+    COARSE,
+    FINE,
+    is_disconnected,
+    prove_unreachable,
+)
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Polygon, Pose, World
@@ -35,8 +40,13 @@ from witnessed_worlds import KINDS, bodies, drawn
 def false_proofs(case: Problem) -> int:
     """Return the number of proofs of infeasibility in a solvable world."""
     body, grid = case.footprint, obstacle_grid(case.world)
-    proofs = [prove_unreachable(case.start, case.goal, body, grid, size) for size in (COARSE, FINE)]
-    return is_disconnected(case.start, case.goal, case.world, body.narrowest) + sum(map(bool, proofs))
+    proofs = [
+        prove_unreachable(case.start, case.goal, body, grid, size)
+        for size in (COARSE, FINE)
+    ]
+    return is_disconnected(case.start, case.goal, case.world, body.narrowest) + sum(
+        map(bool, proofs)
+    )
 
 
 def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:
@@ -50,28 +60,42 @@ def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:
 
     def wall(ax: float, ay: float, bx: float, by: float) -> Polygon:
         corners = ((ax, ay), (bx, ay), (bx, by), (ax, by))
-        return Polygon(tuple((goal.x + c * x - s * y, goal.y + s * x + c * y) for x, y in corners))
+        return Polygon(
+            tuple((goal.x + c * x - s * y, goal.y + s * x + c * y) for x, y in corners)
+        )
 
     far = half + 0.03
     walls = (
-        wall(-far, half, far, far), wall(-far, -far, far, -half),
-        wall(half, -far, far, far), wall(-far, -far, -half, far),
-    )  # fmt: skip
+        wall(-far, half, far, far),
+        wall(-far, -far, far, -half),
+        wall(half, -far, far, far),
+        wall(-far, -far, -half, far),
+    )
     away = Pose(goal.x + 3 * far, goal.y, 0.0)
     yield "room", replace(case, start=away, world=World((), None, None, walls))
 
 
 def main() -> None:
     """Run the proofs and print the table."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    words.add_argument("--worlds", type=int, default=28, help="number of worlds per kind and footprint")
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    words.add_argument(
+        "--worlds", type=int, default=28, help="number of worlds per kind and footprint"
+    )
     words.add_argument("--first", type=int, default=0)
     options = words.parse_args()
     seeds = range(options.first, options.first + options.worlds)
     kinds = [(body, kind) for body in bodies().values() for kind in KINDS]
-    wrong = [false_proofs(drawn(kind, seed, body).problem) for body, kind in kinds for seed in seeds]
+    wrong = [
+        false_proofs(drawn(kind, seed, body).problem)
+        for body, kind in kinds
+        for seed in seeds
+    ]
     print(f"{len(wrong)} solvable worlds: {sum(map(bool, wrong))} false proofs\n")
-    planned = bodies() | {"gen2_gait": load_footprint("gen2_gait").reduced(turn_share=0.3, margin=0.04)}
+    planned = bodies() | {
+        "gen2_gait": load_footprint("gen2_gait").reduced(turn_share=0.3, margin=0.04)
+    }
     lines = []
     for name, body in planned.items():
         for kind in ("pocket", "room"):
@@ -83,11 +107,27 @@ def main() -> None:
                 spent = time.process_time() - begin
                 proven += answer.proven and spent <= 0.2
                 seconds.append(spent)
-            lines.append([
-                name, kind, f"{proven} of {len(seconds)}", f"{1e3 * np.median(seconds):.0f}",
-                f"{1e3 * np.quantile(seconds, 0.9):.0f}",
-            ])  # fmt: skip
-    print(table(["footprint", "impossible", "proven within 200 ms", "median, ms", "90 %, ms"], lines))
+            lines.append(
+                [
+                    name,
+                    kind,
+                    f"{proven} of {len(seconds)}",
+                    f"{1e3 * np.median(seconds):.0f}",
+                    f"{1e3 * np.quantile(seconds, 0.9):.0f}",
+                ]
+            )
+    print(
+        table(
+            [
+                "footprint",
+                "impossible",
+                "proven within 200 ms",
+                "median, ms",
+                "90 %, ms",
+            ],
+            lines,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
     uv run python benchmarks/published_intervals.py [FILE ...]
 
-Reads the given `intervals.json` files, or those written by `srs-twin uncertainty SCENARIO --write`.
+Reads the given `intervals.json` files, or those written by `srs-twin uncertainty
+SCENARIO --write`.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ SCATTER = 0.01
 def main(files: Sequence[str]) -> None:
     """Print the table of the given files, or of the stored intervals."""
     print(
-        "| scenario | plant | published | value | E | u_num | u_input | u_D | 95 % | errors of the ends "
-        "| verdict | width | score |"
+        "| scenario | plant | published | value | E | u_num | u_input | u_D | 95 % |"
+        " errors of the ends | verdict | width | score |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
     for path in map(Path, files) if files else sorted(FOLDER.glob("*.json")):
@@ -53,7 +54,11 @@ def main(files: Sequence[str]) -> None:
                     f"{1000 * np.subtract(high, low):.0f}",
                     f"{1000 * score:.0f}",
                 )
-                print("| " + " | ".join([document["scenario"], plant, *cells, *rest]) + " |")
+                print(
+                    "| "
+                    + " | ".join([document["scenario"], plant, *cells, *rest])
+                    + " |"
+                )
 
 
 if __name__ == "__main__":

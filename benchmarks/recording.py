@@ -23,7 +23,9 @@ def main() -> None:
     """Simulate once, write several times, and print the median and the minimum."""
     scenario = load_scenario(SCENARIO)
     runs = {
-        kind: rollout(scenario.build_plant(kind), scenario.build_controller(), scenario.duration)
+        kind: rollout(
+            scenario.build_plant(kind), scenario.build_controller(), scenario.duration
+        )
         for kind in ("analytical", "twin")
     }
     comparison = compare(runs["analytical"], runs["twin"])
@@ -36,7 +38,10 @@ def main() -> None:
             walls.append(time.perf_counter() - begun)
         size = path.stat().st_size
     walls.sort()
-    print(f"{SCENARIO}, {scenario.duration:g} s: median {walls[TIMES // 2]:.3f} s, least {walls[0]:.3f} s,")
+    print(
+        f"{SCENARIO}, {scenario.duration:g} s: median {walls[TIMES // 2]:.3f} s, least"
+        f" {walls[0]:.3f} s,"
+    )
     print(f"{size / 1e6:.2f} MB")
 
 

@@ -2,8 +2,9 @@
 
     uv run python benchmarks/refinement.py [--matched]
 
-Time step, friction regularisation and number of hinges are refined one at a time and all together, for gaits
-of generation 2 between 1 and 2 Hz, straight and turning. With `--matched`, the bends are stiff.
+Time step, friction regularisation and number of hinges are refined one at a time and
+all together, for gaits of generation 2 between 1 and 2 Hz, straight and turning. With
+`--matched`, the bends are stiff.
 """
 
 from __future__ import annotations
@@ -43,7 +44,11 @@ CASES: dict[str, list[tuple[str, dict[str, Any]]]] = {
         ("slip speed halved", HALF_SLIP),
         (
             "all refined",
-            {"timestep": 0.00025, "hinges_per_segment": 2 * BASE.hinges_per_segment, **HALF_SLIP},
+            {
+                "timestep": 0.00025,
+                "hinges_per_segment": 2 * BASE.hinges_per_segment,
+                **HALF_SLIP,
+            },
         ),
         ("preloaded", {"contact": PreloadedContact()}),
     ],
@@ -54,9 +59,13 @@ def main() -> None:
     """Print one table per plant."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument(
-        "--matched", action="store_true", help="use stiff bends instead of the shipped robot"
+        "--matched",
+        action="store_true",
+        help="use stiff bends instead of the shipped robot",
     )
-    arguments.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), help="plants to refine")
+    arguments.add_argument(
+        "--only", nargs="+", choices=CASES, default=list(CASES), help="plants to refine"
+    )
     selected = arguments.parse_args()
     stiffness = MATCHED_STIFFNESS if selected.matched else None
     head = ["change", *(f"{f:g} Hz, offset {o:g}: mm/s (%), rad/s" for f, o in GAITS)]
@@ -86,7 +95,10 @@ def main() -> None:
 
 def _cell(metrics: dict[str, Any], base: dict[str, Any]) -> str:
     speed, before = metrics["com_speed_m_s"], base["com_speed_m_s"]
-    return f"{1e3 * speed:.2f} ({100 * (speed / before - 1):+.2f}), {metrics['yaw_rate_rad_s']:+.4f}"
+    return (
+        f"{1e3 * speed:.2f} ({100 * (speed / before - 1):+.2f}),"
+        f" {metrics['yaw_rate_rad_s']:+.4f}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
 """RRT-Connect of the Open Motion Planning Library, as a baseline for the planner.
 
-Collision checks are those of the planner. Motions are Dubins paths with the footprint's tightest turn, and
-the path is shortened, as in `best_first`. The library seeds its random numbers once per process and its
-budget is wall time, so plans differ between runs.
+Collision checks are those of the planner. Motions are Dubins paths with the footprint's
+tightest turn, and the path is shortened, as in `best_first`. The library seeds its
+random numbers once per process and its budget is wall time, so plans differ between
+runs.
 """
 
 from __future__ import annotations
@@ -35,11 +36,15 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     """Plan by RRT-Connect; of the settings only `seconds` and `smooth` are used.
 
     Raises:
-        InputError: the problem has no bounds or no arrival heading, or the footprint has transients.
+        InputError: the problem has no bounds or no arrival heading, or the footprint
+            has transients.
     """
     bounds, goal, body = problem.world.bounds, problem.goal, problem.footprint
     if bounds is None or goal.heading is None or body.transients:
-        raise InputError("RRT-Connect needs bounds, an arrival heading, and a footprint without transients")
+        raise InputError(
+            "RRT-Connect needs bounds, an arrival heading, and a footprint without"
+            " transients"
+        )
     util.noOutputHandler()
     radius = 1 / min(body.tightest)
     moves = make_move_set(Primitives(3, 0.5, 0.5 * radius), body)
@@ -55,7 +60,9 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     validator = _motion_validator(base)(info, moves, grid, radius)
     info.setMotionValidator(validator)
     # A state is a motion of length 0.
-    setup.setStateValidityChecker(lambda state: validator.is_free(_pose(state), _pose(state)))
+    setup.setStateValidityChecker(
+        lambda state: validator.is_free(_pose(state), _pose(state))
+    )
     setup.setStartAndGoalStates(
         _state(space, problem.start), _state(space, Pose(goal.x, goal.y, goal.heading))
     )
@@ -65,7 +72,9 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     seconds = settings.seconds or DEFAULT_SECONDS
     setup.solve(seconds)
     if not setup.haveExactSolutionPath():
-        return Plan(Outcome.BUDGET_SPENT, f"no path after {seconds:g} s; give more seconds")
+        return Plan(
+            Outcome.BUDGET_SPENT, f"no path after {seconds:g} s; give more seconds"
+        )
     poses = [_pose(state) for state in setup.getSolutionPath().getStates()]
     path: ArcSequence = []
     for a, b in zip([problem.start, *poses[1:]], poses[1:], strict=False):
@@ -79,13 +88,21 @@ def _motion_validator(base: Any) -> Any:
     """Return the class of the motion validator; its base class needs the optional library."""
 
     class Validator(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
-        def __init__(self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float) -> None:
+        def __init__(
+            self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float
+        ) -> None:
             super().__init__(info)
             self.moves, self.grid, self.radius = moves, grid, radius
 
         def is_free(self, a: Pose, b: Pose) -> bool:
-            path = dubins_path(a.x, a.y, a.heading, b.x, b.y, b.heading, False, self.radius)
-            return bool(follow_dubins_path(initial_state(*a, self.moves), path, self.moves, self.grid)[0])
+            path = dubins_path(
+                a.x, a.y, a.heading, b.x, b.y, b.heading, False, self.radius
+            )
+            return bool(
+                follow_dubins_path(
+                    initial_state(*a, self.moves), path, self.moves, self.grid
+                )[0]
+            )
 
         def checkMotion(self, a: Any, b: Any, last: Any = None) -> bool:  # noqa: N802
             return self.is_free(_pose(a), _pose(b))

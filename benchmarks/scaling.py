@@ -74,14 +74,27 @@ def by_segments(quick: bool) -> Result:
     lengths = SEGMENTS[:4] if quick else SEGMENTS
     for make in PLANTS.values():
         rollout(make(chain(lengths[0])), Gait(2.0), PROBE)  # compiles
-    costs = {segments: _cost(chain(segments), AIM / 10 if quick else AIM) for segments in lengths}
-    rows = [[name, *(_cell(costs[n][name], costs[4][name]) for n in lengths)] for name in PLANTS]
+    costs = {
+        segments: _cost(chain(segments), AIM / 10 if quick else AIM)
+        for segments in lengths
+    }
+    rows = [
+        [name, *(_cell(costs[n][name], costs[4][name]) for n in lengths)]
+        for name in PLANTS
+    ]
     return Result(
         "(d) processor milliseconds per simulated second by segments (relative to 4)",
         ["model", *map(str, lengths)],
         rows,
-        {"processor_s_per_simulated_s": {name: {n: costs[n][name] for n in lengths} for name in PLANTS}},
-        [f"Best of all rounds; a single one where a tick of {PROBE:g} s took more than {TOO_SLOW:g} s."],
+        {
+            "processor_s_per_simulated_s": {
+                name: {n: costs[n][name] for n in lengths} for name in PLANTS
+            }
+        },
+        [
+            f"Best of all rounds; a single one where a tick of {PROBE:g} s took more"
+            f" than {TOO_SLOW:g} s."
+        ],
     )
 
 
@@ -96,16 +109,22 @@ def _cost(spec: RobotSpec, aim: float) -> dict[str, float | str]:
             if slow * PROBE > TOO_SLOW:
                 result[name] = slow
                 continue
-            tasks[name] = _task(plant, PROBE * max(LEAST, min(200, round(aim / slow / PROBE))))
+            tasks[name] = _task(
+                plant, PROBE * max(LEAST, min(200, round(aim / slow / PROBE)))
+            )
             tasks[name].run()
         except DivergedError as error:
             result[name] = f"diverged: {error}"
             tasks.pop(name, None)
-    return result | {name: min(timing.seconds) for name, timing in interleaved(tasks).items()}
+    return result | {
+        name: min(timing.seconds) for name, timing in interleaved(tasks).items()
+    }
 
 
 def _task(plant: Plant, duration: float) -> Task:
-    return Task(lambda: rollout(plant, Gait(2.0), duration), duration, time.process_time)
+    return Task(
+        lambda: rollout(plant, Gait(2.0), duration), duration, time.process_time
+    )
 
 
 def _cell(cost: float | str, four: float | str) -> str:
@@ -145,9 +164,18 @@ def by_threads(quick: bool) -> Result:
         rows,
         {name: cost.json() for name, cost in costs.items()},
         [
-            "Speed-up: ratio of medians. Efficiency: best round on one thread over twice the best on two.",
-            "The first row needs neither memory nor locks: it is the possible speed-up of this machine.",
-            "Processor time: two threads relative to one, best rounds; independent of other programs.",
+            (
+                "Speed-up: ratio of medians. Efficiency: best round on one thread over"
+                " twice the best on two."
+            ),
+            (
+                "The first row needs neither memory nor locks: it is the possible"
+                " speed-up of this machine."
+            ),
+            (
+                "Processor time: two threads relative to one, best rounds; independent"
+                " of other programs."
+            ),
         ],
     )
 
@@ -186,7 +214,11 @@ class ThreadCost:
 
     def json(self) -> dict[str, Any]:
         """Return JSON values."""
-        values = {"speedup": self.speedup.json(), "efficiency": self.efficiency, "overhead": self.overhead}
+        values = {
+            "speedup": self.speedup.json(),
+            "efficiency": self.efficiency,
+            "overhead": self.overhead,
+        }
         for name, times in (("wall", self.wall), ("processor", self.processor)):
             values[name] = {n: timing.json() for n, timing in times.items()}
         return values
@@ -202,13 +234,21 @@ def _turns(kinds: Mapping[str, Work], rounds: int) -> dict[str, ThreadCost]:
             for threads in (1, THREADS) if k % 2 else (THREADS, 1):
                 begun = time.perf_counter(), time.process_time()
                 work(threads)
-                result[name, threads].append((time.perf_counter() - begun[0], time.process_time() - begun[1]))
+                result[name, threads].append(
+                    (time.perf_counter() - begun[0], time.process_time() - begun[1])
+                )
     return {
-        name: ThreadCost(*(
-            {n: Timing(tuple(pair[k] for pair in result[name, n])) for n in (1, THREADS)} for k in (0, 1)
-        ))
+        name: ThreadCost(
+            *(
+                {
+                    n: Timing(tuple(pair[k] for pair in result[name, n]))
+                    for n in (1, THREADS)
+                }
+                for k in (0, 1)
+            )
+        )
         for name in kinds
-    }  # fmt: skip
+    }
 
 
 def many(make: Callable[[RobotSpec], Plant], aim: float) -> Work:
@@ -224,7 +264,10 @@ def many(make: Callable[[RobotSpec], Plant], aim: float) -> Work:
 
     def work(threads: int) -> None:
         run_many(
-            [Job(plant, gait, duration) for plant, gait in zip(plants, _gaits(), strict=True)],
+            [
+                Job(plant, gait, duration)
+                for plant, gait in zip(plants, _gaits(), strict=True)
+            ],
             threads=threads,
         )
 
@@ -237,10 +280,14 @@ def steered(aim: float) -> Work:
     Args:
         aim: as in `many`.
     """
-    batches = {n: TwinBatch([load_robot("gen2")] * RUNS, threads=n) for n in (1, THREADS)}
+    batches = {
+        n: TwinBatch([load_robot("gen2")] * RUNS, threads=n) for n in (1, THREADS)
+    }
 
     def policy(state: SnakeState) -> np.ndarray:
-        signs = np.where(state.sensed > 0, -1, 1).astype(np.int8)  # a segment reverses as soon as allowed
+        signs = np.where(state.sensed > 0, -1, 1).astype(
+            np.int8
+        )  # a segment reverses as soon as allowed
         return np.stack([signs, -signs], axis=-1)
 
     duration = _duration(lambda probe: run_batch(batches[1], policy, probe), aim * RUNS)

@@ -2,9 +2,10 @@
 
     uv run python benchmarks/scattering.py [--picture docs/images/scattering.png]    # half an hour
 
-The snake `skin_example` crawls towards the middle of a row of posts. The exit angle is the direction in which
-it moves during one period after its tail has left the row, minus the direction in which it moves at the same
-time without posts. Phases of the wave and lateral places of the snake are equally spaced.
+The snake `skin_example` crawls towards the middle of a row of posts. The exit angle is
+the direction in which it moves during one period after its tail has left the row, minus
+the direction in which it moves at the same time without posts. Phases of the wave and
+lateral places of the snake are equally spaced.
 """
 
 from __future__ import annotations
@@ -55,15 +56,29 @@ def track(kind: str, pitch: float, phase: int, place: int = 0) -> np.ndarray:
     gait = Gait(FREQUENCY_HZ, phase=2 * math.pi * phase / PHASES)
     pose = (0.0, pitch * place / PLACES, 0.0)
     until = passed if pitch else None
-    run = rollout(snake(kind, pitch), gait, DURATION_S, pose=pose, record_hz=RECORD_HZ, until=until)
+    run = rollout(
+        snake(kind, pitch),
+        gait,
+        DURATION_S,
+        pose=pose,
+        record_hz=RECORD_HZ,
+        until=until,
+    )
     return run.com if left or not pitch else run.com[:0]
 
 
 @cache
 def snake(kind: str, pitch: float) -> Plant:
     """Return the plant in front of a row of posts (none if the pitch is 0)."""
-    posts = [{"x_m": ROW_M, "y_m": k * pitch, "radius_m": 0.02} for k in range(-6, 7)] if pitch else []
-    changes = {"robot": "skin_example", "world": {"obstacle_friction": 0.2, "obstacles": posts}}
+    posts = (
+        [{"x_m": ROW_M, "y_m": k * pitch, "radius_m": 0.02} for k in range(-6, 7)]
+        if pitch
+        else []
+    )
+    changes = {
+        "robot": "skin_example",
+        "world": {"obstacle_friction": 0.2, "obstacles": posts},
+    }
     return load_scenario("pegs_skin", set=changes).build_plant(kind)
 
 
@@ -72,18 +87,25 @@ def exit_angle(path: np.ndarray, straight: np.ndarray) -> float:
     period = round(RECORD_HZ / FREQUENCY_HZ)
     if len(path) <= period:
         return math.nan
-    ways = [each[len(path) - 1] - each[len(path) - 1 - period] for each in (path, straight)]
+    ways = [
+        each[len(path) - 1] - each[len(path) - 1 - period] for each in (path, straight)
+    ]
     first, second = (math.atan2(way[1], way[0]) for way in ways)
     return math.remainder(first - second, 2 * math.pi)
 
 
 def main() -> None:
     """Print the distributions; draw them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("--picture", help="file of the picture")
     options = parser.parse_args()
     angles: dict[tuple[str, float], np.ndarray] = {}
-    print("| pitch, m | plant | left the row | spread, ° | 10, 50, 90 %, ° | within 5° | KS p |")
+    print(
+        "| pitch, m | plant | left the row | spread, ° | 10, 50, 90 %, ° | within 5° |"
+        " KS p |"
+    )
     print("|---|---|---|---|---|---|---|")
     with ProcessPoolExecutor() as pool:
         for kind in ("analytical", "twin"):
@@ -91,15 +113,29 @@ def main() -> None:
             for pitch in PITCHES:
                 phases, places = (grid.ravel() for grid in np.mgrid[:PHASES, :PLACES])
                 count = len(phases)
-                paths = pool.map(track, [kind] * count, [pitch] * count, phases.tolist(), places.tolist())
-                angles_of = [exit_angle(path, free[k]) for path, k in zip(paths, phases, strict=True)]
+                paths = pool.map(
+                    track,
+                    [kind] * count,
+                    [pitch] * count,
+                    phases.tolist(),
+                    places.tolist(),
+                )
+                angles_of = [
+                    exit_angle(path, free[k])
+                    for path, k in zip(paths, phases, strict=True)
+                ]
                 found = np.degrees(angles_of)
                 angles[kind, pitch] = known = found[np.isfinite(found)]
                 low, middle, high = np.percentile(known, [10, 50, 90])
-                p = ks_2samp(known, angles["analytical", pitch]).pvalue if kind == "twin" else math.nan
+                p = (
+                    ks_2samp(known, angles["analytical", pitch]).pvalue
+                    if kind == "twin"
+                    else math.nan
+                )
                 print(
-                    f"| {pitch:g} | {kind} | {len(known)} of {len(found)} | {known.std():.1f} | {low:.0f}, "
-                    f"{middle:.0f}, {high:.0f} | {np.mean(np.abs(known) < 5):.2f} | {p:.2g} |",
+                    f"| {pitch:g} | {kind} | {len(known)} of {len(found)} |"
+                    f" {known.std():.1f} | {low:.0f}, {middle:.0f}, {high:.0f} |"
+                    f" {np.mean(np.abs(known) < 5):.2f} | {p:.2g} |",
                     flush=True,
                 )
     if options.picture:
@@ -110,12 +146,20 @@ def draw(angles: dict[tuple[str, float], np.ndarray], path: str) -> None:
     """Draw histograms of both plants for each pitch."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, len(PITCHES), figsize=(8, 2.6), sharey=True, layout="constrained")
+    figure, axes = plt.subplots(
+        1, len(PITCHES), figsize=(8, 2.6), sharey=True, layout="constrained"
+    )
     for axis, pitch in zip(axes, PITCHES, strict=True):
         bins = np.arange(-90, 91, 10)
         for kind, name in (("analytical", "compliant"), ("twin", "twin")):
-            axis.hist(angles[kind, pitch], bins, histtype="step", density=True, label=name)
-        axis.set(title=f"{100 * pitch:g} cm", xlabel="exit angle, °", xticks=[-90, -45, 0, 45, 90])
+            axis.hist(
+                angles[kind, pitch], bins, histtype="step", density=True, label=name
+            )
+        axis.set(
+            title=f"{100 * pitch:g} cm",
+            xlabel="exit angle, °",
+            xticks=[-90, -45, 0, 45, 90],
+        )
     axes[0].set_ylabel("density, 1/°")
     axes[0].legend()
     figure.savefig(path, dpi=150)

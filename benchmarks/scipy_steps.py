@@ -2,8 +2,9 @@
 
 uv run python benchmarks/scipy_steps.py
 
-The reference of a derivative is the slope of a cubic fitted to 41 runs within ±0.1 Hz or ±0.05 of the point.
-The complete model of gen2 runs 20 random gaits of 8 s with 0.8 to 2.6 Hz and offsets of 0.05 to 0.25.
+The reference of a derivative is the slope of a cubic fitted to 41 runs within ±0.1 Hz
+or ±0.05 of the point. The complete model of gen2 runs 20 random gaits of 8 s with 0.8
+to 2.6 Hz and offsets of 0.05 to 0.25.
 """
 
 from __future__ import annotations
@@ -47,7 +48,11 @@ def main() -> None:
         typical = np.median(np.abs(slopes))
         errors = np.abs(steps - slopes[:, None]) / typical
         rows = [
-            [f"{h:g}", f"{(steps[:, k] == 0).sum()} of {len(gaits)}", f"{np.median(errors[:, k]):.2g}"]
+            [
+                f"{h:g}",
+                f"{(steps[:, k] == 0).sum()} of {len(gaits)}",
+                f"{np.median(errors[:, k]):.2g}",
+            ]
             for k, h in enumerate(STEPS)
         ]
         print(f"\n{name}: median derivative {typical:.2g}")
@@ -71,10 +76,26 @@ def main() -> None:
     ):
         runs = 0
         box = None if method == "BFGS" else bounds
-        result = optimize.minimize(cost, START, method=method, bounds=box, options=options)
+        result = optimize.minimize(
+            cost, START, method=method, bounds=box, options=options
+        )
         gait = ", ".join(f"{value:.3g}" for value in result.x)
-        rows.append([method, str(options), str(result.success), gait, f"{-result.fun:.4f}", str(runs)])
-    print(table(["method", "options", "success", "frequency, offset", "speed, m/s", "runs"], rows))
+        rows.append(
+            [
+                method,
+                str(options),
+                str(result.success),
+                gait,
+                f"{-result.fun:.4f}",
+                str(runs),
+            ]
+        )
+    print(
+        table(
+            ["method", "options", "success", "frequency, offset", "speed, m/s", "runs"],
+            rows,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -2,15 +2,16 @@
 
     uv run python benchmarks/skin.py theory plants ellipse    # half a minute, ten minutes, ten minutes
 
-**Theory.** Hu, Nirody, Scott and Shelley (PNAS 106, 10081, 2009) prescribe the curvature κ = 7 cos 2π(s + t)
-of a snake of uniform weight under the law `cosine`, in body lengths and periods. The solver below is
-independent of the package: it integrates the curve by the trapezoidal rule, and at each time finds the three
-velocities with which the friction on the whole curve has no force and no moment. It has no mass, so the model
-runs so slowly that its inertia is negligible.
+**Theory.** Hu, Nirody, Scott and Shelley (PNAS 106, 10081, 2009) prescribe the
+curvature κ = 7 cos 2π(s + t) of a snake of uniform weight under the law `cosine`, in
+body lengths and periods. The solver below is independent of the package: it integrates
+the curve by the trapezoidal rule, and at each time finds the three velocities with
+which the friction on the whole curve has no force and no moment. It has no mass, so the
+model runs so slowly that its inertia is negligible.
 
-**Plants.** The twin and the model `compliant` at matched physics: equally many contact points, load transfer
-across the belly, inertia of its width, and fine hinges and steps. `plants` has the law `cosine`,
-`ellipse` the law of that name.
+**Plants.** The twin and the model `compliant` at matched physics: equally many contact
+points, load transfer across the belly, inertia of its width, and fine hinges and steps.
+`plants` has the law `cosine`, `ellipse` the law of that name.
 """
 
 from __future__ import annotations
@@ -68,9 +69,12 @@ class MasslessCurve:
     """
 
     def __init__(
-        self, coefficients: tuple[float, float, float], amplitude: float = AMPLITUDE, waves: int = 1,
+        self,
+        coefficients: tuple[float, float, float],
+        amplitude: float = AMPLITUDE,
+        waves: int = 1,
         points: int = 801,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._mu, self._amplitude, self._waves = coefficients, amplitude, waves
         self._s = np.linspace(0.0, 1.0, points)
 
@@ -89,22 +93,39 @@ class MasslessCurve:
         return tangent, self._centred(tangent), self._centred(spin[:, None] * turned)
 
     def _friction(
-        self, motion: np.ndarray, tangent: np.ndarray, place: np.ndarray, velocity: np.ndarray
+        self,
+        motion: np.ndarray,
+        tangent: np.ndarray,
+        place: np.ndarray,
+        velocity: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return slip and force of friction per length on the curve that moves as a whole with `motion`."""
         forward, backward, transverse = self._mu
-        slip = velocity + motion[:2] + motion[2] * np.stack([-place[:, 1], place[:, 0]], axis=1)
+        slip = (
+            velocity
+            + motion[:2]
+            + motion[2] * np.stack([-place[:, 1], place[:, 0]], axis=1)
+        )
         direction = slip / np.sqrt((slip**2).sum(axis=1) + SMALLEST_SLIP**2)[:, None]
         normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        along, across = (direction * tangent).sum(axis=1), (direction * normal).sum(axis=1)
+        along, across = (
+            (direction * tangent).sum(axis=1),
+            (direction * normal).sum(axis=1),
+        )
         mu = np.where(along > 0, forward, backward)
-        return slip, -(mu * along)[:, None] * tangent - (transverse * across)[:, None] * normal
+        return (
+            slip,
+            -(mu * along)[:, None] * tangent - (transverse * across)[:, None] * normal,
+        )
 
     def _balance(self, motion: np.ndarray, *shape: np.ndarray) -> np.ndarray:
         """Return force and moment of friction, relative to the transverse friction."""
         place, (_, force) = shape[1], self._friction(motion, *shape)
         moment = place[:, 0] * force[:, 1] - place[:, 1] * force[:, 0]
-        return np.array([*trapezoid(force, self._s, axis=0), trapezoid(moment, self._s)]) / self._mu[2]
+        return (
+            np.array([*trapezoid(force, self._s, axis=0), trapezoid(moment, self._s)])
+            / self._mu[2]
+        )
 
     def period(self, times: int = 400) -> tuple[float, float]:
         """Return distance and work against friction per period; no period is needed to settle."""
@@ -112,14 +133,23 @@ class MasslessCurve:
         for k in range(times):
             shape = self._shape((k + 0.5) / times)
             found = root(self._balance, motion, args=shape, tol=1e-12)
-            assert np.abs(found.fun).max() < 1e-7, f"no balance of forces at step {k}: {found.fun}"
+            assert np.abs(found.fun).max() < 1e-7, (
+                f"no balance of forces at step {k}: {found.fun}"
+            )
             motion = found.x
             slip, force = self._friction(motion, *shape)
             work -= trapezoid((slip * force).sum(axis=1), self._s) / times
             heading = pose[2] + motion[2] / times / 2
             c, s = math.cos(heading), math.sin(heading)
             pose += (
-                np.array([c * motion[0] - s * motion[1], s * motion[0] + c * motion[1], motion[2]]) / times
+                np.array(
+                    [
+                        c * motion[0] - s * motion[1],
+                        s * motion[0] + c * motion[1],
+                        motion[2],
+                    ]
+                )
+                / times
             )
         return math.hypot(pose[0], pose[1]), work
 
@@ -138,7 +168,9 @@ def wave_speed(spec: RobotSpec, period: float = PERIOD_S) -> float:
     return speed_m_s(plant, HoldValves("vent", "vent"), period, periods=2) * period
 
 
-def speed_m_s(plant: Plant, controller: Controller, period: float, periods: int, last: int = 1) -> float:
+def speed_m_s(
+    plant: Plant, controller: Controller, period: float, periods: int, last: int = 1
+) -> float:
     """Return the speed of the centre of mass in the last periods, m/s."""
     run = rollout(plant, controller, periods * period, record_hz=100 / period)
     return math.hypot(*(run.com[-1] - run.com[-1 - 100 * last])) / period / last
@@ -146,12 +178,21 @@ def speed_m_s(plant: Plant, controller: Controller, period: float, periods: int,
 
 def theory() -> Iterator[str]:
     """Yield the table of the model against the independent solver."""
-    yield "| friction | forward, backward, transverse | outside | own solver | model | model/own − 1 |"
+    yield (
+        "| friction | forward, backward, transverse | outside | own solver | model |"
+        " model/own − 1 |"
+    )
     yield "|---|---|---|---|---|---|"
     for name, (*mu, outside) in CASES.items():
-        own, model = MasslessCurve((mu[0], mu[1], mu[2])).period()[0], wave_speed(continuous_snake(*mu))
+        own, model = (
+            MasslessCurve((mu[0], mu[1], mu[2])).period()[0],
+            wave_speed(continuous_snake(*mu)),
+        )
         coefficients = ", ".join(f"{value:g}" for value in mu)
-        yield f"| {name} | {coefficients} | {outside:g} | {own:.4f} | {model:.4f} | {model / own - 1:+.2%} |"
+        yield (
+            f"| {name} | {coefficients} | {outside:g} | {own:.4f} | {model:.4f} |"
+            f" {model / own - 1:+.2%} |"
+        )
 
 
 def matched_robot(ratio: float, waves: int, law: str) -> RobotSpec:
@@ -174,14 +215,25 @@ def plants(law: str = "cosine") -> Iterator[str]:
     for waves, ratio in product((1, 2, 3), (1, 2, 5, 10)):
         spec = matched_robot(ratio, waves, law)
         model = AnalyticalSnake(
-            spec, model="compliant", inertia="connector", load="momentary", timestep=0.001
+            spec,
+            model="compliant",
+            inertia="connector",
+            load="momentary",
+            timestep=0.001,
         )
         twin = TwinSnake(spec, hinges_per_segment=8, timestep=0.0005)
-        a, b = (1e3 * speed_m_s(plant, Gait(1.0), 1.0, periods=6, last=3) for plant in (model, twin))
+        a, b = (
+            1e3 * speed_m_s(plant, Gait(1.0), 1.0, periods=6, last=3)
+            for plant in (model, twin)
+        )
         yield f"| {waves} | {ratio} | {a:.2f} | {b:.2f} | {b / a - 1:+.2%} |"
 
 
 if __name__ == "__main__":
     for table in sys.argv[1:] or ("theory", "plants"):
-        for row in plants(table) if table == "ellipse" else {"theory": theory, "plants": plants}[table]():
+        for row in (
+            plants(table)
+            if table == "ellipse"
+            else {"theory": theory, "plants": plants}[table]()
+        ):
             print(row, flush=True)

@@ -2,9 +2,10 @@
 
     uv run python benchmarks/soak.py [--minutes 60] [--json FILE]
 
-Every cycle runs a scenario on both plants with all its files, sweeps a small grid with two workers, steers a
-batch of twins, and reads a trajectory. The growth of memory is the slope of a straight line through the
-cycles after the first quarter, in which caches fill.
+Every cycle runs a scenario on both plants with all its files, sweeps a small grid with
+two workers, steers a batch of twins, and reads a trajectory. The growth of memory is
+the slope of a straight line through the cycles after the first quarter, in which caches
+fill.
 """
 
 from __future__ import annotations
@@ -68,7 +69,9 @@ def measure(begun: float) -> Sample:
         memory=pages * os.sysconf("SC_PAGE_SIZE") / MIB,
         files=len(os.listdir("/proc/self/fd")),
         threads=threading.active_count(),
-        children=len(Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()),
+        children=len(
+            Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+        ),
     )
 
 
@@ -92,7 +95,9 @@ def _hold(batch: TwinBatch, state: object) -> np.ndarray:
 def slope(samples: list[Sample]) -> float:
     """Return the growth of memory after the first quarter, MiB/h."""
     late = [item for item in samples if item.minutes >= samples[-1].minutes / 4]
-    times, memory = ([getattr(item, name) for item in late] for name in ("minutes", "memory"))
+    times, memory = (
+        [getattr(item, name) for item in late] for name in ("minutes", "memory")
+    )
     return 60 * float(np.polyfit(times, memory, 1)[0])
 
 
@@ -100,7 +105,9 @@ def main() -> None:
     """Print one line per minute, then the result."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--minutes", type=float, default=60.0)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write the samples to this file")
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="also write the samples to this file"
+    )
     arguments = parser.parse_args()
     begun, samples, cycles, next_report = time.monotonic(), list[Sample](), 0, 0
     while time.monotonic() - begun < 60 * arguments.minutes:
@@ -112,11 +119,20 @@ def main() -> None:
             next_report += 1
             print(cycles, samples[-1], flush=True)
     first, last = samples[len(samples) // 4], samples[-1]
-    print(f"{cycles} cycles in {last.minutes:.0f} min, memory after a quarter {slope(samples):+.1f} MiB/h")
+    print(
+        f"{cycles} cycles in {last.minutes:.0f} min, memory after a quarter"
+        f" {slope(samples):+.1f} MiB/h"
+    )
     print(f"from {first} to {last}")
     if arguments.json:
-        arguments.json.write_text(json.dumps([asdict(item) for item in samples]) + "\n", "utf-8")
-    left = [name for name in ("files", "threads", "children") if getattr(last, name) > getattr(first, name)]
+        arguments.json.write_text(
+            json.dumps([asdict(item) for item in samples]) + "\n", "utf-8"
+        )
+    left = [
+        name
+        for name in ("files", "threads", "children")
+        if getattr(last, name) > getattr(first, name)
+    ]
     sys.exit(f"remaining: {', '.join(left)}" if left else 0)
 
 

@@ -1,11 +1,13 @@
 """Cost of both plants relative to other programs, in one run on one machine.
 
-    uv run --group benchmarks python benchmarks/speed.py [--quick] [--only a b] [--json FILE]
+    uv run --group benchmarks python benchmarks/speed.py [--quick] [--only a b] [--json
+    FILE]
 
-(a) analytical and LSODA, (b) twin and a bare mj_step loop, (c) both plants and the continuum snake of
-PyElastica, (d) cost by segments, (e) two threads. The values are medians of five rounds in which all
-contenders are timed in turns; the range over the rounds is in brackets. The first run also compiles the
-kernels of PyElastica, which takes most of a minute.
+(a) analytical and LSODA, (b) twin and a bare mj_step loop, (c) both plants and the
+continuum snake of PyElastica, (d) cost by segments, (e) two threads. The values are
+medians of five rounds in which all contenders are timed in turns; the range over the
+rounds is in brackets. The first run also compiles the kernels of PyElastica, which
+takes most of a minute.
 """
 
 from __future__ import annotations
@@ -37,13 +39,25 @@ BENCHMARKS: dict[str, Callable[[bool], Result]] = {
 def main() -> None:
     """Print one table per benchmark."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="smaller runs, under a minute in all")
     parser.add_argument(
-        "--only", nargs="+", choices=BENCHMARKS, default=list(BENCHMARKS), help="benchmarks to run"
+        "--quick", action="store_true", help="smaller runs, under a minute in all"
     )
-    parser.add_argument("--json", type=Path, metavar="FILE", help="also write all values to this file")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=BENCHMARKS,
+        default=list(BENCHMARKS),
+        help="benchmarks to run",
+    )
+    parser.add_argument(
+        "--json", type=Path, metavar="FILE", help="also write all values to this file"
+    )
     arguments = parser.parse_args()
-    results: dict[str, Any] = {"machine": machine(), "rounds": ROUNDS, "quick": arguments.quick}
+    results: dict[str, Any] = {
+        "machine": machine(),
+        "rounds": ROUNDS,
+        "quick": arguments.quick,
+    }
     print(f"{results['machine']['cpu']}, {results['machine']['cpus']} processors")
     for name in arguments.only:
         begun = time.perf_counter()
@@ -55,7 +69,12 @@ def main() -> None:
             print(f"\n({name}) left out: {against_elastica.NEEDS}", file=sys.stderr)
             continue
         print(f"\n{result.title}\n\n{table(result.head, result.rows)}\n", flush=True)
-        print(*result.remarks, f"[{time.perf_counter() - begun:.0f} s]", sep="\n", flush=True)
+        print(
+            *result.remarks,
+            f"[{time.perf_counter() - begun:.0f} s]",
+            sep="\n",
+            flush=True,
+        )
         results[name] = {"title": result.title, **result.values}
     if arguments.json:
         arguments.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")

@@ -2,9 +2,9 @@
 
     uv run python benchmarks/spinning_wheels.py
 
-Every wheel has a speed and an inertia, with Coulomb friction at its rim (isotropic, μ_n) and in its axle
-(μ_t). The integrator is explicit Euler with steps of 20 µs. Bends and body kinematics are those of the
-analytical model.
+Every wheel has a speed and an inertia, with Coulomb friction at its rim (isotropic,
+μ_n) and in its axle (μ_t). The integrator is explicit Euler with steps of 20 µs. Bends
+and body kinematics are those of the analytical model.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ DURATION_S, LAST_S = 6.0, 2.0
 
 
 @njit
-def advance(state, spin, bends, rates, mass, length, gap, track, radius, inertia, mu_t, mu_n):
+def advance(
+    state, spin, bends, rates, mass, length, gap, track, radius, inertia, mu_t, mu_n
+):
     """Advance the pose (x, y, heading, vx, vy, angular momentum) and the wheel speeds in place."""
     n = mass.shape[0]
     body = np.empty((n, 6))
@@ -50,7 +52,13 @@ def advance(state, spin, bends, rates, mass, length, gap, track, radius, inertia
                 slip = along - (omega + body[i, 1]) * arm - rim
                 speed = math.sqrt(slip * slip + across * across + SLIP_M_S * SLIP_M_S)
                 f_t, f_n = -mu_n * load * slip / speed, -mu_n * load * across / speed
-                drag = mu_t * load * radius * rim / math.sqrt(rim * rim + SLIP_M_S * SLIP_M_S)
+                drag = (
+                    mu_t
+                    * load
+                    * radius
+                    * rim
+                    / math.sqrt(rim * rim + SLIP_M_S * SLIP_M_S)
+                )
                 spin[i, side] += STEP_S * (-f_t * radius - drag) / inertia
                 fx += f_t * c - f_n * s
                 fy += f_t * s + f_n * c
@@ -66,18 +74,34 @@ def advance(state, spin, bends, rates, mass, length, gap, track, radius, inertia
 def spinning_speed(run: Run, inertia_factor: float) -> float:
     """Return the mean CoM speed over the last seconds, m/s, with scaled inertia of the wheels."""
     spec = run.spec()
-    g, chambers, gait = spec.geometry, LagPneumatics(spec, supply_pa=run.supply_pa), Gait(run.frequency)
+    g, chambers, gait = (
+        spec.geometry,
+        LagPneumatics(spec, supply_pa=run.supply_pa),
+        Gait(run.frequency),
+    )
     gait.reset(spec, TICK_S)
     inertia = inertia_factor * spec.mass.wheel * g.wheel_radius**2 / 2
     times = STEP_S * np.arange(1, round(TICK_S / STEP_S) + 1)
     state, spin = np.zeros(6), np.zeros((g.connectors, 2))
     path = [state[:2].copy()]
     for tick in range(round(DURATION_S / TICK_S)):
-        trace = chambers.advance(chambers.schedule(gait.valves_at(tick * TICK_S), TICK_S), times)
+        trace = chambers.advance(
+            chambers.schedule(gait.valves_at(tick * TICK_S), TICK_S), times
+        )
         advance(
-            state, spin, trace.bend, trace.bend_rate, spec.mass.array(), g.segment_length, g.rigid_gap,
-            g.half_track, g.wheel_radius, inertia, spec.friction.mu_t, spec.friction.mu_n,
-        )  # fmt: skip
+            state,
+            spin,
+            trace.bend,
+            trace.bend_rate,
+            spec.mass.array(),
+            g.segment_length,
+            g.rigid_gap,
+            g.half_track,
+            g.wheel_radius,
+            inertia,
+            spec.friction.mu_t,
+            spec.friction.mu_n,
+        )
         path.append(state[:2].copy())
     displacement = path[-1] - path[-1 - round(LAST_S / TICK_S)]
     return float(np.hypot(*displacement)) / LAST_S
@@ -88,13 +112,29 @@ def main() -> None:
     rows = []
     for frequency, kilopascals in ((1.0, 41.0), (1.5, 41.0), (2.0, 48.0)):
         run = Run(
-            "analytical", frequency=frequency, supply_pa=1e3 * kilopascals, options={"friction": "wheel"}
+            "analytical",
+            frequency=frequency,
+            supply_pa=1e3 * kilopascals,
+            options={"friction": "wheel"},
         )
         law = plant_metrics(run.trajectory())["com_speed_m_s"]
         result = [spinning_speed(run, factor) for factor in (1.0, 3.0)]
-        cells = [f"{1e3 * speed:.1f} ({100 * (speed / law - 1):+.1f} %)" for speed in result]
+        cells = [
+            f"{1e3 * speed:.1f} ({100 * (speed / law - 1):+.1f} %)" for speed in result
+        ]
         rows.append([f"{frequency:g}", f"{kilopascals:g}", f"{1e3 * law:.1f}", *cells])
-    print(table(["f Hz", "p kPa", "`wheel` law mm/s", "spinning wheels", "three times their inertia"], rows))
+    print(
+        table(
+            [
+                "f Hz",
+                "p kPa",
+                "`wheel` law mm/s",
+                "spinning wheels",
+                "three times their inertia",
+            ],
+            rows,
+        )
+    )
 
 
 if __name__ == "__main__":

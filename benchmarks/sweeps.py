@@ -1,11 +1,13 @@
 """Cost of sweeps, and equality of their results for all engines.
 
-    uv run python benchmarks/sweeps.py [--only fig31 workers engines twins ray] [--repetitions 3]
+    uv run python benchmarks/sweeps.py [--only fig31 workers engines twins ray]
+    [--repetitions 3]
 
 - fig31: the 1,736 points of Fig. 31 with two workers.
 - workers: the same points with one worker and with two.
 - engines: the digests of one grid with one worker, two workers, and Ray.
-- twins: twins of one robot in processes, in threads of one process, and stepped together in `mujoco.batch`.
+- twins: twins of one robot in processes, in threads of one process, and stepped
+  together in `mujoco.batch`.
 - ray: additional time of a local Ray cluster.
 """
 
@@ -50,16 +52,31 @@ def command(sweep: str, *words: str) -> tuple[float, str]:
     """Run `srs-twin sweep` in an empty folder; return its wall time (s) and the digest of its results."""
     with tempfile.TemporaryDirectory() as out:
         begun = time.perf_counter()
-        subprocess.run([str(COMMAND), "sweep", sweep, "--out", out, "-q", *words], check=True)
+        subprocess.run(
+            [str(COMMAND), "sweep", sweep, "--out", out, "-q", *words], check=True
+        )
         wall = time.perf_counter() - begun
-        return wall, json.loads((Path(out) / "sweep.json").read_text())["results_sha256"]
+        return (
+            wall,
+            json.loads((Path(out) / "sweep.json").read_text())["results_sha256"],
+        )
 
 
-def written(folder: Path, plants: str, duration: float, frequencies: int, pressures: int) -> str:
+def written(
+    folder: Path, plants: str, duration: float, frequencies: int, pressures: int
+) -> str:
     """Write the sweep file of a grid and return its path."""
-    path = folder / f"{plants.replace(', ', '_')}_{duration:g}_{frequencies}_{pressures}.yaml"
+    path = (
+        folder
+        / f"{plants.replace(', ', '_')}_{duration:g}_{frequencies}_{pressures}.yaml"
+    )
     path.write_text(
-        GRID.format(plants=plants, duration=duration, frequencies=frequencies, pressures=pressures)
+        GRID.format(
+            plants=plants,
+            duration=duration,
+            frequencies=frequencies,
+            pressures=pressures,
+        )
     )
     return str(path)
 
@@ -79,15 +96,28 @@ def workers(folder: Path, repetitions: int) -> None:
         methods = [(n, which) for n in (1, 2) for which in (sweep, few)]
         # In turns, so that other load of the machine affects all of them.
         outcomes = [
-            {method: command(method[1], "--workers", str(method[0]))[0] for method in methods}
+            {
+                method: command(method[1], "--workers", str(method[0]))[0]
+                for method in methods
+            }
             for _ in range(repetitions)
         ]
         walls = {method: [item[method] for item in outcomes] for method in methods}
         least = {method: min(item) for method, item in walls.items()}
-        alone = (least[1, sweep] - least[1, few]) / (least[2, sweep] - least[2, few]) / 2
+        alone = (
+            (least[1, sweep] - least[1, few]) / (least[2, sweep] - least[2, few]) / 2
+        )
         whole = least[1, sweep] / least[2, sweep] / 2
-        rows.append([plants, str(size[0] * size[1]), _spread(walls[1, sweep]), _spread(walls[2, sweep]),
-                     f"{whole:.2f}", f"{alone:.2f}"])  # fmt: skip
+        rows.append(
+            [
+                plants,
+                str(size[0] * size[1]),
+                _spread(walls[1, sweep]),
+                _spread(walls[2, sweep]),
+                f"{whole:.2f}",
+                f"{alone:.2f}",
+            ]
+        )
     head = ["plant", "points", "one, s", "two, s", "efficiency", "without the start"]
     print(table(head, rows))
 
@@ -95,12 +125,22 @@ def workers(folder: Path, repetitions: int) -> None:
 def engines(folder: Path, repetitions: int) -> None:
     """Compare the digests of one grid by every engine over several repetitions."""
     sweep = written(folder, "analytical, twin", 3, 4, 3)
-    methods = [("--workers", "1"), ("--workers", "2"), ("--engine", "ray", "--workers", "2")]
-    outcomes = {method: {command(sweep, *method)[1] for _ in range(repetitions)} for method in methods}
+    methods = [
+        ("--workers", "1"),
+        ("--workers", "2"),
+        ("--engine", "ray", "--workers", "2"),
+    ]
+    outcomes = {
+        method: {command(sweep, *method)[1] for _ in range(repetitions)}
+        for method in methods
+    }
     for method, digests in outcomes.items():
         print(" ".join(method), *digests)
     same = len(set.union(*outcomes.values())) == 1
-    print(f"{len(methods)} engines, {repetitions} times each: {'all the same' if same else 'NOT the same'}")
+    print(
+        f"{len(methods)} engines, {repetitions} times each:"
+        f" {'all the same' if same else 'NOT the same'}"
+    )
     if not same:
         sys.exit(1)
 
@@ -116,7 +156,10 @@ def twins(folder: Path, repetitions: int) -> None:
         "mujoco.batch, one thread": lambda sweep: _together(sweep, 1),
     }
     outcomes = {name: method(sweep) for name, method in methods.items()}
-    walls = [[_timed(method, sweep) for method in methods.values()] for _ in range(repetitions)]
+    walls = [
+        [_timed(method, sweep) for method in methods.values()]
+        for _ in range(repetitions)
+    ]
     rows = []
     for k, name in enumerate(methods):
         ratio = statistics.median(row[k] / row[0] for row in walls)
@@ -135,7 +178,10 @@ def _rows(engine: Engine, sweep: Sweep) -> Found:
 
 def _threads(sweep: Sweep) -> Found:
     scenarios = _scenarios(sweep)
-    jobs = [Job(partial(s.build_plant, "twin"), s.build_controller, s.duration) for s in scenarios]
+    jobs = [
+        Job(partial(s.build_plant, "twin"), s.build_controller, s.duration)
+        for s in scenarios
+    ]
     return _measured(sweep, run_many(jobs, threads=2))
 
 
@@ -146,7 +192,10 @@ def _together(sweep: Sweep, threads: int) -> Found:
 
 
 def _scenarios(sweep: Sweep) -> list[Scenario]:
-    return [parse_scenario(sweep.experiment.document(point.changes)) for point in sweep.points]
+    return [
+        parse_scenario(sweep.experiment.document(point.changes))
+        for point in sweep.points
+    ]
 
 
 def _measured(sweep: Sweep, runs: Sequence[Trajectory | DivergedError]) -> Found:
@@ -166,7 +215,10 @@ def ray(folder: Path, repetitions: int) -> None:
     """Compare a sweep of four short runs with local workers and with a local Ray cluster."""
     sweep = written(folder, "analytical", 1.6, 2, 2)
     here = [command(sweep, "--workers", "2")[0] for _ in range(repetitions)]
-    there = [command(sweep, "--engine", "ray", "--workers", "2")[0] for _ in range(repetitions)]
+    there = [
+        command(sweep, "--engine", "ray", "--workers", "2")[0]
+        for _ in range(repetitions)
+    ]
     added = statistics.median(there) - statistics.median(here)
     print(f"local {_spread(here)} s, Ray {_spread(there)} s: Ray adds {added:.1f} s")
 
@@ -175,14 +227,22 @@ def _spread(values: list[float]) -> str:
     return f"{statistics.median(values):.1f} ({min(values):.1f} to {max(values):.1f})"
 
 
-STUDIES = {"fig31": fig31, "workers": workers, "engines": engines, "twins": twins, "ray": ray}
+STUDIES = {
+    "fig31": fig31,
+    "workers": workers,
+    "engines": engines,
+    "twins": twins,
+    "ray": ray,
+}
 
 
 def main() -> None:
     """Run the chosen parts and print their results."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=STUDIES, default=list(STUDIES))
-    parser.add_argument("--repetitions", type=int, default=3, help="number of repetitions")
+    parser.add_argument(
+        "--repetitions", type=int, default=3, help="number of repetitions"
+    )
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         for part in arguments.only:

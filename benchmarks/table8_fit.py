@@ -5,10 +5,11 @@ r"""Fits of generation 4 to Table 8: fitted to offsets 0 and ±0.3, validated at
     uv run python benchmarks/table8_fit.py --show --page docs/dissertation-data.md \
         --picture docs/images/table8_fit.png
 
-The first command fits a plant and writes calibration/fits/gen4_table8_twin.yaml, in ten minutes on a
-busy machine with two cores. The second uses another reading of the dissertation, in which the offset acts on
-the valve pattern as well as on the targets. In both, length and mu_t cannot be identified together from these
-rows, so the length is fixed. The fit of the twin uses the length from the fit of the analytical plant, which
+The first command fits a plant and writes calibration/fits/gen4_table8_twin.yaml, in ten
+minutes on a busy machine with two cores. The second uses another reading of the
+dissertation, in which the offset acts on the valve pattern as well as on the targets.
+In both, length and mu_t cannot be identified together from these rows, so the length is
+fixed. The fit of the twin uses the length from the fit of the analytical plant, which
 must exist. The last command writes the tables of the fits into the page.
 """
 
@@ -36,14 +37,26 @@ from srs_twin.scenario.provenance import versions
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from offset_runs import fit_offsets, offset_runs, predicted
 from published_tables import PublishedRun, published_runs
-from table8 import FITTED, STUDIES, UNKNOWN, drive_of, held_values, place, shipped, values_of, with_averages
+from table8 import (
+    FITTED,
+    STUDIES,
+    UNKNOWN,
+    drive_of,
+    held_values,
+    place,
+    shipped,
+    values_of,
+    with_averages,
+)
 
 
 def main() -> None:
     """Fit a plant, or show the existing fits."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--plant", choices=PLANTS, default="analytical")
-    parser.add_argument("--wave", action="store_true", help="the offset also acts on the valve pattern")
+    parser.add_argument(
+        "--wave", action="store_true", help="the offset also acts on the valve pattern"
+    )
     parser.add_argument("--threads", type=int)
     parser.add_argument("--show", action="store_true")
     parser.add_argument("--picture", type=Path)
@@ -71,9 +84,13 @@ def with_tables(text: str, tables: Sequence[str]) -> str:
     """Return a page in which each table replaces the one with the same first three headings."""
     for item in tables:
         head = "|".join(item.split("|")[:4])
-        text, count = re.subn(rf"(?m)^{re.escape(head)}\|.*(\n\|.*)*", lambda _, new=item: new, text)
+        text, count = re.subn(
+            rf"(?m)^{re.escape(head)}\|.*(\n\|.*)*", lambda _, new=item: new, text
+        )
         if count != 1:
-            raise InputError(f"{count} tables begin with {head}|; exactly one is needed")
+            raise InputError(
+                f"{count} tables begin with {head}|; exactly one is needed"
+            )
     return text
 
 
@@ -84,20 +101,36 @@ def fit(study: str, threads: int | None = None) -> FitFile:
     kept = offset_runs([row for row in rows if row.offset not in FITTED])
     start = {name: value for name, value in UNKNOWN.items() if name not in held}
     result = fit_offsets(
-        fitted_rows, replace(drive, spec=with_values(drive.spec, held)), start,
-        besides=(*held, *STUDIES[study].asked), validation=kept, starting=start, threads=threads,
-    )  # fmt: skip
-    data = [run.data_set("fit") for run in fitted_rows] + [run.data_set("validation") for run in kept]
+        fitted_rows,
+        replace(drive, spec=with_values(drive.spec, held)),
+        start,
+        besides=(*held, *STUDIES[study].asked),
+        validation=kept,
+        starting=start,
+        threads=threads,
+    )
+    data = [run.data_set("fit") for run in fitted_rows] + [
+        run.data_set("validation") for run in kept
+    ]
     bare = fit_file(
-        result, name=f"gen4_table8_{study}", title=title(study, held), robot="gen4",
-        method="offsets", command=command(study), versions=versions(), data=data,
-    )  # fmt: skip
+        result,
+        name=f"gen4_table8_{study}",
+        title=title(study, held),
+        robot="gen4",
+        method="offsets",
+        command=command(study),
+        versions=versions(),
+        data=data,
+    )
     if bare.unidentified():
         raise InputError(
-            f"{result.text()}\n{', '.join(bare.unidentified())} cannot be identified: fix one of them"
+            f"{result.text()}\n{', '.join(bare.unidentified())} cannot be identified:"
+            " fix one of them"
         )
     # Predict with the rounded values in the file.
-    return with_averages(bare, averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads))
+    return with_averages(
+        bare, averages(rows, replace(drive, spec=apply_fit(bare, drive.spec)), threads)
+    )
 
 
 def title(study: str, held: Iterable[str]) -> str:
@@ -106,7 +139,11 @@ def title(study: str, held: Iterable[str]) -> str:
     if STUDIES[study].steering != "targets":
         line += ", the offset also on the valves' wave"
     for name in held:
-        where = "at the analytical plant's fit" if STUDIES[study].held[name] is None else "at a search's end"
+        where = (
+            "at the analytical plant's fit"
+            if STUDIES[study].held[name] is None
+            else "at a search's end"
+        )
         line += f", {name} held {where}"
     return line
 
@@ -114,7 +151,9 @@ def title(study: str, held: Iterable[str]) -> str:
 def command(study: str) -> str:
     """Return the command that makes the fit of a study."""
     wave = " --wave" if STUDIES[study].steering != "targets" else ""
-    return f"uv run python benchmarks/table8_fit.py --plant {STUDIES[study].plant}{wave}"
+    return (
+        f"uv run python benchmarks/table8_fit.py --plant {STUDIES[study].plant}{wave}"
+    )
 
 
 def averages(rows: Sequence[PublishedRun], drive: GaitSetup, threads: int | None):
@@ -131,8 +170,15 @@ def averages(rows: Sequence[PublishedRun], drive: GaitSetup, threads: int | None
     return result
 
 
-def _named(speed: float, curvature: float, left: float, right: float) -> dict[str, float]:
-    return {"speed_m_s": speed, "curvature_per_m": curvature, "left_m": left, "right_m": right}
+def _named(
+    speed: float, curvature: float, left: float, right: float
+) -> dict[str, float]:
+    return {
+        "speed_m_s": speed,
+        "curvature_per_m": curvature,
+        "left_m": left,
+        "right_m": right,
+    }
 
 
 def with_deviation(one: float, other: float) -> str:
@@ -141,7 +187,9 @@ def with_deviation(one: float, other: float) -> str:
 
 def values_table(fits: dict[str, FitFile]) -> str:
     """Return the fitted values of each plant with 95 % intervals."""
-    rows = [[name, *(value_text(fit, name) for fit in fits.values())] for name in UNKNOWN]
+    rows = [
+        [name, *(value_text(fit, name) for fit in fits.values())] for name in UNKNOWN
+    ]
     return table(["parameter", *fits], rows)
 
 
@@ -159,12 +207,24 @@ def rows_table(fits: dict[str, FitFile]) -> str:
     seen = values_of(next(iter(fits.values())), "measured")
     for offset, (speed, radius) in seen.items():
         predictions = [values_of(item, "predicted")[offset] for item in fits.values()]
-        rows.append([
-            f"{offset:g}", "fit" if offset in FITTED else "predicted", f"{speed:g}",
-            *(with_deviation(item[0], speed) for item in predictions), f"{radius:.5g}",
-            *(with_deviation(item[1], radius) for item in predictions),
-        ])  # fmt: skip
-    heads = ["offset", "row", "speed: Table 8 (m/s)", *fits, "radius: Table 8 (m)", *fits]
+        rows.append(
+            [
+                f"{offset:g}",
+                "fit" if offset in FITTED else "predicted",
+                f"{speed:g}",
+                *(with_deviation(item[0], speed) for item in predictions),
+                f"{radius:.5g}",
+                *(with_deviation(item[1], radius) for item in predictions),
+            ]
+        )
+    heads = [
+        "offset",
+        "row",
+        "speed: Table 8 (m/s)",
+        *fits,
+        "radius: Table 8 (m)",
+        *fits,
+    ]
     return table(heads, rows)
 
 
@@ -173,7 +233,9 @@ def pairs_table(fits: dict[str, FitFile]) -> str:
     rows = []
     seen = values_of(next(iter(fits.values())), "measured")
 
-    def mean(pairs: dict[float, tuple[float, float]], offset: float, which: int) -> float:
+    def mean(
+        pairs: dict[float, tuple[float, float]], offset: float, which: int
+    ) -> float:
         return (pairs[offset][which] + pairs[-offset][which]) / 2
 
     for offset in sorted(item for item in seen if item > 0):
@@ -186,8 +248,17 @@ def pairs_table(fits: dict[str, FitFile]) -> str:
                 with_deviation(mean(values_of(item, "predicted"), offset, which), held)
                 for item in fits.values()
             ]
-        rows.append([f"±{offset:g}", "fit" if offset in FITTED else "predicted", *cells])
-    heads = ["offsets", "rows", "mean speed: Table 8 (m/s)", *fits, "mean radius: Table 8 (m)", *fits]
+        rows.append(
+            [f"±{offset:g}", "fit" if offset in FITTED else "predicted", *cells]
+        )
+    heads = [
+        "offsets",
+        "rows",
+        "mean speed: Table 8 (m/s)",
+        *fits,
+        "mean radius: Table 8 (m)",
+        *fits,
+    ]
     return table(heads, rows)
 
 
@@ -204,19 +275,37 @@ def picture(fits: dict[str, FitFile]):
     figure = Figure(figsize=(9.0, 3.6), layout="constrained")
     panels = figure.subplots(1, 2)
     seen = values_of(next(iter(fits.values())), "measured")
-    for which, (axes, label) in enumerate(zip(panels, ("speed (m/s)", "radius (m)"), strict=True)):
+    for which, (axes, label) in enumerate(
+        zip(panels, ("speed (m/s)", "radius (m)"), strict=True)
+    ):
         for index, (plant, item) in enumerate(fits.items()):
             predictions, style = values_of(item, "predicted"), style_of(plant, index)
-            offsets = np.array([offset for offset in predictions if which == 0 or offset != 0])
+            offsets = np.array(
+                [offset for offset in predictions if which == 0 or offset != 0]
+            )
             for side in (offsets < 0, offsets > 0) if which else (offsets < 9,):
                 axes.plot(
-                    offsets[side], [predictions[offset][which] for offset in offsets[side]], style.dash,
-                    color=style.color, label=plant if side[0] else None, marker=".",
-                )  # fmt: skip
+                    offsets[side],
+                    [predictions[offset][which] for offset in offsets[side]],
+                    style.dash,
+                    color=style.color,
+                    label=plant if side[0] else None,
+                    marker=".",
+                )
         for offset, values in seen.items():
             face = "black" if offset in FITTED else "white"
-            axes.plot(offset, values[which], "o", color="black", markerfacecolor=face, zorder=3)
-        for face, text in (("black", "Table 8, fitted"), ("white", "Table 8, predicted")):
+            axes.plot(
+                offset,
+                values[which],
+                "o",
+                color="black",
+                markerfacecolor=face,
+                zorder=3,
+            )
+        for face, text in (
+            ("black", "Table 8, fitted"),
+            ("white", "Table 8, predicted"),
+        ):
             axes.plot([], [], "o", color="black", markerfacecolor=face, label=text)
         axes.set_xlabel("offset (positive to the left)")
         axes.set_ylabel(label)

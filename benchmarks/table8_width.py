@@ -2,8 +2,9 @@
 
     uv run python benchmarks/table8_width.py [--show]
 
-The lateral reach of the plant is taken from the fit to speeds and radii (`table8_fit.py`), which must exist.
-The result is written to calibration/fits/gen4_table8_width.yaml. The width is a property of the body, so only
+The lateral reach of the plant is taken from the fit to speeds and radii
+(`table8_fit.py`), which must exist. The result is written to
+calibration/fits/gen4_table8_width.yaml. The width is a property of the body, so only
 the analytical plant is used.
 """
 
@@ -24,7 +25,9 @@ from table8 import fit_body_width, place
 def main() -> None:
     """Fit and write, or show the written fit."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--show", action="store_true", help="show the written fit, without fitting")
+    parser.add_argument(
+        "--show", action="store_true", help="show the written fit, without fitting"
+    )
     if parser.parse_args().show:
         file = load_fit(place("width"))
     else:
@@ -37,13 +40,28 @@ def main() -> None:
 def edges_table(file: FitFile) -> str:
     """Return the measured and predicted edges of each row."""
     rows = []
-    for item in sorted(file.data, key=lambda item: float(item.name.removeprefix("offset "))):
+    for item in sorted(
+        file.data, key=lambda item: float(item.name.removeprefix("offset "))
+    ):
         cells = []
         for side in ("left_m", "right_m"):
             prediction, seen = item.predicted[side], item.measured[side]
-            cells += [f"{seen:g}", f"{prediction:.3f} ({100 * (prediction / seen - 1):+.0f} %)"]
-        rows.append([item.name.removeprefix("offset "), "fit" if item.role == "fit" else "predicted", *cells])
-    sides = [f"{side} edge: {whose}" for side in ("left", "right") for whose in ("Table 8 (m)", "fit")]
+            cells += [
+                f"{seen:g}",
+                f"{prediction:.3f} ({100 * (prediction / seen - 1):+.0f} %)",
+            ]
+        rows.append(
+            [
+                item.name.removeprefix("offset "),
+                "fit" if item.role == "fit" else "predicted",
+                *cells,
+            ]
+        )
+    sides = [
+        f"{side} edge: {whose}"
+        for side in ("left", "right")
+        for whose in ("Table 8 (m)", "fit")
+    ]
     return table(["offset", "row", *sides], rows)
 
 

@@ -21,7 +21,8 @@ class Timing:
     """Times of one task.
 
     Attributes:
-        seconds: one time per round, divided by the simulated seconds of the task if it has any.
+        seconds: one time per round, divided by the simulated seconds of the task if it
+            has any.
     """
 
     seconds: tuple[float, ...]
@@ -64,7 +65,10 @@ class Ratio:
         return {"value": self.value, "least": self.least, "most": self.most}
 
     def __str__(self) -> str:
-        return f"{three_figures(self.value)} ({three_figures(self.least)} to {three_figures(self.most)})"
+        return (
+            f"{three_figures(self.value)} ({three_figures(self.least)} to"
+            f" {three_figures(self.most)})"
+        )
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,8 @@ class Result:
 def interleaved(tasks: Mapping[str, Task], rounds: int = ROUNDS) -> dict[str, Timing]:
     """Time all tasks in every round, so that a disturbance of the machine affects all of them.
 
-    The order is reversed in every other round. There is no warm-up: call the tasks once before.
+    The order is reversed in every other round. There is no warm-up: call the tasks once
+    before.
 
     Args:
         tasks: tasks by name.
@@ -147,7 +152,11 @@ def machine() -> dict[str, Any]:
 def _cpu_model() -> str:
     table = Path("/proc/cpuinfo")
     lines = table.read_text("utf-8").splitlines() if table.exists() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    models = [
+        line.partition(":")[2].strip()
+        for line in lines
+        if line.startswith("model name")
+    ]
     return models[0] if models else platform.machine()
 
 

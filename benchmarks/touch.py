@@ -2,10 +2,11 @@
 
     uv run python benchmarks/touch.py [--fields 12] [--first 100]
 
-Two rows of posts cross the room. All gaps are 75 to 95 mm wide; the straight footprint of generation 2 is 100
-mm wide and its body 40 mm. In the fields with a detour, one gap of each row is 250 mm wide. Robots have
-modules with a gain spread of 10 %. A run succeeds if the centre of mass reaches the goal within 60 s. Seeds
-below 100 served to choose the settings.
+Two rows of posts cross the room. All gaps are 75 to 95 mm wide; the straight footprint
+of generation 2 is 100 mm wide and its body 40 mm. In the fields with a detour, one gap
+of each row is 250 mm wide. Robots have modules with a gain spread of 10 %. A run
+succeeds if the centre of mass reaches the goal within 60 s. Seeds below 100 served to
+choose the settings.
 """
 
 from __future__ import annotations
@@ -59,23 +60,44 @@ def field(detour: bool, planner: str, seed: int) -> dict[str, Any]:
     goal = {"x_m": 1.75, "y_m": float(rng.uniform(-0.3, 0.3)), "radius_m": 0.08}
     return {
         "robot": {"base": "gen2", "modules": {"gain_spread": 0.1}},
-        "duration_s": DURATION_S, "seed": seed, "record_hz": 50, "supply": {"pressure_kpa": 48.3},
+        "duration_s": DURATION_S,
+        "seed": seed,
+        "record_hz": 50,
+        "supply": {"pressure_kpa": 48.3},
         "start": {"x_m": -0.3, "y_m": 0.0, "heading_rad": 0.0},
         "world": {"bounds": bounds, "obstacles": obstacles, "goal": goal},
         "planner": {
-            "kind": "best_first", "footprint": "gen2_gait", "turn_share": 0.5, "run_up_m": 0.3,
+            "kind": "best_first",
+            "footprint": "gen2_gait",
+            "turn_share": 0.5,
+            "run_up_m": 0.3,
             **PLANNERS[planner],
         },
         "controller": {
-            "kind": "follow", "follower": "path", "gait": {"kind": "gait", "frequency_hz": 2.0},
-            "camera": {"rate_hz": 120, "position_noise_m": 0.001, "heading_noise_rad": 0.005},
-            "delay_s": 0.1, "lookahead_m": 0.1, "settle_m": 0.035, "replan_beyond_m": 0.1, "replans": 10,
+            "kind": "follow",
+            "follower": "path",
+            "gait": {"kind": "gait", "frequency_hz": 2.0},
+            "camera": {
+                "rate_hz": 120,
+                "position_noise_m": 0.001,
+                "heading_noise_rad": 0.005,
+            },
+            "delay_s": 0.1,
+            "lookahead_m": 0.1,
+            "settle_m": 0.035,
+            "replan_beyond_m": 0.1,
+            "replans": 10,
         },
         "plants": {
-            "analytical": {"model": "compliant", "friction": "ellipse", "load": "momentary", "touch": True},
+            "analytical": {
+                "model": "compliant",
+                "friction": "ellipse",
+                "load": "momentary",
+                "touch": True,
+            },
             "twin": {"hinges_per_segment": 3},
         },
-    }  # fmt: skip
+    }
 
 
 def run(order: Order) -> dict[str, Any]:
@@ -93,14 +115,21 @@ def run(order: Order) -> dict[str, Any]:
     if not plan.found:
         return result
     motion = rollout(
-        scenario.build_plant(plant), scenario.build_controller(), DURATION_S,
-        pose=scenario.pose, seed=seed, record_hz=scenario.record_hz,
-    )  # fmt: skip
+        scenario.build_plant(plant),
+        scenario.build_controller(),
+        DURATION_S,
+        pose=scenario.pose,
+        seed=seed,
+        record_hz=scenario.record_hz,
+    )
     metrics, force = following_metrics(motion), obstacle_force(motion)
     assert force is not None, "there are obstacles"
     body, speed = scenario.planner.footprint, scenario.planner.footprint.at(0.0).speed
     # Every point of the body passes the obstacle once.
-    lengths = [(t.force, t.end - t.begin + body.ahead + body.behind) for t in plan.touches or ()]
+    lengths = [
+        (t.force, t.end - t.begin + body.ahead + body.behind)
+        for t in plan.touches or ()
+    ]
     return result | {
         "reached": bool(metrics["goal_reached"]),
         "ending": motion.metadata["control"]["following"]["ending"],
@@ -109,7 +138,9 @@ def run(order: Order) -> dict[str, Any]:
         "contact_s": metrics["contact_time_s"],
         "overlap_m": max(0.0, -metrics["clearance_m"]),
         "impulse": float(force.sum() / scenario.record_hz),
-        "estimated_impulse": math.fsum(mean * length / speed for mean, length in lengths),
+        "estimated_impulse": math.fsum(
+            mean * length / speed for mean, length in lengths
+        ),
     }
 
 
@@ -121,28 +152,49 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
         return f"{np.median([r[key] for r in among]):.{digits}f}" if among else "–"
 
     return [
-        f"{len(ran)} of {len(rows)}", f"{len(reached)} of {len(rows)}", median("length", reached, 2),
-        median("seconds", reached, 1), median("contact_s", reached, 1), median("impulse", reached, 2),
-        median("estimated_impulse", reached, 2), f"{1e3 * max((r['overlap_m'] for r in ran), default=0):.1f}",
+        f"{len(ran)} of {len(rows)}",
+        f"{len(reached)} of {len(rows)}",
+        median("length", reached, 2),
+        median("seconds", reached, 1),
+        median("contact_s", reached, 1),
+        median("impulse", reached, 2),
+        median("estimated_impulse", reached, 2),
+        f"{1e3 * max((r['overlap_m'] for r in ran), default=0):.1f}",
         median("ms", rows, 0),
-    ]  # fmt: skip
+    ]
 
 
 HEADINGS = (
-    "detour", "planner", "plant", "planned", "reached", "path, m", "time, s", "contact, s", "impulse, N s",
-    "estimated impulse, N s", "largest penetration, mm", "planning, ms",
-)  # fmt: skip
+    "detour",
+    "planner",
+    "plant",
+    "planned",
+    "reached",
+    "path, m",
+    "time, s",
+    "contact, s",
+    "impulse, N s",
+    "estimated impulse, N s",
+    "largest penetration, mm",
+    "planning, ms",
+)
 
 
 def main() -> None:
     """Run all fields and print the table."""
-    words = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    words = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     words.add_argument("--fields", type=int, default=12)
     words.add_argument("--first", type=int, default=100)
-    words.add_argument("--planners", nargs="+", choices=PLANNERS, default=list(PLANNERS))
+    words.add_argument(
+        "--planners", nargs="+", choices=PLANNERS, default=list(PLANNERS)
+    )
     options = words.parse_args()
     seeds = range(options.first, options.first + options.fields)
-    groups = [(d, name, p) for d in (False, True) for name in options.planners for p in PLANTS]
+    groups = [
+        (d, name, p) for d in (False, True) for name in options.planners for p in PLANTS
+    ]
     orders = [(*group, seed) for group in groups for seed in seeds]
     rows: list[dict[str, Any]] = []
     for done in run_tasks(run, orders):

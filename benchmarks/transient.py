@@ -2,8 +2,9 @@
 
     uv run python benchmarks/transient.py
 
-The lag ℓ is that of the first-order law of `control.prediction` with the same final heading: the heading
-deficit relative to a snake that changes its curvature at once, divided by the change of curvature.
+The lag ℓ is that of the first-order law of `control.prediction` with the same final
+heading: the heading deficit relative to a snake that changes its curvature at once,
+divided by the change of curvature.
 """
 
 from __future__ import annotations
@@ -71,24 +72,36 @@ class Turned:
         steps = np.diff(self.com, axis=0)
         distance = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
         distance -= distance[at]
-        # Period means at the change already include it, so the steady arc is extended to there.
-        # The frame has the direction of the path, because the body of a turning snake slides.
+        # Period means at the change already include it, so the steady arc is extended
+        # to there. The frame has the direction of the path, because the body of a
+        # turning snake slides.
         x, y = self.com[still + 1] - self.com[still - 1]
         old = self.curvature[(self.periods > -4) & (self.periods < -1)].mean()
         place = arc_end(*self.com[still], np.arctan2(y, x), old, -distance[still])
         c, s = np.cos(place[2]), np.sin(place[2])
-        return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[distance[at:] <= length]
+        return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[
+            distance[at:] <= length
+        ]
 
 
-def turned(name: str, plant: str, before: float, after: float, duration: float) -> Turned:
+def turned(
+    name: str, plant: str, before: float, after: float, duration: float
+) -> Turned:
     """Run a scenario whose offset changes at half time."""
-    document = copy.deepcopy(dict(load_scenario(name).document)) | {"expect": [], "duration_s": duration}
+    document = copy.deepcopy(dict(load_scenario(name).document)) | {
+        "expect": [],
+        "duration_s": duration,
+    }
     document["controller"]["offset"] = before
-    document["controller"]["frequency_hz"] = FREQUENCY.get(name, document["controller"]["frequency_hz"])
+    document["controller"]["frequency_hz"] = FREQUENCY.get(
+        name, document["controller"]["frequency_hz"]
+    )
     scenario = parse_scenario(document)
     gait, at = scenario.build_controller(), duration / 2
     assert gait.frequency is not None
-    run = rollout(scenario.build_plant(plant), Step(gait, after, at), duration, record_hz=RATE)
+    run = rollout(
+        scenario.build_plant(plant), Step(gait, after, at), duration, record_hz=RATE
+    )
     period = 1 / gait.frequency
     count = round(period * RATE)
 
@@ -96,8 +109,15 @@ def turned(name: str, plant: str, before: float, after: float, duration: float) 
         sums = np.cumsum(values, axis=0)
         return (sums[count:] - sums[:-count]) / count
 
-    heading, com, time = mean(run["heading"]), mean(run.com), run.time[count:] - period / 2
-    turn, distance = heading[count:] - heading[:-count], np.hypot(*(com[count:] - com[:-count]).T)
+    heading, com, time = (
+        mean(run["heading"]),
+        mean(run.com),
+        run.time[count:] - period / 2,
+    )
+    turn, distance = (
+        heading[count:] - heading[:-count],
+        np.hypot(*(com[count:] - com[:-count]).T),
+    )
     curvature, middle = turn / distance, time[count:] - period / 2
     first = curvature[(middle > 6 * period) & (middle < at - 2 * period)].mean()
     last = curvature[middle > at + 6 * period].mean()
@@ -105,15 +125,24 @@ def turned(name: str, plant: str, before: float, after: float, duration: float) 
     early = np.interp(at - 2 * period, time, heading) + first * speed * 2 * period
     late = heading[-1] - last * speed * (time[-1] - at)
     lag = float((early - late) / (last - first))
-    return Turned((middle - at) / period, curvature, lag, speed, com, (time - at) / period)
+    return Turned(
+        (middle - at) / period, curvature, lag, speed, com, (time - at) / period
+    )
 
 
-def measured(name: str, plant: str, before: float, after: float, duration: float) -> list[str]:
+def measured(
+    name: str, plant: str, before: float, after: float, duration: float
+) -> list[str]:
     """Return a row with the lag and the curvature over time for one change."""
     run = turned(name, plant, before, after, duration)
     seen = np.interp(SHOWN, run.periods, run.curvature)
-    return [f"{name}, {plant}", f"{before:g} to {after:g}", f"{1e3 * run.lag:.0f}",
-            f"{run.lag / run.speed:.2f}", *(f"{item:.2f}" for item in seen)]  # fmt: skip
+    return [
+        f"{name}, {plant}",
+        f"{before:g} to {after:g}",
+        f"{1e3 * run.lag:.0f}",
+        f"{run.lag / run.speed:.2f}",
+        *(f"{item:.2f}" for item in seen),
+    ]
 
 
 def main() -> None:
@@ -122,7 +151,12 @@ def main() -> None:
         for name, before, after, duration in CASES
         for plant in ("analytical", "twin")
     ]
-    print(table(["run", "offset", "lag, mm", "lag, s", *(f"{item:g} T" for item in SHOWN)], rows))
+    print(
+        table(
+            ["run", "offset", "lag, mm", "lag, s", *(f"{item:g} T" for item in SHOWN)],
+            rows,
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
     uv run python benchmarks/transient_figure.py --plot docs/images/transient.png
 
-Generation 4 with learning, offset −0.3 to 0.3, on both plants. The path begins at the change. It is compared
-with the arc of an instantaneous change (the assumption of the dissertation), and with the measured jump of
-the footprint followed by the new arc.
+Generation 4 with learning, offset −0.3 to 0.3, on both plants. The path begins at the
+change. It is compared with the arc of an instantaneous change (the assumption of the
+dissertation), and with the measured jump of the footprint followed by the new arc.
 """
 
 from __future__ import annotations
@@ -65,27 +65,57 @@ def draw(runs: dict[str, Turned], footprint: Footprint, path: Path) -> None:
 def _assumptions(left: Axes, right: Axes, footprint: Footprint) -> None:
     """Draw the instantaneous change, and the measured jump with the new arc."""
     before, after = CASE[1:3]
-    old, new = (float(np.interp(o, footprint.offsets, footprint.curvatures)) for o in (before, after))
-    times, look = (SHOWN_PERIODS[0], 0.0, SHOWN_PERIODS[1]), {"color": _ASSUMED, "zorder": 0}
+    old, new = (
+        float(np.interp(o, footprint.offsets, footprint.curvatures))
+        for o in (before, after)
+    )
+    times, look = (
+        (SHOWN_PERIODS[0], 0.0, SHOWN_PERIODS[1]),
+        {"color": _ASSUMED, "zorder": 0},
+    )
     left.step(times, (old, new, new), where="post", label="instant change", **look)
-    jump = next(t for t in footprint.transients if (t.before, t.after) == (before, after))
+    jump = next(
+        t for t in footprint.transients if (t.before, t.after) == (before, after)
+    )
     # The steady arc is the path after the transient.
     for start, begin, color, words in (
         ((0.0, 0.0, 0.0), 0.0, _ASSUMED, "instant change"),
-        ((jump.dx, jump.dy, jump.dheading), jump.length, _JUMPED, "measured jump, steady arc"),
+        (
+            (jump.dx, jump.dy, jump.dheading),
+            jump.length,
+            _JUMPED,
+            "measured jump, steady arc",
+        ),
     ):
-        arc = np.array([arc_end(*start, new, s)[:2] for s in np.linspace(begin, SHOWN_M, 60)])
-        right.plot(*arc.T, color=color, linewidth=1.0, linestyle=":" if begin else "-", label=words, zorder=3)
+        arc = np.array(
+            [arc_end(*start, new, s)[:2] for s in np.linspace(begin, SHOWN_M, 60)]
+        )
+        right.plot(
+            *arc.T,
+            color=color,
+            linewidth=1.0,
+            linestyle=":" if begin else "-",
+            label=words,
+            zorder=3,
+        )
     right.plot(0, 0, "k.", markersize=5)
-    right.annotate(f"jump: {math.degrees(jump.dheading):.0f}°, {1e3 * jump.dy:.0f} mm", (0.02, 0.02),
-                   xycoords="axes fraction", fontsize=8)  # fmt: skip
+    right.annotate(
+        f"jump: {math.degrees(jump.dheading):.0f}°, {1e3 * jump.dy:.0f} mm",
+        (0.02, 0.02),
+        xycoords="axes fraction",
+        fontsize=8,
+    )
 
 
 def main() -> None:
-    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    options = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     options.add_argument("--plot", type=Path, required=True, metavar="FILE")
     selected = options.parse_args()
-    runs = {plant: turned(CASE[0], plant, *CASE[1:]) for plant in ("analytical", "twin")}
+    runs = {
+        plant: turned(CASE[0], plant, *CASE[1:]) for plant in ("analytical", "twin")
+    }
     draw(runs, load_footprint(FOOTPRINT), selected.plot)
 
 

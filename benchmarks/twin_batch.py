@@ -2,9 +2,10 @@
 
     uv run python benchmarks/twin_batch.py [--threads 2]
 
-All twins advance by one second at a time: first the chambers of each twin, then all engine steps of all twins
-in one call on several threads, then the records of each twin. The script compares every column of three runs
-with runs of single twins and exits with 1 unless they agree to the bit.
+All twins advance by one second at a time: first the chambers of each twin, then all
+engine steps of all twins in one call on several threads, then the records of each twin.
+The script compares every column of three runs with runs of single twins and exits with
+1 unless they agree to the bit.
 """
 
 from __future__ import annotations
@@ -31,11 +32,15 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     """Run the preloaded twins of scenarios that differ in gait and supply only, without other engine steps.
 
     Args:
-        scenarios: scenarios with the same `record_hz` and the same duration, in whole seconds.
+        scenarios: scenarios with the same `record_hz` and the same duration, in whole
+            seconds.
         threads: number of threads of the engine.
     """
     first = scenarios[0]
-    twins = [scenario.build_plant("twin", contact=PreloadedContact()) for scenario in scenarios]
+    twins = [
+        scenario.build_plant("twin", contact=PreloadedContact())
+        for scenario in scenarios
+    ]
     models = [twin.physics.model for twin in twins]
     engine = Batch(models[0], len(twins), threads)
     engine.set_models(models)
@@ -44,7 +49,9 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         controller = scenario.build_controller()
         state = twin.reset(pose=scenario.pose, seed=scenario.seed)
         controller.reset(twin.spec, twin.tick, seed=scenario.seed)
-        recorders.append(Recorder(twin, controller, scenario.record_hz, scenario.duration))
+        recorders.append(
+            Recorder(twin, controller, scenario.record_hz, scenario.duration)
+        )
         recorders[-1].add(state)
         scripts.append(controller.script(scenario.duration))
         mujoco.mj_getState(models[k], twin.physics.data, engine.state[k], _WHOLE)
@@ -65,27 +72,40 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
             rates = traces[k].bend_rate[1:]
             batch = twin.physics.evaluate(rates, out[_SEEN][k], out["sensordata"][k])
             trace = traces[k].at(np.arange(1, steps + 1))
-            recorders[k].add(twin._chunk_history(second + times, trace, batch, steps // samples))
+            recorders[k].add(
+                twin._chunk_history(second + times, trace, batch, steps // samples)
+            )
     return [recorder.trajectory() for recorder in recorders]
 
 
 def main() -> None:
     """Compare twins stepped together with single twins."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--threads", type=int, default=2, help="number of threads of the engine")
+    parser.add_argument(
+        "--threads", type=int, default=2, help="number of threads of the engine"
+    )
     document = load_scenario("gen2_straight").document
     scenarios = [
-        parse_scenario({**document, "duration_s": 2.0, "supply": {"pressure_kpa": pressure}})
+        parse_scenario(
+            {**document, "duration_s": 2.0, "supply": {"pressure_kpa": pressure}}
+        )
         for pressure in (42.0, 48.0, 54.0)
     ]
     different: set[str] = set()
-    for scenario, run in zip(scenarios, run_together(scenarios, parser.parse_args().threads), strict=True):
+    for scenario, run in zip(
+        scenarios, run_together(scenarios, parser.parse_args().threads), strict=True
+    ):
         twin = scenario.build_plant("twin", contact=PreloadedContact())
         single = rollout(twin, scenario.build_controller(), scenario.duration)
         different |= run.columns.keys() ^ single.columns.keys()
         shared = run.columns.keys() & single.columns.keys()
-        different |= {name for name in shared if run[name].tobytes() != single[name].tobytes()}
-    print(f"columns that differ from those of single twins: {', '.join(sorted(different)) or 'none'}")
+        different |= {
+            name for name in shared if run[name].tobytes() != single[name].tobytes()
+        }
+    print(
+        "columns that differ from those of single twins:"
+        f" {', '.join(sorted(different)) or 'none'}"
+    )
     sys.exit(bool(different))
 
 

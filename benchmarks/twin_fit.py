@@ -2,9 +2,9 @@
 
 uv run python benchmarks/twin_fit.py [DRAWS]
 
-Each draw hides the true stiffness, gap and μ_t, which differ by up to 25 % (gap: 5 mm) from the initial
-values. The recordings are 1 s of a straight and 1 s of a curved gait. Noise: positions 1 mm, headings and
-bends 0.01 rad, white at 50 Hz.
+Each draw hides the true stiffness, gap and μ_t, which differ by up to 25 % (gap: 5 mm)
+from the initial values. The recordings are 1 s of a straight and 1 s of a curved gait.
+Noise: positions 1 mm, headings and bends 0.01 rad, white at 50 Hz.
 """
 
 from __future__ import annotations
@@ -22,29 +22,44 @@ from srs_twin.identification.parameters import with_values
 SPEC, TWIN = load_robot("gen2"), PlantModel("twin")
 GAITS = ((2.0, 0.0), (1.6, 0.2))
 SUPPLY = 48e3
-NOISE = {"com_x": 1e-3, "com_y": 1e-3, "heading": 1e-2, **{f"bend_{j}": 1e-2 for j in range(1, 5)}}
+NOISE = {
+    "com_x": 1e-3,
+    "com_y": 1e-3,
+    "heading": 1e-2,
+    **{f"bend_{j}": 1e-2 for j in range(1, 5)},
+}
 
 
 def hidden(rng: np.random.Generator) -> dict[str, float]:
     """Return the true parameters of a draw."""
     return {
-        "bending.stiffness_nm_per_rad": SPEC.bending.stiffness * float(np.exp(rng.uniform(-0.25, 0.25))),
-        "geometry.rigid_gap_m": SPEC.geometry.rigid_gap + float(rng.uniform(-0.005, 0.005)),
+        "bending.stiffness_nm_per_rad": (
+            SPEC.bending.stiffness * float(np.exp(rng.uniform(-0.25, 0.25)))
+        ),
+        "geometry.rigid_gap_m": (
+            SPEC.geometry.rigid_gap + float(rng.uniform(-0.005, 0.005))
+        ),
         "friction.mu_t": SPEC.friction.mu_t * float(np.exp(rng.uniform(-0.25, 0.25))),
     }
 
 
-def recorded(truth: dict[str, float], noise: float, rng: np.random.Generator) -> list[GaitRun]:
+def recorded(
+    truth: dict[str, float], noise: float, rng: np.random.Generator
+) -> list[GaitRun]:
     """Return the recordings of a robot."""
     blank = Trajectory({"time": np.array([0.0, 1.0])})
     runs = []
     for frequency, offset in GAITS:
         gait = Gait(frequency, offset)
         name = f"{frequency:g} Hz, offset {offset:g}"
-        seen = TWIN.simulate(GaitRun(blank, gait, SUPPLY, name), with_values(SPEC, truth))
+        seen = TWIN.simulate(
+            GaitRun(blank, gait, SUPPLY, name), with_values(SPEC, truth)
+        )
         columns = dict(seen.columns)
         for column, scale in NOISE.items():
-            columns[column] = columns[column] + noise * scale * rng.normal(size=len(seen))
+            columns[column] = columns[column] + noise * scale * rng.normal(
+                size=len(seen)
+            )
         runs.append(GaitRun(replace(seen, columns=columns), gait, SUPPLY, name))
     return runs
 
@@ -52,7 +67,8 @@ def recorded(truth: dict[str, float], noise: float, rng: np.random.Generator) ->
 def main(draws: int) -> None:
     """Print the table."""
     print(
-        "| draw | noise | runs | s | converged | stiffness | gap | μ_t |\n|---|---|---|---|---|---|---|---|"
+        "| draw | noise | runs | s | converged | stiffness | gap | μ_t"
+        " |\n|---|---|---|---|---|---|---|---|"
     )
     for draw in range(draws):
         for noise in (0.0, 1.0):
@@ -61,9 +77,14 @@ def main(draws: int) -> None:
             counts: list[int] = []
             start = time.perf_counter()
             result = fit_locomotion(
-                recorded(truth, noise, rng), SPEC, list(truth), model=TWIN, against="shapes", starts=1,
+                recorded(truth, noise, rng),
+                SPEC,
+                list(truth),
+                model=TWIN,
+                against="shapes",
+                starts=1,
                 watch=lambda runs, _, counts=counts: counts.append(runs),
-            )  # fmt: skip
+            )
             took = time.perf_counter() - start
             cells = [
                 f"{draw}",
@@ -74,7 +95,9 @@ def main(draws: int) -> None:
             ]
             for name, value in truth.items():
                 item = result[name].value
-                cells.append("none" if item is None else f"{100 * (item / value - 1):+.2f} %")
+                cells.append(
+                    "none" if item is None else f"{100 * (item / value - 1):+.2f} %"
+                )
             print(f"| {' | '.join(cells)} |", flush=True)
 
 

@@ -1,30 +1,31 @@
 r"""Gait that yields to contact: shape-based compliance, or blocked segments that hold or vent.
 
-All estimates come from sensors. The pressures give the free bend f_j of each segment (`pneumatics.chambers`);
-the deviation of the reading q_j is the moment of the load M_j over the stiffness k,
+All estimates come from sensors. The pressures give the free bend f_j of each segment
+(`pneumatics.chambers`); the deviation of the reading q_j is the moment of the load M_j
+over the stiffness k,
 
 $$ e_j = q_j - f_j = M_j / k . $$
 
-**Shape-based compliance** (Travers, Whitman and Choset, 2018): an admittance lets the moments of the load
-change a parameter of the wave, here the amplitude a, relative to that of full pressure, or the lag β per
-segment. Its first-order form is
+**Shape-based compliance** (Travers, Whitman and Choset, 2018): an admittance lets the
+moments of the load change a parameter of the wave, here the amplitude a, relative to
+that of full pressure, or the lag β per segment. Its first-order form is
 
 $$ T \dot a + a - a_0 = g\,F_a, \qquad T \dot\beta + \beta - \beta_0 = g\,F_\beta, $$
 
-where F is the change of the parameter that explains the deviations best. With the free bend q_m at full
-pressure, the place s_j of a segment relative to the middle of the body, and the cosine c_j of its phase,
-delayed by the chambers, this is for n segments
+where F is the change of the parameter that explains the deviations best. With the free
+bend q_m at full pressure, the place s_j of a segment relative to the middle of the
+body, and the cosine c_j of its phase, delayed by the chambers, this is for n segments
 
 $$ F_a = \frac{2}{n q_m^2} \sum_j f_j\,e_j, \qquad
    F_\beta = -\frac{24}{n (n^2 - 1)\,q_m} \sum_j s_j\,c_j\,e_j . $$
 
-A load that flattens the wave has F_a < 0. With g > 0 the wave yields to it, with g < 0 it pushes harder.
-Valves only open and close, so both chambers vent around the sign changes of the wave; the fundamental of the
-wave then has the amplitude a (`gait`).
+A load that flattens the wave has F_a < 0. With g > 0 the wave yields to it, with g < 0
+it pushes harder. Valves only open and close, so both chambers vent around the sign
+changes of the wave; the fundamental of the wave then has the amplitude a (`gait`).
 
-**Blocked segments.** A segment is blocked from the moment when its reading lags behind its free bend by more
-than a threshold, until the lag falls below half of it or the wave changes its sign. Its valves then hold the
-air, or both of its chambers vent.
+**Blocked segments.** A segment is blocked from the moment when its reading lags behind
+its free bend by more than a threshold, until the lag falls below half of it or the wave
+changes its sign. Its valves then hold the air, or both of its chambers vent.
 """
 
 from __future__ import annotations
@@ -64,7 +65,9 @@ def check_robot(spec: RobotSpec) -> None:
     """
     spec.require_planar("a yielding gait")
     if spec.segments < 2:
-        raise InputError(f"a yielding gait needs two or more segments; {spec.name} has one")
+        raise InputError(
+            f"a yielding gait needs two or more segments; {spec.name} has one"
+        )
 
 
 class YieldingGait(Gait):
@@ -78,15 +81,30 @@ class YieldingGait(Gait):
     """
 
     kind = "yielding_gait:YieldingGait"
-    state_attributes = ("rest_level", "amplitude", "lag", "blocked", "_readings", "_events")
+    state_attributes = (
+        "rest_level",
+        "amplitude",
+        "lag",
+        "blocked",
+        "_readings",
+        "_events",
+    )
     layouts: tuple[str, ...] = Gait.layouts
     spatial = False
 
     def __init__(
-        self, frequency: float, offset: float = 0.0, *, response: str = "amplitude", gain: float = 0.5,
-        time: float = 0.3, amplitude: float = 0.8, threshold: float = 0.25, phase: float = 0.0,
+        self,
+        frequency: float,
+        offset: float = 0.0,
+        *,
+        response: str = "amplitude",
+        gain: float = 0.5,
+        time: float = 0.3,
+        amplitude: float = 0.8,
+        threshold: float = 0.25,
+        phase: float = 0.0,
         phase_step: float | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create the gait.
 
         Args:
@@ -96,7 +114,8 @@ class YieldingGait(Gait):
             gain: g of the admittance, 1.
             time: T of the admittance, s.
             amplitude: a₀, from `SMALLEST_AMPLITUDE` to 1; "hold" and "vent" keep it.
-            threshold: lag of the bend above which a segment is blocked, rad; "hold" and "vent" only.
+            threshold: lag of the bend above which a segment is blocked, rad; "hold" and
+                "vent" only.
             phase: ψ at time 0, rad.
             phase_step: β₀, rad; None uses that of the robot.
 
@@ -108,8 +127,16 @@ class YieldingGait(Gait):
         check_positive("time of the admittance", time, "s")
         check_positive("threshold", threshold, "rad")
         if not SMALLEST_AMPLITUDE <= amplitude <= 1:
-            raise InputError(f"amplitude {amplitude!r} is not allowed; it must be {SMALLEST_AMPLITUDE} to 1")
-        self.response, self.gain, self.time, self.threshold = response, gain, time, threshold
+            raise InputError(
+                f"amplitude {amplitude!r} is not allowed; it must be"
+                f" {SMALLEST_AMPLITUDE} to 1"
+            )
+        self.response, self.gain, self.time, self.threshold = (
+            response,
+            gain,
+            time,
+            threshold,
+        )
         self.amplitude = self._nominal_amplitude = amplitude
         self.layouts = layouts_of(response)
 
@@ -125,7 +152,9 @@ class YieldingGait(Gait):
         self._spec, self._place = spec, np.arange(n) - (n - 1) / 2
         self._full_bend = largest_bend(spec, spec.supply.nominal)
         self._delay = math.atan(2 * math.pi * self.frequency * spec.actuator.tau_fill)
-        self._nominal_lag = self.lag = spec.phase_step if self._phase_step is None else self._phase_step
+        self._nominal_lag = self.lag = (
+            spec.phase_step if self._phase_step is None else self._phase_step
+        )
         self.amplitude, self.blocked = self._nominal_amplitude, np.zeros(n, dtype=bool)
         self.rest_level = math.sqrt(1 - self.amplitude**2)
         self._readings, self._events = SensorReadings(n), list[Event]()
@@ -144,7 +173,11 @@ class YieldingGait(Gait):
         elif self.response == "wave_number":
             self._adapt_lag(time, load)
         valves = self.valves_at(time)
-        return valves if self.response in RESPONSES[:2] else self._relieve(valves, np.sign(free), load)
+        return (
+            valves
+            if self.response in RESPONSES[:2]
+            else self._relieve(valves, np.sign(free), load)
+        )
 
     def _adapt_amplitude(self, free: np.ndarray, load: np.ndarray) -> None:
         force = 2 / (len(load) * self._full_bend**2) * float(free @ load)
@@ -156,13 +189,21 @@ class YieldingGait(Gait):
     def _adapt_lag(self, time: float, load: np.ndarray) -> None:
         n, nominal, before = len(load), self._nominal_lag, self.lag
         phase = 2 * math.pi * self.frequency * time - self.phase_lag - self._delay
-        force = -24 / (n * (n**2 - 1) * self._full_bend) * float((self._place * np.cos(phase)) @ load)
-        self.lag += min(self._tick / self.time, 1.0) * (nominal - self.lag + self.gain * force)
+        force = (
+            -24
+            / (n * (n**2 - 1) * self._full_bend)
+            * float((self._place * np.cos(phase)) @ load)
+        )
+        self.lag += min(self._tick / self.time, 1.0) * (
+            nominal - self.lag + self.gain * force
+        )
         span = _LARGEST_CHANGE * abs(nominal)
         self.lag = min(max(self.lag, nominal - span), nominal + span)
         self.phase_lag = self.phase_lag + (self.lag - before) * self._place
 
-    def _relieve(self, valves: np.ndarray, side: np.ndarray, load: np.ndarray) -> np.ndarray:
+    def _relieve(
+        self, valves: np.ndarray, side: np.ndarray, load: np.ndarray
+    ) -> np.ndarray:
         """Return the valve states with those of blocked segments held or vented.
 
         Args:

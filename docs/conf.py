@@ -1,8 +1,8 @@
 """Sphinx configuration of the site: the Markdown files of the checkout, and reference pages from the code.
 
-`uv run --group docs sphinx-build -W -c docs . site` builds the site; -W makes broken links errors. The site
-loads no external resources: the theme uses system fonts, and formulas are MathML in a font that is part of
-the site (OFL).
+`uv run --group docs sphinx-build -W -c docs . site` builds the site; -W makes broken
+links errors. The site loads no external resources: the theme uses system fonts, and
+formulas are MathML in a font that is part of the site (OFL).
 """
 
 from __future__ import annotations
@@ -20,12 +20,17 @@ project, release = "srs_twin", __version__
 copyright = "the srs_twin authors"  # noqa: A001
 
 extensions = [
-    "myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "mathml", "generated", "docstrings",
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "mathml",
+    "generated",
+    "docstrings",
     "sphinx_copybutton",
-]  # fmt: skip
+]
 
-# The root of the checkout is the root of the site, so that relative links between Markdown files also work on
-# a forge and in an editor.
+# The root of the checkout is the root of the site, so that relative links between
+# Markdown files also work on a forge and in an editor.
 root_doc = "docs/index"
 include_patterns = [
     "docs/**.md",
@@ -35,7 +40,16 @@ include_patterns = [
     "examples/firmware/README.md",
 ]
 # Folders that Sphinx does not search; links to their files still work.
-exclude_patterns = [".*", "runs", "dist", "build", "site", "srs_twin", "tests", "benchmarks"]
+exclude_patterns = [
+    ".*",
+    "runs",
+    "dist",
+    "build",
+    "site",
+    "srs_twin",
+    "tests",
+    "benchmarks",
+]
 templates_path = ["_templates"]
 
 # Keep quotes and dashes, because readers copy commands from pages.

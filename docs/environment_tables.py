@@ -22,7 +22,8 @@ def tables() -> str:
         task = make_task(name)
         sections.append(
             f"### SRSTwin/{name}-v0\n\n"
-            f"A step takes {task.step_s:g} s; an episode is truncated after {task.limit_s:g} s.\n\n"
+            f"A step takes {task.step_s:g} s; an episode is truncated after"
+            f" {task.limit_s:g} s.\n\n"
             f"{_table('action', task.actions)}\n\n{_table('observation', task.observations)}"
         )
     return "\n\n".join(sections)
@@ -34,9 +35,12 @@ def rewards() -> str:
     terms: dict[tuple[str, float, str], list[str]] = {}
     for name in TASKS:
         for term in make_task(name).reward_terms:
-            terms.setdefault((term.name, term.weight, term.description), []).append(f"`{name}`")
+            terms.setdefault((term.name, term.weight, term.description), []).append(
+                f"`{name}`"
+            )
     rows += [
-        f"| {', '.join(tasks)} | `{t}` | {weight:g} | {text} |" for (t, weight, text), tasks in terms.items()
+        f"| {', '.join(tasks)} | `{t}` | {weight:g} | {text} |"
+        for (t, weight, text), tasks in terms.items()
     ]
     return "\n".join(rows)
 
@@ -53,7 +57,8 @@ def update_tables(page: str) -> str:
 def _table(kind: str, signals: Signals) -> str:
     rows = [f"| {kind} | unit | minimum | maximum | meaning |", "|---|---|---|---|---|"]
     rows += [
-        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} | {signal.description} |"
+        f"| `{signal.name}` | {signal.unit} | {signal.low:.4g} | {signal.high:.4g} |"
+        f" {signal.description} |"
         for signal in signals
     ]
     return "\n".join(rows)

@@ -34,17 +34,30 @@ GRID_M = 0.1
 def simulate_twin(scenario: Scenario) -> Trajectory:
     """Return the trajectory of the twin in a scenario."""
     plant, controller = scenario.build_plant("twin"), scenario.build_controller()
-    return rollout(plant, controller, START_S + DURATION_S, record_hz=1 / FRAME_S, seed=scenario.seed)
+    return rollout(
+        plant,
+        controller,
+        START_S + DURATION_S,
+        record_hz=1 / FRAME_S,
+        seed=scenario.seed,
+    )
 
 
 def connector_poses(run: Trajectory, row: int, start: int) -> np.ndarray:
     """Return the poses of the connectors relative to the position at the first frame, (connectors, 3)."""
     count = sum(name.startswith("theta_") for name in run.columns)
-    poses = np.array([[run[f"{c}_{i}"][row] for c in ("x", "y", "theta")] for i in range(1, count + 1)])
+    poses = np.array(
+        [
+            [run[f"{c}_{i}"][row] for c in ("x", "y", "theta")]
+            for i in range(1, count + 1)
+        ]
+    )
     return poses - [run["com_x"][start], run["com_y"][start], 0.0]
 
 
-def draw_frame(runs: list[tuple[str, Scenario, Trajectory]], row: int, start: int) -> np.ndarray:
+def draw_frame(
+    runs: list[tuple[str, Scenario, Trajectory]], row: int, start: int
+) -> np.ndarray:
     """Return a frame, shape (height, width, 3)."""
     figure = Figure(figsize=(8.0, 2.9), dpi=100)
     canvas = FigureCanvasAgg(figure)
@@ -53,7 +66,11 @@ def draw_frame(runs: list[tuple[str, Scenario, Trajectory]], row: int, start: in
         geometry = scenario.robot.geometry
         color = ESTIMATE_COLOR if k else TRUE_COLOR
         draw_segments(
-            axes, connector_poses(run, row, start), geometry, [color] * scenario.robot.segments, zorder=2
+            axes,
+            connector_poses(run, row, start),
+            geometry,
+            [color] * scenario.robot.segments,
+            zorder=2,
         )
         axes.set(
             xlim=(-0.25, LENGTH_M - 0.25),
@@ -64,7 +81,13 @@ def draw_frame(runs: list[tuple[str, Scenario, Trajectory]], row: int, start: in
         axes.grid(color="#dde1e6")
         axes.tick_params(left=False, labelleft=False, bottom=False, labelbottom=False)
         axes.text(0.01, 0.92, text, transform=axes.transAxes, va="top", fontsize=10)
-    figure.text(0.99, 0.01, f"{run.time[row] - run.time[start]:.1f} s, grid of 0.1 m", ha="right", fontsize=9)
+    figure.text(
+        0.99,
+        0.01,
+        f"{run.time[row] - run.time[start]:.1f} s, grid of 0.1 m",
+        ha="right",
+        fontsize=9,
+    )
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
@@ -84,10 +107,18 @@ def main() -> None:
         text = f"{name}: {speed:.2f} m/s with {power:.0f} W pneumatic power"
         runs.append((text, scenario, simulate_twin(scenario)))
     start = round(START_S / FRAME_S)
-    frames = [Image.fromarray(draw_frame(runs, k, start)) for k in range(start, len(runs[0][2].time))]
+    frames = [
+        Image.fromarray(draw_frame(runs, k, start))
+        for k in range(start, len(runs[0][2].time))
+    ]
     target = Path(__file__).parent / "images" / "optimum.webp"
     frames[0].save(
-        target, save_all=True, append_images=frames[1:], duration=round(1000 * FRAME_S), loop=0, quality=60
+        target,
+        save_all=True,
+        append_images=frames[1:],
+        duration=round(1000 * FRAME_S),
+        loop=0,
+        quality=60,
     )
 
 

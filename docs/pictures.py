@@ -2,9 +2,10 @@
 
     uv run python docs/pictures.py
 
-The scene in `hero.png` is rendered by Rerun and needs a Vulkan driver (mesa-vulkan-drivers of Debian on a
-machine without a GPU). `web.png` is a screenshot of a browser (chromium, chromium-driver), and `strobe.png`
-is rendered by MuJoCo (libegl1, libgl1-mesa-dri). All other images have no additional requirements.
+The scene in `hero.png` is rendered by Rerun and needs a Vulkan driver
+(mesa-vulkan-drivers of Debian on a machine without a GPU). `web.png` is a screenshot of
+a browser (chromium, chromium-driver), and `strobe.png` is rendered by MuJoCo (libegl1,
+libgl1-mesa-dri). All other images have no additional requirements.
 """
 
 from __future__ import annotations
@@ -46,10 +47,17 @@ def main() -> None:
     """Run two scenarios and two sweeps, and draw them; takes five minutes, mainly for ilc_spread."""
     IMAGES.mkdir(exist_ok=True)
     for name, plot in SWEEPS.items():
-        with tempfile.TemporaryDirectory() as folder, open_sweep(load_sweep(name), Path(folder)) as sweep:
+        with (
+            tempfile.TemporaryDirectory() as folder,
+            open_sweep(load_sweep(name), Path(folder)) as sweep,
+        ):
             sweep.run(local(), sweep.missing())
-            plot_file = next(file for file in sweep.finish().files if file.endswith(f"{plot}.png"))
-            (IMAGES / f"{name}.png").write_bytes((Path(folder) / plot_file).read_bytes())
+            plot_file = next(
+                file for file in sweep.finish().files if file.endswith(f"{plot}.png")
+            )
+            (IMAGES / f"{name}.png").write_bytes(
+                (Path(folder) / plot_file).read_bytes()
+            )
     turn = load_scenario("gen2_turn")
     with tempfile.TemporaryDirectory() as folder:
         runs = run_scenario(turn, Path(folder)).trajectories
@@ -64,15 +72,23 @@ def main() -> None:
 def draw_run(scenario: Scenario, result: RunResult) -> None:
     """Write the images of a run that Rerun, a browser and MuJoCo render."""
     recording = result.folder / "recording.rrd"
-    (scene,) = screenshots(recording, [SCENE_TIME_S], scene_only=True, size=(1300, 1000))
+    (scene,) = screenshots(
+        recording, [SCENE_TIME_S], scene_only=True, size=(1300, 1000)
+    )
     hero_figure(scene, result.trajectories, SCENE_TIME_S).savefig(IMAGES / "hero.png")
-    with serve_recordings([recording]) as (address, serve), browser.chromium(1280, 800) as chromium:
+    with (
+        serve_recordings([recording]) as (address, serve),
+        browser.chromium(1280, 800) as chromium,
+    ):
         threading.Thread(target=serve, daemon=True).start()
         chromium.get(address)
         blue = STYLES["twin"].rgb
         page, _ = browser.picture(
             chromium,
-            lambda pixels: browser.shows_a_snake(pixels) and browser.share(pixels[:, -400:], blue) > 0.001,
+            lambda pixels: (
+                browser.shows_a_snake(pixels)
+                and browser.share(pixels[:, -400:], blue) > 0.001
+            ),
         )
         image = Image.open(io.BytesIO(page))
         image.crop((0, _VIEWER_BAR_PX, *image.size)).save(IMAGES / "web.png")

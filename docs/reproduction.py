@@ -33,9 +33,13 @@ PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
 
 
-def judged_claims(claims: Sequence[Claim], baseline: Baseline) -> tuple[JudgedClaim, ...]:
+def judged_claims(
+    claims: Sequence[Claim], baseline: Baseline
+) -> tuple[JudgedClaim, ...]:
     """Return the claims with the outcomes of the baseline."""
-    return tuple(JudgedClaim(claim, baseline.outcomes.get(claim.id, {})) for claim in claims)
+    return tuple(
+        JudgedClaim(claim, baseline.outcomes.get(claim.id, {})) for claim in claims
+    )
 
 
 def markdown(rows: Sequence[JudgedClaim]) -> str:
@@ -49,26 +53,38 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
             "",
             _summary(chosen),
             "",
-            "| row | statement | published | analytical | twin | could it have failed? |",
+            (
+                "| row | statement | published | analytical | twin | could it have"
+                " failed? |"
+            ),
             "| --- | --- | --- | --- | --- | --- |",
             *map(_line, chosen),
         ]
         reasons = list(dict.fromkeys(_reasons(chosen)))
         sections.append("\n".join(lines))
         if reasons:
-            sections.append("\n".join(["Causes of missed and explained rows:", "", *reasons]))
+            sections.append(
+                "\n".join(["Causes of missed and explained rows:", "", *reasons])
+            )
     return "\n\n".join(sections)
 
 
 def table(rows: Sequence[JudgedClaim]) -> str:
     """Return the table of the counts: rows met by category, headline first."""
-    columns = {"twin": "twin", "analytical": "analytical model", "alone": "without a plant"}
+    columns = {
+        "twin": "twin",
+        "analytical": "analytical model",
+        "alone": "without a plant",
+    }
     lines = [f"{len(rows)} rows in total; the table counts the rows that are met:", ""]
     lines += [f"| rows | {' | '.join(columns.values())} |"]
     lines += [f"|{' --- |' * (len(columns) + 1)}"]
     for name, chosen in by_category(rows).items():
         counts = [count_verdicts(chosen, column) for column in columns]
-        cells = [f"{counted[MET]} of {counted['all']}" if counted["all"] else "" for counted in counts]
+        cells = [
+            f"{counted[MET]} of {counted['all']}" if counted["all"] else ""
+            for counted in counts
+        ]
         title = f"**{TITLES[name]}**" if name == "headline" else TITLES[name]
         lines.append(f"| {title} | {' | '.join(cells)} |")
     return "\n".join(lines)
@@ -76,10 +92,17 @@ def table(rows: Sequence[JudgedClaim]) -> str:
 
 def _summary(rows: Sequence[JudgedClaim]) -> str:
     parts = []
-    for column, name in (("twin", "twin"), ("analytical", "analytical"), ("alone", "without a plant")):
+    for column, name in (
+        ("twin", "twin"),
+        ("analytical", "analytical"),
+        ("alone", "without a plant"),
+    ):
         counts = count_verdicts(rows, column)
         if counts["all"]:
-            parts.append(f"{name} {counts[MET]} of {counts['all']} met, {counts[EXPLAINED]} explained")
+            parts.append(
+                f"{name} {counts[MET]} of {counts['all']} met, {counts[EXPLAINED]}"
+                " explained"
+            )
     return f"{'; '.join(parts)}."
 
 
@@ -90,7 +113,13 @@ def _line(row: JudgedClaim) -> str:
     if "alone" in row.outcomes:
         cells = [_marked(row.outcomes["alone"]), ""]
     statement = f"{claim.says} ({claim.source})"
-    texts = [f"`{claim.id}`", statement, f"{published_text(claim)}{unit}", *cells, claim.could_fail or ""]
+    texts = [
+        f"`{claim.id}`",
+        statement,
+        f"{published_text(claim)}{unit}",
+        *cells,
+        claim.could_fail or "",
+    ]
     return f"| {' | '.join(texts)} |".replace("\n", " ")
 
 
@@ -108,7 +137,10 @@ def _reasons(rows: Sequence[JudgedClaim]) -> list[str]:
             if outcome.verdict != MET:
                 reason = f"{outcome.verdict}: {outcome.why or 'cause not known'}"
                 columns_of.setdefault((row.claim.id, reason), []).append(column)
-    return [f"- `{name}` ({', '.join(columns)}) {reason}" for (name, reason), columns in columns_of.items()]
+    return [
+        f"- `{name}` ({', '.join(columns)}) {reason}"
+        for (name, reason), columns in columns_of.items()
+    ]
 
 
 def replace_between(page: str, name: str, text: str) -> str:

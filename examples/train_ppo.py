@@ -2,13 +2,15 @@
 
     uv run --extra rl python examples/train_ppo.py --seeds 0 1 2 3 4 --out runs/ppo
 
-The reward has a time penalty in addition to the default terms, so that the policy learns to arrive early.
-For each seed K the script writes seed_K/policy.npz, which `srs_twin.envs.policy.load_policy` reads without
-PyTorch, and the learning curve as seed_K/curve.csv: the steps so far, and the success rate and mean duration
-of the last 100 episodes. A seed whose policy exists is not trained again. curve.png shows all seeds.
+The reward has a time penalty in addition to the default terms, so that the policy
+learns to arrive early. For each seed K the script writes seed_K/policy.npz, which
+`srs_twin.envs.policy.load_policy` reads without PyTorch, and the learning curve as
+seed_K/curve.csv: the steps so far, and the success rate and mean duration of the last
+100 episodes. A seed whose policy exists is not trained again. curve.png shows all
+seeds.
 
-`--task Obstacles --observations pose goal gait bends command --time-weight 0` trains a policy that does not
-see the obstacles.
+`--task Obstacles --observations pose goal gait bends command --time-weight 0` trains a
+policy that does not see the obstacles.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ FOLLOWER_S = 5.6
 """Mean duration of planner and follower over 500 goals (docs/environments.md), s."""
 
 
-def make_environment(task: str, groups: Sequence[str], time_weight: float) -> gymnasium.Env:
+def make_environment(
+    task: str, groups: Sequence[str], time_weight: float
+) -> gymnasium.Env:
     """Return the environment of the training: coarser steps and a time penalty."""
     return gymnasium.make(
         f"srs_twin.envs:SRSTwin/{task}-v0",
@@ -75,7 +79,9 @@ class LearningCurve(BaseCallback):
     def _on_rollout_end(self) -> None:
         if self._ended:
             success, duration = np.mean(self._ended, axis=0)
-            self._rows.writerow([self.num_timesteps, f"{success:.3f}", f"{duration:.2f}"])
+            self._rows.writerow(
+                [self.num_timesteps, f"{success:.3f}", f"{duration:.2f}"]
+            )
             self._file.flush()
 
 
@@ -95,7 +101,9 @@ def exported(model: PPO, task: Task) -> NetworkPolicy:
     return NetworkPolicy(task.name, names, tuple(zip(weights, biases, strict=True)))
 
 
-def train(folder: Path, seed: int, steps: int, make: Callable[[], gymnasium.Env]) -> None:
+def train(
+    folder: Path, seed: int, steps: int, make: Callable[[], gymnasium.Env]
+) -> None:
     """Train one policy and write it with its learning curve."""
     folder.mkdir(parents=True, exist_ok=True)
     environments = DummyVecEnv([make] * ENVIRONMENTS)
@@ -120,12 +128,16 @@ def draw(curves: list[Path], path: Path) -> None:
     figure = Figure(figsize=(7.0, 2.8), layout="constrained")
     axes = figure.subplots(1, 2)
     for curve in curves:
-        steps, success, duration = np.loadtxt(curve, delimiter=",", skiprows=1, ndmin=2).T
+        steps, success, duration = np.loadtxt(
+            curve, delimiter=",", skiprows=1, ndmin=2
+        ).T
         axes[0].plot(steps / 1e3, 100 * success, linewidth=1)
         axes[1].plot(steps / 1e3, duration, linewidth=1)
     axes[0].set_ylabel("goals reached, %")
     axes[1].set_ylabel("mean duration of an episode, s")
-    axes[1].axhline(FOLLOWER_S, color="black", linestyle="--", label="planner and follower")
+    axes[1].axhline(
+        FOLLOWER_S, color="black", linestyle="--", label="planner and follower"
+    )
     axes[1].legend(frameon=False)
     for axis in axes:
         axis.set_xlabel("steps of the environment, thousands")
@@ -137,9 +149,13 @@ def main() -> None:
     """Train a policy and write it with its learning curve."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--task", choices=TASKS, default="GoTo")
-    parser.add_argument("--observations", nargs="+", default=GROUPS, help="groups of observations")
+    parser.add_argument(
+        "--observations", nargs="+", default=GROUPS, help="groups of observations"
+    )
     parser.add_argument("--steps", type=int, default=200_000, help="environment steps")
-    parser.add_argument("--time-weight", type=float, default=0.2, help="penalty per second")
+    parser.add_argument(
+        "--time-weight", type=float, default=0.2, help="penalty per second"
+    )
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, default=Path("runs/ppo"))
     given = parser.parse_args()
@@ -149,7 +165,10 @@ def main() -> None:
         folder = given.out / f"seed_{seed}"
         if not (folder / "policy.npz").is_file():
             train(folder, seed, given.steps, make)
-    draw([given.out / f"seed_{seed}/curve.csv" for seed in given.seeds], given.out / "curve.png")
+    draw(
+        [given.out / f"seed_{seed}/curve.csv" for seed in given.seeds],
+        given.out / "curve.png",
+    )
     print(f"{given.out}: {len(given.seeds)} policies, curve.png")
 
 

@@ -12,7 +12,11 @@ if TYPE_CHECKING:
     from srs_twin.comparison.diff import diff as diff
     from srs_twin.control.base import Controller as Controller
     from srs_twin.control.gait import Gait as Gait
-    from srs_twin.errors import DivergedError as DivergedError, InputError as InputError, SrsError as SrsError
+    from srs_twin.errors import (
+        DivergedError as DivergedError,
+        InputError as InputError,
+        SrsError as SrsError,
+    )
     from srs_twin.experiment import compare as compare, run_scenario as run_scenario
     from srs_twin.identification.calibration import (
         calibrate_actuator as calibrate_actuator,
@@ -23,7 +27,9 @@ if TYPE_CHECKING:
     from srs_twin.identification.design import calibrate_design as calibrate_design
     from srs_twin.identification.excursions import calibrate_margin as calibrate_margin
     from srs_twin.identification.fitted_robot import calibrate_robot as calibrate_robot
-    from srs_twin.identification.footprint_report import calibrate_footprint as calibrate_footprint
+    from srs_twin.identification.footprint_report import (
+        calibrate_footprint as calibrate_footprint,
+    )
     from srs_twin.identification.replay import replay_scenario as replay_scenario
     from srs_twin.io.saved_state import SavedState as SavedState
     from srs_twin.planning.planned import plan_scenario as plan_scenario

@@ -1,13 +1,15 @@
 r"""Attribution of the difference between twin and analytical model to modelling assumptions.
 
-A switch replaces one assumption of the analytical model by that of the twin, so that any subset S of the
-switches gives a model. v(S) is the difference from the twin with the switches in S on. The contribution of
-switch i is its Shapley value, the average over all n! orders of switching:
+A switch replaces one assumption of the analytical model by that of the twin, so that
+any subset S of the switches gives a model. v(S) is the difference from the twin with
+the switches in S on. The contribution of switch i is its Shapley value, the average
+over all n! orders of switching:
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
-The contributions add up to v(all) − v(none). Assumptions of one plant alone, such as its time step, cannot be
-switched. They are refined instead: the change under a refinement is extrapolated to the limit.
+The contributions add up to v(all) − v(none). Assumptions of one plant alone, such as
+its time step, cannot be switched. They are refined instead: the change under a
+refinement is extrapolated to the limit.
 """
 
 from __future__ import annotations
@@ -24,14 +26,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.comparison.compare import MEASURES, AssumptionShare, Attribution, gap_between
+from srs_twin.comparison.compare import (
+    MEASURES,
+    AssumptionShare,
+    Attribution,
+    gap_between,
+)
 from srs_twin.comparison.contacts import contact_free_s
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
 from srs_twin.plants.base import Plant
-from srs_twin.plants.twin.mjcf.numerics import Numerics, PreloadedContact, stable_step, stated
+from srs_twin.plants.twin.mjcf.numerics import (
+    Numerics,
+    PreloadedContact,
+    stable_step,
+    stated,
+)
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.friction import TWO_POINT_LAWS
 from srs_twin.robot.spec import RobotSpec
@@ -52,7 +64,11 @@ class Contribution:
 
 def subsets(names: Sequence[str]) -> list[frozenset[str]]:
     """Return all subsets in the order of their sizes."""
-    return [frozenset(subset) for size in range(len(names) + 1) for subset in combinations(names, size)]
+    return [
+        frozenset(subset)
+        for size in range(len(names) + 1)
+        for subset in combinations(names, size)
+    ]
 
 
 def contributions(
@@ -62,19 +78,28 @@ def contributions(
 
     Args:
         names: names of the switches.
-        differences: v(S), the difference with each subset S of switches on; arrays of one shape.
+        differences: v(S), the difference with each subset S of switches on; arrays of
+            one shape.
     """
     n = len(names)
     shapley = {}
     for name in names:
         others = subsets([other for other in names if other != name])
-        changes = [differences[subset | {name}] - differences[subset] for subset in others]
+        changes = [
+            differences[subset | {name}] - differences[subset] for subset in others
+        ]
         weights = [
-            math.factorial(len(subset)) * math.factorial(n - len(subset) - 1) / math.factorial(n)
+            math.factorial(len(subset))
+            * math.factorial(n - len(subset) - 1)
+            / math.factorial(n)
             for subset in others
         ]
-        value = np.sum([w * change for w, change in zip(weights, changes, strict=True)], axis=0)
-        shapley[name] = Contribution(value, np.min(changes, axis=0), np.max(changes, axis=0))
+        value = np.sum(
+            [w * change for w, change in zip(weights, changes, strict=True)], axis=0
+        )
+        shapley[name] = Contribution(
+            value, np.min(changes, axis=0), np.max(changes, axis=0)
+        )
     return shapley
 
 
@@ -82,7 +107,8 @@ FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
 """Factor on the bending stiffness of the twin in the matched setting: gen2 gets 20 instead of 0.44 N·m/rad.
 
-Such a stiff segment follows its free bend, like the prescribed bends of the analytical model.
+Such a stiff segment follows its free bend, like the prescribed bends of the analytical
+model.
 """
 
 
@@ -93,7 +119,8 @@ class Switch(NamedTuple):
         name: short name.
         title: the assumption of the model → that of the twin.
         differs: whether the plants of this scenario differ in it.
-        options: arguments of the analytical model with the switch on; later switches take precedence.
+        options: arguments of the analytical model with the switch on; later switches
+            take precedence.
     """
 
     name: str
@@ -106,9 +133,9 @@ class Switch(NamedTuple):
 class Refinement:
     """Reduction of an approximation that only one plant makes.
 
-    The total effect is `factor` times the change under the refinement: 2 for an error of first order that is
-    halved, 4/3 for one of second order that is halved or of first order that is quartered, and 1 if the
-    refinement removes the approximation.
+    The total effect is `factor` times the change under the refinement: 2 for an error
+    of first order that is halved, 4/3 for one of second order that is halved or of
+    first order that is quartered, and 1 if the refinement removes the approximation.
 
     Attributes:
         name: short name.
@@ -131,8 +158,10 @@ class PlantVariants:
     """Builder of the plants of a scenario with switched assumptions and refinements.
 
     Attributes:
-        first: switches that come first, because compliant bends need arcs instead of frozen chords.
-        switches: the other switches in which the plants of the scenario differ, in any order.
+        first: switches that come first, because compliant bends need arcs instead of
+            frozen chords.
+        switches: the other switches in which the plants of the scenario differ, in any
+            order.
         same: names of the switches in which they agree.
         refinements: refinements of approximations that one plant makes.
     """
@@ -154,7 +183,8 @@ class PlantVariants:
         one_point = spec.skin is None and model.friction not in TWO_POINT_LAWS
         prescribed = model.model != "compliant"
         half_track = spec.geometry.half_track
-        # Arcs and compliant bends need the torque of friction, which the simplified model may leave out.
+        # Arcs and compliant bends need the torque of friction, which the simplified
+        # model may leave out.
         torque = {"friction_torque": True}
         return [
             Switch(
@@ -182,7 +212,10 @@ class PlantVariants:
                 torque | {"model": "complete"},
             ),
             Switch(
-                "compliance", "bends: prescribed → compliant", prescribed, torque | {"model": "compliant"}
+                "compliance",
+                "bends: prescribed → compliant",
+                prescribed,
+                torque | {"model": "compliant"},
             ),
             Switch(
                 "damping",
@@ -217,18 +250,33 @@ class PlantVariants:
 
     def _wheel_refinements(self) -> list[Refinement]:
         """Return the refinement of rolling wheels; none for other contacts."""
-        if self._scenario.robot.skin is not None or self._twin.law not in ("wheel", "axis"):
+        if self._scenario.robot.skin is not None or self._twin.law not in (
+            "wheel",
+            "axis",
+        ):
             return []
         # The preloaded twin needs axles with inertia; the loaded twin works without.
-        wheel_spin, factor = (0.0, 1.0) if self._twin.contact == "loaded" else (0.25, 4 / 3)
+        wheel_spin, factor = (
+            (0.0, 1.0) if self._twin.contact == "loaded" else (0.25, 4 / 3)
+        )
         lighter = {"numerics": Numerics(wheel_spin=wheel_spin)}
-        return [Refinement("wheel inertia", "inertia of the wheels about their axles", lighter, factor)]
+        return [
+            Refinement(
+                "wheel inertia",
+                "inertia of the wheels about their axles",
+                lighter,
+                factor,
+            )
+        ]
 
     def _refinements(self) -> list[Refinement]:
         step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
-        finer_model = {"timestep": self._model.timestep_s / 4, "slip_speed": self._model.slip_speed_m_s / 4}
+        finer_model = {
+            "timestep": self._model.timestep_s / 4,
+            "slip_speed": self._model.slip_speed_m_s / 4,
+        }
         lighter_links = {"numerics": Numerics(link_share=Numerics.link_share / 2)}
         spec = self._scenario.robot
         stiffer = _with_bending(
@@ -237,10 +285,15 @@ class PlantVariants:
             roll_stiffness=4 * spec.bending.roll_stiffness,
         )
         out_of_plane = Refinement(
-            "out-of-plane motion", "pitch and roll of segments", {"robot": stiffer}, 4 / 3
+            "out-of-plane motion",
+            "pitch and roll of segments",
+            {"robot": stiffer},
+            4 / 3,
         )
         return [
-            Refinement("curvature not constant", "segments under load bend to an S", arcs, 1.0),
+            Refinement(
+                "curvature not constant", "segments under load bend to an S", arcs, 1.0
+            ),
             Refinement(
                 "bending discretisation",
                 f"{hinges} hinges per segment instead of an arc",
@@ -256,7 +309,8 @@ class PlantVariants:
                 "twin time step",
                 f"time step of {1e3 * step:g} ms",
                 {"timestep": step / 2},
-                # The loaded twin is of second order in its time step, the preloaded one of first.
+                # The loaded twin is of second order in its time step, the preloaded one
+                # of first.
                 4 / 3 if self._twin.contact == "loaded" else 2.0,
             ),
             Refinement(
@@ -276,7 +330,11 @@ class PlantVariants:
             options: further arguments of the model.
         """
         spec = self._scenario.robot
-        changes = dict(ChainMap(*(switch.options for switch in reversed(self._all) if switch.name in on)))
+        changes = dict(
+            ChainMap(
+                *(switch.options for switch in reversed(self._all) if switch.name in on)
+            )
+        )
         if "damping" not in on and self._model.model != "compliant":
             spec = _with_bending(spec, damping_time=spec.actuator.tau_mode)
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
@@ -289,8 +347,8 @@ class PlantVariants:
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
         """Return the twins with the damping time at the ends of its 95 % interval.
 
-        There are none without an interval, and none if the air depends on the bends, because closed chambers
-        diverge with short damping times (docs/models.md).
+        There are none without an interval, and none if the air depends on the bends,
+        because closed chambers diverge with short damping times (docs/models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -300,17 +358,25 @@ class PlantVariants:
             return {}
         bounds = file.bending.bounds["damping_time_s"]
         twins: dict[str, Callable[[], Plant]] = {}
-        for end in record.uncertain.quantile(record.value, bounds, np.array([0.025, 0.975])).tolist():
+        for end in record.uncertain.quantile(
+            record.value, bounds, np.array([0.025, 0.975])
+        ).tolist():
             robot = _with_bending(self._scenario.robot, damping_time=end)
             step = stable_step(self._twin.timestep_s, end)
-            twins[f"damping of {1e3 * end:.2g} ms"] = partial(self.twin, robot=robot, timestep=step)
+            twins[f"damping of {1e3 * end:.2g} ms"] = partial(
+                self.twin, robot=robot, timestep=step
+            )
         return twins
 
     def stiff_twin(self) -> Plant:
         """Build the twin of the matched setting, whose bends are stiff."""
         spec = self._scenario.robot
         stiffness = MATCHED_STIFFNESS_FACTOR * spec.bending.stiffness
-        return self.twin(robot=_with_bending(spec, stiffness=stiffness, damping_time=spec.actuator.tau_mode))
+        return self.twin(
+            robot=_with_bending(
+                spec, stiffness=stiffness, damping_time=spec.actuator.tau_mode
+            )
+        )
 
     def matched(self) -> Plant:
         """Build the analytical model of the matched setting: friction, inertia and gaps of the twin."""
@@ -329,8 +395,8 @@ Progress = Callable[[float, float | None], None]
 _MAX_STEPS = 12_000
 """Time steps of the twin after which the attribution ends if the controller reads the state.
 
-Such a controller acts at every tick, which costs several times the physics. The attribution simulates the
-twin about eleven times.
+Such a controller acts at every tick, which costs several times the physics. The
+attribution simulates the twin about eleven times.
 """
 _TICK_ROUNDING = 1e-6
 """Tolerance for whole ticks, as a fraction of a tick."""
@@ -353,18 +419,22 @@ def explain(
 ) -> Attribution:
     """Attribute the difference between the two plants of a run to assumptions.
 
-    Every subset of the switches is simulated with the analytical model and compared with the given twin,
-    which gives the Shapley value of each switch (`contributions`). Then each approximation that only one
-    plant makes is refined, and its effect is measured with all switches on. Contributions and remainder add
-    up to the difference. Long runs under a controller that reads the state are attributed over a window from
-    their start (`Attribution.window_s`), to which the difference refers as well. Runs with a contact are
-    attributed up to the first one, and the variants of the twin run without obstacles.
+    Every subset of the switches is simulated with the analytical model and compared
+    with the given twin, which gives the Shapley value of each switch (`contributions`).
+    Then each approximation that only one plant makes is refined, and its effect is
+    measured with all switches on. Contributions and remainder add up to the difference.
+    Long runs under a controller that reads the state are attributed over a window from
+    their start (`Attribution.window_s`), to which the difference refers as well. Runs
+    with a contact are attributed up to the first one, and the variants of the twin run
+    without obstacles.
 
     Args:
         scenario: scenario of the run.
         trajectories: trajectories of both plants, by plant name.
-        progress: function called with the finished fraction, 0 to 1, and the remaining time.
-        wall_s: plant → computing time of its run, s, from which the remaining time is estimated.
+        progress: function called with the finished fraction, 0 to 1, and the remaining
+            time.
+        wall_s: plant → computing time of its run, s, from which the remaining time is
+            estimated.
         whole: attribute the whole runs, however long they are.
 
     Raises:
@@ -376,16 +446,22 @@ def explain(
     controller = scenario.build_controller()
     end = max(float(run.time[-1]) for run in trajectories.values())
     window = None if whole else _window(scenario, controller, end)
-    limit = min(math.inf if window is None else window, contact_free_s(trajectories.values()))
-    model, twin = (trajectories[kind].between(0.0, limit) for kind in ("analytical", "twin"))
+    limit = min(
+        math.inf if window is None else window, contact_free_s(trajectories.values())
+    )
+    model, twin = (
+        trajectories[kind].between(0.0, limit) for kind in ("analytical", "twin")
+    )
     try:
         gap = gap_between(model, twin)
     except ValueError as error:
-        raise InputError(f"{scenario.name}: {error}; at least three gait periods are needed") from error
+        raise InputError(
+            f"{scenario.name}: {error}; at least three gait periods are needed"
+        ) from error
     if scenario.file.comparison.gap_factor:
         raise InputError(
-            f"{scenario.name}: comparison.gap_factor scales a speed, which cannot be attributed; "
-            "remove it (rigid gaps are a switch already)"
+            f"{scenario.name}: comparison.gap_factor scales a speed, which cannot be"
+            " attributed; remove it (rigid gaps are a switch already)"
         )
     variants = PlantVariants(scenario)
     first = frozenset(switch.name for switch in variants.first)
@@ -406,7 +482,10 @@ def explain(
         shares=tuple(shares),
         remainder=_to_floats(remainder),
         matched=_to_floats(gap_between(runs["matched"], runs["stiff twin"])),
-        damping={name: _to_floats(gap_between(model, runs[name]) - gap) for name in variants.damped_twins()},
+        damping={
+            name: _to_floats(gap_between(model, runs[name]) - gap)
+            for name in variants.damped_twins()
+        },
         same=tuple(variants.same),
         window_s=None if math.isinf(limit) else limit,
     )
@@ -424,7 +503,9 @@ def _window(scenario: Scenario, controller: Controller, end: float) -> float | N
         return None
     twin = scenario.file.plants.twin or TwinFile()
     tick = scenario.build_plant("twin").tick
-    longest = max(_MAX_STEPS * twin.timestep_s, _MIN_WINDOW_PERIODS / controller.frequency)
+    longest = max(
+        _MAX_STEPS * twin.timestep_s, _MIN_WINDOW_PERIODS / controller.frequency
+    )
     window = round(math.ceil(longest / tick - _TICK_ROUNDING) * tick, 9)
     return window if window < end else None
 
@@ -434,7 +515,9 @@ def _is_script(controller: Controller) -> bool:
     return type(controller).script is not Controller.script
 
 
-def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> dict[str, Any] | None:
+def main_cause(
+    scenario: Scenario, trajectories: Mapping[str, Trajectory]
+) -> dict[str, Any] | None:
     """Return the effect of compliance on the analytical model, from one additional run.
 
     Compliance usually has the largest of the contributions that `explain` computes.
@@ -444,25 +527,38 @@ def main_cause(scenario: Scenario, trajectories: Mapping[str, Trajectory]) -> di
         trajectories: trajectories of both plants, by plant name.
 
     Returns:
-        `name` of the assumption and its effects on `com_speed_m_s` and `yaw_rate_rad_s`, and `window_s` if
-        they refer to the time before a contact; None if the run has no gait then, the model is compliant
-        already, or the robot is spatial.
+        `name` of the assumption and its effects on `com_speed_m_s` and
+        `yaw_rate_rad_s`, and `window_s` if they refer to the time before a contact;
+        None if the run has no gait then, the model is compliant already, or the robot
+        is spatial.
     """
     if scenario.robot.is_spatial:
         return None
     end = contact_free_s(trajectories.values())
-    variants, model = PlantVariants(scenario), plant_metrics(trajectories["analytical"].between(0.0, end))
+    variants, model = (
+        PlantVariants(scenario),
+        plant_metrics(trajectories["analytical"].between(0.0, end)),
+    )
     differs = "compliance" in [switch.name for switch in variants.switches]
     if not differs or scenario.planner is not None or model["com_speed_m_s"] is None:
         return None
     on = frozenset(switch.name for switch in variants.first) | {"compliance"}
-    run = rollout(variants.analytical(on), scenario.build_controller(), **scenario.timing)
+    run = rollout(
+        variants.analytical(on), scenario.build_controller(), **scenario.timing
+    )
     compliant = plant_metrics(run.between(0.0, end))
-    changes = {name: compliant[name] - model[name] for name in ("com_speed_m_s", "yaw_rate_rad_s")}
-    return {"name": "compliance", **changes} | ({} if math.isinf(end) else {"window_s": end})
+    changes = {
+        name: compliant[name] - model[name]
+        for name in ("com_speed_m_s", "yaw_rate_rad_s")
+    }
+    return {"name": "compliance", **changes} | (
+        {} if math.isinf(end) else {"window_s": end}
+    )
 
 
-def _builders(variants: PlantVariants, sets: Sequence[frozenset[str]]) -> dict[str, Callable[[], Plant]]:
+def _builders(
+    variants: PlantVariants, sets: Sequence[frozenset[str]]
+) -> dict[str, Callable[[], Plant]]:
     """Return name and builder of each plant to simulate, other than the two plants of the run."""
     builders: dict[str, Callable[[], Plant]] = {
         "stiff twin": variants.stiff_twin,
@@ -472,11 +568,16 @@ def _builders(variants: PlantVariants, sets: Sequence[frozenset[str]]) -> dict[s
         builders[_variant_name(switched)] = partial(variants.analytical, switched)
     for refinement in variants.refinements:
         if refinement.plant == "analytical":
-            builders[refinement.name] = partial(variants.analytical, sets[-1], **refinement.options)
+            builders[refinement.name] = partial(
+                variants.analytical, sets[-1], **refinement.options
+            )
             continue
         builders[refinement.name] = partial(variants.twin, **refinement.options)
         if refinement.base:
-            builders.setdefault(_variant_name(refinement.base), partial(variants.twin, **refinement.base))
+            builders.setdefault(
+                _variant_name(refinement.base),
+                partial(variants.twin, **refinement.base),
+            )
     return builders | variants.damped_twins()
 
 
@@ -499,16 +600,24 @@ def _run_all(
     """Simulate every plant under the controller of the scenario, on all processors."""
     builders = _builders(variants, sets)
     costs = [_relative_cost(name, wall_s) for name in builders]
-    report = None if progress is None else _reporter(progress, costs, is_measured=bool(wall_s))
+    report = (
+        None
+        if progress is None
+        else _reporter(progress, costs, is_measured=bool(wall_s))
+    )
     results: Iterable[Trajectory | DivergedError]
     if not _is_script(controller):
-        # A controller that reads the state holds the lock of the interpreter, so threads would not help.
-        # The controller is sent with its plan, so that the workers do not search for it again.
+        # A controller that reads the state holds the lock of the interpreter, so
+        # threads would not help. The controller is sent with its plan, so that the
+        # workers do not search for it again.
         duration = window or scenario.duration
         tasks = [(scenario, sets, name, controller, duration) for name in builders]
         results = _in_processes(tasks, report)
     else:
-        jobs = [Job(build, scenario.build_controller, **scenario.timing) for build in builders.values()]
+        jobs = [
+            Job(build, scenario.build_controller, **scenario.timing)
+            for build in builders.values()
+        ]
         results = run_many(jobs, progress=report)
     trajectories: dict[str, Trajectory] = {}
     for name, run in zip(builders, results, strict=True):
@@ -552,7 +661,9 @@ def _relative_cost(name: str, wall_s: Mapping[str, float]) -> float:
     return _TWIN_COST * wall_s.get("twin", 1.0)
 
 
-def _reporter(progress: Progress, costs: Sequence[float], *, is_measured: bool) -> Callable[[int], None]:
+def _reporter(
+    progress: Progress, costs: Sequence[float], *, is_measured: bool
+) -> Callable[[int], None]:
     """Return a function of the number of finished runs that reports progress, and report the start.
 
     Args:
@@ -571,25 +682,34 @@ def _reporter(progress: Progress, costs: Sequence[float], *, is_measured: bool) 
 
 
 def _shares(
-    variants: PlantVariants, runs: Mapping[str, Trajectory], first: frozenset[str], gap: np.ndarray
+    variants: PlantVariants,
+    runs: Mapping[str, Trajectory],
+    first: frozenset[str],
+    gap: np.ndarray,
 ) -> list[AssumptionShare]:
     """Return the contributions of switches and refinements to the difference."""
     twin, names = runs[_variant_name({})], [switch.name for switch in variants.switches]
     differences = {
-        subset: gap_between(runs[_variant_name(first | subset)], twin) for subset in subsets(names)
+        subset: gap_between(runs[_variant_name(first | subset)], twin)
+        for subset in subsets(names)
     }
     change = differences[frozenset()] - gap
     frozen = Contribution(change, change, change)
     averaged = contributions(names, differences)
     return [
         *(_make_share(switch, "first", frozen) for switch in variants.first),
-        *(_make_share(switch, "averaged", averaged[switch.name]) for switch in variants.switches),
+        *(
+            _make_share(switch, "averaged", averaged[switch.name])
+            for switch in variants.switches
+        ),
         *_refinement_shares(variants.refinements, runs, first.union(names)),
     ]
 
 
 def _refinement_shares(
-    refinements: Sequence[Refinement], runs: Mapping[str, Trajectory], all_on: frozenset[str]
+    refinements: Sequence[Refinement],
+    runs: Mapping[str, Trajectory],
+    all_on: frozenset[str],
 ) -> list[AssumptionShare]:
     """Return the contributions of the refinements to the model with all switches on or to the twin."""
     model, twin = runs[_variant_name(all_on)], runs[_variant_name({})]
@@ -599,16 +719,24 @@ def _refinement_shares(
             before = gap_between(model, runs[_variant_name(refinement.base)])
             after = gap_between(model, runs[refinement.name])
         else:
-            before, after = gap_between(model, twin), gap_between(runs[refinement.name], twin)
+            before, after = (
+                gap_between(model, twin),
+                gap_between(runs[refinement.name], twin),
+            )
         value = refinement.factor * (after - before)
-        shares.append(_make_share(refinement, "refined", Contribution(value, value, value)))
+        shares.append(
+            _make_share(refinement, "refined", Contribution(value, value, value))
+        )
     return shares
 
 
-def _make_share(assumption: Switch | Refinement, how: str, contribution: Contribution) -> AssumptionShare:
+def _make_share(
+    assumption: Switch | Refinement, how: str, contribution: Contribution
+) -> AssumptionShare:
     """Return a contribution to the difference, positive if a switch reduces the difference."""
     value, low, high = (
-        _to_floats(-bound) for bound in (contribution.value, contribution.high, contribution.low)
+        _to_floats(-bound)
+        for bound in (contribution.value, contribution.high, contribution.low)
     )
     return AssumptionShare(assumption.name, assumption.title, value, low, high, how)
 

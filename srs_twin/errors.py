@@ -1,9 +1,9 @@
 """Exceptions and warnings of the package, with exit codes and messages that name a remedy.
 
-Every error that the package raises on purpose is an `SrsError`. Its message is complete: where the problem
-is, what was given, what is allowed and the closest valid input. The command line prints the message and exits
-with `exit_code`. The helpers below build such messages: lists of names, suggestions, and times that divide
-evenly.
+Every error that the package raises on purpose is an `SrsError`. Its message is
+complete: where the problem is, what was given, what is allowed and the closest valid
+input. The command line prints the message and exits with `exit_code`. The helpers below
+build such messages: lists of names, suggestions, and times that divide evenly.
 """
 
 from __future__ import annotations
@@ -34,7 +34,17 @@ _MIN_PREFIX_SIMILARITY = 0.75
 OUTSIDE: set[str] = set()
 """Source files of imported parts that do not belong to the package, for messages about errors in them."""
 
-_FILE_SUFFIXES = (".yaml", ".yml", ".csv", ".parquet", ".rrd", ".xml", ".json", ".urdf", ".mjcf")
+_FILE_SUFFIXES = (
+    ".yaml",
+    ".yml",
+    ".csv",
+    ".parquet",
+    ".rrd",
+    ".xml",
+    ".json",
+    ".urdf",
+    ".mjcf",
+)
 _WORD_SEPARATOR = re.compile(r"[_.\s-]")
 
 
@@ -42,7 +52,8 @@ class SrsError(Exception):
     """Base class of all errors raised on purpose.
 
     Attributes:
-        exit_code: exit code of the command line (2 bad input, 3 diverged, 4 internal error).
+        exit_code: exit code of the command line (2 bad input, 3 diverged, 4 internal
+            error).
     """
 
     exit_code = 4
@@ -72,7 +83,8 @@ class UnknownNameError(InputError):
         kind: kind of object with this name, such as "metric".
         name: the unknown name.
         available: all valid names.
-        listing: command or page that lists them, for messages about more than `longest` names.
+        listing: command or page that lists them, for messages about more than `longest`
+            names.
         longest: largest number of names that the message lists.
     """
 
@@ -88,7 +100,11 @@ class UnknownNameError(InputError):
         suggestion = did_you_mean(name, names)
         # Do not list many names, because they would hide the suggestion.
         hide_list = suggestion and len(names) > longest
-        rest = "" if hide_list else f" (available: {format_names(names, listing, longest)})"
+        rest = (
+            ""
+            if hide_list
+            else f" (available: {format_names(names, listing, longest)})"
+        )
         super().__init__(f"unknown {kind} '{name}'{suggestion}{rest}")
 
 
@@ -99,11 +115,16 @@ class TimeStepError(InputError):
         problem: the message without the suggested times.
     """
 
-    def __init__(self, name: str, period_s: float, step_name: str, step_s: float) -> None:
-        # Print enough digits to show the problem: with six digits, 0.13999994 s would be 0.14 s, a multiple
-        # of 0.02 s.
+    def __init__(
+        self, name: str, period_s: float, step_name: str, step_s: float
+    ) -> None:
+        # Print enough digits to show the problem: with six digits, 0.13999994 s would
+        # be 0.14 s, a multiple of 0.02 s.
         period = shortest_decimal(period_s, lambda time: not _is_whole(time / step_s))
-        self.problem = f"{name} {period} s is not a multiple of {step_name} {format_exact(step_s)} s"
+        self.problem = (
+            f"{name} {period} s is not a multiple of {step_name}"
+            f" {format_exact(step_s)} s"
+        )
         multiple = max(1, round(period_s / step_s)) * step_s
         divisor = _longest_round_divisor(period_s, step_s)
         longer = shortest_decimal(multiple, lambda time: _is_whole(time / step_s))
@@ -150,7 +171,9 @@ class DivergedError(SrsError):
 
     exit_code = 3
 
-    def __init__(self, plant: str, time: float, what: str, *, history: Any = None) -> None:
+    def __init__(
+        self, plant: str, time: float, what: str, *, history: Any = None
+    ) -> None:
         super().__init__(f"{plant} diverged at t = {time:.4g} s: {what}")
         self.time = time
         self.history = history
@@ -162,22 +185,35 @@ class TaskFailedError(SrsError):
 
     def __init__(self, error: BaseException) -> None:
         if _is_memory_shortage(error):
-            super().__init__(f"the memory is exhausted ({describe_error(error)}); close other programs")
+            super().__init__(
+                f"the memory is exhausted ({describe_error(error)}); close other"
+                " programs"
+            )
             return
         fault = (
-            "This is a bug in srs-twin, not in your files: please report it with the command and your files"
+            "This is a bug in srs-twin, not in your files: please report it with the"
+            " command and your files"
         )
         if _frames(error, OUTSIDE):
-            fault = "This file is not part of srs-twin: correct it, or report the error to its authors"
+            fault = (
+                "This file is not part of srs-twin: correct it, or report the error to"
+                " its authors"
+            )
         super().__init__(f"internal error: {describe_error(error)}. {fault}")
 
 
-_SHORTAGE = "cannot allocate memory|could not allocate|failed to map segment|can't start new thread"
+_SHORTAGE = (
+    "cannot allocate memory|could not allocate|failed to map segment|can't start new"
+    " thread"
+)
 
 
 def _is_memory_shortage(error: BaseException) -> bool:
     """Return whether an error is due to a lack of memory, which libraries report in different ways."""
-    return isinstance(error, MemoryError) or re.search(_SHORTAGE, str(error), re.IGNORECASE) is not None
+    return (
+        isinstance(error, MemoryError)
+        or re.search(_SHORTAGE, str(error), re.IGNORECASE) is not None
+    )
 
 
 class WorkerDiedError(SrsError):
@@ -185,7 +221,10 @@ class WorkerDiedError(SrsError):
 
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
-        super().__init__(f"the worker process {describe_exit(exit_code)}{times}; {_exit_cause(exit_code)}")
+        super().__init__(
+            f"the worker process {describe_exit(exit_code)}{times};"
+            f" {_exit_cause(exit_code)}"
+        )
 
 
 def describe_error(error: BaseException) -> str:
@@ -197,11 +236,19 @@ def describe_error(error: BaseException) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 
-def _frames(error: BaseException, files: Collection[str]) -> list[traceback.FrameSummary]:
-    return [frame for frame in traceback.extract_tb(error.__traceback__) if frame.filename in files]
+def _frames(
+    error: BaseException, files: Collection[str]
+) -> list[traceback.FrameSummary]:
+    return [
+        frame
+        for frame in traceback.extract_tb(error.__traceback__)
+        if frame.filename in files
+    ]
 
 
-def _restore_error(kind: type[SrsError], args: tuple[object, ...], attributes: dict[str, object]) -> SrsError:
+def _restore_error(
+    kind: type[SrsError], args: tuple[object, ...], attributes: dict[str, object]
+) -> SrsError:
     error = kind.__new__(kind)
     error.args = args
     error.__dict__.update(attributes)
@@ -230,11 +277,17 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
     """Return the longest divisor of a period, at most one step, that has four digits or fewer."""
     fewest = max(1, math.ceil(period_s / step_s))
     divisors = (period_s / n for n in range(fewest, min(20 * fewest, fewest + 1000)))
-    short = (time for time in divisors if math.isclose(float(f"{time:.4g}"), time, rel_tol=1e-12))
+    short = (
+        time
+        for time in divisors
+        if math.isclose(float(f"{time:.4g}"), time, rel_tol=1e-12)
+    )
     return next(short, period_s)
 
 
-def format_names(names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES) -> str:
+def format_names(
+    names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
+) -> str:
     """Return names for a message: all of a short list, else their number and where they are listed."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
@@ -246,16 +299,18 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
     allowed = tuple(allowed)
     if value not in allowed:
         raise InputError(
-            f"{name} '{value}' is unknown; allowed: {', '.join(allowed)}{did_you_mean(value, allowed)}"
+            f"{name} '{value}' is unknown; allowed:"
+            f" {', '.join(allowed)}{did_you_mean(value, allowed)}"
         )
 
 
 def did_you_mean(text: str, available: Iterable[str]) -> str:
     """Return '; did you mean A, B or C?' for the closest available names, or an empty string.
 
-    Names are compared by their last component: `frequency_hz` of `controller.frequency_hz`, `gen2_turn` of
-    `scenarios/gen2_turn.yaml`. Abbreviations and names without their unit count as similar. Between equally
-    similar names, those of the same section are preferred.
+    Names are compared by their last component: `frequency_hz` of
+    `controller.frequency_hz`, `gen2_turn` of `scenarios/gen2_turn.yaml`. Abbreviations
+    and names without their unit count as similar. Between equally similar names, those
+    of the same section are preferred.
 
     Args:
         text: the unknown name.
@@ -269,11 +324,19 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
         if not section and name_section:  # it may be the beginning of the full name
             closeness = max(closeness, _similarity(last, name.lower()))
         if closeness >= _MIN_SIMILARITY:
-            similarity[name] = closeness + (0.5 * _ratio(section, name_section) if section else 0.0)
+            similarity[name] = closeness + (
+                0.5 * _ratio(section, name_section) if section else 0.0
+            )
     best = max(similarity.values(), default=0.0)
     close = [name for name in similarity if similarity[name] >= best - _SIMILARITY_TIE]
-    *first, final = sorted(close, key=lambda name: -similarity[name])[:_MAX_SUGGESTIONS] or [""]
-    return f"; did you mean {', '.join(first)}{' or ' if first else ''}{final}?" if final else ""
+    *first, final = sorted(close, key=lambda name: -similarity[name])[
+        :_MAX_SUGGESTIONS
+    ] or [""]
+    return (
+        f"; did you mean {', '.join(first)}{' or ' if first else ''}{final}?"
+        if final
+        else ""
+    )
 
 
 def _split_name(name: str) -> tuple[str, str]:
@@ -294,7 +357,9 @@ def _similarity(text: str, name: str) -> float:
         return max(whole, 0.85 + 0.1 * len(text) / len(name))
     text, words = _WORD_SEPARATOR.sub("_", text), _WORD_SEPARATOR.split(name)
     # The first words of the name (it may end in a unit), or any words of it.
-    prefix = 0.95 * max((_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0)
+    prefix = 0.95 * max(
+        (_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0
+    )
     within = 0.8 if f"_{text}_" in f"_{name}_" else 0.0
     return max(whole, prefix if prefix > _MIN_PREFIX_SIMILARITY else 0.0, within)
 
@@ -318,7 +383,9 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
     """
     for label, value in ((name, period_s), (step_name, step_s)):
         if not (math.isfinite(value) and value > 0):
-            raise InputError(f"{label} {value!r} s is not allowed; it must be finite and above 0")
+            raise InputError(
+                f"{label} {value!r} s is not allowed; it must be finite and above 0"
+            )
     ratio = period_s / step_s
     if not math.isfinite(ratio):
         period, step = format_exact(period_s), format_exact(step_s)
@@ -330,12 +397,17 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
 
 def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
     """Return whether a number is a positive integer within a relative tolerance."""
-    return 0.5 < ratio < math.inf and abs(ratio - round(ratio)) <= tolerance * max(1.0, ratio)
+    return 0.5 < ratio < math.inf and abs(ratio - round(ratio)) <= tolerance * max(
+        1.0, ratio
+    )
 
 
 def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
     """Return the shortest decimal text of a number, with six or more digits, whose value still fits."""
-    return next((text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))), repr(value))
+    return next(
+        (text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))),
+        repr(value),
+    )
 
 
 def format_exact(value: float) -> str:
@@ -348,7 +420,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: unit of the sampling intervals within a tick, s; None if any interval is allowed.
+        step: unit of the sampling intervals within a tick, s; None if any interval is
+            allowed.
     """
 
     tick: float
@@ -399,7 +472,8 @@ def nearest_rate(
     Returns:
         None if no rate fits.
     """
-    # Ticks that are not multiples of each other coincide at multiples of their least common multiple.
+    # Ticks that are not multiples of each other coincide at multiples of their least
+    # common multiple.
     ticks = [Fraction(grid.tick).limit_denominator(1_000_000) for grid in grids]
     scale = math.lcm(*(tick.denominator for tick in ticks))
     common = math.lcm(*(max(1, int(tick * scale)) for tick in ticks)) / scale
@@ -410,5 +484,7 @@ def nearest_rate(
         # A tighter tolerance than that of the plants, which divide once more.
         return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
-    fitting = sorted(filter(fits, candidates), key=lambda candidate: abs(math.log(candidate / rate)))
+    fitting = sorted(
+        filter(fits, candidates), key=lambda candidate: abs(math.log(candidate / rate))
+    )
     return shortest_decimal(fitting[0], fits) if fitting else None

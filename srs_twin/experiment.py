@@ -18,8 +18,17 @@ from typing import Any
 import numpy as np
 
 from srs_twin.comparison.centre_line import body_overlap
-from srs_twin.comparison.compare import Attribution, Comparison, MeasuredDifference, compare as difference
-from srs_twin.comparison.contacts import contact_events, contact_free_s, ignores_obstacles
+from srs_twin.comparison.compare import (
+    Attribution,
+    Comparison,
+    MeasuredDifference,
+    compare as difference,
+)
+from srs_twin.comparison.contacts import (
+    contact_events,
+    contact_free_s,
+    ignores_obstacles,
+)
 from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
@@ -57,7 +66,13 @@ RECORDING = "recording.rrd"
 """File of the Rerun recording."""
 MEASURED = "measured"
 """Name of the measured trajectory."""
-PRODUCTS = (METRICS, RESOLVED, REPORT, RECORDING, *(f"{plant}.parquet" for plant in PLANTS))
+PRODUCTS = (
+    METRICS,
+    RESOLVED,
+    REPORT,
+    RECORDING,
+    *(f"{plant}.parquet" for plant in PLANTS),
+)
 """Files of a run; metrics.json comes first, because it marks a complete folder."""
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 """Files of a run with a recording."""
@@ -77,7 +92,8 @@ class RunResult:
         folder: output folder; it no longer exists if it was temporary.
         trajectories: trajectory of each plant, up to its divergence.
         metrics: content of metrics.json; empty if a plant diverged.
-        diverged: errors of diverged plants; the message names the file with the trajectory.
+        diverged: errors of diverged plants; the message names the file with the
+            trajectory.
         failed_attributions: errors of diverged runs of the attribution.
     """
 
@@ -104,11 +120,16 @@ class PreparedRun:
     pairs: Mapping[str, tuple[Plant, Controller]]
 
     @classmethod
-    def build(cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None) -> PreparedRun:
+    def build(
+        cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
+    ) -> PreparedRun:
         """Build plants and controllers; arguments as in `prepare`."""
         kinds, scenario = tuple(plants or scenario.plants), scenario.run_on(plants)
         with scenario.named_in_errors():
-            pairs = {kind: (scenario.build_plant(kind), scenario.build_controller()) for kind in kinds}
+            pairs = {
+                kind: (scenario.build_plant(kind), scenario.build_controller())
+                for kind in kinds
+            }
         return cls(scenario, folder, pairs)
 
     def execute(
@@ -120,17 +141,19 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute metrics, compare, and write the files, metrics.json last.
 
-        If a plant diverges, its trajectory up to that time is written and the other plants still run, but
-        there are no comparison, pictures and metrics.json.
+        If a plant diverges, its trajectory up to that time is written and the other
+        plants still run, but there are no comparison, pictures and metrics.json.
 
         Args:
             progress: called with the name of the plant and the completed fraction.
-            explain: attributes the difference of the plants (`attribution.explain`); None: no attribution.
-            main_cause: computes the main cause of the difference (`attribution.main_cause`) without
-                `explain`.
+            explain: attributes the difference of the plants (`attribution.explain`);
+                None: no attribution.
+            main_cause: computes the main cause of the difference
+                (`attribution.main_cause`) without `explain`.
 
         Raises:
-            InputError: a file cannot be written, or the difference cannot be attributed.
+            InputError: a file cannot be written, or the difference cannot be
+                attributed.
         """
         scenario = self.scenario
         if explain is not None:
@@ -140,15 +163,26 @@ class PreparedRun:
         diverged: list[DivergedError] = []
         for kind, (plant, controller) in self.pairs.items():
             # Compile the kernels first, so that the measured time excludes compilation.
-            plant.step(np.full((plant.spec.segments, plant.spec.chambers), -1, dtype=np.int8))
-            watch = _percents(partial(progress, kind) if progress else None, scenario.duration)
+            plant.step(
+                np.full((plant.spec.segments, plant.spec.chambers), -1, dtype=np.int8)
+            )
+            watch = _percents(
+                partial(progress, kind) if progress else None, scenario.duration
+            )
             start = time.perf_counter()
             try:
-                trajectories[kind] = rollout(plant, controller, **scenario.timing, progress=watch)
+                trajectories[kind] = rollout(
+                    plant, controller, **scenario.timing, progress=watch
+                )
                 watch(scenario.duration)
             except DivergedError as error:
                 path = display_path(self.folder / f"{kind}.parquet")
-                error.args = (f"{scenario.name}: {error}; the trajectory up to that time is in {path}",)
+                error.args = (
+                    (
+                        f"{scenario.name}: {error}; the trajectory up to that time is"
+                        f" in {path}"
+                    ),
+                )
                 diverged.append(error)
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
@@ -159,13 +193,16 @@ class PreparedRun:
         if explain is not None and not diverged and None not in starts:
             explaining = partial(progress, "attribution") if progress else None
             try:
-                attribution = explain(scenario, trajectories, progress=explaining, wall_s=walls)
+                attribution = explain(
+                    scenario, trajectories, progress=explaining, wall_s=walls
+                )
             except DivergedError as error:
                 failed_attributions.append(error)
         cause = None
         if main_cause is not None and not (diverged or attribution):
             cause = main_cause(scenario, trajectories)
-        # Replace all files at once, so that an interrupt or a full disk leaves those of an earlier run.
+        # Replace all files at once, so that an interrupt or a full disk leaves those of
+        # an earlier run.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             (fresh / RESOLVED).write_text(dump_yaml(scenario.document), "utf-8")
             for kind, trajectory in trajectories.items():
@@ -173,11 +210,19 @@ class PreparedRun:
             if scenario.measured is not None:
                 scenario.measured.to_parquet(fresh / f"{MEASURED}.parquet")
             if diverged:
-                return RunResult(scenario.name, self.folder, trajectories, diverged=tuple(diverged))
+                return RunResult(
+                    scenario.name, self.folder, trajectories, diverged=tuple(diverged)
+                )
             metrics, content = self.measure(trajectories, walls, attribution, cause)
             self._write(fresh, metrics, content, attribution)
         failed = tuple(failed_attributions)
-        return RunResult(scenario.name, self.folder, trajectories, metrics, failed_attributions=failed)
+        return RunResult(
+            scenario.name,
+            self.folder,
+            trajectories,
+            metrics,
+            failed_attributions=failed,
+        )
 
     def measure(
         self,
@@ -198,31 +243,46 @@ class PreparedRun:
         comparison = None
         if all(plant in trajectories for plant in PLANTS):
             factor = scenario.file.comparison.gap_factor
-            comparison = difference(*(trajectories[plant] for plant in PLANTS), gap_factor=factor)
+            comparison = difference(
+                *(trajectories[plant] for plant in PLANTS), gap_factor=factor
+            )
         metrics: dict[str, Any] = {
             "scenario": scenario.name,
             "robot": scenario.robot.name,
-            "plants": {k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()},
+            "plants": {
+                k: plant_metrics(t, wall_s=walls[k]) for k, t in trajectories.items()
+            },
             "comparison": comparison.metrics if comparison else None,
             "events": {k: _notable(t) for k, t in trajectories.items()},
             "changes": list(scenario.changes),
         }
-        if ignoring := [kind for kind, run in trajectories.items() if ignores_obstacles(run)]:
+        if ignoring := [
+            kind for kind, run in trajectories.items() if ignores_obstacles(run)
+        ]:
             metrics["ignores_obstacles"] = ignoring
         if comparison and (before := _before_contact(trajectories)):
             metrics["before_contact"] = before
-        geometries = {kind: plant.spec.geometry for kind, (plant, _) in self.pairs.items()}
+        geometries = {
+            kind: plant.spec.geometry for kind, (plant, _) in self.pairs.items()
+        }
         overlaps = {k: body_overlap(t, geometries[k]) for k, t in trajectories.items()}
         if any(overlaps.values()):
-            metrics["body_overlap_m"] = {k: overlap for k, overlap in overlaps.items() if overlap}
+            metrics["body_overlap_m"] = {
+                k: overlap for k, overlap in overlaps.items() if overlap
+            }
         drawn, differences = dict(trajectories), {}
         if measured is not None:
             drawn[MEASURED] = measured
-            differences = {k: MeasuredDifference.between(measured, t) for k, t in trajectories.items()}
+            differences = {
+                k: MeasuredDifference.between(measured, t)
+                for k, t in trajectories.items()
+            }
             for kind, deviation in differences.items():
                 metrics["plants"][kind] |= deviation.metrics
             metrics["plants"][MEASURED] = plant_metrics(measured)
-            metrics["residuals"] = {k: deviation.document() for k, deviation in differences.items()}
+            metrics["residuals"] = {
+                k: deviation.document() for k, deviation in differences.items()
+            }
         if attribution is not None:
             metrics["attribution"] = attribution.document()
         if cause is not None:
@@ -231,11 +291,14 @@ class PreparedRun:
         if "twin" in trajectories and twin and twin.fast_preset:
             metrics["preset"] = twin.fast_preset
         metrics |= self._judged(metrics, drawn) | {"versions": versions()}
-        # Use the robot of the plants, which may differ from that of the scenario (plants without rigid gaps).
+        # Use the robot of the plants, which may differ from that of the scenario
+        # (plants without rigid gaps).
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
-    def _judged(self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]) -> dict[str, Any]:
+    def _judged(
+        self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
+    ) -> dict[str, Any]:
         """Return the entries of metrics.json on expectations.
 
         Args:
@@ -244,22 +307,34 @@ class PreparedRun:
         """
         scenario = self.scenario
         # Expectations of plants that were not run do not count as missed.
-        available = {*metrics["plants"], *(["comparison"] if metrics["comparison"] else ())} - {MEASURED}
+        available = {
+            *metrics["plants"],
+            *(["comparison"] if metrics["comparison"] else ()),
+        } - {MEASURED}
         complete = set(scenario.plants) <= available
-        expected = [item for item in scenario.expect if item.subject in available or complete]
+        expected = [
+            item for item in scenario.expect if item.subject in available or complete
+        ]
         entries: dict[str, Any] = {}
         if any(item.within for item in expected):
             entries["intervals"] = stored_intervals(scenario)
         known = metrics | entries
         entries["expectations"] = [
-            item.check(known, why_undefined(item.metric, item.subject, known, runs)) for item in expected
+            item.check(known, why_undefined(item.metric, item.subject, known, runs))
+            for item in expected
         ]
-        entries["left_out"] = [row for row in scenario.left_out if row["of"] in available]
+        entries["left_out"] = [
+            row for row in scenario.left_out if row["of"] in available
+        ]
         entries.get("intervals", {}).pop("plants", None)
         return entries
 
     def _write(
-        self, fresh: Path, metrics: dict[str, Any], content: RunContent, attribution: Attribution | None
+        self,
+        fresh: Path,
+        metrics: dict[str, Any],
+        content: RunContent,
+        attribution: Attribution | None,
     ) -> None:
         """Write report, recording and metrics into a folder."""
         # Import late, because rerun alone takes half a second.
@@ -267,9 +342,17 @@ class PreparedRun:
         from srs_twin.viewing.rerun.recording import write_recording
 
         title, report = self.scenario.title, fresh / REPORT
-        write_report(report, content, scenario_title=title, metrics=metrics, attribution=attribution)
+        write_report(
+            report,
+            content,
+            scenario_title=title,
+            metrics=metrics,
+            attribution=attribution,
+        )
         write_recording(fresh / RECORDING, content, title=title)
-        (fresh / METRICS).write_text(json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8")
+        (fresh / METRICS).write_text(
+            json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8"
+        )
 
 
 INTERVALS = Path("calibration/intervals")
@@ -286,39 +369,62 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     """Return the intervals stored by `srs-twin uncertainty SCENARIO --write`, in this folder or shipped.
 
     Returns:
-        "stale": reason why the file does not apply, or None if robot and scenario are unchanged; "file": its
-        path; "renew": the command that renews it; "plants": intervals of the metrics of each plant;
-        "segments": ranges of the twin's speed over stiffness and damping of its segments, or None.
+        "stale": reason why the file does not apply, or None if robot and scenario are
+        unchanged; "file": its path; "renew": the command that renews it; "plants":
+        intervals of the metrics of each plant; "segments": ranges of the twin's speed
+        over stiffness and damping of its segments, or None.
     """
-    reference = scenario.name if scenario.name in shipped_names("scenario") else scenario.source
+    reference = (
+        scenario.name if scenario.name in shipped_names("scenario") else scenario.source
+    )
     name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {reference} --write`"
-    path = next((p for p in (INTERVALS / name, data_root() / INTERVALS / name) if p.is_file()), None)
+    path = next(
+        (p for p in (INTERVALS / name, data_root() / INTERVALS / name) if p.is_file()),
+        None,
+    )
     if path is None:
         return {"stale": f"no interval is stored; {renew} makes one"}
     try:
         data = json.loads(path.read_text("utf-8"))
         digest, plants = data["digest"], data["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        return {"stale": f"{display_path(path)} cannot be read ({error}); {renew} writes it again"}
+        return {
+            "stale": (
+                f"{display_path(path)} cannot be read ({error}); {renew} writes it"
+                " again"
+            )
+        }
     own, contact = data.get("contact") or UNSTATED_CONTACT, twin_contact(scenario)
     if "twin" in plants and contact is not None and own != contact:
         return {
-            "stale": f"the interval in {display_path(path)} is for a twin with contact {own}, not {contact}; "
-            f"{renew} renews it"
+            "stale": (
+                f"the interval in {display_path(path)} is for a twin with contact"
+                f" {own}, not {contact}; {renew} renews it"
+            )
         }
     if digest != judged_digest(scenario.document):
         return {
-            "stale": f"the interval in {display_path(path)} is for another robot or scenario; "
-            f"{renew} renews it"
+            "stale": (
+                f"the interval in {display_path(path)} is for another robot or"
+                f" scenario; {renew} renews it"
+            )
         }
-    stored = {"stale": None, "file": display_path(path), "renew": renew, "plants": plants}
+    stored = {
+        "stale": None,
+        "file": display_path(path),
+        "renew": renew,
+        "plants": plants,
+    }
     return stored | {"segments": data.get("segments")}
 
 
 def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
     """Return the faults of a run, its contacts, and the reason if it ended early."""
     faults = [event for event in trajectory.events if event.kind == "fault"]
-    return [asdict(event) for event in (*faults, *contact_events(trajectory), *end_event(trajectory))]
+    return [
+        asdict(event)
+        for event in (*faults, *contact_events(trajectory), *end_event(trajectory))
+    ]
 
 
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
@@ -330,10 +436,17 @@ def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
     if math.isinf(end):
         return None
     metrics = {kind: plant_metrics(run.between(0.0, end)) for kind, run in runs.items()}
-    return {"end_s": end, "plants": {k: {name: row[name] for name in names} for k, row in metrics.items()}}
+    return {
+        "end_s": end,
+        "plants": {
+            k: {name: row[name] for name in names} for k, row in metrics.items()
+        },
+    }
 
 
-def _percents(progress: Callable[[float], None] | None, duration: float) -> Callable[[float], None]:
+def _percents(
+    progress: Callable[[float], None] | None, duration: float
+) -> Callable[[float], None]:
     """Return a function of the simulated time (s) that reports progress once per percent."""
     reported = -1
 
@@ -394,22 +507,27 @@ def compare(
     """Compare two trajectories, or run a scenario on both plants and compare the plants.
 
     Args:
-        reference: trajectory of the analytical model; or a scenario, its name or its path.
+        reference: trajectory of the analytical model; or a scenario, its name or its
+            path.
         candidate: trajectory of the twin; None with a scenario.
         set: values that override fields of the scenario, as for `load_scenario`.
-        gap_factor: see `comparison.compare.compare`; with a scenario, the scenario sets it.
+        gap_factor: see `comparison.compare.compare`; with a scenario, the scenario sets
+            it.
 
     Returns:
-        `Comparison`; for a scenario `ComparedRuns`, which contains the trajectories as well.
+        `Comparison`; for a scenario `ComparedRuns`, which contains the trajectories as
+        well.
 
     Raises:
-        InputError: as `comparison.compare.compare` and `load_scenario`, or for a wrong combination of
-            arguments.
+        InputError: as `comparison.compare.compare` and `load_scenario`, or for a wrong
+            combination of arguments.
         DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):
         if candidate is None or set is not None:
-            raise InputError("give two trajectories, or a scenario, with `set` for the scenario only")
+            raise InputError(
+                "give two trajectories, or a scenario, with `set` for the scenario only"
+            )
         return difference(reference, candidate, gap_factor=gap_factor)
     if candidate is not None:
         raise InputError("a scenario is run on both plants; remove the second argument")
@@ -422,13 +540,22 @@ def compare(
         walls[kind] = time.perf_counter() - start
     results, content = run.measure(trajectories, walls)
     assert content.comparison is not None, "both plants ran"
-    values = {item.name: getattr(content.comparison, item.name) for item in fields(content.comparison)}
+    values = {
+        item.name: getattr(content.comparison, item.name)
+        for item in fields(content.comparison)
+    }
     return ComparedRuns(
-        **values, title=run.scenario.title, trajectories=trajectories, results=results, spec=content.spec
+        **values,
+        title=run.scenario.title,
+        trajectories=trajectories,
+        results=results,
+        spec=content.spec,
     )
 
 
-def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None) -> PreparedRun:
+def prepare(
+    scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None
+) -> PreparedRun:
     """Build the plants and controllers of a scenario and open its output folder.
 
     Args:
@@ -437,7 +564,8 @@ def prepare(scenario: Scenario, out: Path, *, plants: Sequence[str] | None = Non
         plants: names of the plants, in this order; None: the plants of the scenario.
 
     Raises:
-        InputError: a plant or controller cannot be built, or the folder cannot be written.
+        InputError: a plant or controller cannot be built, or the folder cannot be
+            written.
     """
     run = PreparedRun.build(scenario, out, plants)
     check_output_folder(out, _ALL_PRODUCTS)
@@ -472,13 +600,15 @@ def run_scenario(
         set: values that override fields of the scenario, see `load_scenario`.
         plants: plants that run, in this order; None: those of the scenario.
         progress: see `PreparedRun.execute`.
-        explain: function that attributes the difference of the plants, see `PreparedRun.execute`.
+        explain: function that attributes the difference of the plants, see
+            `PreparedRun.execute`.
 
     Returns:
         Trajectories and metrics. The error of a plant that diverged is in `diverged`.
 
     Raises:
-        InputError: the scenario cannot run or the folder cannot be written; raised before the simulation.
+        InputError: the scenario cannot run or the folder cannot be written; raised
+            before the simulation.
     """
     loaded = load_scenario(scenario, set=set)
     with folder_or_temporary(out) as folder:
@@ -516,9 +646,16 @@ def load_run(run: str | Path) -> FinishedRun:
     """
     folder = find_run(run)
     paths = {kind: folder / f"{kind}.parquet" for kind in (*PLANTS, MEASURED)}
-    trajectories = {kind: Trajectory.from_parquet(path) for kind, path in paths.items() if path.is_file()}
+    trajectories = {
+        kind: Trajectory.from_parquet(path)
+        for kind, path in paths.items()
+        if path.is_file()
+    }
     if not trajectories:
-        raise InputError(f"{display_path(folder)}: no trajectory there; `srs-twin run SCENARIO` writes them")
+        raise InputError(
+            f"{display_path(folder)}: no trajectory there; `srs-twin run SCENARIO`"
+            " writes them"
+        )
     with reading():
         return FinishedRun(folder, load_scenario(folder / RESOLVED), trajectories)
 
@@ -534,4 +671,6 @@ def find_run(run: str | Path) -> Path:
         if os.path.isfile(folder / RESOLVED):
             return folder
     files = " and ".join(display_path(path / RESOLVED) for path in candidates)
-    raise InputError(f"{run}: no run there (looked for {files}); `srs-twin run SCENARIO` makes one")
+    raise InputError(
+        f"{run}: no run there (looked for {files}); `srs-twin run SCENARIO` makes one"
+    )

@@ -1,13 +1,14 @@
 """Registry of the extensions, the only place in the core that names them, and of parts from outside.
 
-An entry is ``name: "module:object"``. The module is imported when the object is needed. Entries of extensions
-that are not installed are ignored.
+An entry is ``name: "module:object"``. The module is imported when the object is needed.
+Entries of extensions that are not installed are ignored.
 
-Files may also name parts from outside the package as ``module:Name``. A file alone never runs code: the
-module must be a plug-in, which the user allows (`allow_plugin`), or belong to an installed distribution that
-declares entry points ``srs_twin.*``. Such a distribution may register short names for its parts in the groups
-``srs_twin.controllers``, ``pneumatics``, ``sensors``, ``metrics`` and ``formats``, which are read only if a
-name is unknown.
+Files may also name parts from outside the package as ``module:Name``. A file alone
+never runs code: the module must be a plug-in, which the user allows (`allow_plugin`),
+or belong to an installed distribution that declares entry points ``srs_twin.*``. Such a
+distribution may register short names for its parts in the groups
+``srs_twin.controllers``, ``pneumatics``, ``sensors``, ``metrics`` and ``formats``,
+which are read only if a name is unknown.
 """
 
 from __future__ import annotations
@@ -88,8 +89,10 @@ FORMATS = {
     "deeplabcut": "srs_twin.recordings.formats.tables:DeepLabCut",
     "plain": "srs_twin.recordings.formats.tables:PlainCsv",
 }
-"""File formats of motion recordings (`recordings.formats.base.Format`). A file is read by the first format
-that recognizes it; `plain` accepts most tables and is last."""
+"""File formats of motion recordings (`recordings.formats.base.Format`).
+
+A file is read by the first format that recognizes it; `plain` accepts most tables and
+is last."""
 
 LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
 """Functions that read and check a kind of file."""
@@ -160,9 +163,9 @@ class _LazyPackage(ModuleType):
 def lazy(package: str) -> None:
     """Make a package import its public names when they are used.
 
-    Its source imports them below ``TYPE_CHECKING`` as themselves (``from module import name as name``), where
-    type checkers and editors find them. This function reads them from the source, so that each name is
-    written once.
+    Its source imports them below ``TYPE_CHECKING`` as themselves (``from module import
+    name as name``), where type checkers and editors find them. This function reads them
+    from the source, so that each name is written once.
     """
     module = sys.modules[package]
     homes = {
@@ -191,11 +194,12 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
     """Allow scenarios and other files to name the parts of a plug-in, in this process and in its workers.
 
     Args:
-        source: path of a Python file, which is imported under the name of the file; or a module, its name, or
-            a class in it.
+        source: path of a Python file, which is imported under the name of the file; or
+            a module, its name, or a class in it.
 
     Raises:
-        InputError: there is no such file or module, or another module has the name of the file.
+        InputError: there is no such file or module, or another module has the name of
+            the file.
     """
     if isinstance(source, type | ModuleType):
         source = getattr(source, "__module__", source.__name__)
@@ -206,14 +210,25 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
     entry = os.path.abspath(entry) if is_file else entry
     name = os.path.basename(entry).partition(".")[0]
     module = name.isidentifier() and (sys.modules.get(name) or find_spec(name))
-    origin = getattr(module, "__file__", None) or getattr(module, "origin", None) or "built in"
+    origin = (
+        getattr(module, "__file__", None)
+        or getattr(module, "origin", None)
+        or "built in"
+    )
     problem = ""
     if not is_file:
-        problem = "" if module else "no such module; give a file that ends in .py, or an installed module"
+        problem = (
+            ""
+            if module
+            else "no such module; give a file that ends in .py, or an installed module"
+        )
     elif not os.path.isfile(entry):
         problem = "no such file"
     elif not name.isidentifier() or os.pathsep in entry:
-        problem = f"cannot be imported; use only letters, digits and _ in its name, and no '{os.pathsep}'"
+        problem = (
+            "cannot be imported; use only letters, digits and _ in its name, and no"
+            f" '{os.pathsep}'"
+        )
     elif module and os.path.realpath(origin) != os.path.realpath(entry):
         problem = f"a module {name} exists already ({origin}); rename the file"
     if problem:
@@ -224,7 +239,9 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
 def plugins() -> dict[str, str]:
     """Return the plug-ins that the user allows: name of the module → path of its file, or its name."""
     entries = os.environ.get(PLUGINS, "").split(os.pathsep)
-    return {os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry}
+    return {
+        os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry
+    }
 
 
 class _PluginFinder:
@@ -251,9 +268,16 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
 
     found: dict[str, Any] = {}
     for distribution in distributions(path=list(path)):
-        entries = [each for each in distribution.entry_points if each.group.startswith("srs_twin.")]
+        entries = [
+            each
+            for each in distribution.entry_points
+            if each.group.startswith("srs_twin.")
+        ]
         files = distribution.files if entries else ()
-        names = [*(module_of(each.value) for each in entries), *(file.parts[0] for file in files or ())]
+        names = [
+            *(module_of(each.value) for each in entries),
+            *(file.parts[0] for file in files or ()),
+        ]
         found |= {name.partition(".")[0]: distribution for name in names}
     return found
 
@@ -265,7 +289,10 @@ def registered(kind: str) -> dict[str, str]:
         kind: controller, pneumatics, sensor, metric or format.
     """
     group = f"srs_twin.{kind.removesuffix('s')}s"
-    entries = (each.entry_points.select(group=group) for each in reversed(dict.fromkeys(owners().values())))
+    entries = (
+        each.entry_points.select(group=group)
+        for each in reversed(dict.fromkeys(owners().values()))
+    )
     return {entry.name: entry.value for each in entries for entry in each}
 
 
@@ -276,7 +303,10 @@ def import_plugin(module: str) -> ModuleType:
         InputError: the module is not allowed, or its import fails.
     """
     package = module.partition(".")[0]
-    if package not in {name.partition(".")[0] for name in plugins()} and package not in owners():
+    if (
+        package not in {name.partition(".")[0] for name in plugins()}
+        and package not in owners()
+    ):
         raise InputError(
             f"module {module} is not allowed, because a file alone never runs code. "
             f"If you trust it, name it with --plugin FILE.py or in {PLUGINS}"
@@ -285,12 +315,16 @@ def import_plugin(module: str) -> ModuleType:
     try:
         imported = import_module(module)
     except (Exception, SystemExit) as error:  # foreign code may raise any error
-        raise InputError(f"module {module} cannot be imported: {describe_error(error)}") from error
+        raise InputError(
+            f"module {module} cannot be imported: {describe_error(error)}"
+        ) from error
     OUTSIDE.add(imported.__file__ or "")
     return imported
 
 
-def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = ()) -> Any:
+def part(
+    kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = ()
+) -> Any:
     """Import a class from outside the package.
 
     Args:
@@ -310,10 +344,15 @@ def part(kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = (
         raise InputError(f"'{names[name]}' does not name a class; write module:Name")
     module, _, attribute = names[name].partition(":")
     found = getattr(import_plugin(module), attribute, None)
-    is_derived = isinstance(found, type) and issubclass(found, bases) and found not in bases
+    is_derived = (
+        isinstance(found, type) and issubclass(found, bases) and found not in bases
+    )
     if not is_derived or isabstract(found):
         expected = " or ".join(base.__name__ for base in bases)
-        raise InputError(f"{names[name]} must be a class that derives from {expected}, with all its methods")
+        raise InputError(
+            f"{names[name]} must be a class that derives from {expected}, with all its"
+            " methods"
+        )
     return found
 
 
@@ -322,7 +361,9 @@ def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
     for module in plugins():
         for found in vars(import_plugin(module)).values():
             is_class = isinstance(found, type) and found.__module__ == module
-            if isinstance(found, base) or (is_class and issubclass(found, base) and not isabstract(found)):
+            if isinstance(found, base) or (
+                is_class and issubclass(found, base) and not isabstract(found)
+            ):
                 yield module, found
 
 

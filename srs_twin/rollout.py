@@ -1,9 +1,9 @@
 """Rollouts of plants under controllers: `rollout` for one run, `run_many` and `run_batch` for several.
 
-`run_many` runs independent jobs on any plants, each with the result that `rollout` alone would give. In
-`run_batch` one policy commands all twins of a batch, tick by tick. Kernels and MuJoCo release the
-interpreter's lock while they step, so that runs overlap on threads. Results do not depend on the number of
-threads.
+`run_many` runs independent jobs on any plants, each with the result that `rollout`
+alone would give. In `run_batch` one policy commands all twins of a batch, tick by tick.
+Kernels and MuJoCo release the interpreter's lock while they step, so that runs overlap
+on threads. Results do not depend on the number of threads.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -80,52 +80,66 @@ def rollout(
 ) -> Trajectory:
     """Simulate a plant under a controller and record the trajectory.
 
-    The snake starts at rest at `pose`, unless `begin` or `resume` is given instead. A controller without
-    sensor input has a script of valve commands, which the plant simulates in chunks of many ticks. With
-    `until` or `observers`, for other controllers, and on plants that cannot play scripts, plant and
-    controller alternate every tick.
+    The snake starts at rest at `pose`, unless `begin` or `resume` is given instead. A
+    controller without sensor input has a script of valve commands, which the plant
+    simulates in chunks of many ticks. With `until` or `observers`, for other
+    controllers, and on plants that cannot play scripts, plant and controller alternate
+    every tick.
 
     Args:
         plant: simulated robot.
         controller: controller of its valves.
         duration: simulated time, s, a multiple of the plant's tick.
         pose: initial pose: centre of mass x, y (m), mean heading (rad). Default: all 0.
-        begin: function of plant and seed that sets another initial state, as `Plant.place` does.
-        resume: saved states of plant and controller to continue from; the simulated time continues as well.
+        begin: function of plant and seed that sets another initial state, as
+            `Plant.place` does.
+        resume: saved states of plant and controller to continue from; the simulated
+            time continues as well.
         seed: random seed of plant and controller.
-        record_hz: sampling rate, Hz: a whole number of samples per tick, or one sample per whole number of
-            ticks.
-        until: predicate that ends the run after the first tick for which it returns True.
-        observers: functions called with the initial state and with the state after every tick.
+        record_hz: sampling rate, Hz: a whole number of samples per tick, or one sample
+            per whole number of ticks.
+        until: predicate that ends the run after the first tick for which it returns
+            True.
+        observers: functions called with the initial state and with the state after
+            every tick.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        Samples from the initial state on. If `until` or the controller ends the run between two samples, the
-        last state is recorded as well. The metadata contain the reason for an early end (``ended_by``) and
-        the description of the controller (``control``).
+        Samples from the initial state on. If `until` or the controller ends the run
+        between two samples, the last state is recorded as well. The metadata contain
+        the reason for an early end (``ended_by``) and the description of the controller
+        (``control``).
 
     Raises:
-        InputError: duration, tick, time step and record_hz are not compatible; several of pose, begin and
-            resume are given; the controller cannot drive this valve layout; an obstacle overlaps the body at
-            the start; a saved state belongs to another plant or controller; or another thread uses the plant
-            or the controller.
-        DivergedError: plant or controller diverged; its `trajectory` has the samples recorded before.
+        InputError: duration, tick, time step and record_hz are not compatible; several
+            of pose, begin and resume are given; the controller cannot drive this valve
+            layout; an obstacle overlaps the body at the start; a saved state belongs to
+            another plant or controller; or another thread uses the plant or the
+            controller.
+        DivergedError: plant or controller diverged; its `trajectory` has the samples
+            recorded before.
     """
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, begin, resume)) > 1:
-        raise InputError("rollout: give only one of pose, begin and resume; each sets the initial state")
+        raise InputError(
+            "rollout: give only one of pose, begin and resume; each sets the initial"
+            " state"
+        )
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     if plant.layout not in controller.layouts:
         raise InputError(
-            f"controller '{controller.kind}' drives valves of layout {', '.join(controller.layouts)}; "
-            f"the {plant.name} plant has {plant.layout} (layout in_out can hold, 3/2 cannot)"
+            f"controller '{controller.kind}' drives valves of layout"
+            f" {', '.join(controller.layouts)}; the {plant.name} plant has"
+            f" {plant.layout} (layout in_out can hold, 3/2 cannot)"
         )
     if not controller.spatial:
         plant.spec.require_planar(f"controller '{controller.kind}'")
     with claim(plant), claim(controller):
         if begin is None:
-            state = plant.reset(pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed)
+            state = plant.reset(
+                pose=(0.0, 0.0, 0.0) if pose is None else pose, seed=seed
+            )
         else:
             state = begin(plant, seed)
         controller.reset(plant.spec, plant.tick, seed=seed)
@@ -138,7 +152,11 @@ def rollout(
             check_start(plant, state, TOUCHING_M if begin is None else soft)
         recorder.add(state)
         observers, start = tuple(observers), float(state.time)
-        script = None if until is not None or observers else controller.script(start + ticks * plant.tick)
+        script = (
+            None
+            if until is not None or observers
+            else controller.script(start + ticks * plant.tick)
+        )
         if script is not None and start:
             script = script.slice(start, start + ticks * plant.tick)
         try:
@@ -153,13 +171,21 @@ def rollout(
 
 
 def _play_script(
-    recorder: Recorder, script: Schedule, ticks: int, progress: Callable[[float], None] | None
+    recorder: Recorder,
+    script: Schedule,
+    ticks: int,
+    progress: Callable[[float], None] | None,
 ) -> bool:
     """Simulate a script of valve commands in chunks; return False if the plant cannot play scripts.
 
-    A chunk is a whole number of recorded ticks. Ticks after the last sample are simulated without recording.
+    A chunk is a whole number of recorded ticks. Ticks after the last sample are
+    simulated without recording.
     """
-    plant, stride, controller = recorder.plant, recorder.stride, _describe_controller(recorder.controller)
+    plant, stride, controller = (
+        recorder.plant,
+        recorder.stride,
+        _describe_controller(recorder.controller),
+    )
     chunk = max(1, round(plant.max_chunk_s / plant.tick / stride)) * stride
     recorded = ticks - ticks % stride
     done = 0
@@ -167,7 +193,9 @@ def _play_script(
         count = min(chunk, (recorded if done < recorded else ticks) - done)
         commands = script.slice(done * plant.tick, (done + count) * plant.tick)
         check_commands(controller, done * plant.tick, commands.states)
-        history = plant.play(commands, count * recorder.samples // stride if done < recorded else 1)
+        history = plant.play(
+            commands, count * recorder.samples // stride if done < recorded else 1
+        )
         if history is None:
             return False
         check_plausible(plant.name, history)
@@ -219,7 +247,9 @@ def _describe_controller(controller: Controller) -> str:
     return f"controller '{controller.kind}'"
 
 
-def sample_counts(tick: float, record_hz: float, step: float | None = None) -> tuple[int, int]:
+def sample_counts(
+    tick: float, record_hz: float, step: float | None = None
+) -> tuple[int, int]:
     """Return samples per tick and ticks per sample; at least one of them is 1.
 
     Args:
@@ -228,18 +258,22 @@ def sample_counts(tick: float, record_hz: float, step: float | None = None) -> t
         step: unit of the sampling interval (`Plant.sample_step`), s.
 
     Raises:
-        InputError: the rate does not fit the tick; the message gives the nearest rate that does.
+        InputError: the rate does not fit the tick; the message gives the nearest rate
+            that does.
     """
     if not 0 < record_hz < math.inf:
-        raise InputError(f"record_hz {record_hz:g} is not allowed; it must be finite and above 0")
+        raise InputError(
+            f"record_hz {record_hz:g} is not allowed; it must be finite and above 0"
+        )
     grid = SamplingGrid(tick, step)
     if not grid.fits(record_hz):
         base = shortest_decimal(1 / tick, lambda rate: grid.fits(rate, 1e-10)) + " Hz"
         if step is not None:
             base += f" with an interval that is a multiple of {format_exact(step)} s"
         raise InputError(
-            f"record_hz {format_exact(record_hz)} does not fit the tick {format_exact(tick)} s; "
-            f"use {nearest_rate(record_hz, [grid])} Hz, or any whole multiple or fraction of {base}"
+            f"record_hz {format_exact(record_hz)} does not fit the tick"
+            f" {format_exact(tick)} s; use {nearest_rate(record_hz, [grid])} Hz, or any"
+            f" whole multiple or fraction of {base}"
         )
     return max(1, round(tick * record_hz)), max(1, round(1 / (tick * record_hz)))
 
@@ -256,9 +290,13 @@ class Recorder:
         ended_by: reason for an early end, "until" or "controller", or None.
     """
 
-    def __init__(self, plant: Plant, controller: Controller, record_hz: float, duration: float) -> None:
+    def __init__(
+        self, plant: Plant, controller: Controller, record_hz: float, duration: float
+    ) -> None:
         self.plant, self.controller = plant, controller
-        self.samples, self.stride = sample_counts(plant.tick, record_hz, plant.sample_step)
+        self.samples, self.stride = sample_counts(
+            plant.tick, record_hz, plant.sample_step
+        )
         self._settings = {"record_hz": record_hz, "duration_s": duration}
         self._states: list[SnakeState] = []
         self._signals: list[tuple[int, dict[str, float]]] = []
@@ -268,9 +306,13 @@ class Recorder:
     def add(self, state: SnakeState) -> None:
         """Append one state or a history of states, with the current signals of the controller."""
         self._states.append(state)
-        self._signals.append((np.size(state.time), _flatten_signals(self.controller.signals())))
+        self._signals.append(
+            (np.size(state.time), _flatten_signals(self.controller.signals()))
+        )
 
-    def trajectory(self, metadata: Mapping[str, object] = MappingProxyType({})) -> Trajectory:
+    def trajectory(
+        self, metadata: Mapping[str, object] = MappingProxyType({})
+    ) -> Trajectory:
         """Return the trajectory recorded so far, with additional metadata."""
         states = SnakeState.history(self._states)
 
@@ -281,7 +323,9 @@ class Recorder:
         columns |= _numbered_columns("com_", values_of("com"), "xy")
         columns["heading"] = values_of("heading")
         position = values_of("position")
-        columns |= _numbered_columns("x_", position[..., 0]) | _numbered_columns("y_", position[..., 1])
+        columns |= _numbered_columns("x_", position[..., 0]) | _numbered_columns(
+            "y_", position[..., 1]
+        )
         if isinstance(states, SpatialState):
             columns |= _spatial_columns(states)
         else:
@@ -308,9 +352,15 @@ class Recorder:
             columns["clearance"] = clearance(self.plant, states)
         counts = [count for count, _ in self._signals]
         for name in self._signals[0][1]:
-            columns[name] = np.repeat([signals[name] for _, signals in self._signals], counts)
+            columns[name] = np.repeat(
+                [signals[name] for _, signals in self._signals], counts
+            )
         columns |= _numbered_columns("qpos_", values_of("qpos"))
-        return Trajectory(columns, events=tuple(self.events), metadata={**self._metadata(), **metadata})
+        return Trajectory(
+            columns,
+            events=tuple(self.events),
+            metadata={**self._metadata(), **metadata},
+        )
 
     def _metadata(self) -> dict[str, object]:
         plant, geometry = self.plant, self.plant.spec.geometry
@@ -333,17 +383,23 @@ class Recorder:
 
 def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
     """Return the columns of a history that have more axes or other names than those of a planar snake."""
-    columns = _numbered_columns("theta_", states.theta) | _numbered_columns("z_", states.height)
+    columns = _numbered_columns("theta_", states.theta) | _numbered_columns(
+        "z_", states.height
+    )
     for k, axis in enumerate("wxyz"):
         columns |= _numbered_columns(f"quaternion_{axis}_", states.orientation[..., k])
     columns |= _numbered_columns("load_", states.load)
     pairs = {"bend": "pitch", "sensed": "sensed_pitch", "torque": "torque_pitch"}
     for left, up in pairs.items():
         values = getattr(states, left)
-        columns |= _numbered_columns(f"{left}_", values[..., 0]) | _numbered_columns(f"{up}_", values[..., 1])
+        columns |= _numbered_columns(f"{left}_", values[..., 0]) | _numbered_columns(
+            f"{up}_", values[..., 1]
+        )
     for name, values in (("pressure", states.pressure), ("valve", states.valves)):
         for k in range(values.shape[-1]):
-            columns |= _numbered_columns(f"{name}_{k + 1}_", np.asarray(values[..., k], dtype=float))
+            columns |= _numbered_columns(
+                f"{name}_{k + 1}_", np.asarray(values[..., k], dtype=float)
+            )
     return columns
 
 
@@ -354,11 +410,15 @@ def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]
         if np.ndim(value) == 0:
             flat[name] = float(value)
         else:
-            flat |= {f"{name}_{i}": float(v) for i, v in enumerate(np.ravel(value), start=1)}
+            flat |= {
+                f"{name}_{i}": float(v) for i, v in enumerate(np.ravel(value), start=1)
+            }
     return flat
 
 
-def _numbered_columns(prefix: str, values: np.ndarray, names: str | None = None) -> dict[str, np.ndarray]:
+def _numbered_columns(
+    prefix: str, values: np.ndarray, names: str | None = None
+) -> dict[str, np.ndarray]:
     """Return the columns of a (samples, n) array, named by a prefix and 1…n or the letters of `names`."""
     suffixes = names or [str(i) for i in range(1, values.shape[1] + 1)]
     return {f"{prefix}{suffix}": values[:, i] for i, suffix in enumerate(suffixes)}
@@ -369,9 +429,10 @@ class Job:
     """One run of `run_many`; the fields are arguments of `rollout`.
 
     Attributes:
-        plant: simulated robot, or a function that builds it. A thread calls the function again only if its
-            last job had another function.
-        controller: controller of the valves, or a function that builds it for every job.
+        plant: simulated robot, or a function that builds it. A thread calls the
+            function again only if its last job had another function.
+        controller: controller of the valves, or a function that builds it for every
+            job.
         duration: simulated time, s.
         pose: initial pose: centre of mass x, y (m), mean heading (rad). Default: all 0.
         seed: random seed of plant and controller.
@@ -393,22 +454,26 @@ class Job:
 
 @checked
 def run_many(
-    jobs: Iterable[Job], *, threads: int | None = None, progress: Callable[[int], None] | None = None
+    jobs: Iterable[Job],
+    *,
+    threads: int | None = None,
+    progress: Callable[[int], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
     """Run jobs on several threads; results equal those of `rollout` bit for bit.
 
     Args:
         jobs: runs in any order, without a common plant or controller object.
         threads: number of threads (default: one per processor).
-        progress: function called on the calling thread with the number of finished jobs.
+        progress: function called on the calling thread with the number of finished
+            jobs.
 
     Returns:
-        One trajectory per job, in order. A diverged job has its error instead, whose `trajectory` has the
-        samples recorded before.
+        One trajectory per job, in order. A diverged job has its error instead, whose
+        `trajectory` has the samples recorded before.
 
     Raises:
-        InputError: two jobs share a plant or a controller, or a job cannot be run; the message has the number
-            of the first such job.
+        InputError: two jobs share a plant or a controller, or a job cannot be run; the
+            message has the number of the first such job.
     """
     jobs = list(jobs)
     _check_not_shared(jobs)
@@ -421,11 +486,17 @@ def run_many(
 
         job = jobs[k]
         try:
-            controller = job.controller if isinstance(job.controller, Controller) else job.controller()
+            controller = (
+                job.controller
+                if isinstance(job.controller, Controller)
+                else job.controller()
+            )
             parts = {"plant": _build_plant(job, thread_data), "controller": controller}
             return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
-            return error.with_traceback(None)  # the traceback's frames would keep the plant alive
+            return error.with_traceback(
+                None
+            )  # the traceback's frames would keep the plant alive
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
 
@@ -446,29 +517,35 @@ def run_batch(
 
     Args:
         batch: batch of twins, one per run.
-        policy: function from the states of all twins (leading axis: runs) to valve commands of shape
-            (runs, segments, 2) or (runs, slots, segments, 2).
+        policy: function from the states of all twins (leading axis: runs) to valve
+            commands of shape (runs, segments, 2) or (runs, slots, segments, 2).
         duration: simulated time, s, a multiple of the tick.
-        poses: initial poses, one per twin, as in `rollout` (default: all at the origin).
+        poses: initial poses, one per twin, as in `rollout` (default: all at the
+            origin).
         seed: random seed of the twins.
         record_hz: sampling rate, Hz, as in `rollout`.
         progress: function called with the simulated time after every tick, s.
 
     Returns:
-        One trajectory per twin, in order. A diverged twin has its error instead, whose `trajectory` has the
-        samples recorded before; the other twins continue.
+        One trajectory per twin, in order. A diverged twin has its error instead, whose
+        `trajectory` has the samples recorded before; the other twins continue.
 
     Raises:
-        InputError: duration, tick and record_hz are not compatible, or invalid valve commands.
+        InputError: duration, tick and record_hz are not compatible, or invalid valve
+            commands.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     with claim(batch):
         controllers = [_PolicyController() for _ in batch.twins]
-        recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
+        recorders = _record_start(
+            batch, controllers, duration, record_hz, poses=poses, seed=seed
+        )
         samples, stride = recorders[0].samples, recorders[0].stride
         for tick in range(1, ticks + 1):
             histories = batch.advance(policy(batch.state), samples)
-            for recorder, history, error in zip(recorders, histories, batch.errors, strict=True):
+            for recorder, history, error in zip(
+                recorders, histories, batch.errors, strict=True
+            ):
                 if history is not None and (tick % stride == 0 or error is not None):
                     recorder.add(history)
             if progress is not None:
@@ -479,11 +556,17 @@ def run_batch(
 
 
 def _record_start(
-    batch: TwinBatch, controllers: Sequence[Controller], duration: float, record_hz: float, **start: Any
+    batch: TwinBatch,
+    controllers: Sequence[Controller],
+    duration: float,
+    record_hz: float,
+    **start: Any,
 ) -> list[Recorder]:
     """Reset a batch with the arguments `start`; return recorders that contain the initial states."""
     pairs = zip(batch.twins, controllers, strict=True)
-    recorders = [Recorder(twin, controller, record_hz, duration) for twin, controller in pairs]
+    recorders = [
+        Recorder(twin, controller, record_hz, duration) for twin, controller in pairs
+    ]
     resting = batch.reset(**start)
     for k, recorder in enumerate(recorders):
         check_start(recorder.plant, resting.at(k))
@@ -491,12 +574,18 @@ def _record_start(
     return recorders
 
 
-def _finish_batch(batch: TwinBatch, recorders: Sequence[Recorder]) -> list[Trajectory | DivergedError]:
+def _finish_batch(
+    batch: TwinBatch, recorders: Sequence[Recorder]
+) -> list[Trajectory | DivergedError]:
     """Return the trajectories of a batch; an error has the trajectory recorded before it."""
     results: list[Trajectory | DivergedError] = []
-    for recorder, openings, error in zip(recorders, batch.openings(), batch.errors, strict=True):
+    for recorder, openings, error in zip(
+        recorders, batch.openings(), batch.errors, strict=True
+    ):
         switches = openings.tolist() if recorder.plant.metered else None
-        trajectory = recorder.trajectory(batch.describe() | {"valve_switches": switches})
+        trajectory = recorder.trajectory(
+            batch.describe() | {"valve_switches": switches}
+        )
         if error is not None:
             error.trajectory = trajectory
         results.append(error or trajectory)
@@ -519,7 +608,8 @@ def run_scripts(
         batch: batch of twins, one per run.
         controllers: one controller per twin.
         duration: simulated time, s, a multiple of the tick.
-        poses: initial poses, one per twin, as in `rollout` (default: all at the origin).
+        poses: initial poses, one per twin, as in `rollout` (default: all at the
+            origin).
         seed: random seed of twins and controllers.
         record_hz: sampling rate, Hz, as in `rollout`.
         progress: function called at intervals with the simulated time, s.
@@ -528,12 +618,14 @@ def run_scripts(
         As `run_batch`.
 
     Raises:
-        InputError: a controller uses sensor readings, the numbers of controllers and twins differ, or the
-            errors of `run_batch`.
+        InputError: a controller uses sensor readings, the numbers of controllers and
+            twins differ, or the errors of `run_batch`.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     if len(controllers) != len(batch.twins):
-        raise InputError(f"controllers: {len(controllers)} were given for {len(batch.twins)} runs")
+        raise InputError(
+            f"controllers: {len(controllers)} were given for {len(batch.twins)} runs"
+        )
     with claim(batch):
         scripts = []
         for twin, controller in zip(batch.twins, controllers, strict=True):
@@ -545,13 +637,18 @@ def run_scripts(
                     "run_scripts needs controllers with a script"
                 )
             scripts.append(script)
-        recorders = _record_start(batch, controllers, duration, record_hz, poses=poses, seed=seed)
+        recorders = _record_start(
+            batch, controllers, duration, record_hz, poses=poses, seed=seed
+        )
         samples, stride = recorders[0].samples, recorders[0].stride
         recorded = ticks - ticks % stride
         chunk = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
         for done in range(0, recorded, chunk):
             count = min(chunk, recorded - done)
-            commands = [script.slice(done * batch.tick, (done + count) * batch.tick) for script in scripts]
+            commands = [
+                script.slice(done * batch.tick, (done + count) * batch.tick)
+                for script in scripts
+            ]
             for recorder, history in zip(
                 recorders, batch.play(commands, count * samples // stride), strict=True
             ):
@@ -572,8 +669,8 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
             first = first_user.setdefault(id(shared), k)
             if first != k:
                 raise InputError(
-                    f"jobs {first} and {k} share one {kind}, a {type(shared).__name__}; "
-                    f"give each job its own, or a function that builds one"
+                    f"jobs {first} and {k} share one {kind}, a {type(shared).__name__};"
+                    " give each job its own, or a function that builds one"
                 )
 
 

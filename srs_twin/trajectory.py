@@ -21,9 +21,15 @@ if TYPE_CHECKING:
 
 _COLUMNS_OF_UNIT = {
     "s": "time",
-    "m": "com_x com_y x y z clearance cross_track estimate_x estimate_y object_x object_y",
-    "rad": "heading theta bend pitch sensed sensed_pitch heading_error estimate_heading object_heading"
-    " reference error target_plus target_minus amplitude_plus amplitude_minus grip phase_step",
+    "m": (
+        "com_x com_y x y z clearance cross_track estimate_x estimate_y object_x"
+        " object_y"
+    ),
+    "rad": (
+        "heading theta bend pitch sensed sensed_pitch heading_error estimate_heading"
+        " object_heading reference error target_plus target_minus amplitude_plus"
+        " amplitude_minus grip phase_step"
+    ),
     "rad/s": "sigma rate",
     "Pa": "pressure_plus pressure_minus pressure",
     "N": "obstacle_force_x obstacle_force_y load",
@@ -32,7 +38,9 @@ _COLUMNS_OF_UNIT = {
     "mixed": "qpos",
 }
 # Column name without its number → unit; all other columns are dimensionless.
-_UNIT_OF_COLUMN = {name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()}
+_UNIT_OF_COLUMN = {
+    name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()
+}
 
 _FILE_KIND = "a trajectory written by srs-twin"
 _TIME_ROUNDING_S = 1e-9
@@ -78,23 +86,26 @@ class HtmlResult:
 class Trajectory(HtmlResult):
     """Recorded columns of one rollout over time. Frozen; do not write to the arrays.
 
-    Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``, ``y_1…``, ``theta_1…``
-    (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``, ``work``, ``air``, ``pressure_plus_1…``,
-    ``pressure_minus_1…``, ``valve_plus_1…``, ``valve_minus_1…``, the signals of the controller, for the twin
-    ``qpos_1…``, and in a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``. In a
-    world with obstacles or objects, ``clearance`` is the distance of the body from the nearest one. A plant
-    that touches them also has ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
+    Column names are fixed: ``time``, ``com_x``, ``com_y``, ``heading``, ``x_1…N``,
+    ``y_1…``, ``theta_1…`` (head first), ``bend_1…``, ``sensed_1…``, ``torque_1…``,
+    ``work``, ``air``, ``pressure_plus_1…``, ``pressure_minus_1…``, ``valve_plus_1…``,
+    ``valve_minus_1…``, the signals of the controller, for the twin ``qpos_1…``, and in
+    a world with objects ``object_x_1…``, ``object_y_1…`` and ``object_heading_1…``. In
+    a world with obstacles or objects, ``clearance`` is the distance of the body from
+    the nearest one. A plant that touches them also has ``obstacle_force_x_1…`` and
+    ``obstacle_force_y_1…``.
 
-    A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``, ``torque_pitch_1…``, ``z_1…``,
-    ``quaternion_w_1…`` to ``quaternion_z_1…`` and ``load_1…``, and for each chamber c ``pressure_c_1…`` and
-    ``valve_c_1…`` instead of those of the + and − chamber.
+    A spatial robot also has ``pitch_1…`` (bends upwards), ``sensed_pitch_1…``,
+    ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
+    ``load_1…``, and for each chamber c ``pressure_c_1…`` and ``valve_c_1…`` instead of
+    those of the + and − chamber.
 
     Attributes:
         columns: name → float array of shape (samples,).
         units: name → unit, for columns with other names.
         events: events in the order of time.
-        metadata: JSON values, such as plant, robot, tick, gait frequency and valve switch counts; no wall
-            times.
+        metadata: JSON values, such as plant, robot, tick, gait frequency and valve
+            switch counts; no wall times.
     """
 
     columns: Mapping[str, Array]
@@ -141,7 +152,11 @@ class Trajectory(HtmlResult):
         while (column := self.columns.get(f"{name}_{len(arrays) + 1}")) is not None:
             arrays.append(column)
         if not arrays:
-            stems = {column.removesuffix("_1") for column in self.columns if column.endswith("_1")}
+            stems = {
+                column.removesuffix("_1")
+                for column in self.columns
+                if column.endswith("_1")
+            }
             raise UnknownColumnError("numbered columns", name, stems)
         return np.stack(arrays, axis=-1)
 
@@ -152,8 +167,12 @@ class Trajectory(HtmlResult):
             begin: first time, included, s.
             end: last time, included, s.
         """
-        kept = (self.time >= begin - _TIME_ROUNDING_S) & (self.time <= end + _TIME_ROUNDING_S)
-        return replace(self, columns={name: column[kept] for name, column in self.columns.items()})
+        kept = (self.time >= begin - _TIME_ROUNDING_S) & (
+            self.time <= end + _TIME_ROUNDING_S
+        )
+        return replace(
+            self, columns={name: column[kept] for name, column in self.columns.items()}
+        )
 
     def has(self, name: str) -> bool:
         """Return whether there is a column ``name`` or ``name_1``."""
@@ -161,12 +180,15 @@ class Trajectory(HtmlResult):
 
     def unit(self, name: str) -> str:
         """Return the unit of a column."""
-        return self.units.get(name) or _UNIT_OF_COLUMN.get(re.sub(r"(_\d+)+$", "", name), "1")
+        return self.units.get(name) or _UNIT_OF_COLUMN.get(
+            re.sub(r"(_\d+)+$", "", name), "1"
+        )
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the columns as a pandas data frame; the index is the time, s.
 
-        ``attrs["units"]`` is a dictionary with the unit of every column and of the index ``time``.
+        ``attrs["units"]`` is a dictionary with the unit of every column and of the
+        index ``time``.
 
         Raises:
             InputError: pandas is not installed.
@@ -174,7 +196,9 @@ class Trajectory(HtmlResult):
         try:
             import pandas as pd
         except ImportError as error:
-            raise InputError("to_pandas needs pandas; install it with: pip install pandas") from error
+            raise InputError(
+                "to_pandas needs pandas; install it with: pip install pandas"
+            ) from error
         frame = pd.DataFrame(dict(self.columns)).set_index("time")
         frame.attrs["units"] = {name: self.unit(name) for name in self.columns}
         return frame
@@ -182,25 +206,43 @@ class Trajectory(HtmlResult):
     def to_parquet(self, path: Any) -> None:
         """Write to a Parquet file or file-like object; equal trajectories give equal bytes.
 
-        The metadata of each field contain its unit; those of the schema contain events and metadata as JSON.
+        The metadata of each field contain its unit; those of the schema contain events
+        and metadata as JSON.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
 
-        fields = [pa.field(name, pa.float64(), metadata={"unit": self.unit(name)}) for name in self.columns]
+        fields = [
+            pa.field(name, pa.float64(), metadata={"unit": self.unit(name)})
+            for name in self.columns
+        ]
         schema_metadata = {
             "srs_twin.events": json.dumps([asdict(event) for event in self.events]),
             "srs_twin.metadata": json.dumps(dict(self.metadata), sort_keys=True),
         }
-        # Buffers, because pa.array() imports pandas if it is installed, which takes half a second.
-        values = [np.ascontiguousarray(column, dtype=float) for column in self.columns.values()]
+        # Buffers, because pa.array() imports pandas if it is installed, which takes
+        # half a second.
+        values = [
+            np.ascontiguousarray(column, dtype=float)
+            for column in self.columns.values()
+        ]
         table = pa.Table.from_arrays(
-            [pa.Array.from_buffers(pa.float64(), len(each), [None, pa.py_buffer(each)]) for each in values],
+            [
+                pa.Array.from_buffers(
+                    pa.float64(), len(each), [None, pa.py_buffer(each)]
+                )
+                for each in values
+            ],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # Split the bytes of floats, which compresses smooth signals better than a dictionary.
+        # Split the bytes of floats, which compresses smooth signals better than a
+        # dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
-        options = {"compression": "zstd", "use_dictionary": False, "write_page_checksum": True}
+        options = {
+            "compression": "zstd",
+            "use_dictionary": False,
+            "write_page_checksum": True,
+        }
         pq.write_table(table, path, **options, column_encoding=encoding)
 
     @classmethod
@@ -208,24 +250,36 @@ class Trajectory(HtmlResult):
         """Read a file written by `to_parquet`.
 
         Raises:
-            InputError: the file is not a Parquet file or not a trajectory, is damaged or too large.
+            InputError: the file is not a Parquet file or not a trajectory, is damaged
+                or too large.
         """
         table = read_table(path, _FILE_KIND, _check_schema)
         schema_metadata = table.schema.metadata or {}
         try:
-            events = tuple(_parse_event(data) for data in json.loads(schema_metadata[b"srs_twin.events"]))
+            events = tuple(
+                _parse_event(data)
+                for data in json.loads(schema_metadata[b"srs_twin.events"])
+            )
             metadata = json.loads(schema_metadata[b"srs_twin.metadata"])
-            units = {field.name: (field.metadata or {}).get(b"unit", b"1").decode() for field in table.schema}
+            units = {
+                field.name: (field.metadata or {}).get(b"unit", b"1").decode()
+                for field in table.schema
+            }
             if not isinstance(metadata, dict):
                 raise TypeError("its metadata is not a mapping")
-            columns = {name: _to_array(name, table.column(name)) for name in table.column_names}
+            columns = {
+                name: _to_array(name, table.column(name)) for name in table.column_names
+            }
         except (TypeError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: not {_FILE_KIND} ({error})") from error
         if "time" not in columns:
             raise InputError(f"{path}: a trajectory needs a column 'time'")
         time = columns["time"]
         if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
-            raise InputError(f"{path}: column time: must be finite and increase from sample to sample")
+            raise InputError(
+                f"{path}: column time: must be finite and increase from sample to"
+                " sample"
+            )
         return cls(columns, units, events, metadata)
 
 

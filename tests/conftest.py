@@ -20,18 +20,21 @@ from hypothesis import settings
 
 ROOT = Path(__file__).parents[1]
 
-# Deadlines of single examples would fail on a busy machine. Every run draws other examples.
+# Deadlines of single examples would fail on a busy machine. Every run draws other
+# examples.
 settings.register_profile("srs_twin", deadline=None, print_blob=True, max_examples=50)
 settings.load_profile("srs_twin")
 
 # Each of the two workers has one core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Messages name commands as this process was started, and tests may be started by `uv run`.
+# Messages name commands as this process was started, and tests may be started by `uv
+# run`.
 for variable in ("UV", "UV_RUN_RECURSION_DEPTH"):
     os.environ.pop(variable, None)
 
-# Tests start hundreds of commands, which would compile the package again without stored bytecode.
+# Tests start hundreds of commands, which would compile the package again without stored
+# bytecode.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -69,7 +72,10 @@ def srs_twin() -> Command:
     from srs_twin.cli import main
 
     def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-        out, err = (io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True) for _ in range(2))
+        out, err = (
+            io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True)
+            for _ in range(2)
+        )
         with as_in_a_process(), chdir(cwd), redirect_stdout(out), redirect_stderr(err):
             with pytest.raises(SystemExit) as exit_:
                 main(list(arguments))
@@ -82,10 +88,18 @@ def srs_twin() -> Command:
 @contextmanager
 def as_in_a_process() -> Iterator[None]:
     """Use Python's default warning filters; afterwards restore environment, signals and warnings."""
-    environ, handlers = dict(os.environ), {number: signal.getsignal(number) for number in ENDINGS}
+    environ, handlers = (
+        dict(os.environ),
+        {number: signal.getsignal(number) for number in ENDINGS},
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("default")
-        for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
+        for category in (
+            DeprecationWarning,
+            PendingDeprecationWarning,
+            ImportWarning,
+            ResourceWarning,
+        ):
             warnings.simplefilter("ignore", category)
         formatted = warnings.formatwarning
         warnings.showwarning = lambda *about: print(
@@ -126,7 +140,10 @@ def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
 def exists(process: int) -> bool:
     """Return whether a process runs and is not a zombie."""
     try:
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return (
+            Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+            != "Z"
+        )
     except (FileNotFoundError, ProcessLookupError):
         return False
 
@@ -143,8 +160,8 @@ def wait_until(condition: Callable[[], Any], seconds: float = 300.0) -> None:
 def on_interrupt(handler: Any) -> Iterator[None]:
     """Set the SIGINT handler of this process and of children that it starts for a `with` block.
 
-    A program that a script starts in the background ignores SIGINT, and its children inherit that. Tests that
-    interrupt children must undo it.
+    A program that a script starts in the background ignores SIGINT, and its children
+    inherit that. Tests that interrupt children must undo it.
     """
     before = signal.signal(signal.SIGINT, handler)
     try:

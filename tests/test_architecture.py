@@ -1,4 +1,7 @@
-"""Who may import whom. Every import in the sources counts, inside functions and for types too."""
+"""Who may import whom.
+
+Every import in the sources counts, inside functions and for types too.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +23,38 @@ pytestmark = pytest.mark.fast
 PACKAGE = Path(__file__).parents[1] / "srs_twin"
 
 # From left to right; a room imports only from itself or from rooms to its left.
-EXTENSIONS = ("warp", "planning", "recordings", "identification", "studies", "live", "envs", "reproduction")
+EXTENSIONS = (
+    "warp",
+    "planning",
+    "recordings",
+    "identification",
+    "studies",
+    "live",
+    "envs",
+    "reproduction",
+)
 CORE = (
-    *("errors", "extensions", "io", "compute", "robot", "trajectory", "pneumatics", "sensing", "plants"),
-    *("control", "rollout", "comparison", "scenario", "viewing", "experiment", "attribution", "cli"),
+    *(
+        "errors",
+        "extensions",
+        "io",
+        "compute",
+        "robot",
+        "trajectory",
+        "pneumatics",
+        "sensing",
+        "plants",
+    ),
+    *(
+        "control",
+        "rollout",
+        "comparison",
+        "scenario",
+        "viewing",
+        "experiment",
+        "attribution",
+        "cli",
+    ),
 )
 ORDER = (*CORE, *EXTENSIONS)
 STEP = {name: i for i, name in enumerate(ORDER)}
@@ -49,7 +80,9 @@ def part_of(path: Path) -> str:
     return path.relative_to(PACKAGE).with_suffix("").parts[0]
 
 
-def imports(tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)) -> Iterator[tuple[int, str]]:
+def imports(
+    tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)
+) -> Iterator[tuple[int, str]]:
     """Yield (line, dotted name) of everything a source imports; relative names are made absolute."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -59,18 +92,24 @@ def imports(tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)) -> Iterator
             stem = ".".join(base + ([node.module] if node.module else []))
             # `from srs_twin import errors` names the part only in what it imports.
             if stem == "srs_twin":
-                yield from ((node.lineno, f"srs_twin.{alias.name}") for alias in node.names)
+                yield from (
+                    (node.lineno, f"srs_twin.{alias.name}") for alias in node.names
+                )
             else:
                 yield node.lineno, stem
 
 
-def faults(part: str, tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)) -> list[str]:
+def faults(
+    part: str, tree: ast.AST, package: tuple[str, ...] = ("srs_twin",)
+) -> list[str]:
     """Return forbidden imports of a source, as 'line: message'."""
     found = []
     for line, name in imports(tree, package):
         top, _, rest = name.partition(".")
         if top in RESERVED and part not in RESERVED[top]:
-            found.append(f"{line}: {top} belongs to {', '.join(sorted(RESERVED[top]))} only")
+            found.append(
+                f"{line}: {top} belongs to {', '.join(sorted(RESERVED[top]))} only"
+            )
         if top == "srs_twin":
             other = rest.partition(".")[0]
             if other in STEP and STEP[other] > STEP[part]:
@@ -90,8 +129,13 @@ def test_imports_only_from_the_left():
 
 
 def test_importing_the_package_imports_nothing_but_the_registry():
-    code = "import sys, srs_twin; print(*sorted(name for name in sys.modules if name.startswith('srs_twin')))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = (
+        "import sys, srs_twin; print(*sorted(name for name in sys.modules if"
+        " name.startswith('srs_twin')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == ["srs_twin", "srs_twin.errors", "srs_twin.extensions"]
 
 
@@ -99,11 +143,23 @@ def test_importing_the_package_imports_nothing_but_the_registry():
     ("part", "source", "words"),
     [
         ("robot", "from srs_twin.plants import base", "robot stands left of plants"),
-        ("robot", "def f():\n    import srs_twin.cli.app", "2: robot stands left of cli"),
+        (
+            "robot",
+            "def f():\n    import srs_twin.cli.app",
+            "2: robot stands left of cli",
+        ),
         ("io", "from srs_twin import rollout", "io stands left of rollout"),
         ("errors", "from . import robot", "errors stands left of robot"),
-        ("scenario", "import mujoco.viewer", "mujoco belongs to cli, envs, identification"),
-        ("experiment", "def f():\n    from rerun import blueprint", "rerun belongs to viewing only"),
+        (
+            "scenario",
+            "import mujoco.viewer",
+            "mujoco belongs to cli, envs, identification",
+        ),
+        (
+            "experiment",
+            "def f():\n    from rerun import blueprint",
+            "rerun belongs to viewing only",
+        ),
     ],
 )
 def test_the_rule_catches(part, source, words):
@@ -112,7 +168,9 @@ def test_the_rule_catches(part, source, words):
 
 
 def module_name(path: Path) -> str:
-    return ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+    return ".".join(
+        path.relative_to(PACKAGE.parent).with_suffix("").parts
+    ).removesuffix(".__init__")
 
 
 def named(path: Path, modules: set[str]) -> set[str]:
@@ -124,18 +182,25 @@ def named(path: Path, modules: set[str]) -> set[str]:
             found |= inner & modules or {node.module}
         elif isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", "")) in (
+        elif isinstance(node, ast.Call) and getattr(
+            node.func, "attr", getattr(node.func, "id", "")
+        ) in (
             "import_module",
             "load",
         ):
-            found |= {each.value for each in node.args if isinstance(each, ast.Constant)}
+            found |= {
+                each.value for each in node.args if isinstance(each, ast.Constant)
+            }
     return found & modules
 
 
 def test_no_import_cycles():
     """Imports inside functions and for type checkers count; `extensions` names what it does not import."""
     modules = {module_name(path) for path in SOURCES}
-    edges = {module_name(path): named(path, modules) - {module_name(path)} for path in SOURCES}
+    edges = {
+        module_name(path): named(path, modules) - {module_name(path)}
+        for path in SOURCES
+    }
     tuple(TopologicalSorter(edges).static_order())  # CycleError names a cycle
 
 
@@ -149,23 +214,40 @@ def test_the_core_runs_without_extensions(root, tmp_path):
     for name in ("calibration", "models", "scenarios"):
         (tmp_path / name).symlink_to(root / name)
     modules = [module_name(path) for path in SOURCES if part_of(path) in CORE]
-    imports_all = f"import importlib; [importlib.import_module(name) for name in {modules}]"
-    command = "from srs_twin.cli import main; main(['compare', 'gen2_straight', '--duration', '2', '-q'])"
+    imports_all = (
+        f"import importlib; [importlib.import_module(name) for name in {modules}]"
+    )
+    command = (
+        "from srs_twin.cli import main; main(['compare', 'gen2_straight', '--duration',"
+        " '2', '-q'])"
+    )
     for code in (imports_all, command):
         code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {code}"
-        done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
     assert (tmp_path / "runs" / "gen2_straight" / "report.html").is_file()
 
 
 def test_only_the_registry_names_an_extension():
     named = rf"srs_twin\.({'|'.join(EXTENSIONS)})\b"
-    core = [path for path in SOURCES if part_of(path) in CORE and path.name != "extensions.py"]
-    assert [path.name for path in core if re.search(named, path.read_text("utf-8"))] == []
+    core = [
+        path
+        for path in SOURCES
+        if part_of(path) in CORE and path.name != "extensions.py"
+    ]
+    assert [
+        path.name for path in core if re.search(named, path.read_text("utf-8"))
+    ] == []
 
 
 def test_every_entry_of_the_registry_loads():
-    tables = [table for name, table in vars(extensions).items() if name.isupper() and type(table) is dict]
+    tables = [
+        table
+        for name, table in vars(extensions).items()
+        if name.isupper() and type(table) is dict
+    ]
     entries = [entry for table in tables for entry in table.values()]
     assert len(entries) > 20
     for entry in entries:
@@ -177,7 +259,12 @@ def test_every_entry_of_the_registry_loads():
 def test_the_picture_of_the_rooms_is_what_the_imports_draw(root, tmp_path):
     program = root / "docs" / "rooms.py"
     code = f"import runpy, pathlib; d = runpy.run_path({str(program)!r}); "
-    code += f"d['draw'](d['rooms_of'](d['PACKAGE']), pathlib.Path({str(tmp_path / 'rooms.svg')!r}))"
+    code += (
+        "d['draw'](d['rooms_of'](d['PACKAGE']),"
+        f" pathlib.Path({str(tmp_path / 'rooms.svg')!r}))"
+    )
     subprocess.run([sys.executable, "-c", code], check=True)
     drawn, kept = tmp_path / "rooms.svg", root / "docs" / "images" / "rooms.svg"
-    assert drawn.read_text() == kept.read_text(), "`uv run python docs/rooms.py` draws it anew"
+    assert drawn.read_text() == kept.read_text(), (
+        "`uv run python docs/rooms.py` draws it anew"
+    )

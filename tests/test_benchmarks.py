@@ -39,14 +39,18 @@ def test_lsoda_and_the_compiled_model_solve_the_same_equations(law, frequency, o
     assert lsoda.time == pytest.approx(compiled.time, abs=1e-12)
     assert lsoda.stack("bend") == pytest.approx(compiled.stack("bend"), abs=1e-9)
     assert lsoda.com == pytest.approx(compiled.com, abs=1e-3 * length)
-    assert lsoda["heading"] == pytest.approx(compiled["heading"], abs=1e-3 * np.ptp(compiled["heading"]))
+    assert lsoda["heading"] == pytest.approx(
+        compiled["heading"], abs=1e-3 * np.ptp(compiled["heading"])
+    )
 
 
 def test_lsoda_error_decreases_with_its_tolerance():
     gait = Gait(2.0, 0.2)
     bends = bend_intervals(SPEC, gait, 0.3, SUPPLY)
     model = CompleteModel(SPEC, friction="wheel", slip=0.0005)
-    paths = [solve(model, bends, rtol=t, atol=1e-3 * t)[:, :2] for t in (1e-2, 1e-5, 1e-8)]
+    paths = [
+        solve(model, bends, rtol=t, atol=1e-3 * t)[:, :2] for t in (1e-2, 1e-5, 1e-8)
+    ]
     rough, good = (np.abs(path - paths[-1]).max() for path in paths[:2])
     assert good < 0.1 * rough < 1e-3
 
@@ -76,10 +80,18 @@ def test_speed_benchmark_compares_equal_motions_and_hides_private_names(tmp_path
     assert "| program | simulated s per wall s |" in done.stdout
     assert values["quick"] is True and values["machine"]["cpus"] >= 1
     assert values["machine"]["versions"]["mujoco"].startswith("3.")
-    for private in (socket.gethostname(), str(Path.home()), str(ROOT), f"/{getpass.getuser()}/"):
+    for private in (
+        socket.gethostname(),
+        str(Path.home()),
+        str(ROOT),
+        f"/{getpass.getuser()}/",
+    ):
         assert private not in text
     if not find_spec("elastica"):
-        assert "(c) left out: PyElastica is not installed: `uv run --group benchmarks" in done.stderr
+        assert (
+            "(c) left out: PyElastica is not installed: `uv run --group benchmarks"
+            in done.stderr
+        )
         assert "c" not in values
 
 
@@ -99,7 +111,9 @@ def test_environments_and_batched_rollouts_travel_the_same_distance():
 @pytest.mark.fast
 def test_the_readme_lists_every_script():
     text = (ROOT / "benchmarks/README.md").read_text("utf-8")
-    listed = [line.split("`")[1] for line in text.splitlines() if line.startswith("| `")]
+    listed = [
+        line.split("`")[1] for line in text.splitlines() if line.startswith("| `")
+    ]
     scripts = {path.name for path in (ROOT / "benchmarks").glob("*.py")}
     assert sorted(listed) == sorted(scripts)
 
@@ -108,5 +122,7 @@ def test_the_readme_lists_every_script():
 def test_no_test_imports_a_benchmark():
     scripts = "|".join(path.stem for path in (ROOT / "benchmarks").glob("*.py"))
     for path in (ROOT / "tests").rglob("*.py"):
-        imports = re.findall(rf"^\s*(?:from|import) (?:{scripts})\b", path.read_text("utf-8"), re.M)
+        imports = re.findall(
+            rf"^\s*(?:from|import) (?:{scripts})\b", path.read_text("utf-8"), re.M
+        )
         assert not imports, f"{path.name}: {imports}"

@@ -67,7 +67,9 @@ def test_loading_builds_no_plant_and_no_controller(built, name):
 
 
 @pytest.mark.parametrize(("command", "twins"), [("compare", 1), ("run", 0)])
-def test_a_command_builds_each_plant_and_each_controller_once(built, tmp_path, monkeypatch, command, twins):
+def test_a_command_builds_each_plant_and_each_controller_once(
+    built, tmp_path, monkeypatch, command, twins
+):
     monkeypatch.chdir(tmp_path)
     Path("brief.yaml").write_text(BRIEF + "plants: {analytical: {}}\n")
     start(command, "brief.yaml", "--quiet")
@@ -89,7 +91,9 @@ def way_from_compare() -> list[str]:
 
 
 @pytest.mark.parametrize(("text", "way"), [(BRIEF, "play"), (LEARNING, "advance")])
-def test_call_stack_to_the_plant_has_eight_frames_in_six_files(tmp_path, monkeypatch, text, way):
+def test_call_stack_to_the_plant_has_eight_frames_in_six_files(
+    tmp_path, monkeypatch, text, way
+):
     ways: dict[str, list[str]] = {}
 
     def watched(self, step, *arguments):

@@ -17,7 +17,16 @@ IDENTIFIABLE = ("start", "end", "change")
 @pytest.mark.parametrize("plant", ["compliant", "twin"])
 def test_bend_errors_have_the_stated_coverage(noise_mm, most_refused, plant, tmp_path):
     out = tmp_path / "takes.json"
-    words = ("--draws", "30", "--seed", "300", "--noise-mm", f"{noise_mm}", "--plant", plant)
+    words = (
+        "--draws",
+        "30",
+        "--seed",
+        "300",
+        "--noise-mm",
+        f"{noise_mm}",
+        "--plant",
+        plant,
+    )
     done = run_benchmark("takes.py", *words, "--json", str(out))
     assert done.returncode == 0, done.stderr
     counts = json.loads(out.read_text("utf-8"))[f"{noise_mm:g}"]
@@ -35,7 +44,11 @@ def test_clock_offset_is_never_wrong_by_a_gait_period(spread, tmp_path):
     assert done.returncode == 0, done.stderr
     draws = json.loads(out.read_text("utf-8"))
     identifiable = [draw for draw in draws if draw["case"] in IDENTIFIABLE]
-    errors = [abs(draw["offset_error_s"]) for draw in identifiable if not draw["refused"]]
+    errors = [
+        abs(draw["offset_error_s"]) for draw in identifiable if not draw["refused"]
+    ]
     assert len(errors) > 0.8 * len(identifiable)
     assert max(errors) < (0.005 if spread == 0 else 0.02)
-    assert all(abs(draw["offset_error_s"]) < 0.02 for draw in draws if not draw["refused"])
+    assert all(
+        abs(draw["offset_error_s"]) < 0.02 for draw in draws if not draw["refused"]
+    )

@@ -45,7 +45,11 @@ def kinds(kind: type) -> set[type]:
 def test_error_is_unchanged_by_pickling(error):
     copy = pickle.loads(pickle.dumps(error))
     assert type(copy) is type(error)
-    assert (str(copy), copy.exit_code, copy.__dict__) == (str(error), error.exit_code, error.__dict__)
+    assert (str(copy), copy.exit_code, copy.__dict__) == (
+        str(error),
+        error.exit_code,
+        error.__dict__,
+    )
 
 
 def test_every_error_class_is_covered():
@@ -53,7 +57,12 @@ def test_every_error_class_is_covered():
     assert ours - {type(error) for error in ERRORS} <= {SrsError}
 
 
-CONTROLLER = ("controller.kind", "controller.frequency_hz", "controller.offset", "controller.phase_rad")
+CONTROLLER = (
+    "controller.kind",
+    "controller.frequency_hz",
+    "controller.offset",
+    "controller.phase_rad",
+)
 ROBOT = (
     "bending.stiffness_nm_per_rad",
     "bending.damping_time_s",
@@ -68,13 +77,24 @@ ROBOT = (
 METRICS = tuple(known_metrics())
 SCENARIOS = tuple(shipped_names("scenario"))
 PATHS = tuple(f"scenarios/{name}.yaml" for name in SCENARIOS)
-FIELDS = (*CONTROLLER, *ROBOT, "duration_s", "seed", "reference.frequency_hz", "planner.kind")
+FIELDS = (
+    *CONTROLLER,
+    *ROBOT,
+    "duration_s",
+    "seed",
+    "reference.frequency_hz",
+    "planner.kind",
+)
 FITS = tuple(parameter_names())
 
 TYPOS = [
     ("titel", ("name", "title", "robot", "duration_s"), ["title"]),
     ("duration", ("name", "title", "robot", "duration_s"), ["duration_s"]),
-    ("stiffnes", [name.partition(".")[2] for name in ROBOT[:2]], ["stiffness_nm_per_rad"]),
+    (
+        "stiffnes",
+        [name.partition(".")[2] for name in ROBOT[:2]],
+        ["stiffness_nm_per_rad"],
+    ),
     ("stiffnes", ROBOT, ["bending.stiffness_nm_per_rad"]),
     ("bending.stifness", ROBOT, ["bending.stiffness_nm_per_rad"]),
     ("friction.mu", ROBOT, ["friction.mu_n", "friction.mu_t"]),
@@ -117,9 +137,12 @@ def test_closest_names_are_suggested(text, available, suggested):
 
 
 @pytest.mark.parametrize(
-    "text", ["zzz", "banana", "x", "", "...", "on", "hello_world", "\u202erobot", "/", "?"]
+    "text",
+    ["zzz", "banana", "x", "", "...", "on", "hello_world", "\u202erobot", "/", "?"],
 )
-@pytest.mark.parametrize("available", [CONTROLLER, ROBOT, METRICS, SCENARIOS, PATHS, FITS, ()])
+@pytest.mark.parametrize(
+    "available", [CONTROLLER, ROBOT, METRICS, SCENARIOS, PATHS, FITS, ()]
+)
 def test_unrelated_text_has_no_suggestion(text, available):
     assert did_you_mean(text, available) == ""
 
@@ -130,8 +153,10 @@ def test_at_most_three_names_are_suggested():
 
 
 def test_long_lists_of_names_are_counted():
-    assert str(UnknownNameError("metric", "banana", METRICS, "`srs-twin list metrics`")) == (
-        f"unknown metric 'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists them)"
+    assert (
+        str(UnknownNameError("metric", "banana", METRICS, "`srs-twin list metrics`"))
+        == f"unknown metric 'banana' (available: {len(METRICS)} names; `srs-twin list"
+        " metrics` lists them)"
     )
     assert len(METRICS) > 80
     few = str(UnknownNameError("plant", "banana", ("analytical", "twin")))
@@ -141,33 +166,64 @@ def test_long_lists_of_names_are_counted():
 COMMANDS = [
     (("run", "scenarios/gen2_strait.yaml"), "did you mean gen2_straight?"),
     (("run", "gen2_strait"), "did you mean gen2_straight?"),
-    (("run", "keys.yaml"), "robot.bending.stiffnes: unknown key; did you mean stiffness_nm_per_rad?"),
+    (
+        ("run", "keys.yaml"),
+        "robot.bending.stiffnes: unknown key; did you mean stiffness_nm_per_rad?",
+    ),
     (("run", "keys.yaml"), "controller.freq: unknown key; did you mean frequency_hz?"),
-    (("run", "keys.yaml"), "one of lag, orifice, not text 'orifise'; did you mean orifice?"),
-    (("run", "metric.yaml"), "unknown metric 'com_speed'; did you mean com_speed_m_s or com_speed_rel?"),
+    (
+        ("run", "keys.yaml"),
+        "one of lag, orifice, not text 'orifise'; did you mean orifice?",
+    ),
     (
         ("run", "metric.yaml"),
-        f"'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists them)",
+        "unknown metric 'com_speed'; did you mean com_speed_m_s or com_speed_rel?",
     ),
-    (("sweep", "sweep.yaml"), "vary.controller.freq: unknown key; did you mean frequency_hz?"),
-    (("sweep", "metrics.yaml"), "metrics[0]: unknown metric 'com_speed'; did you mean com_speed_m_s"),
-    (("sweep", "metrics.yaml"), "'supply.presure' is not varied; did you mean supply.pressure_kpa?"),
+    (
+        ("run", "metric.yaml"),
+        (
+            f"'banana' (available: {len(METRICS)} names; `srs-twin list metrics` lists"
+            " them)"
+        ),
+    ),
+    (
+        ("sweep", "sweep.yaml"),
+        "vary.controller.freq: unknown key; did you mean frequency_hz?",
+    ),
+    (
+        ("sweep", "metrics.yaml"),
+        "metrics[0]: unknown metric 'com_speed'; did you mean com_speed_m_s",
+    ),
+    (
+        ("sweep", "metrics.yaml"),
+        "'supply.presure' is not varied; did you mean supply.pressure_kpa?",
+    ),
     (("schema", "scenaro"), "unknown kind of file 'scenaro'; did you mean scenario?"),
     (("models", "export", "gen22"), "unknown robot 'gen22'; did you mean gen2?"),
 ]
 FILES = {
-    "keys.yaml": "robot: {base: gen2, bending: {stiffnes: 1}}\nduration_s: 1\n"
-    "controller: {kind: gait, freq: 2}\npneumatics: {kind: orifise}\n",
-    "metric.yaml": "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 2}\n"
-    "expect:\n  - {metric: com_speed, plant: twin, above: 0}\n  - {metric: banana, plant: twin, above: 0}\n",
+    "keys.yaml": (
+        "robot: {base: gen2, bending: {stiffnes: 1}}\nduration_s: 1\n"
+        "controller: {kind: gait, freq: 2}\npneumatics: {kind: orifise}\n"
+    ),
+    "metric.yaml": (
+        "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz:"
+        " 2}\nexpect:\n  - {metric: com_speed, plant: twin, above: 0}\n  - {metric:"
+        " banana, plant: twin, above: 0}\n"
+    ),
     "sweep.yaml": "scenario: gen2_straight\nvary: {controller.freq: [1, 2]}\n",
-    "metrics.yaml": "scenario: gen2_straight\nvary: {supply.pressure_kpa: [40, 48]}\nmetrics: [com_speed]\n"
-    "plots:\n  - {kind: line, x: supply.presure, metric: com_speed_m_s}\n",
+    "metrics.yaml": (
+        "scenario: gen2_straight\nvary: {supply.pressure_kpa: [40, 48]}\nmetrics:"
+        " [com_speed]\nplots:\n  - {kind: line, x: supply.presure, metric:"
+        " com_speed_m_s}\n"
+    ),
 }
 
 
 @pytest.mark.parametrize(("arguments", "message"), COMMANDS)
-def test_every_command_suggests_the_closest_name(arguments, message, tmp_path, monkeypatch, capsys):
+def test_every_command_suggests_the_closest_name(
+    arguments, message, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)

@@ -49,9 +49,16 @@ def test_the_command_line_runs_a_file(tmp_path, srs_twin):
     (tmp_path / "turn.yaml").write_text(FILE, "utf-8")
     done = srs_twin("run", "turn.yaml", "--check", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert "periods to converge" in done.stdout and "curvature at the end" in done.stdout
-    found = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))["plants"]["analytical"]
-    assert found["periods_to_converge"] <= 12 and found["box_left_m"] < 0 < found["box_right_m"]
+    assert (
+        "periods to converge" in done.stdout and "curvature at the end" in done.stdout
+    )
+    found = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))["plants"][
+        "analytical"
+    ]
+    assert (
+        found["periods_to_converge"] <= 12
+        and found["box_left_m"] < 0 < found["box_right_m"]
+    )
     assert len(found["duty"]) == len(found["amplitude_error_rad"]) == 11
     page = (tmp_path / "out/report.html").read_text("utf-8")
     assert "Learning: amplitudes and duties of each module per period." in page
@@ -75,13 +82,28 @@ def test_settings_reach_the_controller():
     snake = given.build_plant("analytical")
     controller.reset(snake.spec, snake.tick)
     about = controller.describe()
-    settings = {"k_per_rad": 0.4, "free_periods": 3, "carrier_hz": 100, "target": 0.5, "on_fault": "stop"}
+    settings = {
+        "k_per_rad": 0.4,
+        "free_periods": 3,
+        "carrier_hz": 100,
+        "target": 0.5,
+        "on_fault": "stop",
+    }
     assert about | settings | {"steering": "targets_and_wave"} == about
-    assert controller.offset == 0.2 and controller.frequency == 1.0 and given.layout == "3/2"
+    assert (
+        controller.offset == 0.2
+        and controller.frequency == 1.0
+        and given.layout == "3/2"
+    )
     defaults = scenario().build_controller()
     defaults.reset(snake.spec, snake.tick)
     about = defaults.describe()
-    settings = {"k_per_rad": 0.3, "free_periods": 2, "carrier_hz": 60, "target": "smallest"}
+    settings = {
+        "k_per_rad": 0.3,
+        "free_periods": 2,
+        "carrier_hz": 60,
+        "target": "smallest",
+    }
     assert about | settings | {"steering": "targets"} == about
 
 
@@ -90,16 +112,24 @@ def test_a_target_out_of_reach_is_warned_of():
     assert given.warnings == ()
     weak = parse_scenario(dict(given.document) | {"supply": {"pressure_kpa": 30}})
     (warning,) = weak.warnings
-    assert warning.startswith("controller.target_rad: 1.5 rad is above 0.455 rad, the largest bend")
+    assert warning.startswith(
+        "controller.target_rad: 1.5 rad is above 0.455 rad, the largest bend"
+    )
 
 
 def test_the_shipped_pairs_differ_in_nothing_but_the_learning():
     for name in ("straight", "curve"):
-        learning, without = load_scenario(f"ilc_{name}"), load_scenario(f"ilc_{name}_without")
+        learning, without = (
+            load_scenario(f"ilc_{name}"),
+            load_scenario(f"ilc_{name}_without"),
+        )
         assert learning.robot == without.robot and learning.duration == without.duration
         assert learning.controller.offset == without.controller.offset
         assert learning.controller.frequency_hz == without.controller.frequency_hz
-        assert learning.supply_pa == without.supply_pa and learning.file.pneumatics == without.file.pneumatics
+        assert (
+            learning.supply_pa == without.supply_pa
+            and learning.file.pneumatics == without.file.pneumatics
+        )
 
 
 class Silent(Sensor):
@@ -119,7 +149,9 @@ def stopped(tmp_path_factory) -> Any:
     given = scenario(on_fault="stop", target_rad=0.7)
     run = prepare(given, tmp_path_factory.mktemp("stopped"))
     broken = given.build_plant("analytical", sensor=Silent())
-    return replace(run, pairs=dict(run.pairs) | {"analytical": (broken, given.build_controller())}).execute()
+    return replace(
+        run, pairs=dict(run.pairs) | {"analytical": (broken, given.build_controller())}
+    ).execute()
 
 
 @pytest.mark.slow
@@ -129,7 +161,9 @@ def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
     assert ended.metadata["control"]["faults"] == [
         "segment 1: sensor dead, all readings of a period are lost"
     ]
-    assert whole.metadata["ended_by"] is None and whole.metadata["control"]["faults"] == []
+    assert (
+        whole.metadata["ended_by"] is None and whole.metadata["control"]["faults"] == []
+    )
     assert stopped.metrics["plants"]["analytical"]["periods_to_converge"] is None
     names = {path.name for path in Path(stopped.folder).iterdir()}
     assert {"report.html", "recording.rrd", "metrics.json", "twin.parquet"} <= names

@@ -1,8 +1,8 @@
 """Limits and defaults of the keys of files: files that were accepted stay accepted, and mean the same.
 
-`limits.csv` holds those of every numeric key, the bounds within which fits search, and the spreads with which
-a live ensemble begins, on which the figures of docs/live-method.md rest. After an intended change:
-`python tests/test_limits.py`.
+`limits.csv` holds those of every numeric key, the bounds within which fits search, and
+the spreads with which a live ensemble begins, on which the figures of
+docs/live-method.md rest. After an intended change: `python tests/test_limits.py`.
 """
 
 from __future__ import annotations
@@ -29,17 +29,30 @@ KEYWORDS = ("exclusiveMinimum", "minimum", "exclusiveMaximum", "maximum", "defau
 def limits():
     """Return key → its limits and its default, of scenarios, sweeps and studies; bounds of fits."""
     spec = load_robot("gen2")
-    bounds = {name: free_parameters(spec, [name.replace("_N", "_1")])[0] for name in parameter_names()}
-    found = {f"fit {name}": ["", f"{each.low:g}", "", f"{each.high:g}", ""] for name, each in bounds.items()}
-    found |= {f"ensemble {each.name}": ["", "", "", "", str(each.default)] for each in fields(ModelError)}
+    bounds = {
+        name: free_parameters(spec, [name.replace("_N", "_1")])[0]
+        for name in parameter_names()
+    }
+    found = {
+        f"fit {name}": ["", f"{each.low:g}", "", f"{each.high:g}", ""]
+        for name, each in bounds.items()
+    }
+    found |= {
+        f"ensemble {each.name}": ["", "", "", "", str(each.default)]
+        for each in fields(ModelError)
+    }
     for kind in (scenario_json_schema, sweep_json_schema, study_json_schema):
         schema = kind()
         parts = {"": schema} | schema["$defs"]
         for part, each in parts.items():
             for name, given in properties(each):
-                numbers = [one for one in (given, *given.get("anyOf", [])) if limited(one)]
+                numbers = [
+                    one for one in (given, *given.get("anyOf", [])) if limited(one)
+                ]
                 if numbers:
-                    about = numbers[0] | ({"default": given["default"]} if "default" in given else {})
+                    about = numbers[0] | (
+                        {"default": given["default"]} if "default" in given else {}
+                    )
                     key = f"{kind.__name__.split('_')[0]} {part}.{name}"
                     found[key] = [str(about.get(keyword, "")) for keyword in KEYWORDS]
     return found
@@ -56,7 +69,9 @@ def properties(schema):
 
 def limited(schema):
     """Whether a schema is one of a number with a limit."""
-    return schema.get("type") in ("number", "integer") and bool(schema.keys() & set(KEYWORDS[:-1]))
+    return schema.get("type") in ("number", "integer") and bool(
+        schema.keys() & set(KEYWORDS[:-1])
+    )
 
 
 def test_limits_and_defaults_of_keys_are_those_that_files_rely_on():
@@ -68,4 +83,6 @@ def test_limits_and_defaults_of_keys_are_those_that_files_rely_on():
 
 if __name__ == "__main__":
     with FILE.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([key, *values] for key, values in limits().items())
+        csv.writer(file, lineterminator="\n").writerows(
+            [key, *values] for key, values in limits().items()
+        )

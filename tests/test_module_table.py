@@ -1,6 +1,7 @@
 """The table of docs/module.md is the one that docs/module.json gives.
 
-That the shipped scenarios still give these numbers is checked where they run: tests/scenario.
+That the shipped scenarios still give these numbers is checked where they run:
+tests/scenario.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ PAGE = (ROOT / "docs/module.md").read_text("utf-8")
 def test_the_page_holds_the_table_of_the_figures():
     _, _, rest = PAGE.partition("<!-- module: begin -->\n")
     head, rule, *rows = rest.partition("\n<!-- module: end -->")[0].splitlines()
-    assert head == "| quantity | dissertation | analytical | twin | difference | scenario |"
+    assert (
+        head
+        == "| quantity | dissertation | analytical | twin | difference | scenario |"
+    )
     assert rule == "| --- | --- | --- | --- | --- | --- |"
     assert rows == [f"| {' | '.join(line.cells(FIGURES))} |" for line in LINES]
 
@@ -42,7 +46,11 @@ def test_the_figures_are_of_every_scenario_of_the_chapter():
 def test_a_number_that_changes_changes_the_table():
     changed = copy.deepcopy(FIGURES)
     changed["scenarios"]["module_step_direct"]["twin"]["settling_5_s"] = 0.3
-    (cells,) = (line.cells(changed) for line in LINES if "direct, 25° step: settled" in line.what)
+    (cells,) = (
+        line.cells(changed)
+        for line in LINES
+        if "direct, 25° step: settled" in line.what
+    )
     assert "**0.300 s**" in cells  # later than 0.25 s: not met
     ours = FIGURES["scenarios"]["module_step_direct"]["analytical"]["settling_5_s"]
     assert f"{0.3 / ours - 1:.1%}" in cells
@@ -58,9 +66,12 @@ def test_benches_are_as_close_as_the_issue_asks():
 
 def test_only_what_is_compared_counts_for_apart():
     line = Line(
-        "x", "y", lambda v: v.select("static", "final_bend_rad"), "{:.1f} ± {:.1f}",
+        "x",
+        "y",
+        lambda v: v.select("static", "final_bend_rad"),
+        "{:.1f} ± {:.1f}",
         beside=lambda v: (1.0 if v.plant == "twin" else 2.0,),
-    )  # fmt: skip
+    )
     cells = line.cells(FIGURES)
     assert cells[2].endswith("± 2.0") and cells[3].endswith("± 1.0")
     assert float(cells[4].rstrip("%")) < 1.0
@@ -69,5 +80,8 @@ def test_only_what_is_compared_counts_for_apart():
 def test_values_name_both_controllers():
     values = Values(FIGURES, "twin")
     both = values.select("step_", "rise_time_s", unit=1e3)
-    item = [values.select(f"step_{kind}", "rise_time_s")[0] for kind in ("direct", "iterative")]
+    item = [
+        values.select(f"step_{kind}", "rise_time_s")[0]
+        for kind in ("direct", "iterative")
+    ]
     assert both == pytest.approx([1e3 * one for one in item])

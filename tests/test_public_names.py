@@ -44,7 +44,9 @@ def speed(frequency):
 def run_script(folder: Path, source: str) -> str:
     script = folder / "script.py"
     script.write_text(source, "utf-8")
-    done = subprocess.run([sys.executable, script.name], cwd=folder, capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, script.name], cwd=folder, capture_output=True, text=True
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -60,14 +62,21 @@ def test_public_names_exist_where_type_checkers_look_for_them(package):
 
 @pytest.mark.fast
 def test_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match=r"module 'srs_twin' has no attribute 'rolout'"):
+    with pytest.raises(
+        AttributeError, match=r"module 'srs_twin' has no attribute 'rolout'"
+    ):
         _ = srs.rolout
 
 
 @pytest.mark.fast
-@pytest.mark.parametrize("first", ["import srs_twin.rollout", "import srs_twin.experiment", ""])
+@pytest.mark.parametrize(
+    "first", ["import srs_twin.rollout", "import srs_twin.experiment", ""]
+)
 def test_rollout_is_the_function_whatever_is_imported_first(first, tmp_path):
-    code = f"{first}\nimport srs_twin as srs\nprint(srs.rollout.__qualname__, srs.rollout is srs.rollout)"
+    code = (
+        f"{first}\nimport srs_twin as srs\nprint(srs.rollout.__qualname__, srs.rollout"
+        " is srs.rollout)"
+    )
     assert run_script(tmp_path, code) == "rollout True\n"
 
 
@@ -81,9 +90,15 @@ def test_packages_are_pickled_by_name(package):
 
 def test_function_of_a_script_runs_in_another_process_by_cloudpickle(tmp_path):
     """Joblib, Ray and the subprocess environments of Stable-Baselines3 send functions in this way."""
-    send = "import cloudpickle, pathlib\npathlib.Path('sent').write_bytes(cloudpickle.dumps(speed))"
+    send = (
+        "import cloudpickle,"
+        " pathlib\npathlib.Path('sent').write_bytes(cloudpickle.dumps(speed))"
+    )
     sent = run_script(tmp_path, f"{SPEED}\n{send}\nprint(speed(1.5))")
-    receive = "import pathlib, pickle\nprint(pickle.loads(pathlib.Path('sent').read_bytes())(1.5))"
+    receive = (
+        "import pathlib,"
+        " pickle\nprint(pickle.loads(pathlib.Path('sent').read_bytes())(1.5))"
+    )
     assert run_script(tmp_path, receive) == sent
 
 
@@ -99,7 +114,9 @@ if __name__ == "__main__":
     assert run_script(tmp_path, SPEED + pool) == "True\n"
 
 
-def test_type_checkers_understand_a_users_script_and_a_new_controller(srs_twin, tmp_path, request):
+def test_type_checkers_understand_a_users_script_and_a_new_controller(
+    srs_twin, tmp_path, request
+):
     """Unused ignores are errors: mypy must find each mistake and nothing else."""
     assert srs_twin("new", "controller", "wriggle", cwd=tmp_path).returncode == 0
     (tmp_path / "mistakes.py").write_text(MISTAKES, "utf-8")
@@ -108,7 +125,9 @@ def test_type_checkers_understand_a_users_script_and_a_new_controller(srs_twin, 
     cache = request.config.cache.mkdir("mypy")
     command = (sys.executable, "-m", "mypy", "--strict", "--cache-dir", cache, *scripts)
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert done.stdout == "Success: no issues found in 3 source files\n", done.stdout + done.stderr
+    assert done.stdout == "Success: no issues found in 3 source files\n", (
+        done.stdout + done.stderr
+    )
 
 
 @pytest.mark.slow
@@ -147,5 +166,10 @@ def test_editors_complete(line, names):
 
 def test_editors_show_arguments():
     (signature,) = jedi.Script(BUILT + "srs.rollout(").get_signatures()
-    assert [each.name for each in signature.params][:4] == ["plant", "controller", "duration", "pose"]
+    assert [each.name for each in signature.params][:4] == [
+        "plant",
+        "controller",
+        "duration",
+        "pose",
+    ]
     assert signature.to_string().endswith("-> Trajectory")

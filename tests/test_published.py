@@ -9,7 +9,13 @@ from pathlib import Path
 
 import published_tables
 import pytest
-from published_tables import TABLES, ParameterTable, RunTable, load_table, published_runs
+from published_tables import (
+    TABLES,
+    ParameterTable,
+    RunTable,
+    load_table,
+    published_runs,
+)
 
 from srs_twin.errors import InputFileError, UnknownNameError
 from srs_twin.io.documents import load_yaml
@@ -40,7 +46,11 @@ def test_every_table_loads_under_its_own_name(name):
 
 def test_the_folder_holds_no_other_table():
     folder = data_root() / "calibration/published"
-    assert {path.stem for path in folder.glob("*.yaml")} == {*TABLES, "claims", "figures"}
+    assert {path.stem for path in folder.glob("*.yaml")} == {
+        *TABLES,
+        "claims",
+        "figures",
+    }
 
 
 def test_pages_and_tables_run_alike():
@@ -73,10 +83,14 @@ def test_values_are_the_printed_numbers(name):
 
 
 def test_the_formulas_of_tables_2_5_and_6():
-    assert load_table("table2")["angular_frequency_rad_per_s"] == pytest.approx(2 * math.pi / 3)
+    assert load_table("table2")["angular_frequency_rad_per_s"] == pytest.approx(
+        2 * math.pi / 3
+    )
     for name in ("table5", "table6"):
         table = load_table(name)
-        assert table["phase_step_rad"] == pytest.approx(2 * math.pi / (table["connectors"] - 1))
+        assert table["phase_step_rad"] == pytest.approx(
+            2 * math.pi / (table["connectors"] - 1)
+        )
 
 
 def test_generation_1_is_that_of_table_2():
@@ -86,7 +100,9 @@ def test_generation_1_is_that_of_table_2():
     segments = table["connectors"] - 1
     assert robot.mass.total == pytest.approx(segments * table["segment_mass_kg"])
     bend = table["amplitude_rad_per_m"] * robot.geometry.segment_length
-    assert load_robot_file("gen1").records()["actuator.bend_rad"].value == pytest.approx(bend)
+    assert load_robot_file("gen1").records()[
+        "actuator.bend_rad"
+    ].value == pytest.approx(bend)
     scenario = load_yaml(data_root() / "scenarios/gen1_straight.yaml").data
     frequency = table["angular_frequency_rad_per_s"] / (2 * math.pi)
     assert scenario["controller"]["frequency_hz"] == pytest.approx(frequency, rel=0.02)
@@ -101,9 +117,9 @@ def test_generations_2_and_3_are_those_of_tables_5_and_6(name, table):
     assert list(robot.mass.connectors) == masses
     assert robot.geometry.segment_length == table["segment_length_m"]
     assert (robot.friction.mu_t, robot.friction.mu_n) == (table["mu_t"], table["mu_n"])
-    assert load_robot_file(name).records()["gait.phase_step_rad"].value == pytest.approx(
-        table["phase_step_rad"]
-    )
+    assert load_robot_file(name).records()[
+        "gait.phase_step_rad"
+    ].value == pytest.approx(table["phase_step_rad"])
 
 
 def test_table_8_is_that_of_the_claims():
@@ -112,8 +128,11 @@ def test_table_8_is_that_of_the_claims():
     for row in rows:
         run = by_offset()[row["offset"]]
         assert (row["speed"], row["left"], row["right"], row["radius"]) == (
-            run.speed_m_s, run.left_m, run.right_m, run.radius_m,
-        )  # fmt: skip
+            run.speed_m_s,
+            run.left_m,
+            run.right_m,
+            run.radius_m,
+        )
 
 
 def test_table_8_is_that_of_the_footprint():
@@ -128,12 +147,16 @@ def test_table_8_is_that_of_the_footprint():
 
 def test_table_8_is_that_of_the_sweep():
     sweep = load_yaml(data_root() / "scenarios/sweeps/table8.yaml").data
-    runs = [by_offset()[offset] for offset in sweep["beside"]["at"]["controller.offset"]]
+    runs = [
+        by_offset()[offset] for offset in sweep["beside"]["at"]["controller.offset"]
+    ]
     found = sweep["beside"]["metrics"]
     assert found["path_speed_m_s"] == [run.speed_m_s for run in runs]
     assert found["box_left_m"] == [run.left_m for run in runs]
     assert found["box_right_m"] == [run.right_m for run in runs]
-    assert found["path_radius_m"] == [math.copysign(run.radius_m, run.offset) for run in runs]
+    assert found["path_radius_m"] == [
+        math.copysign(run.radius_m, run.offset) for run in runs
+    ]
     table = load_table("table8")
     assert isinstance(table, RunTable)
     scenario = load_yaml(data_root() / f"scenarios/{sweep['scenario']}.yaml").data
@@ -150,7 +173,9 @@ def test_table_9_follows_from_table_8_and_is_that_of_the_footprint():
     file = load_footprint_file("gen4_table9")
     assert set(file.speed_m_s.value) == {table["speed_m_s"]}
     most = max(abs(curvature) for curvature in file.curvature_per_m.value)
-    assert most * table["speed_m_s"] == pytest.approx(math.radians(table["turn_rate_deg_per_s"]), rel=1e-3)
+    assert most * table["speed_m_s"] == pytest.approx(
+        math.radians(table["turn_rate_deg_per_s"]), rel=1e-3
+    )
     for left, right in zip(file.left_m.value, file.right_m.value, strict=True):
         assert left + right == pytest.approx(table["box_m"])
 
@@ -158,22 +183,44 @@ def test_table_9_follows_from_table_8_and_is_that_of_the_footprint():
 def test_table_10_is_that_of_the_claims():
     table = load_table("table10")
     speeds = {each.robot: each.top_speed_mm_s for each in table.generations}
-    for name, robot in (("gen1-forward", "gen1"), ("gen2-top-speed", "gen2"), ("gen3-speed", "gen3")):
+    for name, robot in (
+        ("gen1-forward", "gen1"),
+        ("gen2-top-speed", "gen2"),
+        ("gen3-speed", "gen3"),
+    ):
         assert 1000 * claim(name)["value"] == pytest.approx(speeds[robot])
     for each in table.generations:
         said = " ".join(each.advantages + each.disadvantages)
         assert (each.top_speed_mm_s is None) == ("Max" not in said)
-        assert each.top_speed_mm_s is None or f"Max {each.top_speed_mm_s:g} mm/s" in said
+        assert (
+            each.top_speed_mm_s is None or f"Max {each.top_speed_mm_s:g} mm/s" in said
+        )
 
 
 REFUSED = [
-    ("unit: kg,", "unit: g,", "values.segment_mass_kg.unit: must be kg as in the key, not g"),
-    ("errata: [E14]}", "errata: [E4]}", "per_s.errata: E4 is not among the table's errata"),
-    ("value: 0.68", "value: about 0.68", "mu_n.value: must be a number from -1000000 to 1000000, not text"),
-    ("kind: parameters", "kind: parameter", "kind: must be one of .* did you mean parameters"),
+    (
+        "unit: kg,",
+        "unit: g,",
+        "values.segment_mass_kg.unit: must be kg as in the key, not g",
+    ),
+    (
+        "errata: [E14]}",
+        "errata: [E4]}",
+        "per_s.errata: E4 is not among the table's errata",
+    ),
+    (
+        "value: 0.68",
+        "value: about 0.68",
+        "mu_n.value: must be a number from -1000000 to 1000000, not text",
+    ),
+    (
+        "kind: parameters",
+        "kind: parameter",
+        "kind: must be one of .* did you mean parameters",
+    ),
     ("page: 53", "pages: 53", "pages: unknown key; did you mean page"),
     ("E24, E25]", "E24, E31]", "errata"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("old", "new", "words"), REFUSED)

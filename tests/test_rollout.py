@@ -51,7 +51,9 @@ class Clock(Plant):
         if begun + self.tick > self._breaks_at:
             raise DivergedError(self.name, begun + self.tick, "on request")
         self._ticks += 1
-        return [self._state(begun + self.tick * k / samples) for k in range(1, samples + 1)]
+        return [
+            self._state(begun + self.tick * k / samples) for k in range(1, samples + 1)
+        ]
 
     def openings(self) -> np.ndarray:
         return np.full((4, 2), self._ticks)
@@ -59,13 +61,25 @@ class Clock(Plant):
     def _state(self, time: float) -> SnakeState:
         connectors, segments = np.zeros(5), np.zeros(4)
         return SnakeState(
-            time=time, com=np.array([self._ticks, -time]), com_velocity=np.zeros(2), heading=time,
-            position=np.arange(10.0).reshape(5, 2), theta=connectors, bend=segments + time,
-            bend_rate=segments, pressure=np.arange(8.0).reshape(4, 2), valves=np.tile([1, -1], (4, 1)),
-            sensed=segments, contact_force=np.zeros((5, 2)),
-            obstacle_force=np.zeros((5, 2)), torque=segments, work=0.0, internal_loss=0.0, air=0.0,
+            time=time,
+            com=np.array([self._ticks, -time]),
+            com_velocity=np.zeros(2),
+            heading=time,
+            position=np.arange(10.0).reshape(5, 2),
+            theta=connectors,
+            bend=segments + time,
+            bend_rate=segments,
+            pressure=np.arange(8.0).reshape(4, 2),
+            valves=np.tile([1, -1], (4, 1)),
+            sensed=segments,
+            contact_force=np.zeros((5, 2)),
+            obstacle_force=np.zeros((5, 2)),
+            torque=segments,
+            work=0.0,
+            internal_loss=0.0,
+            air=0.0,
             qpos=np.empty(0),
-        )  # fmt: skip
+        )
 
 
 class Scripted(Controller):
@@ -86,11 +100,16 @@ class Scripted(Controller):
         return {"count": self.count, "reference": np.array([0.5, self.count])}
 
     def events(self) -> list[Event]:
-        return [Event(self.seen, "fifth", f"tick {self.count}")] if self.count % 5 == 0 else []
+        return (
+            [Event(self.seen, "fifth", f"tick {self.count}")]
+            if self.count % 5 == 0
+            else []
+        )
 
 
 @pytest.mark.parametrize(
-    ("record_hz", "step", "samples"), [(50, 0.02, 51), (200, 0.005, 201), (10, 0.1, 11), (25, 0.04, 26)]
+    ("record_hz", "step", "samples"),
+    [(50, 0.02, 51), (200, 0.005, 201), (10, 0.1, 11), (25, 0.04, 26)],
 )
 def test_samples_are_evenly_spaced_and_include_both_ends(record_hz, step, samples):
     trajectory = rollout(Clock(), Scripted(), 1.0, record_hz=record_hz)
@@ -105,27 +124,43 @@ def test_default_sampling_rate_is_100_hz():
 
 def test_incompatible_times_are_rejected_with_a_remedy():
     with pytest.raises(
-        InputError, match=r"duration 1.01 s is not a multiple of tick 0.02 s; use 1 s or tick"
+        InputError,
+        match=r"duration 1.01 s is not a multiple of tick 0.02 s; use 1 s or tick",
     ):
         rollout(Clock(), Scripted(), 1.01)
     message = (
-        r"record_hz 70 does not fit the tick 0.02 s; use 50 Hz, or any whole multiple or fraction of 50 Hz"
+        r"record_hz 70 does not fit the tick 0.02 s; use 50 Hz, or any whole multiple"
+        r" or fraction of 50 Hz"
     )
     with pytest.raises(InputError, match=message):
         rollout(Clock(), Scripted(), 1.0, record_hz=70)
-    with pytest.raises(InputError, match=r"record_hz 30 does not fit the tick 0.02 s; use 25 Hz, or any"):
+    with pytest.raises(
+        InputError,
+        match=r"record_hz 30 does not fit the tick 0.02 s; use 25 Hz, or any",
+    ):
         rollout(Clock(), Scripted(), 1.0, record_hz=30)
-    with pytest.raises(InputError, match=r"record_hz 2500 does not fit the tick 0.02 s; use 1000 Hz, or any"):
+    with pytest.raises(
+        InputError,
+        match=r"record_hz 2500 does not fit the tick 0.02 s; use 1000 Hz, or any",
+    ):
         rollout(TwinSnake(SPEC), Gait(2.0), 0.1, record_hz=2500)
-    with pytest.raises(InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"):
+    with pytest.raises(
+        InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"
+    ):
         TwinSnake(SPEC, timestep=0.0015)
-    with pytest.raises(InputError, match=r"time step nan s is not allowed; it must be finite and above 0"):
+    with pytest.raises(
+        InputError,
+        match=r"time step nan s is not allowed; it must be finite and above 0",
+    ):
         AnalyticalSnake(SPEC, timestep=np.nan)
 
 
-@pytest.mark.parametrize("record_hz", [7.14286, 2.94118, 3.33333, 50 / 7.0001, 333.3, 1.00003e-3, 123456.7])
 @pytest.mark.parametrize(
-    ("tick", "step"), [(0.02, None), (0.02, 0.001), (0.02, 0.02), (0.03, None), (1 / 3, None)]
+    "record_hz", [7.14286, 2.94118, 3.33333, 50 / 7.0001, 333.3, 1.00003e-3, 123456.7]
+)
+@pytest.mark.parametrize(
+    ("tick", "step"),
+    [(0.02, None), (0.02, 0.001), (0.02, 0.02), (0.03, None), (1 / 3, None)],
 )
 def test_suggested_record_hz_is_accepted(record_hz, tick, step):
     with pytest.raises(InputError, match="does not fit") as refused:
@@ -152,16 +187,21 @@ def test_only_one_start_is_accepted():
 
 @pytest.mark.parametrize("record_hz", [0, -50, np.nan, np.inf])
 def test_invalid_record_hz_is_rejected(record_hz):
-    with pytest.raises(InputError, match="is not allowed; it must be finite and above 0"):
+    with pytest.raises(
+        InputError, match="is not allowed; it must be finite and above 0"
+    ):
         rollout(Clock(), Scripted(), 1.0, record_hz=record_hz)
 
 
-@pytest.mark.parametrize(("period", "step"), [(0.13999994, 0.02), (1234.567891, 0.00123), (7.0, 0.3333)])
+@pytest.mark.parametrize(
+    ("period", "step"), [(0.13999994, 0.02), (1234.567891, 0.00123), (7.0, 0.3333)]
+)
 def test_suggested_times_are_accepted(period, step):
     with pytest.raises(InputError) as refused:
         count_steps("duration", period, "tick", step)
     printed, longer, shorter = re.fullmatch(
-        r"duration (\S+) s is not a multiple of tick \S+ s; use (\S+) s or tick (\S+) s",
+        r"duration (\S+) s is not a multiple of tick \S+ s; use (\S+) s or tick"
+        r" (\S+) s",
         str(refused.value),
     ).groups()
     with pytest.raises(InputError):  # the printed digits show the problem
@@ -173,19 +213,27 @@ def test_suggested_times_are_accepted(period, step):
 @pytest.mark.parametrize("timestep", [0.003, 0.0007, 0.05])
 def test_analytical_steps_end_on_samples(timestep):
     """Steps are shortened to end on samples and ticks, so that the results are those of a finer step."""
-    coarse = rollout(AnalyticalSnake(SPEC, timestep=timestep), Gait(1.7), 0.3, record_hz=250)
-    fine = rollout(AnalyticalSnake(SPEC, timestep=0.0005), Gait(1.7), 0.3, record_hz=250)
+    coarse = rollout(
+        AnalyticalSnake(SPEC, timestep=timestep), Gait(1.7), 0.3, record_hz=250
+    )
+    fine = rollout(
+        AnalyticalSnake(SPEC, timestep=0.0005), Gait(1.7), 0.3, record_hz=250
+    )
     assert coarse.time == pytest.approx(0.004 * np.arange(76))
     assert coarse.stack("bend") == pytest.approx(fine.stack("bend"), abs=1e-12)
     assert coarse.com == pytest.approx(fine.com, abs=1e-3)
 
 
 @pytest.mark.parametrize("record_hz", [100, 25, 1000])
-@pytest.mark.parametrize(("frequency", "offset"), [(2.0, 0.0), (1.7, -0.3), (0.9, 0.94), (49.0, 0.1)])
+@pytest.mark.parametrize(
+    ("frequency", "offset"), [(2.0, 0.0), (1.7, -0.3), (0.9, 0.94), (49.0, 0.1)]
+)
 def test_script_equals_stepping_every_tick(record_hz, frequency, offset):
     plant, gait = AnalyticalSnake(SPEC), Gait(frequency, offset)
     scripted_run = rollout(plant, gait, 0.62, record_hz=record_hz)
-    stepped_run = rollout(plant, gait, 0.62, record_hz=record_hz, observers=[lambda state: None])
+    stepped_run = rollout(
+        plant, gait, 0.62, record_hz=record_hz, observers=[lambda state: None]
+    )
     assert list(scripted_run.columns) == list(stepped_run.columns)
     for name, column in scripted_run.columns.items():
         assert column == pytest.approx(stepped_run[name], rel=1e-9, abs=1e-9), name
@@ -194,9 +242,13 @@ def test_script_equals_stepping_every_tick(record_hz, frequency, offset):
 
 def test_long_script_is_simulated_in_chunks_with_progress():
     times: list[float] = []
-    whole = rollout(AnalyticalSnake(SPEC), Gait(1.3), 21.0, record_hz=10, progress=times.append)
+    whole = rollout(
+        AnalyticalSnake(SPEC), Gait(1.3), 21.0, record_hz=10, progress=times.append
+    )
     assert times == pytest.approx([10.0, 20.0, 21.0])
-    part = rollout(AnalyticalSnake(SPEC), Gait(1.3), 9.0, record_hz=10, progress=times.append)
+    part = rollout(
+        AnalyticalSnake(SPEC), Gait(1.3), 9.0, record_hz=10, progress=times.append
+    )
     assert whole.com[:91] == pytest.approx(part.com, abs=1e-12)
 
 
@@ -206,9 +258,18 @@ def test_resumed_run_continues_its_script():
     whole = rollout(plant, gait, 0.6, record_hz=50)
     rollout(plant, gait, 0.24, record_hz=50)
     kept = plant.save(), gait.save()
-    rest = rollout(AnalyticalSnake(SPEC), Gait(1.7, -0.3), 0.36, record_hz=50, resume=kept)
+    rest = rollout(
+        AnalyticalSnake(SPEC), Gait(1.7, -0.3), 0.36, record_hz=50, resume=kept
+    )
     assert rest.time == pytest.approx(whole.time[12:])
-    for name in ("com_x", "com_y", "bend_2", "pressure_plus_3", "valve_minus_4", "work"):
+    for name in (
+        "com_x",
+        "com_y",
+        "bend_2",
+        "pressure_plus_3",
+        "valve_minus_4",
+        "work",
+    ):
         assert rest[name] == pytest.approx(whole[name][12:], rel=1e-9, abs=1e-9), name
 
 
@@ -226,18 +287,42 @@ def test_columns_have_numbered_names_and_units():
     per_segment = [
         f"{name}_{j}"
         for name in (
-            "bend", "sensed", "torque", "pressure_plus", "pressure_minus", "valve_plus", "valve_minus"
+            "bend",
+            "sensed",
+            "torque",
+            "pressure_plus",
+            "pressure_minus",
+            "valve_plus",
+            "valve_minus",
         )
         for j in range(1, 5)
-    ]  # fmt: skip
+    ]
     expected = ["time", "com_x", "com_y", "heading", *per_connector, *per_segment]
-    assert list(trajectory.columns) == [*expected, "work", "air", "count", "reference_1", "reference_2"]
+    assert list(trajectory.columns) == [
+        *expected,
+        "work",
+        "air",
+        "count",
+        "reference_1",
+        "reference_2",
+    ]
     assert all(len(column) == 6 for column in trajectory.columns.values())
     assert trajectory["x_3"][0] == 4 and trajectory["y_3"][0] == 5
-    assert trajectory["pressure_plus_2"][0] == 2 and trajectory["pressure_minus_2"][0] == 3
+    assert (
+        trajectory["pressure_plus_2"][0] == 2 and trajectory["pressure_minus_2"][0] == 3
+    )
     assert trajectory["valve_plus_1"][1] == 1 and trajectory["valve_minus_1"][1] == -1
-    units = {name: trajectory.unit(name) for name in ("time", "com_x", "theta_2", "pressure_plus_1", "count")}
-    assert units == {"time": "s", "com_x": "m", "theta_2": "rad", "pressure_plus_1": "Pa", "count": "1"}
+    units = {
+        name: trajectory.unit(name)
+        for name in ("time", "com_x", "theta_2", "pressure_plus_1", "count")
+    }
+    assert units == {
+        "time": "s",
+        "com_x": "m",
+        "theta_2": "rad",
+        "pressure_plus_1": "Pa",
+        "count": "1",
+    }
 
 
 def test_signals_are_recorded_at_each_sample():
@@ -249,28 +334,48 @@ def test_signals_are_recorded_at_each_sample():
 
 def test_events_are_kept_at_any_sampling_rate():
     trajectory = rollout(Clock(), Scripted(), 0.4, record_hz=10)
-    assert [event.text for event in trajectory.events] == ["tick 5", "tick 10", "tick 15", "tick 20"]
-    assert [event.time for event in trajectory.events] == pytest.approx([0.08, 0.18, 0.28, 0.38])
+    assert [event.text for event in trajectory.events] == [
+        "tick 5",
+        "tick 10",
+        "tick 15",
+        "tick 20",
+    ]
+    assert [event.time for event in trajectory.events] == pytest.approx(
+        [0.08, 0.18, 0.28, 0.38]
+    )
 
 
 def test_metadata_describe_plant_robot_and_controller():
     trajectory = rollout(Clock(), Scripted(), 0.2, record_hz=50)
     assert trajectory.metadata == {
-        "plant": "clock", "robot": "gen2", "tick_s": 0.02, "record_hz": 50, "duration_s": 0.2,
-        "body_length_m": pytest.approx(0.22), "body_width_m": 0.04, "segment_length_m": 0.037,
-        "rigid_gap_m": 0.018, "mass_kg": pytest.approx(0.15), "controller": "scripted",
+        "plant": "clock",
+        "robot": "gen2",
+        "tick_s": 0.02,
+        "record_hz": 50,
+        "duration_s": 0.2,
+        "body_length_m": pytest.approx(0.22),
+        "body_width_m": 0.04,
+        "segment_length_m": 0.037,
+        "rigid_gap_m": 0.018,
+        "mass_kg": pytest.approx(0.15),
+        "controller": "scripted",
         "gait_frequency_hz": None,
-        "control": {}, "ended_by": None, "valve_switches": [[10, 10]] * 4,
-    }  # fmt: skip
+        "control": {},
+        "ended_by": None,
+        "valve_switches": [[10, 10]] * 4,
+    }
 
 
 def test_observers_are_called_at_the_start_and_every_tick():
     first: list[float] = []
     second: list[int] = []
     rollout(
-        Clock(), Scripted(), 0.1, record_hz=10,
+        Clock(),
+        Scripted(),
+        0.1,
+        record_hz=10,
         observers=[lambda s: first.append(s.time), lambda s: second.append(len(first))],
-    )  # fmt: skip
+    )
     assert first == pytest.approx([0, 0.02, 0.04, 0.06, 0.08, 0.1])
     assert second == [1, 2, 3, 4, 5, 6]
 
@@ -303,16 +408,22 @@ def test_until_ends_the_run_after_its_tick():
     assert trajectory.metadata["ended_by"] == "until"
     assert trajectory.time[-1] == pytest.approx(0.06)
     assert times == pytest.approx([0.02, 0.04, 0.06])
-    assert rollout(Clock(), Scripted(), 0.1, until=lambda s: False).time[-1] == pytest.approx(0.1)
+    assert rollout(Clock(), Scripted(), 0.1, until=lambda s: False).time[
+        -1
+    ] == pytest.approx(0.1)
 
 
 def test_diverged_run_keeps_its_samples():
-    with pytest.raises(DivergedError, match=r"clock diverged at t = 0.52 s: on request") as caught:
+    with pytest.raises(
+        DivergedError, match=r"clock diverged at t = 0.52 s: on request"
+    ) as caught:
         rollout(Clock(breaks_at=0.51), Scripted(), 1.0)
     kept = caught.value.trajectory
     assert isinstance(kept, Trajectory)
     assert kept.time == pytest.approx(np.arange(51) / 100)
-    assert [event.text for event in kept.events] == [f"tick {k}" for k in (5, 10, 15, 20, 25)]
+    assert [event.text for event in kept.events] == [
+        f"tick {k}" for k in (5, 10, 15, 20, 25)
+    ]
     assert kept.metadata["valve_switches"] == [[25, 25]] * 4
 
 
@@ -337,7 +448,9 @@ def test_implausible_state_is_a_divergence_with_time_and_samples(build, spoil, v
         if state.time > 0.099:
             spoil(plant, value)
 
-    with pytest.raises(DivergedError, match=rf"{plant.name} diverged at t = 0.1(0[12]|1|2) s: ") as caught:
+    with pytest.raises(
+        DivergedError, match=rf"{plant.name} diverged at t = 0.1(0[12]|1|2) s: "
+    ) as caught:
         rollout(plant, Gait(2.0), 0.4, observers=[spoil_state])
     kept = caught.value.trajectory
     assert kept.time == pytest.approx(np.arange(11) / 100)
@@ -349,10 +462,14 @@ def test_implausible_state_is_a_divergence_with_time_and_samples(build, spoil, v
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
 def test_sampling_rate_does_not_change_the_run(build):
     plant = build(SPEC)
-    runs = {hz: rollout(plant, Gait(1.7, 0.1), 0.4, record_hz=hz) for hz in (10, 50, 500)}
+    runs = {
+        hz: rollout(plant, Gait(1.7, 0.1), 0.4, record_hz=hz) for hz in (10, 50, 500)
+    }
     for name in ("com_x", "com_y", "heading", "bend_3", "pressure_plus_2", "x_5"):
         assert runs[50][name][::5] == pytest.approx(runs[10][name], rel=1e-9, abs=1e-12)
-        assert runs[500][name][::10] == pytest.approx(runs[50][name], rel=1e-9, abs=1e-9)
+        assert runs[500][name][::10] == pytest.approx(
+            runs[50][name], rel=1e-9, abs=1e-9
+        )
     assert runs[10].metadata["valve_switches"] == runs[500].metadata["valve_switches"]
 
 
@@ -360,15 +477,32 @@ def test_metadata_contain_the_settings_of_the_plant():
     """All settings differ from the defaults."""
     model = AnalyticalSnake(SPEC, model="compliant", friction="wheel", timestep=0.001)
     about = rollout(model, Gait(1.7), 0.1).metadata
-    assert (about["model"], about["friction"], about["timestep_s"]) == ("compliant", "wheel", 0.001)
+    assert (about["model"], about["friction"], about["timestep_s"]) == (
+        "compliant",
+        "wheel",
+        0.001,
+    )
     assert (about["gait_frequency_hz"], about["controller"]) == (1.7, "gait")
-    twin = rollout(TwinSnake(SPEC, hinges_per_segment=3, contact=PreloadedContact("skid")), Gait(2.0), 0.1)
+    twin = rollout(
+        TwinSnake(SPEC, hinges_per_segment=3, contact=PreloadedContact("skid")),
+        Gait(2.0),
+        0.1,
+    )
     assert (twin.metadata["wheels"], twin.metadata["hinges_per_segment"]) == ("skid", 3)
     # Free joint; three hinges, pitch and roll per segment.
     assert twin.stack("qpos").shape == (11, 7 + 4 * 5)
     rolling = rollout(TwinSnake(SPEC, contact="preloaded"), Gait(2.0), 0.1)
     # Two hinges instead of three, and two wheels per connector.
-    assert rolling.metadata["wheels"] == "rolling" and rolling.stack("qpos").shape == (11, 7 + 4 * 4 + 10)
-    loaded = rollout(TwinSnake(SPEC, contact=LoadedContact("axis", slip_speed=0.002)), Gait(2.0), 0.1)
+    assert rolling.metadata["wheels"] == "rolling" and rolling.stack("qpos").shape == (
+        11,
+        7 + 4 * 4 + 10,
+    )
+    loaded = rollout(
+        TwinSnake(SPEC, contact=LoadedContact("axis", slip_speed=0.002)), Gait(2.0), 0.1
+    )
     about = loaded.metadata
-    assert (about["contact"], about["friction"], about["slip_speed_m_s"]) == ("loaded", "axis", 0.002)
+    assert (about["contact"], about["friction"], about["slip_speed_m_s"]) == (
+        "loaded",
+        "axis",
+        0.002,
+    )

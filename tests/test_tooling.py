@@ -27,21 +27,35 @@ def read_yaml(name):
 def recipes():
     """Return the command lines of the Makefile by target."""
     rules = re.findall(r"^(\w+):.*\n((?:\t.*\n)+)", MAKEFILE, re.M)
-    return {target: [line.strip() for line in lines.splitlines()] for target, lines in rules}
+    return {
+        target: [line.strip() for line in lines.splitlines()] for target, lines in rules
+    }
 
 
 def hooks():
-    return [hook["entry"] for repo in read_yaml(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
+    return [
+        hook["entry"]
+        for repo in read_yaml(".pre-commit-config.yaml")["repos"]
+        for hook in repo["hooks"]
+    ]
 
 
 def scripts():
-    steps = [line for text in (RUN, NIGHTLY) for line in re.findall(r"^step \w+ (.*)$", text, re.M)]
+    steps = [
+        line
+        for text in (RUN, NIGHTLY)
+        for line in re.findall(r"^step \w+ (.*)$", text, re.M)
+    ]
     return [re.sub(r"^timeout \w+ ", "", step) for step in steps]
 
 
 def called():
     """Return all command lines that begin with `uv run`."""
-    lines = [*(line for recipe in recipes().values() for line in recipe), *hooks(), *scripts()]
+    lines = [
+        *(line for recipe in recipes().values() for line in recipe),
+        *hooks(),
+        *scripts(),
+    ]
     return sorted({line for line in lines if line.startswith("uv run ")})
 
 
@@ -60,8 +74,14 @@ def test_called_scripts_and_options_exist(line):
 def words_of(module):
     """Return the words in the source of a module of the package; empty if there is no such module."""
     place = ROOT / module.replace(".", "/")
-    files = [path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()]
-    return {word for path in files for word in re.findall(r"\w+", path.read_text("utf-8"))}
+    files = [
+        path
+        for path in (place.with_suffix(".py"), place / "__init__.py")
+        if path.is_file()
+    ]
+    return {
+        word for path in files for word in re.findall(r"\w+", path.read_text("utf-8"))
+    }
 
 
 @pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples"])
@@ -70,16 +90,25 @@ def test_scripts_import_names_that_exist(folder):
     missing = []
     for path in (ROOT / folder).rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("srs_twin"):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(
+                "srs_twin"
+            ):
                 for name in (alias.name for alias in node.names):
-                    if name not in words_of(node.module) and not words_of(f"{node.module}.{name}"):
-                        missing.append(f"{path.relative_to(ROOT)}: {node.module}.{name}")
+                    if name not in words_of(node.module) and not words_of(
+                        f"{node.module}.{name}"
+                    ):
+                        missing.append(
+                            f"{path.relative_to(ROOT)}: {node.module}.{name}"
+                        )
     assert missing == []
 
 
 def test_makefile_targets_run_the_documented_commands():
     assert recipes().keys() >= {"test", "fast", "check", "docs", "golden"}
-    assert set(re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.M)[1].split()) == recipes().keys()
+    assert (
+        set(re.search(r"^\.PHONY: (.*)$", MAKEFILE, re.M)[1].split())
+        == recipes().keys()
+    )
     assert recipes()["test"] == ["uv run --group dev pytest"]
     checks = ["ruff check", "ruff format --check", "mypy"]
     assert recipes()["check"] == [f"uv run --group dev {check}" for check in checks]
@@ -89,7 +118,9 @@ def test_makefile_targets_run_the_documented_commands():
 def test_ci_runs_the_slow_tests():
     assert "not slow" in PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"]
     assert ["uv run --group dev pytest", "uv run --group dev pytest -m slow"] == [
-        line for line in scripts() if "pytest" in line and not line.startswith(".ci/targets")
+        line
+        for line in scripts()
+        if "pytest" in line and not line.startswith(".ci/targets")
     ]
 
 
@@ -97,7 +128,11 @@ def test_nightly_studies_have_time_limits():
     studies = re.findall(r"^step \w+ (.*)$", NIGHTLY, re.M)
     assert len(studies) >= 3
     assert all(
-        re.match(r"timeout \d+[mh] (\.ci/targets all |uv run (--extra gpu )?python benchmarks/)", study)
+        re.match(
+            r"timeout \d+[mh] (\.ci/targets all |uv run (--extra gpu )?python"
+            r" benchmarks/)",
+            study,
+        )
         for study in studies
     )
 
@@ -106,7 +141,9 @@ def test_workflow_runs_the_ci_scripts():
     workflow = read_yaml(".github/workflows/ci.yml")
     assert workflow["permissions"] == {"contents": "read"}
     jobs = workflow["jobs"].values()
-    run = {step["run"]: job["if"] for job in jobs for step in job["steps"] if "run" in step}
+    run = {
+        step["run"]: job["if"] for job in jobs for step in job["steps"] if "run" in step
+    }
     assert run == {
         ".ci/run": "github.event_name != 'schedule'",
         ".ci/nightly": "github.event_name == 'schedule'",
@@ -116,7 +153,11 @@ def test_workflow_runs_the_ci_scripts():
 
 def test_every_fault_fits_the_code_and_names_tests_that_exist():
     for fault in read_yaml("benchmarks/faults.yaml"):
-        assert (ROOT / fault["file"]).read_text("utf-8").count(fault["old"]) == 1, fault["name"]
+        assert (ROOT / fault["file"]).read_text("utf-8").count(fault["old"]) == 1, (
+            fault["name"]
+        )
         for test in fault["tests"].split():
             file, _, name = test.partition("::")
-            assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text("utf-8"), test
+            assert f"def {name.partition('[')[0]}" in (ROOT / file).read_text(
+                "utf-8"
+            ), test

@@ -28,12 +28,17 @@ json_values = st.recursive(
     | st.integers(-(2**53), 2**53)
     | st.floats(allow_nan=False)
     | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=6,
 )
 events = st.builds(Event, st.floats(0, 1e6), st.text(max_size=9), st.text(max_size=9))
 # Parquet names are UTF-8 text without lone surrogates.
-names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9)
+names = st.text(
+    st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9
+)
 
 
 @st.composite
@@ -42,9 +47,13 @@ def trajectories(draw):
     samples = len(columns["time"])
     for name in draw(st.lists(names, max_size=4, unique=True)):
         columns.setdefault(name, draw(npst.arrays(float, samples)))
-    units = draw(st.dictionaries(st.sampled_from(list(columns)), st.text(max_size=4), max_size=2))
+    units = draw(
+        st.dictionaries(st.sampled_from(list(columns)), st.text(max_size=4), max_size=2)
+    )
     metadata = draw(st.dictionaries(st.text(max_size=9), json_values, max_size=3))
-    return Trajectory(columns, units, tuple(draw(st.lists(events, max_size=3))), metadata)
+    return Trajectory(
+        columns, units, tuple(draw(st.lists(events, max_size=3))), metadata
+    )
 
 
 def written(trajectory: Trajectory) -> bytes:
@@ -81,32 +90,45 @@ def test_rewritten_trajectory_has_the_same_bytes(original):
 def test_bytes_do_not_depend_on_the_order_of_metadata():
     columns = {"time": np.arange(3.0)}
     one, other = {"plant": "twin", "robot": "gen2"}, {"robot": "gen2", "plant": "twin"}
-    assert written(Trajectory(columns, metadata=one)) == written(Trajectory(columns, metadata=other))
+    assert written(Trajectory(columns, metadata=one)) == written(
+        Trajectory(columns, metadata=other)
+    )
 
 
 def test_another_process_writes_the_same_bytes():
     program = (
-        "import io, hashlib, numpy as np\n"
-        "from srs_twin.trajectory import Event, Trajectory\n"
-        "t = Trajectory({'time': np.arange(50) / 7, 'duty_1': np.sin(np.arange(50))}, {'duty_1': '%'},\n"
-        "               (Event(0.5, 'contact', 'wall'),), {'plant': 'twin', 'seed': 3})\n"
-        "f = io.BytesIO(); t.to_parquet(f); print(hashlib.sha256(f.getvalue()).hexdigest())\n"
+        "import io, hashlib, numpy as np\nfrom srs_twin.trajectory import Event,"
+        " Trajectory\nt = Trajectory({'time': np.arange(50) / 7, 'duty_1':"
+        " np.sin(np.arange(50))}, {'duty_1': '%'},\n               (Event(0.5,"
+        " 'contact', 'wall'),), {'plant': 'twin', 'seed': 3})\nf = io.BytesIO();"
+        " t.to_parquet(f); print(hashlib.sha256(f.getvalue()).hexdigest())\n"
     )
     for seed in ("1", "2"):
         env = {**os.environ, "PYTHONHASHSEED": seed}
         done = subprocess.run(
-            [sys.executable, "-c", program], capture_output=True, text=True, env=env, check=True
+            [sys.executable, "-c", program],
+            capture_output=True,
+            text=True,
+            env=env,
+            check=True,
         )
         columns = {"time": np.arange(50) / 7, "duty_1": np.sin(np.arange(50))}
         event = Event(0.5, "contact", "wall")
-        here = Trajectory(columns, {"duty_1": "%"}, (event,), {"plant": "twin", "seed": 3})
+        here = Trajectory(
+            columns, {"duty_1": "%"}, (event,), {"plant": "twin", "seed": 3}
+        )
         assert done.stdout.strip() == hashlib.sha256(written(here)).hexdigest()
 
 
 def test_any_parquet_reader_finds_the_units():
     schema = pq.read_schema(io.BytesIO(written(Snake().trajectory())))
     units = {field.name: field.metadata[b"unit"].decode() for field in schema}
-    assert (units["time"], units["com_x"], units["theta_5"], units["bend_1"]) == ("s", "m", "rad", "rad")
+    assert (units["time"], units["com_x"], units["theta_5"], units["bend_1"]) == (
+        "s",
+        "m",
+        "rad",
+        "rad",
+    )
 
 
 def test_numbered_columns_are_stacked():
@@ -122,7 +144,13 @@ def test_numbered_columns_are_stacked():
 
 @pytest.mark.parametrize(
     ("name", "unit"),
-    [("x_12", "m"), ("pressure_minus_2", "Pa"), ("valve_plus_1", "1"), ("offset", "rad"), ("duty", "1")],
+    [
+        ("x_12", "m"),
+        ("pressure_minus_2", "Pa"),
+        ("valve_plus_1", "1"),
+        ("offset", "rad"),
+        ("duty", "1"),
+    ],
 )
 def test_unit_follows_from_the_name_unless_given(name, unit):
     assert Trajectory({"time": np.zeros(1)}, units={"offset": "rad"}).unit(name) == unit
@@ -140,7 +168,9 @@ def test_random_bytes_are_rejected(data):
 def test_damaged_trajectory_is_rejected_or_read(data):
     whole = written(Snake(duration=0.1, connectors=2).trajectory())
     damaged = bytearray(whole[: data.draw(st.integers(0, len(whole) - 1)) or None])
-    damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= data.draw(st.integers(1, 255))
+    damaged[data.draw(st.integers(0, len(damaged) - 1))] ^= data.draw(
+        st.integers(1, 255)
+    )
     try:
         assert "time" in read(bytes(damaged)).columns
     except InputError as error:
@@ -153,7 +183,11 @@ METADATA = {"srs_twin.events": "[]", "srs_twin.metadata": "{}"}
 @pytest.mark.parametrize(
     ("columns", "metadata", "message"),
     [
-        ({"time": np.zeros(9), "text": ["x" * 999] * 9}, METADATA, "column text holds string, not float64"),
+        (
+            {"time": np.zeros(9), "text": ["x" * 999] * 9},
+            METADATA,
+            "column text holds string, not float64",
+        ),
         ({"time": np.zeros(9)}, {}, "a Parquet file with other content"),
     ],
 )
@@ -161,7 +195,9 @@ def test_other_parquet_file_is_rejected_before_its_data_are_read(
     columns, metadata, message, tmp_path, monkeypatch
 ):
     """A kilobyte of text unpacks to a gigabyte."""
-    pq.write_table(pa.table(columns).replace_schema_metadata(metadata), tmp_path / "a.parquet")
+    pq.write_table(
+        pa.table(columns).replace_schema_metadata(metadata), tmp_path / "a.parquet"
+    )
     monkeypatch.setattr(untrusted, "_read", None)
     with pytest.raises(InputError, match=message):
         Trajectory.from_parquet(tmp_path / "a.parquet")

@@ -16,7 +16,9 @@ def commands() -> str:
     root = command()
     sections = list(_sections("srs-twin", root))
     context = root.make_context("srs-twin", [], resilient_parsing=True)
-    return "\n\n".join([*sections[1:], "## Global options", _table(root, context, "option")])
+    return "\n\n".join(
+        [*sections[1:], "## Global options", _table(root, context, "option")]
+    )
 
 
 def _sections(path: str, command: Any) -> Iterator[str]:
@@ -31,8 +33,16 @@ def _sections(path: str, command: Any) -> Iterator[str]:
     description = " ".join((command.help or "").split())
     blocks = [f"{'##' if path.count(' ') < 2 else '###'} {path}", description]
     if not subcommands:
-        blocks.append("```text\n" + " ".join([path, *command.collect_usage_pieces(context)]) + "\n```")
-        blocks += [table for kind in ("argument", "option") if (table := _table(command, context, kind))]
+        blocks.append(
+            "```text\n"
+            + " ".join([path, *command.collect_usage_pieces(context)])
+            + "\n```"
+        )
+        blocks += [
+            table
+            for kind in ("argument", "option")
+            if (table := _table(command, context, kind))
+        ]
     yield "\n\n".join(blocks)
     for name, subcommand in subcommands.items():
         yield from _sections(f"{path} {name}", subcommand)
@@ -40,8 +50,12 @@ def _sections(path: str, command: Any) -> Iterator[str]:
 
 def _table(command: Any, context: Any, kind: str) -> str:
     """Return the help of the arguments or options of a command as a table."""
-    parameters = [parameter for parameter in command.params if parameter.param_type_name == kind]
-    records = filter(None, (parameter.get_help_record(context) for parameter in parameters))
+    parameters = [
+        parameter for parameter in command.params if parameter.param_type_name == kind
+    ]
+    records = filter(
+        None, (parameter.get_help_record(context) for parameter in parameters)
+    )
     rows = [row(f"`{name.strip()}`", _mark_options(text)) for name, text in records]
     return "\n".join([f"| {kind} | meaning |", "|---|---|", *rows]) if rows else ""
 

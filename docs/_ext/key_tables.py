@@ -23,7 +23,9 @@ _RECORD_KEYS = ("value", "unit", "status", "source", "uncertain")
 
 def scenario() -> str:
     """Return the keys of scenario files."""
-    return KeyTables(ScenarioFile.model_json_schema(), {"robot": "[a robot](robot.md)"}).markdown("scenario")
+    return KeyTables(
+        ScenarioFile.model_json_schema(), {"robot": "[a robot](robot.md)"}
+    ).markdown("scenario")
 
 
 def sweep() -> str:
@@ -36,7 +38,9 @@ def robot() -> str:
     tables = KeyTables(RobotFile.model_json_schema())
     prior = tables.root["$defs"]["Uncertain"]
     # The key `uncertain` belongs to records, which have no separate section.
-    return "\n\n".join([tables.markdown("robot"), *tables._section("robot", "uncertain", prior)])
+    return "\n\n".join(
+        [tables.markdown("robot"), *tables._section("robot", "uncertain", prior)]
+    )
 
 
 def inspection() -> str:
@@ -68,20 +72,39 @@ class KeyTables:
         inner: list[tuple[str, Schema]] = []
         for key, schema in block["properties"].items():
             key_path = f"{path.partition(' (')[0]}.{key}".removeprefix(".")
-            values = self.elsewhere.get(key_path) or self._allowed(name, key_path, schema, inner)
-            default = "required" if key in block.get("required", ()) else _default(schema)
-            rows.append(row(f"`{key}`", self._unit(schema), values, default, self._meaning(schema)))
-        yield f"({_anchor(name, path)})=\n{title}\n\n{block['description']}\n\n{_HEAD}\n" + "\n".join(rows)
+            values = self.elsewhere.get(key_path) or self._allowed(
+                name, key_path, schema, inner
+            )
+            default = (
+                "required" if key in block.get("required", ()) else _default(schema)
+            )
+            rows.append(
+                row(
+                    f"`{key}`",
+                    self._unit(schema),
+                    values,
+                    default,
+                    self._meaning(schema),
+                )
+            )
+        yield (
+            f"({_anchor(name, path)})=\n{title}\n\n{block['description']}\n\n{_HEAD}\n"
+            + "\n".join(rows)
+        )
         for title, subblock in inner:
             yield from self._section(name, title, subblock)
 
-    def _allowed(self, name: str, key_path: str, schema: Schema, inner: list[tuple[str, Schema]]) -> str:
+    def _allowed(
+        self, name: str, key_path: str, schema: Schema, inner: list[tuple[str, Schema]]
+    ) -> str:
         """Return the allowed values of a key; append blocks without a section to `inner`."""
         links, plain = [], []
         for option, form in self._options(schema):
             definition = option.get("$ref", "").rpartition("/")[2]
             block = self.root["$defs"][definition] if definition else option
-            if "properties" not in block or set(block["properties"]) == set(_RECORD_KEYS):
+            if "properties" not in block or set(block["properties"]) == set(
+                _RECORD_KEYS
+            ):
                 value = block.get("properties", {}).get("value", block)
                 plain.append(form + describe_schema(value, self.root))
                 continue
@@ -92,7 +115,10 @@ class KeyTables:
                 inner.append((title, block))
             title = self.sections[definition]
             links.append(f"{form}[{title}](#{_anchor(name, title)})")
-        return "; ".join([*dict.fromkeys(filter(None, plain)), *dict.fromkeys(links)]) or "see the meaning"
+        return (
+            "; ".join([*dict.fromkeys(filter(None, plain)), *dict.fromkeys(links)])
+            or "see the meaning"
+        )
 
     def _options(self, schema: Schema, form: str = "") -> Iterator[tuple[Schema, str]]:
         """Yield the schema of each allowed value, and the text for its form: value, list or mapping."""
@@ -108,7 +134,8 @@ class KeyTables:
             yield schema, form
 
     def _meaning(self, schema: Schema) -> str:
-        # The description of a quantity repeats unit and range, which have separate columns.
+        # The description of a quantity repeats unit and range, which have separate
+        # columns.
         if "unit" in schema:
             return str(schema["title"])
         block = self.root["$defs"].get(schema.get("$ref", "").rpartition("/")[2], {})
@@ -131,7 +158,9 @@ class _OutputTables(KeyTables):
 
     def _unit(self, schema: Schema) -> str:
         options = (option.get("items", option) for option, _ in self._options(schema))
-        return _unit_text(next((str(option["unit"]) for option in options if "unit" in option), ""))
+        return _unit_text(
+            next((str(option["unit"]) for option in options if "unit" in option), "")
+        )
 
 
 def _unit_text(unit: str) -> str:
@@ -146,7 +175,9 @@ def _has_blocks(schema: Schema) -> bool:
 
 def row(*cells: str) -> str:
     """Return a row of a Markdown table; escape bars, and angle brackets outside code."""
-    escaped = [cell if cell.startswith("`") else cell.replace("<", "&lt;") for cell in cells]
+    escaped = [
+        cell if cell.startswith("`") else cell.replace("<", "&lt;") for cell in cells
+    ]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in escaped) + " |"
 
 

@@ -10,7 +10,9 @@ from docutils.utils.math import latex2mathml
 
 def setup(app: Any) -> dict[str, bool]:
     """Register the renderer `mathml`."""
-    app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
+    app.add_html_math_renderer(
+        "mathml", inline_renderers=(_inline, None), block_renderers=(_block, None)
+    )
     return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
@@ -20,5 +22,8 @@ def _inline(writer: Any, node: nodes.math) -> None:
 
 
 def _block(writer: Any, node: nodes.math_block) -> None:
-    writer.body.append(f'<div class="math">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>\n')
+    writer.body.append(
+        "<div"
+        f' class="math">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>\n'
+    )
     raise nodes.SkipNode

@@ -1,10 +1,14 @@
-"""The robot's electronics: valves, sensors, Wi-Fi and the broker's address. Edit this file for your robot.
+"""The robot's electronics: valves, sensors, Wi-Fi and the broker's address.
 
-The values are for a Raspberry Pi Pico W, four segments and Hall sensors at a multiplexer (74HC4051).
+Edit this file for your robot.
 
-Each chamber has a valve that vents without current. The gate of its transistor has a pull-down resistor, so
-the pin must be high to fill. During a reset all pins are inputs, the transistors block, and every chamber
-vents. The safety of the robot after a reset depends on this property of the hardware, not on software.
+The values are for a Raspberry Pi Pico W, four segments and Hall sensors at a
+multiplexer (74HC4051).
+
+Each chamber has a valve that vents without current. The gate of its transistor has a
+pull-down resistor, so the pin must be high to fill. During a reset all pins are inputs,
+the transistors block, and every chamber vents. The safety of the robot after a reset
+depends on this property of the hardware, not on software.
 """
 
 from machine import ADC, PWM, Pin
@@ -64,7 +68,9 @@ BROKER, PORT = "192.168.1.10", 1883  # an IPv4 address, no name
 USER, PASSWORD = "", ""
 WIFI_NAME, WIFI_PASSWORD = "", ""
 
-WATCHDOG_MS = 1000  # After a hang the chambers vent within this time. ESP32: not below 1000.
+WATCHDOG_MS = (
+    1000  # After a hang the chambers vent within this time. ESP32: not below 1000.
+)
 GRACE_MS = 2000  # Ctrl-C reaches the prompt within this time after a reset, before the watchdog starts.
 
 _SELECT = [Pin(number, Pin.OUT, value=0) for number in (10, 11, 12)]
@@ -107,7 +113,9 @@ class Network:
 
     def keep(self, now):
         """Connect again, every five seconds where there is no connection (now: ms)."""
-        if self._tried is not None and (now - self._tried < 5000 or self._wlan.isconnected()):
+        if self._tried is not None and (
+            now - self._tried < 5000 or self._wlan.isconnected()
+        ):
             return
         self._tried = now
         try:

@@ -1,25 +1,29 @@
 """Commands and their age: which valve states hold now.
 
-A command carries `t`, the controller's clock. The two clocks are not synchronised, so the age of a command is
-measured against the quickest message of the last ten seconds:
+A command carries `t`, the controller's clock. The two clocks are not synchronised, so
+the age of a command is measured against the quickest message of the last ten seconds:
 
     offset = min over the last 10 s of (arrival - t),    age = arrival - t - offset.
 
-A command holds until its age is 0.2 s. A link that stalls delivers old commands in a burst when it recovers.
-Their `t` rises while their arrival does not, so they are detected:
+A command holds until its age is 0.2 s. A link that stalls delivers old commands in a
+burst when it recovers. Their `t` rises while their arrival does not, so they are
+detected:
 
 - As long as the offset is known, by their age.
-- After a second without a command in time, the offset is forgotten. It counts as known again after 0.3 s and
-  ten messages in which it fell by at most 20 ms. While a link delivers old commands, it falls with every one.
+- After a second without a command in time, the offset is forgotten. It counts as known
+  again after 0.3 s and ten messages in which it fell by at most 20 ms. While a link
+  delivers old commands, it falls with every one.
 
-A delay that stays the same cannot be observed: it is part of the offset. The same holds for old commands that
-arrive at 0.93 to 1.07 times the rate at which they were sent.
+A delay that stays the same cannot be observed: it is part of the offset. The same holds
+for old commands that arrive at 0.93 to 1.07 times the rate at which they were sent.
 """
 
 import json
 
 HOLD_MS = 200  # as docs/live.md says of robots
-FORGET_MS = 1000  # also the largest step of the controller's clock that is taken for jitter
+FORGET_MS = (
+    1000  # also the largest step of the controller's clock that is taken for jitter
+)
 SETTLE_MS = 300
 SETTLED_WITHIN_MS = 20  # one tick of a controller
 SETTLE_MESSAGES = 10  # two bursts of a stalled link are not steady
@@ -32,8 +36,8 @@ _LONGEST_NUMBER = 40
 def decode(payload, segments):
     """Return the time (ms, integer) and the fill shares of the + and - valves (0 vents, 1 fills).
 
-    The states -1 and 1 and duties from 0 to 1 have the same form: max(0, value) is the share of the carrier's
-    period in which the valve fills.
+    The states -1 and 1 and duties from 0 to 1 have the same form: max(0, value) is the
+    share of the carrier's period in which the valve fills.
 
     Args:
         payload: JSON of the message, bytes.
@@ -50,14 +54,21 @@ def decode(payload, segments):
         raise ValueError("no JSON object")
     time = _number(document.get("t"), 1e12)
     sent = _milliseconds(payload)
-    # A text such as {"a": {"t": 5}, "t": 6} has two candidates; JSON says which one counts.
+    # A text such as {"a": {"t": 5}, "t": 6} has two candidates; JSON says which one
+    # counts.
     if abs(time - sent / 1000) > 1e-5 * abs(time) + 2e-3:
         raise ValueError("t is ambiguous")
-    return sent, _shares(document.get("plus"), segments), _shares(document.get("minus"), segments)
+    return (
+        sent,
+        _shares(document.get("plus"), segments),
+        _shares(document.get("minus"), segments),
+    )
 
 
 def _number(value, largest):
-    if type(value) not in (int, float) or not -largest <= value <= largest:  # also refuses NaN
+    if (
+        type(value) not in (int, float) or not -largest <= value <= largest
+    ):  # also refuses NaN
         raise ValueError("a number is needed")
     return value
 
@@ -93,7 +104,8 @@ class SenderClock:
     """Offset between the controller's clock and ours.
 
     Attributes:
-        offset: ours less the controller's plus the least delay, ms; None while there is no message.
+        offset: ours less the controller's plus the least delay, ms; None while there is
+            no message.
         settled: whether the offset counts as known.
     """
 
@@ -105,7 +117,9 @@ class SenderClock:
         """Drop what was measured."""
         self.offset, self.settled = None, False
         self._least = {}  # least difference of each second
-        self._first = None  # (time, difference) of the message since which the offset is steady
+        self._first = (
+            None  # (time, difference) of the message since which the offset is steady
+        )
         self._steady = 0  # messages since
 
     def age(self, sent, now):
@@ -157,7 +171,9 @@ class Commands:
             self.refused += 1
             return False
         offset = self._clock.offset
-        ahead = offset is not None and now - sent < offset - FORGET_MS  # the controller's clock was set
+        ahead = (
+            offset is not None and now - sent < offset - FORGET_MS
+        )  # the controller's clock was set
         if ahead or now - self._in_time > FORGET_MS:
             self._clock.forget()
             self._newest = None

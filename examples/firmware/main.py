@@ -1,12 +1,14 @@
 """Firmware of a pneumatic snake: obeys the newest command that is in time, and vents without one.
 
-Every 20 ms it takes the newest command, sets the valves, feeds the watchdog and publishes `valves`, `bends`
-and, where there are sensors, `pressures`. All chambers vent
+Every 20 ms it takes the newest command, sets the valves, feeds the watchdog and
+publishes `valves`, `bends` and, where there are sensors, `pressures`. All chambers vent
 
 - at start, before anything else;
-- when the newest command is 0.2 s old (`commands.py`): the controller, the broker or the link may be gone;
+- when the newest command is 0.2 s old (`commands.py`): the controller, the broker or
+  the link may be gone;
 - when the loop ends by an error, at once;
-- when the loop hangs, by the watchdog's reset within `board.WATCHDOG_MS` (the hardware's part: `board.py`).
+- when the loop hangs, by the watchdog's reset within `board.WATCHDOG_MS` (the
+  hardware's part: `board.py`).
 """
 
 import board  # isort: skip - the valves vent when this is imported
@@ -28,7 +30,10 @@ def _topic(kind):
 
 
 def _message(now, content):
-    """Return a message as bytes. Its time is written from integers: floats may be of single precision."""
+    """Return a message as bytes.
+
+    Its time is written from integers: floats may be of single precision.
+    """
     fields = ", ".join(f'"{key}": {json.dumps(value)}' for key, value in content)
     return f'{{"t": {now // 1000}.{now % 1000:03d}, {fields}}}'.encode()
 
@@ -49,9 +54,13 @@ class Firmware:
         """Connect to nothing yet; the first tick does."""
         self._uptime, self._commands = Uptime(), Commands(board.SEGMENTS)
         self._client = MqttClient(
-            (board.BROKER, board.PORT), ("srs-" + board.NAME).encode(), _topic("command"),
-            (_topic("status"), b'{"t": 0, "text": "lost"}'), board.USER.encode(), board.PASSWORD.encode(),
-        )  # fmt: skip
+            (board.BROKER, board.PORT),
+            ("srs-" + board.NAME).encode(),
+            _topic("command"),
+            (_topic("status"), b'{"t": 0, "text": "lost"}'),
+            board.USER.encode(),
+            board.PASSWORD.encode(),
+        )
         self._connections = 0
 
     def tick(self, network, watchdog):
@@ -77,7 +86,9 @@ class Firmware:
         pressures = board.pressures()
         if pressures is not None:
             self._send(
-                now, "pressures", [("plus", _rounded(pressures[0])), ("minus", _rounded(pressures[1]))]
+                now,
+                "pressures",
+                [("plus", _rounded(pressures[0])), ("minus", _rounded(pressures[1]))],
             )
         self._client.flush(now)
 

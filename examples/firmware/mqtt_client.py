@@ -1,25 +1,40 @@
 """MQTT 3.1.1 client that never waits for the network.
 
-The common client of MicroPython, `umqtt.simple`, waits in `connect`, in writes to a stalled link and within
-half a message. The valves would hold their state for as long. This client does what is possible at once and
-returns. It knows one subscription and messages without acknowledgement (QoS 0), and no encryption.
+The common client of MicroPython, `umqtt.simple`, waits in `connect`, in writes to a
+stalled link and within half a message. The valves would hold their state for as long.
+This client does what is possible at once and returns. It knows one subscription and
+messages without acknowledgement (QoS 0), and no encryption.
 """
 
 import errno
 import select
 import socket
 
-KEEPALIVE_S = 3  # The broker publishes the will after 1.5 times as long without a message.
+KEEPALIVE_S = (
+    3  # The broker publishes the will after 1.5 times as long without a message.
+)
 LARGEST_BYTES = 2048  # Longer messages are skipped.
 _PING_MS = 1000
-_SILENT_MS = 3000  # Largest time without an answer of the broker; then the client reconnects.
+_SILENT_MS = (
+    3000  # Largest time without an answer of the broker; then the client reconnects.
+)
 _RETRY_MS = 1000
 _READS = 16  # per call of `poll`
 _CHUNK = bytearray(1024)
 _LARGEST_WAITING = 4096  # bytes to send; messages beyond are dropped
-_CONNECT, _CONNACK, _PUBLISH, _SUBSCRIBE, _PING, _DISCONNECT = 0x10, 0x20, 0x30, 0x82, 0xC0, 0xE0
+_CONNECT, _CONNACK, _PUBLISH, _SUBSCRIBE, _PING, _DISCONNECT = (
+    0x10,
+    0x20,
+    0x30,
+    0x82,
+    0xC0,
+    0xE0,
+)
 _CLOSED, _CONNECTING, _GREETED, _READY = range(4)
-_IPPROTO_TCP, _TCP_NODELAY = 6, 1  # MicroPython's socket module does not name them everywhere.
+_IPPROTO_TCP, _TCP_NODELAY = (
+    6,
+    1,
+)  # MicroPython's socket module does not name them everywhere.
 
 
 def _text(content):
@@ -40,7 +55,8 @@ class MqttClient:
 
     Attributes:
         connections: number of times that the broker has accepted us.
-        dropped: number of messages that were not sent, because the link was down or slow.
+        dropped: number of messages that were not sent, because the link was down or
+            slow.
     """
 
     def __init__(self, address, name, subscription, will, user=b"", password=b""):
@@ -48,9 +64,11 @@ class MqttClient:
 
         Args:
             address: (IPv4 address, port) of the broker; looking up a name would wait.
-            name: our name at the broker, bytes; a new connection of this name ends the old one.
+            name: our name at the broker, bytes; a new connection of this name ends the
+                old one.
             subscription: topic to hear, bytes.
-            will: (topic, payload) that the broker publishes if the connection breaks off, bytes.
+            will: (topic, payload) that the broker publishes if the connection breaks
+                off, bytes.
             user: name of the user, bytes; empty for none.
             password: password of that user, bytes.
         """
@@ -59,10 +77,14 @@ class MqttClient:
         flags = 0x06 | (0xC0 if user else 0)  # clean session, will
         self._greeting = _packet(
             _CONNECT,
-            _text(b"MQTT") + bytes([4, flags]) + KEEPALIVE_S.to_bytes(2, "big")
-            + _text(name) + _text(will[0]) + _text(will[1])
+            _text(b"MQTT")
+            + bytes([4, flags])
+            + KEEPALIVE_S.to_bytes(2, "big")
+            + _text(name)
+            + _text(will[0])
+            + _text(will[1])
             + (_text(user) + _text(password) if user else b""),
-        )  # fmt: skip
+        )
         self._subscribing = _packet(_SUBSCRIBE, b"\0\1" + _text(subscription) + b"\0")
         self._socket, self._retry = None, 0
         self._reset(0)
@@ -133,7 +155,9 @@ class MqttClient:
         self._state = _CONNECTING
         self._poller = select.poll()
         try:
-            self._socket.connect(socket.getaddrinfo(self._address[0], self._address[1])[0][-1])
+            self._socket.connect(
+                socket.getaddrinfo(self._address[0], self._address[1])[0][-1]
+            )
         except OSError as error:
             if error.errno != errno.EINPROGRESS:
                 raise

@@ -6,9 +6,10 @@ import time
 class Uptime:
     """Clock that counts up from zero.
 
-    Ticks return to zero after 2^30 ms (12.4 days). Their difference is right as long as `ms` is called
-    every 6 days. The sum of the differences is an integer of any size and never a float: most
-    microcontrollers have single precision, which resolves 31 ms after 5 days.
+    Ticks return to zero after 2^30 ms (12.4 days). Their difference is right as long as
+    `ms` is called every 6 days. The sum of the differences is an integer of any size
+    and never a float: most microcontrollers have single precision, which resolves 31 ms
+    after 5 days.
     """
 
     def __init__(self, ticks=time.ticks_ms, difference=time.ticks_diff):

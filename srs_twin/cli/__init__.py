@@ -27,29 +27,37 @@ if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
 _GC_THRESHOLD = 200_000
-"""Number of new objects between collections of garbage. With Python's default of 700, collections take a
-sixth of the processor time of `compare`; with this number, memory grows by 3 %."""
+"""Number of new objects between collections of garbage.
+
+With Python's default of 700, collections take a sixth of the processor time of
+`compare`; with this number, memory grows by 3 %."""
 
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
-# File errors that no earlier check can exclude: a name that is too long, a full or read-only disk, missing
-# permission, a defective medium. A missing file, or a folder in place of a file, remains an internal error.
+# File errors that no earlier check can exclude: a name that is too long, a full or
+# read-only disk, missing permission, a defective medium. A missing file, or a folder in
+# place of a file, remains an internal error.
 _FILE_SYSTEM_ERRORS = "ENAMETOOLONG EROFS ENOSPC EDQUOT EACCES EPERM ELOOP EIO".split()
 
 
 def main(argv: list[str] | None = None) -> None:
     """Run `srs-twin` and exit the process with its exit code.
 
-    Exit codes: 0 success; 1 an expectation failed under ``--check``; 2 invalid input; 3 a simulation
-    diverged; 4 internal error; 130 interrupted. Messages are printed on stderr, results on stdout. A pipe
-    that its reader closes (``| head -1``) neither stops the command nor changes the exit code.
+    Exit codes: 0 success; 1 an expectation failed under ``--check``; 2 invalid input; 3
+    a simulation diverged; 4 internal error; 130 interrupted. Messages are printed on
+    stderr, results on stdout. A pipe that its reader closes (``| head -1``) neither
+    stops the command nor changes the exit code.
 
     Args:
         argv: arguments after the program name; default: those of this process.
     """
-    sys.stdout, sys.stderr = _without_broken_pipes(sys.stdout), _without_broken_pipes(sys.stderr)
+    sys.stdout, sys.stderr = (
+        _without_broken_pipes(sys.stdout),
+        _without_broken_pipes(sys.stderr),
+    )
     gc.set_threshold(_GC_THRESHOLD)
-    # Without objects to collect, the interpreter ends 0.7 s earlier; the system frees their memory anyway.
+    # Without objects to collect, the interpreter ends 0.7 s earlier; the system frees
+    # their memory anyway.
     atexit.register(gc.freeze)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
@@ -73,15 +81,24 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except Exception as error:  # last resort: an unexpected error becomes one line and exit code 4
+    except (
+        Exception
+    ) as error:  # last resort: an unexpected error becomes one line and exit code 4
         if _is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
         code = errno.errorcode.get(getattr(error, "errno", None) or 0)
-        if isinstance(error, OSError) and error.filename and code in _FILE_SYSTEM_ERRORS:
+        if (
+            isinstance(error, OSError)
+            and error.filename
+            and code in _FILE_SYSTEM_ERRORS
+        ):
             say(f"{os.fsdecode(error.filename)}: cannot be used ({error.strerror})")
             sys.exit(InputError.exit_code)
-        say(f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the traceback")
+        say(
+            f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the"
+            " traceback"
+        )
         sys.exit(SrsError.exit_code)
 
 
@@ -95,8 +112,8 @@ def _check_current_folder() -> None:
         os.getcwd()
     except OSError as error:
         raise InputError(
-            f"cannot use the current folder ({error.strerror}); it may have been removed: "
-            "change to another folder"
+            f"cannot use the current folder ({error.strerror}); it may have been"
+            " removed: change to another folder"
         ) from error
 
 
@@ -118,8 +135,8 @@ class _StandardStream(io.FileIO):
             return super().write(data)
         except OSError as error:
             null = os.open(os.devnull, os.O_WRONLY)
-            # Replace the descriptor itself, so that later writes by libraries, child processes and the
-            # interpreter's shutdown also succeed.
+            # Replace the descriptor itself, so that later writes by libraries, child
+            # processes and the interpreter's shutdown also succeed.
             os.dup2(null, self.fileno())
             os.close(null)
             if isinstance(error, BrokenPipeError):
@@ -130,14 +147,20 @@ class _StandardStream(io.FileIO):
 
 def _without_broken_pipes(stream: TextIO) -> TextIO:
     """Wrap a standard stream of the process in a `_StandardStream`; return any other stream unchanged."""
-    if not isinstance(stream, io.TextIOWrapper) or stream not in (sys.__stdout__, sys.__stderr__):
+    if not isinstance(stream, io.TextIOWrapper) or stream not in (
+        sys.__stdout__,
+        sys.__stderr__,
+    ):
         return stream
     stream.flush()
     file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
     options = {
-        name: getattr(stream, name) for name in ("encoding", "errors", "line_buffering", "write_through")
+        name: getattr(stream, name)
+        for name in ("encoding", "errors", "line_buffering", "write_through")
     }
-    return io.TextIOWrapper(file if stream.write_through else io.BufferedWriter(file), **options)
+    return io.TextIOWrapper(
+        file if stream.write_through else io.BufferedWriter(file), **options
+    )
 
 
 def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:

@@ -19,8 +19,8 @@ from srs_twin.cli.run import compare, run
 from srs_twin.cli.view import play, render, view
 from srs_twin.extensions import COMMANDS, objects
 
-# Help and usage errors are plain text: the boxes of rich break file names across lines, and its import would
-# double the duration of `--help`.
+# Help and usage errors are plain text: the boxes of rich break file names across lines,
+# and its import would double the duration of `--help`.
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
@@ -42,14 +42,45 @@ _CORE_COMMANDS = {
     "new": new.app,
 }
 _HELP_ORDER = (
-    *("list", "show", "inspect", "run", "compare", "plan", "replay", "sweep", "optimize", "uncertainty"),
-    *("reproduce", "view", "play", "emulate", "shadow", "render", "export", "diff", "schema", "doctor"),
+    *(
+        "list",
+        "show",
+        "inspect",
+        "run",
+        "compare",
+        "plan",
+        "replay",
+        "sweep",
+        "optimize",
+        "uncertainty",
+    ),
+    *(
+        "reproduce",
+        "view",
+        "play",
+        "emulate",
+        "shadow",
+        "render",
+        "export",
+        "diff",
+        "schema",
+        "doctor",
+    ),
     *("calibrate", "models", "new"),
 )
 """Order of the commands in the help; other commands come last."""
 
 
-_WITHOUT_PLUGINS = ("view", "render", "diff", "export", "schema", "doctor", "reproduce", "emulate")
+_WITHOUT_PLUGINS = (
+    "view",
+    "render",
+    "diff",
+    "export",
+    "schema",
+    "doctor",
+    "reproduce",
+    "emulate",
+)
 """Commands that read finished runs or no files of the user; they never import parts from outside."""
 
 
@@ -60,7 +91,11 @@ def _add_commands() -> None:
         if isinstance(commands[name], typer.Typer):
             app.add_typer(commands[name], name=name)
         else:
-            app.command(name)(expand_option_groups(commands[name], plugins=name not in _WITHOUT_PLUGINS))
+            app.command(name)(
+                expand_option_groups(
+                    commands[name], plugins=name not in _WITHOUT_PLUGINS
+                )
+            )
 
 
 _add_commands()
@@ -80,9 +115,14 @@ def _print_version(requested: bool) -> None:
 
 @app.callback()
 def options(
-    debug: Annotated[bool, option("--debug", f"Show the traceback of an error (or set {DEBUG}=1).")] = False,
+    debug: Annotated[
+        bool, option("--debug", f"Show the traceback of an error (or set {DEBUG}=1).")
+    ] = False,
     version: Annotated[
-        bool, option("--version", "Print the version.", callback=_print_version, is_eager=True)
+        bool,
+        option(
+            "--version", "Print the version.", callback=_print_version, is_eager=True
+        ),
     ] = False,
 ) -> None:
     """Simulate a soft robotic snake: equal valve commands drive an analytical model and a MuJoCo twin.

@@ -23,7 +23,8 @@ class CaseResult:
     """Result of a case, small enough to be sent between processes.
 
     Attributes:
-        run: results without trajectories; None after invalid input or the death of a worker process.
+        run: results without trajectories; None after invalid input or the death of a
+            worker process.
         errors: errors that stopped the run or one of its plants.
         wall_s: wall time, s.
     """
@@ -80,5 +81,8 @@ class Case:
         """Return the result as JSON data: `metrics.json` or the errors."""
         result = self.result or CaseResult(None)
         if result.errors:
-            return {"scenario": self.name, "errors": [str(error) for error in result.errors]}
+            return {
+                "scenario": self.name,
+                "errors": [str(error) for error in result.errors],
+            }
         return result.metrics

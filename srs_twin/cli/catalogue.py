@@ -22,7 +22,9 @@ _PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
 """Kinds that are printed without an argument."""
 
 _BEGINNING = {
-    "gen2_straight": "crawl straight ahead; both plants, their difference and its cause",
+    "gen2_straight": (
+        "crawl straight ahead; both plants, their difference and its cause"
+    ),
     "gen2_turn": "turn, and see where the plants differ",
     "follow_fig57": "plan a path among obstacles and follow it",
     "ilc_straight": "learn to crawl straight with unequal modules",
@@ -43,7 +45,12 @@ _GROUPS = {
 }
 """Title of a group of scenarios → pattern of their names."""
 
-_FILE_KINDS = {"scenarios": "scenario", "robots": "robot", "sweeps": "sweep", "studies": "study"}
+_FILE_KINDS = {
+    "scenarios": "scenario",
+    "robots": "robot",
+    "sweeps": "sweep",
+    "studies": "study",
+}
 
 
 def list_(
@@ -53,13 +60,18 @@ def list_(
     """List scenarios, six to begin with, and all other names.
 
     Options:
-        kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies. [default: all but
-            metrics]
+        kind: Kind: scenarios, robots, sweeps, controllers, metrics or studies.
+            [default: all but metrics]
     """
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
     if as_json:
-        print_json({name: list(_rows(name)) for name in (_DEFAULT_KINDS if kind is None else (kind,))})
+        print_json(
+            {
+                name: list(_rows(name))
+                for name in (_DEFAULT_KINDS if kind is None else (kind,))
+            }
+        )
         return
     for name in _PRINTED_KINDS if kind is None else (kind,):
         rows = list(_rows(name))
@@ -68,23 +80,34 @@ def list_(
         else:
             _print_rows(name.capitalize(), rows)
     if kind is None:
-        hint = "`srs-twin list metrics` lists the metrics, `srs-twin show NAME` the values of a file."
+        hint = (
+            "`srs-twin list metrics` lists the metrics, `srs-twin show NAME` the values"
+            " of a file."
+        )
         print(as_started(hint))
 
 
 def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
     """Print the scenarios to begin with, then all scenarios by group."""
     beginning = [{"name": name, "title": text} for name, text in _BEGINNING.items()]
-    _print_rows(f"Scenarios to begin with ({launcher()}srs-twin compare NAME)", beginning)
+    _print_rows(
+        f"Scenarios to begin with ({launcher()}srs-twin compare NAME)", beginning
+    )
     for title, group in scenario_groups(rows).items():
         _print_rows(f"Scenarios: {title} ({len(group)})", group)
 
 
-def scenario_groups(rows: Iterable[Mapping[str, str]]) -> dict[str, list[Mapping[str, str]]]:
+def scenario_groups(
+    rows: Iterable[Mapping[str, str]],
+) -> dict[str, list[Mapping[str, str]]]:
     """Return title of a group → its scenarios; scenarios that fit no group are in "other"."""
     groups: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
-        titles = (title for title, pattern in _GROUPS.items() if re.fullmatch(pattern, row["name"]))
+        titles = (
+            title
+            for title, pattern in _GROUPS.items()
+            if re.fullmatch(pattern, row["name"])
+        )
         groups.setdefault(next(titles, "other"), []).append(row)
     return {title: groups[title] for title in (*_GROUPS, "other") if title in groups}
 
@@ -95,9 +118,13 @@ def _print_rows(heading: str, rows: Sequence[Mapping[str, str]]) -> None:
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)][:-1]
     print(heading)
     for row in cells:
-        begin = "  " + "".join(f"{text:<{width}}  " for text, width in zip(row, widths, strict=False))
+        begin = "  " + "".join(
+            f"{text:<{width}}  " for text, width in zip(row, widths, strict=False)
+        )
         rest = " " * len(begin)
-        for line in textwrap.wrap(begin + row[-1], console().width, subsequent_indent=rest):
+        for line in textwrap.wrap(
+            begin + row[-1], console().width, subsequent_indent=rest
+        ):
             print(line)
     print()
 
@@ -133,7 +160,8 @@ def show(
     Default values are included. Pages are those of the documentation.
 
     Options:
-        name: Shipped scenario or robot, a scenario or robot file, or a page such as docs/models.md.
+        name: Shipped scenario or robot, a scenario or robot file, or a page such as
+            docs/models.md.
     """
     page = name.partition("#")[0]
     if page.endswith(".md"):
@@ -153,11 +181,19 @@ def show(
         text = f"{format_path(loc)}: {_text(value)}"
         if isinstance(value, Mapping):
             unit = "" if value["unit"] == "1" else f" {value['unit']}"
-            text = f"{format_path(loc)}: {_text(value['value'])}{unit}; {value['status']}: {value['source']}"
-            if prior := {k: v for k, v in value.get("uncertain", {}).items() if k != "source"}:
+            text = (
+                f"{format_path(loc)}: {_text(value['value'])}{unit}; {value['status']}:"
+                f" {value['source']}"
+            )
+            if prior := {
+                k: v for k, v in value.get("uncertain", {}).items() if k != "source"
+            }:
                 text += f"; uncertain: {' '.join(map(_text, prior.values()))}"
         for line in textwrap.wrap(
-            escape_unprintable(text), width, subsequent_indent="    ", break_long_words=False
+            escape_unprintable(text),
+            width,
+            subsequent_indent="    ",
+            break_long_words=False,
         ):
             print(line)
 
@@ -189,14 +225,20 @@ def is_robot(name: str) -> bool:
         return document.get("geometry") is not None or document.get("base") is not None
     robots, scenarios = shipped_names("robot"), shipped_names("scenario")
     if name not in (*robots, *scenarios):
-        raise UnknownNameError("scenario or robot", name, (*scenarios, *robots), "`srs-twin list`")
+        raise UnknownNameError(
+            "scenario or robot", name, (*scenarios, *robots), "`srs-twin list`"
+        )
     return name in robots
 
 
-def _leaves(data: Any, loc: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+def _leaves(
+    data: Any, loc: tuple[str | int, ...] = ()
+) -> Iterator[tuple[tuple[str | int, ...], Any]]:
     """Yield path and value of each leaf; a value with unit and source counts as one leaf."""
     is_block = isinstance(data, Mapping) and "unit" not in data
-    if is_block or (isinstance(data, list) and any(isinstance(item, Mapping) for item in data)):
+    if is_block or (
+        isinstance(data, list) and any(isinstance(item, Mapping) for item in data)
+    ):
         for key, value in data.items() if is_block else enumerate(data):
             yield from _leaves(value, (*loc, key))
     else:
@@ -215,7 +257,9 @@ def schema(
     Options:
         kind: Kind of document: scenario, sweep, study, setup or inspect.
     """
-    schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(SCHEMAS)
+    schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(
+        SCHEMAS
+    )
     if kind not in schemas:
         raise UnknownNameError("kind of file", kind, schemas)
     print_json(load(schemas[kind])())

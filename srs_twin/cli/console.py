@@ -37,14 +37,16 @@ def launcher() -> str:
     """Return what the user typed in front of `srs-twin`: "uv run ", "uvx " or nothing."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:  # set by `uv run`
         return "uv run "
-    # `uvx` sets only UV, which a user may set as well; its environments are in uv's archive.
+    # `uvx` sets only UV, which a user may set as well; its environments are in uv's
+    # archive.
     return "uvx " if "UV" in os.environ and "archive-v" in sys.prefix else ""
 
 
 def as_started(text: str) -> str:
     """Return a message whose commands in backticks begin as this command was started.
 
-    In an installed wheel, the pages of the documentation become commands that print them.
+    In an installed wheel, the pages of the documentation become commands that print
+    them.
     """
     if data_root().name == "_data":
         text = _PAGE.sub(r"`srs-twin show \g<0>`", text)
@@ -57,10 +59,16 @@ def say(*lines: str, quiet: bool = False) -> None:
     Commands in backticks are printed as this command was started; see `as_started`.
     """
     for line in () if quiet else lines:
-        print(escape_unprintable(as_started(line), keep="\n\t"), file=sys.stderr, flush=True)
+        print(
+            escape_unprintable(as_started(line), keep="\n\t"),
+            file=sys.stderr,
+            flush=True,
+        )
 
 
-def handle_signals(handler: Callable[[int, FrameType | None], object], *signals: int) -> None:
+def handle_signals(
+    handler: Callable[[int, FrameType | None], object], *signals: int
+) -> None:
     """Install a handler for signals, except for those that the caller ignores, as `nohup` ignores SIGHUP."""
     for number in signals:
         if signal.getsignal(number) != signal.SIG_IGN:
@@ -74,7 +82,8 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     Args:
         message: the message; by default the notes of the interrupt.
     """
-    # Pipelines cancel jobs with SIGTERM. A signal that the caller ignores stays ignored.
+    # Pipelines cancel jobs with SIGTERM. A signal that the caller ignores stays
+    # ignored.
     handled = threading.current_thread() is threading.main_thread()
     handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if handled:
@@ -83,7 +92,13 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
         yield
     except KeyboardInterrupt as interrupt:
         text = message if isinstance(message, str) else message()
-        say("; ".join(filter(None, ["interrupted", text, *getattr(interrupt, "__notes__", ())])))
+        say(
+            "; ".join(
+                filter(
+                    None, ["interrupted", text, *getattr(interrupt, "__notes__", ())]
+                )
+            )
+        )
         raise SystemExit(INTERRUPTED) from None
     finally:
         if handled:
@@ -96,12 +111,16 @@ def console() -> Console:
 
     class Plain(rich.console.Console):
         def render_str(self, text: str, **options: Any) -> Text:
-            return super().render_str(escape_unprintable(text, keep="\n\t"), **options | {"markup": False})
+            return super().render_str(
+                escape_unprintable(text, keep="\n\t"), **options | {"markup": False}
+            )
 
     return Plain(file=sys.stdout, highlight=False, emoji=False)
 
 
-def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = None) -> Table:
+def new_table(
+    *headings: str, left: Collection[int] = (0,), title: str | None = None
+) -> Table:
     """Return an empty table whose columns do not wrap.
 
     Args:
@@ -113,10 +132,16 @@ def new_table(*headings: str, left: Collection[int] = (0,), title: str | None = 
     from rich.table import Table
 
     table = Table(
-        title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True
+        title=title,
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        collapse_padding=True,
     )
     for i, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if i in left else "right", no_wrap=True)
+        table.add_column(
+            heading, justify="left" if i in left else "right", no_wrap=True
+        )
     return table
 
 
@@ -188,12 +213,16 @@ class Display(ABC):
             title_column = TextColumn("{task.description}", markup=False)
             status_column = TextColumn("{task.fields[status]}", markup=False)
             columns = (title_column, BarColumn(), status_column, TimeRemainingColumn())
-            self._progress = Progress(*columns, console=Console(stderr=True), transient=True)
+            self._progress = Progress(
+                *columns, console=Console(stderr=True), transient=True
+            )
             self._progress.start()
         title, fraction, status = self._bar()
         if title not in self._bars:
             total = None if fraction is None else 1.0
-            self._bars[title] = self._progress.add_task(title, total=total, status=status)
+            self._bars[title] = self._progress.add_task(
+                title, total=total, status=status
+            )
         self._progress.update(self._bars[title], completed=fraction, status=status)
 
 
@@ -205,7 +234,12 @@ class RunCounter(Display):
     """
 
     def __init__(
-        self, title: str, total: int, *, quiet: bool = False, status: Callable[[], str] = str
+        self,
+        title: str,
+        total: int,
+        *,
+        quiet: bool = False,
+        status: Callable[[], str] = str,
     ) -> None:
         """Create a counter; `status` returns additional text for each update."""
         super().__init__(title, quiet=quiet)
@@ -256,10 +290,17 @@ class RunCounter(Display):
 
     def _line(self) -> str:
         remaining_s = max(self.total - self._done, 0) / self._rate()
-        return f"{self.title}: {self._done} of {self.total}{self._rate_text()}, {remaining_s:.0f} s left"
+        return (
+            f"{self.title}: {self._done} of {self.total}{self._rate_text()},"
+            f" {remaining_s:.0f} s left"
+        )
 
     def _bar(self) -> tuple[str, float, str]:
-        return self.title, self._done / self.total, f"{self._done}/{self.total}{self._rate_text()}"
+        return (
+            self.title,
+            self._done / self.total,
+            f"{self._done}/{self.total}{self._rate_text()}",
+        )
 
 
 class ScenarioProgress(Display):
@@ -275,11 +316,16 @@ class ScenarioProgress(Display):
     def __enter__(self) -> Self:
         from srs_twin.compute.compiled import notify_first_compilation
 
-        text = f"{self.title}: compiling the kernels for this machine (only once, about 30 s)"
+        text = (
+            f"{self.title}: compiling the kernels for this machine (only once, about"
+            " 30 s)"
+        )
         notify_first_compilation(lambda: say(text, quiet=self._quiet))
         return super().__enter__()
 
-    def __call__(self, stage: str, fraction: float, remaining_s: float | None = None) -> None:
+    def __call__(
+        self, stage: str, fraction: float, remaining_s: float | None = None
+    ) -> None:
         """Update the completed fraction of a stage, 0 to 1; show a stage that is estimated to be long."""
         is_new, self._stage = stage != self._stage, stage
         self._fraction, self._remaining_s = fraction, remaining_s
@@ -287,7 +333,11 @@ class ScenarioProgress(Display):
         self._show(now=is_long)
 
     def _status(self) -> str:
-        left = "" if self._remaining_s is None else f", about {self._remaining_s:.0f} s left"
+        left = (
+            ""
+            if self._remaining_s is None
+            else f", about {self._remaining_s:.0f} s left"
+        )
         return f"{self._fraction:.0%}{left}"
 
     def _line(self) -> str:

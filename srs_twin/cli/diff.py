@@ -34,8 +34,9 @@ def diff(
 ) -> None:
     """Compare two sets of results value by value.
 
-    The exit code is 1 if a value differs by more than its tolerance. A and B are results of `run`, `compare`,
-    `replay`, `sweep` or `reproduce`: metrics.json, results.parquet, reproduce.json, or folders of such files.
+    The exit code is 1 if a value differs by more than its tolerance. A and B are
+    results of `run`, `compare`, `replay`, `sweep` or `reproduce`: metrics.json,
+    results.parquet, reproduce.json, or folders of such files.
 
     Options:
         a: Reference results: a folder or a file.
@@ -45,7 +46,11 @@ def diff(
         --tolerances FILE: YAML file with tolerances per metric (see docs/ci.md).
         --junit FILE: Write a JUnit XML report of the differences.
     """
-    from srs_twin.comparison.diff import Tolerances, diff as compare_results, load_tolerances
+    from srs_twin.comparison.diff import (
+        Tolerances,
+        diff as compare_results,
+        load_tolerances,
+    )
     from srs_twin.errors import InputError
     from srs_twin.io.files import check_output_folder
 
@@ -53,10 +58,16 @@ def diff(
     if report is not None:
         check_output_folder(report.parent, (report.name,), option="--junit")
     allowed = load_tolerances(tolerances) if tolerances else Tolerances()
-    overrides = {name: value for name, value in (("rel", rel), ("abs", abs_)) if value is not None}
+    overrides = {
+        name: value
+        for name, value in (("rel", rel), ("abs", abs_))
+        if value is not None
+    }
     for name, value in overrides.items():
         if not 0 <= value < float("inf"):
-            raise InputError(f"--{name} {value:g} is not allowed; it must be finite and not negative")
+            raise InputError(
+                f"--{name} {value:g} is not allowed; it must be finite and not negative"
+            )
     difference = compare_results(a, b, allowed.model_copy(update=overrides))
     for package, (old, new) in difference.versions.items():
         say(f"different versions of {package}: {old} → {new}")
@@ -78,7 +89,10 @@ def _show(difference: Difference) -> None:
         title = f"{change.where}{dot and ', '}{plant}"
         if title not in tables:
             tables[title] = new_table("metric", "a", "b", "b − a", "%", title=title)
-            tables[title].columns[0].no_wrap, tables[title].columns[0].overflow = False, "fold"
+            tables[title].columns[0].no_wrap, tables[title].columns[0].overflow = (
+                False,
+                "fold",
+            )
         tables[title].add_row(metric, *_cells(change))
     for table in tables.values():
         console().print(table)
@@ -111,6 +125,14 @@ def _text(value: Leaf, digits: int = 9) -> str:
 def _test_cases(difference: Difference) -> Iterator[TestCase]:
     """Yield one test case per compared run or row; it fails if a value differs."""
     for where in difference.wheres:
-        lines = [f"{m.metric}: {_text(m.a)} → {_text(m.b)}" for m in difference.moved if m.where == where]
-        failure = ("failure", f"{len(lines)} different", "different", "\n".join(lines)) if lines else ()
+        lines = [
+            f"{m.metric}: {_text(m.a)} → {_text(m.b)}"
+            for m in difference.moved
+            if m.where == where
+        ]
+        failure = (
+            ("failure", f"{len(lines)} different", "different", "\n".join(lines))
+            if lines
+            else ()
+        )
         yield TestCase("diff", where, 0.0, *failure)

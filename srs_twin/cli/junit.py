@@ -15,7 +15,8 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# Characters outside XML 1.0: control characters, and the surrogates of file names that are not UTF-8.
+# Characters outside XML 1.0: control characters, and the surrogates of file names that
+# are not UTF-8.
 _INVALID_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
@@ -23,7 +24,8 @@ def report_path(name: str) -> Path:
     """Return the path of a report.
 
     Raises:
-        InputError: the name does not end in .xml; the check prevents overwriting a scenario file by mistake.
+        InputError: the name does not end in .xml; the check prevents overwriting a
+            scenario file by mistake.
     """
     path = Path(name)
     if path.suffix.lower() != ".xml":
@@ -53,7 +55,9 @@ class TestCase(NamedTuple):
     text: str = ""
 
 
-def write_report(path: Path, name: str, suites: Iterable[tuple[str, Iterable[TestCase]]]) -> None:
+def write_report(
+    path: Path, name: str, suites: Iterable[tuple[str, Iterable[TestCase]]]
+) -> None:
     """Write a report atomically.
 
     Args:
@@ -71,8 +75,12 @@ def write_report(path: Path, name: str, suites: Iterable[tuple[str, Iterable[Tes
             names = {"classname": _escape(case.classname), "name": _escape(case.name)}
             test = SubElement(suite, "testcase", names, time=f"{case.wall_s:.3f}")
             if case.outcome:
-                attributes = {"message": _escape(case.message)} | ({"type": case.kind} if case.kind else {})
-                SubElement(test, case.outcome, attributes).text = _escape(case.text) or None
+                attributes = {"message": _escape(case.message)} | (
+                    {"type": case.kind} if case.kind else {}
+                )
+                SubElement(test, case.outcome, attributes).text = (
+                    _escape(case.text) or None
+                )
     for element in (*root, root):
         tests = list(element.iter("testcase"))
         element.set("tests", str(len(tests)))
@@ -85,12 +93,14 @@ def write_report(path: Path, name: str, suites: Iterable[tuple[str, Iterable[Tes
         tree.write(temporary, encoding="utf-8", xml_declaration=True)
 
 
-def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()) -> None:
+def write_junit(
+    path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
+) -> None:
     """Write a report with one suite per scenario, and test cases for its run and its expectations.
 
-    A missed expectation is a failure; a divergence, invalid input or a dead worker process is an error of the
-    test case ``runs``. Expectations that were not reached, are not judged or are known to be missed are
-    skipped.
+    A missed expectation is a failure; a divergence, invalid input or a dead worker
+    process is an error of the test case ``runs``. Expectations that were not reached,
+    are not judged or are known to be missed are skipped.
 
     Args:
         path: file; an existing file is replaced.
@@ -100,7 +110,11 @@ def write_junit(path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
     Raises:
         InputError: the file cannot be written.
     """
-    write_report(path, "srs-twin", [(case.label, _test_cases(case, fails | {"missed"})) for case in cases])
+    write_report(
+        path,
+        "srs-twin",
+        [(case.label, _test_cases(case, fails | {"missed"})) for case in cases],
+    )
 
 
 def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
@@ -108,19 +122,27 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
     if case.result is None:
         run = run._replace(outcome="skipped", message="not finished")
     elif case.result.errors:
-        text, kind = "\n".join(map(str, case.result.errors)), type(case.result.errors[0]).__name__
+        text, kind = (
+            "\n".join(map(str, case.result.errors)),
+            type(case.result.errors[0]).__name__,
+        )
         run = run._replace(outcome="error", message=text, kind=kind, text=text)
     yield run
     metrics = case.result.metrics if case.result else {}
     expected = case.scenario.expect if case.scenario else ()
-    rows = [{"of": expectation.subject, "metric": expectation.metric} for expectation in expected]
+    rows = [
+        {"of": expectation.subject, "metric": expectation.metric}
+        for expectation in expected
+    ]
     # The metrics contain no expectations of plants that did not run.
     rows = metrics["expectations"] if metrics else rows
     counts: Counter[str] = Counter()
     for row in rows:
         name = f"{row['of']} {row['metric']}"
         counts[name] += 1
-        test = TestCase(case.label, f"{name} ({counts[name]})" if counts[name] > 1 else name)
+        test = TestCase(
+            case.label, f"{name} ({counts[name]})" if counts[name] > 1 else name
+        )
         yield (
             _add_outcome(test, row, fails)
             if metrics
@@ -128,19 +150,34 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
         )
 
 
-def _add_outcome(test: TestCase, row: Mapping[str, object], fails: Set[str]) -> TestCase:
+def _add_outcome(
+    test: TestCase, row: Mapping[str, object], fails: Set[str]
+) -> TestCase:
     """Return the test case of an expectation with its outcome."""
     from srs_twin.scenario.expectation import result_text, verdict
 
     state = verdict(row)
     if state in fails:
         remarks = {key: row[key] for key in ("reason", "known") if row.get(key)}
-        values = {"value": row["value"], "allowed": row["allowed"], "source": row["source"] or "ours"}
+        values = {
+            "value": row["value"],
+            "allowed": row["allowed"],
+            "source": row["source"] or "ours",
+        }
         text = "\n".join(f"{key}: {value}" for key, value in (values | remarks).items())
         message = f"{test.name} {result_text(row)}"
-        return test._replace(outcome="failure", message=message, kind="expectation", text=text)
-    skipped = {"known": f"known: {row.get('known')}", "not_judged": f"not judged: {row.get('reason')}"}
-    return test._replace(outcome="skipped", message=skipped[state]) if state in skipped else test
+        return test._replace(
+            outcome="failure", message=message, kind="expectation", text=text
+        )
+    skipped = {
+        "known": f"known: {row.get('known')}",
+        "not_judged": f"not judged: {row.get('reason')}",
+    }
+    return (
+        test._replace(outcome="skipped", message=skipped[state])
+        if state in skipped
+        else test
+    )
 
 
 def _escape(text: str) -> str:

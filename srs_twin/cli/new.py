@@ -21,11 +21,17 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.extensions import LOADERS, allow_plugin, load
 
 app = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Write a new file from a commented template."
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Write a new file from a commented template.",
 )
 
-NameArgument = Annotated[str, argument("NAME", "Name of the file: letters, digits and _.")]
-OutOption = Annotated[str | None, option("--out FILE", "Output file. [default: NAME.yaml, NAME.py]")]
+NameArgument = Annotated[
+    str, argument("NAME", "Name of the file: letters, digits and _.")
+]
+OutOption = Annotated[
+    str | None, option("--out FILE", "Output file. [default: NAME.yaml, NAME.py]")
+]
 
 # Generation 2, the basis for scaling.
 _PITCH_M = 0.055
@@ -61,8 +67,8 @@ class RobotOptions:
         --mass KG: Mass of the whole robot, kg. [default: scaled from generation 2]
         --segments N: Number of segments. [default: generation 2]
         --pressure KPA: Supply pressure (gauge), kPa. [default: generation 2]
-        --bend RAD: Bend of one segment at the supply pressure, or of a joint, rad. [default:
-            1.57; joints 0.6]
+        --bend RAD: Bend of one segment at the supply pressure, or of a joint, rad.
+            [default: 1.57; joints 0.6]
         --skin: A body that slides on its belly, without wheels.
         --servo: Rigid links with servo joints, without air.
     """
@@ -85,16 +91,28 @@ class RobotOptions:
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
         mass = _answer("mass of the robot, kg", self.mass, _default_mass(count, length))
         if self.servo and self.pressure is not None:
-            raise InputError("a robot with servos has no supply; remove --pressure or --servo")
+            raise InputError(
+                "a robot with servos has no supply; remove --pressure or --servo"
+            )
         supply = (
-            _PRESSURE_KPA if self.servo else _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
+            _PRESSURE_KPA
+            if self.servo
+            else _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
         )
-        of = "largest angle of a joint" if self.servo else "bend of one segment at that pressure"
-        bend = _answer(f"{of}, rad", self.bend, _SERVO_BEND_RAD if self.servo else _BEND_RAD)
+        of = (
+            "largest angle of a joint"
+            if self.servo
+            else "bend of one segment at that pressure"
+        )
+        bend = _answer(
+            f"{of}, rad", self.bend, _SERVO_BEND_RAD if self.servo else _BEND_RAD
+        )
         size = RobotSize(count, length, mass, supply, bend)
         for name, number in size._asdict().items():
             if not 0 < number < math.inf:
-                raise InputError(f"--{name} {number:g} is not allowed; it must be positive")
+                raise InputError(
+                    f"--{name} {number:g} is not allowed; it must be positive"
+                )
         return size
 
 
@@ -121,12 +139,20 @@ class RobotSize(NamedTuple):
 
         length = self.segments * _PITCH_M
         mass = _default_mass(self.segments, self.length)
-        usual = {"length": length, "mass": mass, "pressure": _PRESSURE_KPA, "bend": _BEND_RAD}
+        usual = {
+            "length": length,
+            "mass": mass,
+            "pressure": _PRESSURE_KPA,
+            "bend": _BEND_RAD,
+        }
         found = []
         for name, (unit, low, high) in _PLAUSIBLE.items():
             value: float = getattr(self, name)
             if not low <= value / usual[name] <= high:
-                text = f"--{name} {value:g} is in {unit}; scaled from generation 2, it would be"
+                text = (
+                    f"--{name} {value:g} is in {unit}; scaled from generation 2, it"
+                    " would be"
+                )
                 hint = likely_unit(value, unit, usual[name])
                 found.append(f"{text} {usual[name]:.3g} {unit}; {hint}")
         return found
@@ -149,7 +175,9 @@ def _default_mass(segments: int, length: float) -> float:
 _DEFAULT_ROBOT = RobotOptions()
 
 
-def robot(name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOption = None) -> None:
+def robot(
+    name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOption = None
+) -> None:
     """Write a robot file, scaled from generation 2.
 
     On a terminal, the command prompts for values that no option sets.
@@ -159,12 +187,18 @@ def robot(name: NameArgument, options: RobotOptions = _DEFAULT_ROBOT, out: OutOp
 
     values: dict[str, Any] = _robot_values(size, servo=options.servo)
     values["wheels"] = "" if options.skin else _filled("wheels_geometry.txt", values)
-    values["contact"] = _filled("skin_contact.txt" if options.skin else "wheels_contact.txt", values)
+    values["contact"] = _filled(
+        "skin_contact.txt" if options.skin else "wheels_contact.txt", values
+    )
     values["spring"] = "" if options.servo else _filled("pressure_spring.txt", values)
-    values["drive"] = _filled("servo_drive.txt" if options.servo else "pressure_drive.txt", values)
+    values["drive"] = _filled(
+        "servo_drive.txt" if options.servo else "pressure_drive.txt", values
+    )
     title = f"{name}: {size.segments} segments, {size.length:g} m, {size.mass:g} kg"
     doubts = size.doubts()
-    path = _write("robot.yaml", name, out, load_robot, doubts=doubts, title=title, **values)
+    path = _write(
+        "robot.yaml", name, out, load_robot, doubts=doubts, title=title, **values
+    )
     say(*(f"warning: {doubt}" for doubt in doubts))
     _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
 
@@ -181,7 +215,9 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
         "connectors": count + 1,
         "segment": share * scale * _PITCH_M,
         "gap": (1 - share) * scale * _PITCH_M,
-        "segment_source": "width of a joint" if servo else "0.67 of the pitch, as generation 2",
+        "segment_source": (
+            "width of a joint" if servo else "0.67 of the pitch, as generation 2"
+        ),
         "gap_source": "rigid link" if servo else "0.33 of the pitch, as generation 2",
         "track": 0.015 * scale,
         "radius": 0.008 * scale,
@@ -191,9 +227,17 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
         "segment_mass": mass / count,
         "wheel": 0.0015 * scale**3,
         "stiffness": 0.5 * 1e3 * supply * 1e-6 * air / bend**2,
-        "plane": _SERVO_PLANE_RATIO * GRAVITY * mass * length if servo else 0.1 * scale**4,
-        "plane_source": "assumption: a tenth of weight times length" if servo else "scaled from generation 2",
-        "plane_interval": "assumption" if servo else "generations 1 and 4, scaled: 0.7 and 0.3 of it",
+        "plane": (
+            _SERVO_PLANE_RATIO * GRAVITY * mass * length if servo else 0.1 * scale**4
+        ),
+        "plane_source": (
+            "assumption: a tenth of weight times length"
+            if servo
+            else "scaled from generation 2"
+        ),
+        "plane_interval": (
+            "assumption" if servo else "generations 1 and 4, scaled: 0.7 and 0.3 of it"
+        ),
         "plane_damping": "assumption" if servo else "loss factor of silicone",
         "damping": 0.00214 * math.sqrt(scale),
         "loss": 0.021 * math.sqrt(scale),
@@ -223,7 +267,11 @@ def scenario(
     title = f"{name}: straight at {frequency:g} Hz"
     from srs_twin.scenario.loading import load_scenario
 
-    values: dict[str, Any] = {"robot": json.dumps(robot), "frequency": frequency, "duration": duration}
+    values: dict[str, Any] = {
+        "robot": json.dumps(robot),
+        "frequency": frequency,
+        "duration": duration,
+    }
     path = _write("scenario.yaml", name, out, load_scenario, title=title, **values)
     _print_next_command(path, f"srs-twin compare {path}")
 
@@ -239,7 +287,9 @@ def study(
         --scenario SCENARIO: Shipped scenario or scenario file.
     """
     check, title = load(LOADERS["study"]), f"{name}: fastest gait"
-    path = _write("study.yaml", name, out, check, title=title, scenario=json.dumps(scenario))
+    path = _write(
+        "study.yaml", name, out, check, title=title, scenario=json.dumps(scenario)
+    )
     _print_next_command(path, f"srs-twin optimize {path}")
 
 
@@ -252,7 +302,13 @@ def controller(name: NameArgument, out: OutOption = None) -> None:
     module, beside = path.stem, str(path.with_suffix(".yaml"))
     try:
         scenario = _write(
-            "own_controller.yaml", name, beside, load_scenario, cls=cls, module=module, plugin=path
+            "own_controller.yaml",
+            name,
+            beside,
+            load_scenario,
+            cls=cls,
+            module=module,
+            plugin=path,
         )
     except BaseException:
         path.unlink()
@@ -262,7 +318,9 @@ def controller(name: NameArgument, out: OutOption = None) -> None:
 
 
 for _command in (robot, scenario, controller, study):
-    app.command(_command.__name__)(expand_option_groups(_command, plugins=_command is study))
+    app.command(_command.__name__)(
+        expand_option_groups(_command, plugins=_command is study)
+    )
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
@@ -287,7 +345,8 @@ def _write(
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
-            f"{name!r} is not allowed as a name: use letters a to z, digits and _, a letter first"
+            f"{name!r} is not allowed as a name: use letters a to z, digits and _, a"
+            " letter first"
         )
     path = Path(out) if out else Path(f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
@@ -302,7 +361,9 @@ def _write(
         if isinstance(error, InputFileError):
             # Do not name lines of a file that was removed.
             place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
-            raise InputError("\n".join(doubts or [place.sub("", line) for line in error.lines])) from error
+            raise InputError(
+                "\n".join(doubts or [place.sub("", line) for line in error.lines])
+            ) from error
         raise
     return path
 
@@ -310,7 +371,10 @@ def _write(
 def _filled(template: str, values: dict[str, Any]) -> str:
     """Return the text of a template with its values."""
     text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
-    texts = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in values.items()}
+    texts = {
+        key: f"{value:.4g}" if isinstance(value, float) else value
+        for key, value in values.items()
+    }
     return Template(text).substitute(texts)
 
 

@@ -22,8 +22,8 @@ def option(declaration: str, help: str | None = None, **settings: Any) -> Any:
     """Return an option of a command.
 
     Args:
-        declaration: flags and value as the help shows them, "--robot -r ROBOT"; without a value for a switch,
-            "--check".
+        declaration: flags and value as the help shows them, "--robot -r ROBOT"; without
+            a value for a switch, "--check".
         help: help text; default: taken from the docstring, see `expand_option_groups`.
         settings: further settings of `typer.Option`.
     """
@@ -40,43 +40,68 @@ class Bounds(NamedTuple):
     max: float | None = None
 
 
-def argument(metavar: str, help: str | None = None, *, shipped: Sequence[str] = ()) -> Any:
+def argument(
+    metavar: str, help: str | None = None, *, shipped: Sequence[str] = ()
+) -> Any:
     """Return an argument of a command.
 
     Args:
         metavar: name of the argument in the help.
         help: help text, as in `option`.
-        shipped: kinds of shipped files whose names complete the argument in a shell: "scenario", "robot",
-            "sweep".
+        shipped: kinds of shipped files whose names complete the argument in a shell:
+            "scenario", "robot", "sweep".
     """
 
     def complete(incomplete: str) -> list[str]:
         from srs_twin.io.files import shipped_names
 
-        return [name for kind in shipped for name in shipped_names(kind) if name.startswith(incomplete)]
+        return [
+            name
+            for kind in shipped
+            for name in shipped_names(kind)
+            if name.startswith(incomplete)
+        ]
 
-    return typer.Argument(metavar=metavar, help=help, autocompletion=complete if shipped else None)
+    return typer.Argument(
+        metavar=metavar, help=help, autocompletion=complete if shipped else None
+    )
 
 
 def jobs_option(declaration: str) -> Any:
     """Return the option for the number of parallel runs."""
     return option(
-        declaration, "Number of parallel runs; 1: sequential. [default: one per processor]", min=1, max=4096
+        declaration,
+        "Number of parallel runs; 1: sequential. [default: one per processor]",
+        min=1,
+        max=4096,
     )
 
 
 ScenarioArgument = Annotated[
-    str, argument("SCENARIO", "Shipped scenario or scenario file.", shipped=["scenario"])
+    str,
+    argument("SCENARIO", "Shipped scenario or scenario file.", shipped=["scenario"]),
 ]
-RobotArgument = Annotated[str, argument("ROBOT", "Shipped robot or robot file.", shipped=["robot"])]
-OneOutOption = Annotated[str | None, option("--out DIR", "Output folder. [default: runs/SCENARIO]")]
-CheckOption = Annotated[bool, option("--check", "Exit with code 1 if an expectation is missed.")]
+RobotArgument = Annotated[
+    str, argument("ROBOT", "Shipped robot or robot file.", shipped=["robot"])
+]
+OneOutOption = Annotated[
+    str | None, option("--out DIR", "Output folder. [default: runs/SCENARIO]")
+]
+CheckOption = Annotated[
+    bool, option("--check", "Exit with code 1 if an expectation is missed.")
+]
 _STRICT = "Like --check, but expectations marked `known` or not judged also fail."
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
-QuietOption = Annotated[bool, option("--quiet -q", "Print errors only, no table and no progress.")]
+QuietOption = Annotated[
+    bool, option("--quiet -q", "Print errors only, no table and no progress.")
+]
 JobsOption = Annotated[int | None, jobs_option("--jobs -j N")]
-JsonOption = Annotated[bool, option("--json", "Print one JSON document instead of tables.")]
-_PLUGIN = f"Python file whose classes the files may name (repeatable; or set {PLUGINS})."
+JsonOption = Annotated[
+    bool, option("--json", "Print one JSON document instead of tables.")
+]
+_PLUGIN = (
+    f"Python file whose classes the files may name (repeatable; or set {PLUGINS})."
+)
 PluginOption = Annotated[list[str] | None, option("--plugin FILE.py", _PLUGIN)]
 OverwriteOption = Annotated[bool, option("--overwrite", "Replace an existing file.")]
 
@@ -90,8 +115,13 @@ def print_json(document: Any) -> None:
     """Print a JSON document on stdout; NumPy numbers and arrays become Python numbers and lists."""
     import json
 
-    # Write ASCII only: names from foreign files may contain control characters that a terminal would execute.
-    typer.echo(json.dumps(document, indent=2, allow_nan=False, default=lambda value: value.tolist()))
+    # Write ASCII only: names from foreign files may contain control characters that a
+    # terminal would execute.
+    typer.echo(
+        json.dumps(
+            document, indent=2, allow_nan=False, default=lambda value: value.tolist()
+        )
+    )
 
 
 def parse_plants(text: str | None) -> list[str] | None:
@@ -108,7 +138,8 @@ class ChangeOptions:
     """Options that override fields of a scenario.
 
     Options:
-        --set FIELD=VALUE: Override a scenario field, e.g. controller.frequency_hz=1.5 (repeatable).
+        --set FIELD=VALUE: Override a scenario field, e.g. controller.frequency_hz=1.5
+            (repeatable).
         --duration S: Simulated time, s.
         --seed N: Random seed.
     """
@@ -128,9 +159,15 @@ class ChangeOptions:
         changes = []
         for text in self.set or ():
             field, sign, value = text.partition("=")
-            changes.append(Override.parse(f"--set {text}", field.strip() if sign else "", value))
+            changes.append(
+                Override.parse(f"--set {text}", field.strip() if sign else "", value)
+            )
         if self.duration is not None:
-            changes.append(Override.parse(f"--duration {self.duration}", "duration_s", self.duration))
+            changes.append(
+                Override.parse(
+                    f"--duration {self.duration}", "duration_s", self.duration
+                )
+            )
         if self.seed is not None:
             changes.append(Override.parse(f"--seed {self.seed}", "seed", self.seed))
         return changes
@@ -139,20 +176,28 @@ class ChangeOptions:
 NO_CHANGES = ChangeOptions()
 
 
-def expand_option_groups(command: Callable[..., None], *, plugins: bool = False) -> Callable[..., None]:
+def expand_option_groups(
+    command: Callable[..., None], *, plugins: bool = False
+) -> Callable[..., None]:
     """Return a command in the form that typer expects, with all options and help texts.
 
-    With `plugins`, the command has the option ``--plugin``: its files may name parts from outside.
+    With `plugins`, the command has the option ``--plugin``: its files may name parts
+    from outside.
 
-    Typer supports neither groups of options nor options in docstrings. A parameter whose type is a dataclass
-    is therefore replaced by the fields of the dataclass. The section "Options:" in the docstring of the
-    command or of the dataclass declares the options, "--out DIR: Output folder." for the parameter `out`. A
-    parameter that is annotated with `option` or `argument` only has its help text there, by its name.
+    Typer supports neither groups of options nor options in docstrings. A parameter
+    whose type is a dataclass is therefore replaced by the fields of the dataclass. The
+    section "Options:" in the docstring of the command or of the dataclass declares the
+    options, "--out DIR: Output folder." for the parameter `out`. A parameter that is
+    annotated with `option` or `argument` only has its help text there, by its name.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
     keyword = inspect.Parameter.KEYWORD_ONLY
-    groups = {name: kind for name, kind in hints.items() if isinstance(kind, type) and is_dataclass(kind)}
+    groups = {
+        name: kind
+        for name, kind in hints.items()
+        if isinstance(kind, type) and is_dataclass(kind)
+    }
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         members, annotations = [parameter], hints
@@ -163,18 +208,26 @@ def expand_option_groups(command: Callable[..., None], *, plugins: bool = False)
                 options |= _parse_docstring(kind)[1]
         for member in members:
             annotation = _with_option(
-                annotations[member.name], *options.get(member.name.rstrip("_"), ("", ""))
+                annotations[member.name],
+                *options.get(member.name.rstrip("_"), ("", "")),
             )
             parameters.append(member.replace(kind=keyword, annotation=annotation))
     if plugins:
-        parameters.append(inspect.Parameter("plugin", keyword, default=None, annotation=PluginOption))
+        parameters.append(
+            inspect.Parameter("plugin", keyword, default=None, annotation=PluginOption)
+        )
 
     @wraps(command)
     def run(**values: Any) -> None:
         for source in values.pop("plugin", None) or ():
             allow_plugin(source)
         for name, kind in groups.items():
-            values[name] = kind(**{field: values.pop(field) for field in inspect.signature(kind).parameters})
+            values[name] = kind(
+                **{
+                    field: values.pop(field)
+                    for field in inspect.signature(kind).parameters
+                }
+            )
         command(**values)
 
     run.__doc__, run.__annotations__ = description, {}
@@ -186,7 +239,9 @@ def _with_option(annotation: Any, declaration: str, text: str) -> Any:
     """Return the annotation of a parameter with its option, or with the help text of its option."""
     (info,) = getattr(annotation, "__metadata__", (None,))
     if declaration.startswith("-"):
-        return Annotated[annotation, option(declaration, text, **(info._asdict() if info else {}))]
+        return Annotated[
+            annotation, option(declaration, text, **(info._asdict() if info else {}))
+        ]
     if info is not None:
         info.help = info.help or text
     return annotation
@@ -194,8 +249,13 @@ def _with_option(annotation: Any, declaration: str, text: str) -> Any:
 
 def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
     """Return a docstring without its section "Options:", and parameter → declaration and help text."""
-    description, _, section = (inspect.getdoc(documented) or "").partition("\n\nOptions:\n")
-    entries = re.findall(r"^ {4}((?:--)?([\w-]+).*?): (.*(?:\n {8}.*)*)", section, re.MULTILINE)
+    description, _, section = (inspect.getdoc(documented) or "").partition(
+        "\n\nOptions:\n"
+    )
+    entries = re.findall(
+        r"^ {4}((?:--)?([\w-]+).*?): (.*(?:\n {8}.*)*)", section, re.MULTILINE
+    )
     return description, {
-        name.replace("-", "_"): (declaration, " ".join(text.split())) for declaration, name, text in entries
+        name.replace("-", "_"): (declaration, " ".join(text.split()))
+        for declaration, name, text in entries
     }

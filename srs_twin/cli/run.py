@@ -16,7 +16,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli.cases import Case, CaseResult
-from srs_twin.cli.console import RunCounter, ScenarioProgress, interruptible, say, show_traceback
+from srs_twin.cli.console import (
+    RunCounter,
+    ScenarioProgress,
+    interruptible,
+    say,
+    show_traceback,
+)
 from srs_twin.cli.options import (
     NO_CHANGES,
     ChangeOptions,
@@ -79,7 +85,8 @@ def run_case(
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
-        # Drop the trajectories: they are in files, and a worker process should not send them as well.
+        # Drop the trajectories: they are in files, and a worker process should not send
+        # them as well.
         failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
@@ -87,7 +94,13 @@ def run_case(
 
 def failing_verdicts(*, check: bool, strict: bool) -> frozenset[str]:
     """Return the states of expectations (`scenario.expectation.verdict`) that set the exit code to 1."""
-    return frozenset({"missed", "known", "holds", "not_judged"} if strict else {"missed"} if check else ())
+    return frozenset(
+        {"missed", "known", "holds", "not_judged"}
+        if strict
+        else {"missed"}
+        if check
+        else ()
+    )
 
 
 def run_all(
@@ -112,34 +125,44 @@ def run_all(
         out: output folder; several scenarios get one subfolder each.
         fails: states of expectations that set the exit code, see `failing_verdicts`.
         quiet: print errors only.
-        jobs: number of worker processes; 1: run sequentially in this process; default: one per processor.
+        jobs: number of worker processes; 1: run sequentially in this process; default:
+            one per processor.
         junit: file for the results of scenarios and expectations as JUnit XML.
         plants: plants to run; default: those of each scenario.
         explain: add the attribution of the difference between the plants.
         changes: overridden fields of each scenario.
-        as_json: print one document with the results: `metrics.json` of a single scenario, `{"runs": […]}` for
-            several; `{"scenario", "errors"}` for a scenario that failed.
+        as_json: print one document with the results: `metrics.json` of a single
+            scenario, `{"runs": […]}` for several; `{"scenario", "errors"}` for a
+            scenario that failed.
 
     Raises:
-        InputError: the JUnit file or the output folder cannot be written; nothing was simulated.
+        InputError: the JUnit file or the output folder cannot be written; nothing was
+            simulated.
         typer.Exit: the exit code differs from 0.
     """
     from srs_twin.cli.junit import report_path, write_junit
 
     def completed() -> str:
-        folders = [str(case.folder) for case in cases if case.result and case.result.metrics]
+        folders = [
+            str(case.folder) for case in cases if case.result and case.result.metrics
+        ]
         return f"complete runs: {', '.join(folders) or 'none'}"
 
     with ExitStack() as stack, interruptible(completed):
         if junit is not None:
             write = partial(write_junit, report_path(junit), cases, fails)
-            # A first write reports an unusable path early and replaces the report of an earlier run.
+            # A first write reports an unusable path early and replaces the report of an
+            # earlier run.
             write()
             stack.callback(write)
         valid = _load(cases, out, quiet, changes, plants)
-        with closing(_run(valid, partial(run_case, plants=plants, explain=explain), jobs, quiet)) as runs:
+        with closing(
+            _run(valid, partial(run_case, plants=plants, explain=explain), jobs, quiet)
+        ) as runs:
             for case in runs:
-                _report(case, fails=fails, quiet=quiet, as_json=as_json, changes=changes)
+                _report(
+                    case, fails=fails, quiet=quiet, as_json=as_json, changes=changes
+                )
     if as_json:
         documents = [case.document() for case in cases]
         print_json(documents[0] if len(documents) == 1 else {"runs": documents})
@@ -149,8 +172,13 @@ def run_all(
         results = [case.result for case in valid if case.result]
         verdicts = sum((result.verdicts for result in results), Counter())
         left_out = sum(len(result.metrics.get("left_out", ())) for result in results)
-        say(f"expectations: {tally(verdicts)}{f', {left_out} left out' if left_out else ''}")
-    if code := max((case.result.exit_code(fails) for case in cases if case.result), default=0):
+        say(
+            "expectations:"
+            f" {tally(verdicts)}{f', {left_out} left out' if left_out else ''}"
+        )
+    if code := max(
+        (case.result.exit_code(fails) for case in cases if case.result), default=0
+    ):
         raise typer.Exit(code)
 
 
@@ -160,8 +188,8 @@ def make_cases(names: Sequence[str]) -> list[Case]:
 
     sources: list[str] = []
     for name in names:
-        # A shipped scenario takes precedence over a folder of the same name. For names that are too long,
-        # `isdir` returns False, whereas `glob` raises an error.
+        # A shipped scenario takes precedence over a folder of the same name. For names
+        # that are too long, `isdir` returns False, whereas `glob` raises an error.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
         files = sorted(map(str, Path(name).glob("*.yaml"))) if is_folder else []
         sources += files or [name]
@@ -189,7 +217,8 @@ def _load(
             case.folder = base if out and len(cases) == 1 else base / scenario.name
             if case.folder in folders:
                 raise InputError(
-                    f"{case.source}: another scenario is named '{scenario.name}' and uses {case.folder} too"
+                    f"{case.source}: another scenario is named '{scenario.name}' and"
+                    f" uses {case.folder} too"
                 )
             folders.add(case.folder)
     valid = [case for case in cases if case.result is None]
@@ -218,7 +247,10 @@ def _record_input_errors(case: Case) -> Iterator[None]:
 
 
 def _run(
-    cases: Sequence[Case], function: Callable[..., CaseResult], jobs: int | None, quiet: bool
+    cases: Sequence[Case],
+    function: Callable[..., CaseResult],
+    jobs: int | None,
+    quiet: bool,
 ) -> Generator[Case, None, None]:
     """Run cases in this process or in workers; yield a case when it and all previous ones are complete."""
     from srs_twin.compute.workers import processor_count, run_tasks
@@ -238,7 +270,9 @@ def _run(
     ):
         for done in results:
             case = cases[done.number]
-            case.result = done.result or CaseResult(None, (_add_name(case, done.error),))
+            case.result = done.result or CaseResult(
+                None, (_add_name(case, done.error),)
+            )
             counter(failed=bool(case.result.errors))
             with counter.hidden():
                 while yielded < len(cases) and cases[yielded].result is not None:
@@ -254,7 +288,12 @@ def _add_name(case: Case, error: Exception | None) -> SrsError:
 
 
 def _report(
-    case: Case, *, fails: frozenset[str], quiet: bool, as_json: bool, changes: Sequence[Override]
+    case: Case,
+    *,
+    fails: frozenset[str],
+    quiet: bool,
+    as_json: bool,
+    changes: Sequence[Override],
 ) -> None:
     """Print the results and errors of a case."""
     from srs_twin.cli.table import expectation_lines, needs_explanation, show
@@ -267,12 +306,21 @@ def _report(
                 show(result.run)
             say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
             if needs_explanation(result.metrics):
-                overrides = (word for change in changes for word in change.label.split(" ", 1))
-                named = (word for entry in plugins().values() for word in ("--plugin", entry))
+                overrides = (
+                    word for change in changes for word in change.label.split(" ", 1)
+                )
+                named = (
+                    word for entry in plugins().values() for word in ("--plugin", entry)
+                )
                 arguments = shlex.join([case.source, *overrides, *named])
-                say(f"to attribute the difference: `srs-twin compare {arguments} --explain`")
+                say(
+                    f"to attribute the difference: `srs-twin compare {arguments}"
+                    " --explain`"
+                )
         elif fails and not as_json:
-            for line in expectation_lines(result.metrics, fails | {"holds", "not_judged"}):
+            for line in expectation_lines(
+                result.metrics, fails | {"holds", "not_judged"}
+            ):
                 say(line)
     for error in result.errors:
         show_traceback(error)
@@ -324,8 +372,10 @@ def run(
 
     Options:
         scenarios: Shipped scenarios, scenario files, or folders of files.
-        --out DIR: Output folder; several scenarios get one subfolder each. [default: runs/SCENARIO]
-        --plants LIST: Plants to run: analytical, twin or analytical,twin. [default: the scenario's]
+        --out DIR: Output folder; several scenarios get one subfolder each. [default:
+            runs/SCENARIO]
+        --plants LIST: Plants to run: analytical, twin or analytical,twin. [default: the
+            scenario's]
     """
     run_all(
         make_cases(scenarios),

@@ -45,7 +45,13 @@ def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     plants, published_values = metrics["plants"], published(metrics["expectations"])
     lines = [
         [
-            *(metric_title(row.metric), row.unit, *row.values, row.difference, row.per_cent),
+            *(
+                metric_title(row.metric),
+                row.unit,
+                *row.values,
+                row.difference,
+                row.per_cent,
+            ),
             _number(tidy(row.metric, published_values.get(row.metric, (None,))[0])),
         ]
         for row in result_rows(metrics, chosen(plants), _number)
@@ -62,7 +68,11 @@ def show(result: RunResult) -> None:
     print(*textwrap.wrap(headline(result.metrics), terminal.width), "", sep="\n")
     lines, plants = rows(result.metrics), result.metrics["plants"]
     headings = ["metric", "unit", *plants, "difference", "%", "published"]
-    columns = [k for k, _ in enumerate(headings) if k <= len(plants) + 1 or any(line[k] for line in lines)]
+    columns = [
+        k
+        for k, _ in enumerate(headings)
+        if k <= len(plants) + 1 or any(line[k] for line in lines)
+    ]
     title = marked(result.name, result.metrics["changes"])
     table = new_table(*(headings[k] for k in columns), left=(0, 1), title=title)
     table.columns[0].no_wrap = False
@@ -73,17 +83,29 @@ def show(result: RunResult) -> None:
         terminal.print(_attribution_table(result.metrics["attribution"]))
     left_out = left_out_line(result.metrics["left_out"])
     checked = result.metrics["expectations"]
-    heading = [f"expectations of the scenario: {tally(Counter(map(verdict, checked)))}"] if checked else []
-    for text in [*event_lines(result.metrics), *heading, *expectation_lines(result.metrics), *left_out]:
+    heading = (
+        [f"expectations of the scenario: {tally(Counter(map(verdict, checked)))}"]
+        if checked
+        else []
+    )
+    for text in [
+        *event_lines(result.metrics),
+        *heading,
+        *expectation_lines(result.metrics),
+        *left_out,
+    ]:
         hint = as_started(text)
-        for wrapped in textwrap.wrap(hint, terminal.width, subsequent_indent=" " * 7, break_long_words=False):
+        for wrapped in textwrap.wrap(
+            hint, terminal.width, subsequent_indent=" " * 7, break_long_words=False
+        ):
             print(wrapped)
 
 
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return the table of the contributions of the assumptions to the difference.
 
-    Two rows below an average over the orders of switching show the lowest and the highest contribution.
+    Two rows below an average over the orders of switching show the lowest and the
+    highest contribution.
     """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
     # Narrow headings leave room for the names of the assumptions at 80 columns.
@@ -97,7 +119,9 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
         if share["low"] != share["high"]:
             table.add_row("  lowest, any order", *map(_signed, share["low"]))
             table.add_row("  highest, any order", *map(_signed, share["high"]))
-    table.add_row("not explained", *map(_signed, attribution["remainder"]), end_section=True)
+    table.add_row(
+        "not explained", *map(_signed, attribution["remainder"]), end_section=True
+    )
     table.add_row("difference", *map(_signed, attribution["gap"]))
     table.add_row("matched (stiff bends)", *map(_signed, attribution["matched"]))
     for name, change in attribution["damping"].items():
@@ -119,23 +143,39 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
         for plant, events in metrics.get("events", {}).items()
         for event in events
-        # Contacts can be many; the headline names the first, the table their number and duration.
+        # Contacts can be many; the headline names the first, the table their number and
+        # duration.
         if event["kind"] not in CONTACT_EVENTS
     ]
 
 
-def expectation_lines(metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS) -> list[str]:
+def expectation_lines(
+    metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS
+) -> list[str]:
     """Return one line per expectation in these states: value, allowed range and source."""
-    return [_expectation_line(row) for row in metrics["expectations"] if verdict(row) in verdicts]
+    return [
+        _expectation_line(row)
+        for row in metrics["expectations"]
+        if verdict(row) in verdicts
+    ]
 
 
 def needs_explanation(metrics: Mapping[str, Any]) -> bool:
     """Return whether the plants differ more than expected and the attribution is missing."""
-    missed = {row["metric"] for row in metrics["expectations"] if verdict(row) in ("missed", "known")}
+    missed = {
+        row["metric"]
+        for row in metrics["expectations"]
+        if verdict(row) in ("missed", "known")
+    }
     return bool(missed & _EXPLAINABLE) and "attribution" not in metrics
 
 
 def _expectation_line(row: Mapping[str, Any]) -> str:
     source = f" ({row['source']})" if row.get("source") else ""
-    remarks = "".join(f"; {key}: {row[key]}" for key in ("reason", "known") if row.get(key))
-    return f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']} {result_text(row)}{source}{remarks}"
+    remarks = "".join(
+        f"; {key}: {row[key]}" for key in ("reason", "known") if row.get(key)
+    )
+    return (
+        f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']}"
+        f" {result_text(row)}{source}{remarks}"
+    )

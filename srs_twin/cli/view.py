@@ -37,7 +37,8 @@ def view(
     """Open recordings of runs in Rerun.
 
     Options:
-        runs: Run folders, recordings, or names of folders in runs/; several are shown side by side.
+        runs: Run folders, recordings, or names of folders in runs/; several are shown
+            side by side.
         --web: Serve the viewer to a browser on this machine until Ctrl-C.
         --port N: TCP port of the web viewer. [default: free]
     """
@@ -68,7 +69,11 @@ def _serve(recording: Path, port: int) -> None:
         with serve_recordings([recording], port) as (address, serve):
             typer.echo(address)
             sys.stdout.flush()
-            print("open this address in a browser; Ctrl-C ends it", file=sys.stderr, flush=True)
+            print(
+                "open this address in a browser; Ctrl-C ends it",
+                file=sys.stderr,
+                flush=True,
+            )
             serve()
     except KeyboardInterrupt:
         return
@@ -83,14 +88,24 @@ def find_recording(run: str) -> Path:
     Raises:
         InputError: no recording was found.
     """
-    candidates = [Path(run), Path(run) / "recording.rrd", Path("runs") / run / "recording.rrd"]
+    candidates = [
+        Path(run),
+        Path(run) / "recording.rrd",
+        Path("runs") / run / "recording.rrd",
+    ]
     for path in candidates:
         if os.path.isfile(path):
             if path.suffix != ".rrd":
-                raise InputError(f"{path}: not a recording; give a run folder or a file that ends in .rrd")
+                raise InputError(
+                    f"{path}: not a recording; give a run folder or a file that ends in"
+                    " .rrd"
+                )
             return path
     searched = ", ".join(str(path) for path in candidates[1:])
-    raise InputError(f"{run}: no recording found (looked for {searched}); `srs-twin run SCENARIO` writes one")
+    raise InputError(
+        f"{run}: no recording found (looked for {searched}); `srs-twin run SCENARIO`"
+        " writes one"
+    )
 
 
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
@@ -107,7 +122,9 @@ def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
     count = 1
     while len({path.parts[-count:] for path in paths}) < len(paths):
         count += 1
-    return dict(zip(("/".join(path.parts[-count:]) for path in paths), recordings, strict=True))
+    return dict(
+        zip(("/".join(path.parts[-count:]) for path in paths), recordings, strict=True)
+    )
 
 
 def play(
@@ -116,9 +133,9 @@ def play(
 ) -> None:
     """Play a scenario, or steer a robot by keyboard, in MuJoCo.
 
-    Keys: left and right change the offset, up and down the frequency, page up and page down the supply
-    pressure; home resets the offset, space pauses, backspace restarts. The controller of a scenario acts
-    until one of the first six keys is pressed.
+    Keys: left and right change the offset, up and down the frequency, page up and page
+    down the supply pressure; home resets the offset, space pauses, backspace restarts.
+    The controller of a scenario acts until one of the first six keys is pressed.
 
     Options:
         name: Shipped scenario or robot, or a scenario or robot file.
@@ -141,12 +158,16 @@ def play(
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
     # The font of MuJoCo contains only ASCII.
-    snake = LiveSnake(robot, scenario=scenario, modified=changes_text(changes).replace("→", "to"))
+    snake = LiveSnake(
+        robot, scenario=scenario, modified=changes_text(changes).replace("→", "to")
+    )
     with MujocoWindow(snake) as window:
         steer(snake, window)
 
 
-def _changed_robot(name: str, overrides: Sequence[Override]) -> tuple[RobotSpec, Changes]:
+def _changed_robot(
+    name: str, overrides: Sequence[Override]
+) -> tuple[RobotSpec, Changes]:
     """Return a robot with overridden fields, and the changes."""
     from srs_twin.io.documents import Document
     from srs_twin.robot.file import load_robot_file, robot_in
@@ -155,12 +176,16 @@ def _changed_robot(name: str, overrides: Sequence[Override]) -> tuple[RobotSpec,
     document = Document(name, {"robot": name})
     for override in overrides:
         if override.loc[0] != "robot":
-            raise InputError(f"{override.label}: a robot has no scenario; set a field of robot")
+            raise InputError(
+                f"{override.label}: a robot has no scenario; set a field of robot"
+            )
         document.apply(override)
     robot_file = robot_in(document, "robot")
     before = {"robot": load_robot_file(name).model_dump(mode="json")}
     after = {"robot": robot_file.model_dump(mode="json")}
-    return robot_file.spec(), changed_fields(before, after, [override.loc for override in overrides])
+    return robot_file.spec(), changed_fields(
+        before, after, [override.loc for override in overrides]
+    )
 
 
 VIDEO_SUFFIX = ".mp4"
@@ -200,14 +225,23 @@ def render(
         --image t=2.5: Render an image at this time, s.
         --strobe: Render several times in one image from above.
         --ghost: Also draw the analytical model, translucently.
-        --out FILE.png: Output image; with several runs, output folder. [default: the run's folder]
+        --out FILE.png: Output image; with several runs, output folder. [default: the
+            run's folder]
         --size WxH: Width and height, pixels; --strobe uses the width only.
         --fps N: Frame rate of the video, Hz.
         --speed X: Playback speed of the video; 0.25: slow motion.
-        --from S: Start of the video or of the strobe picture, s. [default: start of the run]
+        --from S: Start of the video or of the strobe picture, s. [default: start of the
+            run]
         --to S: End of the video or of the strobe picture, s. [default: end of the run]
     """
-    _check_options(video, image, strobe=strobe, ghost=ghost, out=out, is_cut=(from_, to) != (None, None))
+    _check_options(
+        video,
+        image,
+        strobe=strobe,
+        ghost=ghost,
+        out=out,
+        is_cut=(from_, to) != (None, None),
+    )
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
     usable_opengl()  # before the import of MuJoCo, which fails for an unknown name in MUJOCO_GL
@@ -222,23 +256,30 @@ def render(
     parts: list[Trajectory] = []
     for run in map(load_run, runs):
         is_file = target is not None and target.suffix
-        path = target if target and is_file else (target or run.folder) / f"{run.name}{name_suffix}"
+        path = (
+            target
+            if target and is_file
+            else (target or run.folder) / f"{run.name}{name_suffix}"
+        )
         jobs.append((run, path))
     for run, path in jobs:
         if "twin" not in run.trajectories:
             raise InputError(
-                f"{display_path(run.folder)}: the run contains no twin, and MuJoCo renders only the twin; "
-                "`srs-twin view` shows the analytical model"
+                f"{display_path(run.folder)}: the run contains no twin, and MuJoCo"
+                " renders only the twin; `srs-twin view` shows the analytical model"
             )
         if ghost and _GHOST not in run.trajectories:
             raise InputError(
-                f"{display_path(run.folder)}: the run contains no analytical model; omit --ghost"
+                f"{display_path(run.folder)}: the run contains no analytical model;"
+                " omit --ghost"
             )
         parts.append(_part(run.trajectories["twin"], from_, to))
         check_output_folder(path.parent, (path.name,))
     for (run, path), part in zip(jobs, parts, strict=True):
         with ScenarioProgress(run.name, quiet=quiet) as progress:
-            options: dict[str, Any] = {"progress": partial(progress, "drawing")} if video is not None else {}
+            options: dict[str, Any] = (
+                {"progress": partial(progress, "drawing")} if video is not None else {}
+            )
             options |= {"ghost": (_GHOST, run.trajectories[_GHOST])} if ghost else {}
             write(path, run.scenario, part, **options)
         if not quiet:
@@ -246,7 +287,13 @@ def render(
 
 
 def _check_options(
-    video: str | None, image: str | None, *, strobe: bool, ghost: bool, out: str | None, is_cut: bool
+    video: str | None,
+    image: str | None,
+    *,
+    strobe: bool,
+    ghost: bool,
+    out: str | None,
+    is_cut: bool,
 ) -> None:
     """Check that the options of `render` can be combined.
 
@@ -254,13 +301,19 @@ def _check_options(
         InputError: they contradict each other.
     """
     if sum((video is not None, image is not None, strobe)) != 1:
-        raise InputError("give exactly one of --video FILE.mp4, --image t=2.5 and --strobe")
+        raise InputError(
+            "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"
+        )
     if video is not None and out is not None:
-        raise InputError("--out is for images; --video already names the output of a video")
+        raise InputError(
+            "--out is for images; --video already names the output of a video"
+        )
     if ghost and strobe:
         raise InputError("--ghost needs --video or --image")
     if image is not None and is_cut:
-        raise InputError("--from and --to are for --video and --strobe; --image t=2.5 is at one time")
+        raise InputError(
+            "--from and --to are for --video and --strobe; --image t=2.5 is at one time"
+        )
 
 
 def _target(target: Path, suffix: str, runs: int) -> Path:
@@ -287,8 +340,8 @@ def _part(run: Trajectory, begin: float | None, end: float | None) -> Trajectory
     part = run.between(low, high)
     if len(part) < _MIN_SAMPLES:
         raise InputError(
-            f"--from {low:g} --to {high:g} contains no part of the run, which lasts from {first:g} to "
-            f"{last:g} s"
+            f"--from {low:g} --to {high:g} contains no part of the run, which lasts"
+            f" from {first:g} to {last:g} s"
         )
     return part
 
@@ -312,7 +365,9 @@ def _parse_time(text: str) -> float:
     try:
         return float(text.strip().removeprefix("t="))
     except ValueError as error:
-        raise InputError(f"--image {text}: not a time; give seconds, such as t=2.5") from error
+        raise InputError(
+            f"--image {text}: not a time; give seconds, such as t=2.5"
+        ) from error
 
 
 def _parse_size(text: str) -> Size:
@@ -320,7 +375,9 @@ def _parse_size(text: str) -> Size:
 
     match = re.fullmatch(r"(\d{1,5})[x×](\d{1,5})", text)
     sides = [int(side) for side in match.groups()] if match else []
-    if not sides or not all(_MIN_SIDE_PX <= side <= _MAX_SIDE_PX and side % 2 == 0 for side in sides):
+    if not sides or not all(
+        _MIN_SIDE_PX <= side <= _MAX_SIDE_PX and side % 2 == 0 for side in sides
+    ):
         raise InputError(
             f"--size {text}: give width and height in pixels, such as 1280x720, "
             f"both even and from {_MIN_SIDE_PX} to {_MAX_SIDE_PX}"

@@ -1,8 +1,9 @@
 """Centre line and sides of the body, computed from the recorded connectors.
 
-A trajectory contains the poses of the connectors only (`x_i`, `y_i`, `theta_i`). Between two connectors, a
-segment consists of half its rigid gap, straight along the heading of the front connector, an arc of constant
-curvature, and half the gap along the heading of the rear connector (Fig. 35).
+A trajectory contains the poses of the connectors only (`x_i`, `y_i`, `theta_i`).
+Between two connectors, a segment consists of half its rigid gap, straight along the
+heading of the front connector, an arc of constant curvature, and half the gap along the
+heading of the rear connector (Fig. 35).
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ _MAX_SAMPLES = 200
 """Largest number of samples in which overlaps are searched."""
 
 
-def centre_lines(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
+def centre_lines(
+    trajectory: Trajectory, geometry: Geometry, divisions: int = 8
+) -> Array:
     """Return the centre line of every segment, front first.
 
-    The points are the front connector, the arc with both ends, and the rear connector. The twin bends in a
-    few hinges and not in an exact arc. The resulting distance between the end of the line and the recorded
-    rear connector is distributed evenly along the segment, so that both ends are at their recorded positions.
+    The points are the front connector, the arc with both ends, and the rear connector.
+    The twin bends in a few hinges and not in an exact arc. The resulting distance
+    between the end of the line and the recorded rear connector is distributed evenly
+    along the segment, so that both ends are at their recorded positions.
 
     Args:
         trajectory: trajectory with `x_1…`, `y_1…`, `theta_1…`.
@@ -68,7 +72,9 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -
     arc = front - (front - rear) * np.linspace(0.0, 1.0, divisions + 1)
     headings = np.concatenate([front, arc, rear], axis=2)
     lines = centre_lines(trajectory, geometry, divisions)
-    return offset_to_sides(lines, headings, geometry.width / 2).reshape(len(lines), -1, 2)
+    return offset_to_sides(lines, headings, geometry.width / 2).reshape(
+        len(lines), -1, 2
+    )
 
 
 def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
@@ -89,15 +95,18 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     """Return the largest overlap of two parts of a planar body, m; 0 below a quarter of its width.
 
-    Only the twin in a world with objects has contacts of the body with itself. Compared are points whose
-    distance along the body is over twice its width, in at most 200 of the samples in which the headings of
-    the body span more than π; other bodies cannot touch themselves.
+    Only the twin in a world with objects has contacts of the body with itself. Compared
+    are points whose distance along the body is over twice its width, in at most 200 of
+    the samples in which the headings of the body span more than π; other bodies cannot
+    touch themselves.
     """
     curled = np.flatnonzero(np.ptp(trajectory.stack("theta"), axis=1) > np.pi)
     if trajectory.has("z") or not len(curled):
         return 0.0
     rows = curled[:: -(-len(curled) // _MAX_SAMPLES)]
-    samples = Trajectory({name: column[rows] for name, column in trajectory.columns.items()})
+    samples = Trajectory(
+        {name: column[rows] for name, column in trajectory.columns.items()}
+    )
     lines = centre_lines(samples, geometry).reshape(len(rows), -1, 2)
     steps = np.hypot(*np.moveaxis(np.diff(lines, axis=1), -1, 0))
     along = np.concatenate([np.zeros((len(rows), 1)), np.cumsum(steps, axis=1)], axis=1)
@@ -105,7 +114,9 @@ def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     for line, s in zip(lines, along, strict=True):
         distance = np.hypot(*(line[:, None] - line).transpose(2, 0, 1))
         apart = np.abs(s[:, None] - s) > 2 * geometry.width
-        largest = max(largest, geometry.width - float(distance[apart].min(initial=np.inf)))
+        largest = max(
+            largest, geometry.width - float(distance[apart].min(initial=np.inf))
+        )
     return largest if largest >= _MIN_OVERLAP * geometry.width else 0.0
 
 

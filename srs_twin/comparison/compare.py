@@ -1,9 +1,9 @@
 """Differences between two runs, between a run and a recording, and their attribution to assumptions.
 
-`compare` computes the differences between two runs with the same valve commands. `MeasuredDifference`
-contains the differences between a plant and a recording of the robot, for each signal over time.
-`Attribution` divides the difference between the plants into the contributions of the assumptions in which
-they differ.
+`compare` computes the differences between two runs with the same valve commands.
+`MeasuredDifference` contains the differences between a plant and a recording of the
+robot, for each signal over time. `Attribution` divides the difference between the
+plants into the contributions of the assumptions in which they differ.
 """
 
 from __future__ import annotations
@@ -37,21 +37,25 @@ class Comparison(HtmlResult):
     """Difference of a candidate (the twin) from a reference (the analytical model).
 
     Attributes:
-        metrics: metrics by the names in `COMPARISON_UNITS`. ``com_speed_rel`` is (candidate − reference) /
-            reference, where the speed of the reference is multiplied by ``gap_factor``, which is 1 unless it
-            was requested. ``yaw_rate_abs`` is the magnitude of the difference of the yaw rates.
-            ``shape_rms_m`` is the distance of corresponding connectors with both bodies in their
-            centre-of-mass frames at zero mean heading (Section 3.4.1), root mean square over connectors and
-            time; ``shape_rms_body`` is that divided by the body length of the reference. ``path_rms_m`` is
-            the distance of the centres of mass at equal times. Further metrics are ``bend_rms_rad``,
-            ``bend_rms_rel`` (divided by the root mean square bend of the reference) and ``heading_rms_rad``.
-            A metric is None if a plant has no gait metrics or a denominator is near zero. Spatial snakes also
-            have those of `gait.spatial_differences`.
+        metrics: metrics by the names in `COMPARISON_UNITS`. ``com_speed_rel`` is
+            (candidate − reference) / reference, where the speed of the reference is
+            multiplied by ``gap_factor``, which is 1 unless it was requested.
+            ``yaw_rate_abs`` is the magnitude of the difference of the yaw rates.
+            ``shape_rms_m`` is the distance of corresponding connectors with both bodies
+            in their centre-of-mass frames at zero mean heading (Section 3.4.1), root
+            mean square over connectors and time; ``shape_rms_body`` is that divided by
+            the body length of the reference. ``path_rms_m`` is the distance of the
+            centres of mass at equal times. Further metrics are ``bend_rms_rad``,
+            ``bend_rms_rel`` (divided by the root mean square bend of the reference) and
+            ``heading_rms_rad``. A metric is None if a plant has no gait metrics or a
+            denominator is near zero. Spatial snakes also have those of
+            `gait.spatial_differences`.
         time: compared times, which are those of the reference, shape (T,), s.
         shape_error: root mean square over the connectors at each time, (T,), m.
         path_error: distance of the centres of mass, (T,), m.
         bend_error: candidate − reference, (T, segments), rad.
-        heading_error: candidate − reference, without the whole turns between their first headings, (T,), rad.
+        heading_error: candidate − reference, without the whole turns between their
+            first headings, (T,), rad.
     """
 
     page: ClassVar[str] = "comparison"
@@ -64,31 +68,37 @@ class Comparison(HtmlResult):
     heading_error: np.ndarray
 
 
-def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = False) -> Comparison:
+def compare(
+    reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = False
+) -> Comparison:
     """Compare two runs at equal times.
 
-    If the sample times differ, the candidate is interpolated to those of the reference in the common
-    interval.
+    If the sample times differ, the candidate is interpolated to those of the reference
+    in the common interval.
 
     Args:
         reference: run of the analytical model.
         candidate: run of the twin.
-        gap_factor: whether to compare speeds as in the dissertation, whose model has no rigid gaps: the speed
-            of the reference is multiplied by (l + L_o)/l of the candidate (Section 3.4.2).
+        gap_factor: whether to compare speeds as in the dissertation, whose model has no
+            rigid gaps: the speed of the reference is multiplied by (l + L_o)/l of the
+            candidate (Section 3.4.2).
 
     Raises:
-        InputError: the numbers of connectors differ, the runs have no time in common, columns or metadata are
-            missing or unusable, or a gap factor is requested for a reference that has rigid gaps.
+        InputError: the numbers of connectors differ, the runs have no time in common,
+            columns or metadata are missing or unusable, or a gap factor is requested
+            for a reference that has rigid gaps.
     """
     for trajectory in (reference, candidate):
         check_columns(trajectory, "com_x", "com_y", "heading", "x", "y", "bend")
     _check_connectors(reference, candidate)
     time = _common_times(reference, candidate)
-    (reference_com, reference_heading, reference_position, reference_bend), (com, heading, position, bend) = (
-        _sampled(run, time) for run in (reference, candidate)
-    )
+    (
+        (reference_com, reference_heading, reference_position, reference_bend),
+        (com, heading, position, bend),
+    ) = (_sampled(run, time) for run in (reference, candidate))
 
-    # Unwrapped headings may differ by whole turns although the snakes point in the same direction.
+    # Unwrapped headings may differ by whole turns although the snakes point in the same
+    # direction.
     heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
     shape = in_body_frame(position, com, heading)
@@ -97,7 +107,11 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
     path_error = np.linalg.norm(com - reference_com, axis=-1)
     bend_error = bend - reference_bend
     metrics = {
-        **_gait_differences(reference, candidate, _gap_factor(reference, candidate) if gap_factor else 1.0),
+        **_gait_differences(
+            reference,
+            candidate,
+            _gap_factor(reference, candidate) if gap_factor else 1.0,
+        ),
         "shape_rms_m": rms(distance),
         "shape_rms_body": rms(distance) / body_length(reference),
         "path_rms_m": rms(path_error),
@@ -110,7 +124,9 @@ def compare(reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = 
     return Comparison(metrics, time, shape_error, path_error, bend_error, heading_error)
 
 
-def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) -> np.ndarray:
+def in_body_frame(
+    position: np.ndarray, com: np.ndarray, heading: np.ndarray
+) -> np.ndarray:
     """Transform bodies to their centre-of-mass frame at zero mean heading (Section 3.4.1, Fig. 27).
 
     Args:
@@ -119,7 +135,8 @@ def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) ->
         heading: mean heading, (…), rad.
 
     Returns:
-        Positions of the connectors, shape (…, N, 2), m; x points forward, y to the left.
+        Positions of the connectors, shape (…, N, 2), m; x points forward, y to the
+        left.
     """
     x, y = np.moveaxis(position - com[..., None, :], -1, 0)
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
@@ -129,7 +146,9 @@ def in_body_frame(position: np.ndarray, com: np.ndarray, heading: np.ndarray) ->
 def _sampled(run: Trajectory, time: np.ndarray) -> list[np.ndarray]:
     """Return centre of mass (T, 2), heading (T,), positions (T, N, 2) and bends (T, N − 1) at given times."""
     signals = [run.com, run["heading"], run.position, run.stack("bend")]
-    if len(run) == len(time) and np.allclose(run.time, time, rtol=0, atol=_TIME_ROUNDING_S):
+    if len(run) == len(time) and np.allclose(
+        run.time, time, rtol=0, atol=_TIME_ROUNDING_S
+    ):
         return signals
     return [interpolant(run, values)(time) for values in signals]
 
@@ -146,41 +165,57 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
         counts.append(x)
     if counts[0] != counts[1]:
         raise InputError(
-            f"{label(reference)} has {counts[0]} connectors and {label(candidate)} {counts[1]}; "
-            "only bodies with equally many can be compared"
+            f"{label(reference)} has {counts[0]} connectors and {label(candidate)}"
+            f" {counts[1]}; only bodies with equally many can be compared"
         )
 
 
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     """Return the times of the reference that the candidate covers."""
-    first, last = candidate.time[0] - _TIME_ROUNDING_S, candidate.time[-1] + _TIME_ROUNDING_S
-    common: np.ndarray = reference.time[(reference.time >= first) & (reference.time <= last)]
+    first, last = (
+        candidate.time[0] - _TIME_ROUNDING_S,
+        candidate.time[-1] + _TIME_ROUNDING_S,
+    )
+    common: np.ndarray = reference.time[
+        (reference.time >= first) & (reference.time <= last)
+    ]
     if len(common) == 0:
-        spans = [f"{label(t)} covers {t.time[0]:g} to {t.time[-1]:g} s" for t in (reference, candidate)]
-        raise InputError(f"{spans[0]}, {spans[1]}: no time in common, nothing to compare")
+        spans = [
+            f"{label(t)} covers {t.time[0]:g} to {t.time[-1]:g} s"
+            for t in (reference, candidate)
+        ]
+        raise InputError(
+            f"{spans[0]}, {spans[1]}: no time in common, nothing to compare"
+        )
     return common
 
 
 def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
     if reference.metadata.get("rigid_gap_m"):
         raise InputError(
-            f"{label(reference)} has rigid gaps in its geometry, so the factor (l + L_o)/l would count them "
-            "twice; run it without gaps"
+            f"{label(reference)} has rigid gaps in its geometry, so the factor (l +"
+            " L_o)/l would count them twice; run it without gaps"
         )
     length, gap = segment_lengths(candidate)
     return (length + gap) / length
 
 
-def _gait_differences(reference: Trajectory, candidate: Trajectory, factor: float) -> dict[str, float | None]:
+def _gait_differences(
+    reference: Trajectory, candidate: Trajectory, factor: float
+) -> dict[str, float | None]:
     metrics, reference_metrics = plant_metrics(candidate), plant_metrics(reference)
     own = metrics["com_speed_m_s"]
     if own is None or reference_metrics["com_speed_m_s"] is None:
         return {"com_speed_rel": None, "gap_factor": factor, "yaw_rate_abs": None}
     speed = factor * reference_metrics["com_speed_m_s"]
     return {
-        "com_speed_rel": None if is_near_zero(speed, own, "m/s") else (own - speed) / speed,
+        "com_speed_rel": (
+            None if is_near_zero(speed, own, "m/s") else (own - speed) / speed
+        ),
         "gap_factor": factor,
-        "yaw_rate_abs": abs(metrics["yaw_rate_rad_s"] - reference_metrics["yaw_rate_rad_s"]),
+        "yaw_rate_abs": abs(
+            metrics["yaw_rate_rad_s"] - reference_metrics["yaw_rate_rad_s"]
+        ),
     }
 
 
@@ -201,8 +236,10 @@ class MeasuredDifference:
 
     Attributes:
         comparison: plant minus measurement, see `compare`.
-        only_bends: whether only bends were measured, from which the position of the body is then computed.
-        clamped: whether the heads of plant and robot were clamped, so that neither could travel.
+        only_bends: whether only bends were measured, from which the position of the
+            body is then computed.
+        clamped: whether the heads of plant and robot were clamped, so that neither
+            could travel.
     """
 
     comparison: Comparison
@@ -217,7 +254,9 @@ class MeasuredDifference:
             InputError: as `compare`.
         """
         only_bends = bool(measured.metadata.get("bends_only"))
-        return cls(compare(measured, run), only_bends, run.metadata.get("base") == "clamped")
+        return cls(
+            compare(measured, run), only_bends, run.metadata.get("base") == "clamped"
+        )
 
     @property
     def metrics(self) -> dict[str, float | None]:
@@ -226,15 +265,22 @@ class MeasuredDifference:
         measured = _BEND_METRICS if self.only_bends else measured
         values = self.comparison.metrics
         return {
-            name: values[name.removeprefix(_PREFIX)] if name in measured else None for name in MEASURED_UNITS
+            name: values[name.removeprefix(_PREFIX)] if name in measured else None
+            for name in MEASURED_UNITS
         }
 
     def signals(self) -> dict[str, np.ndarray]:
         """Return the differences over time: distances of shape and path (m), heading and bends (rad)."""
-        bends = {f"bend_{j}_rad": error for j, error in enumerate(self.comparison.bend_error.T, start=1)}
+        bends = {
+            f"bend_{j}_rad": error
+            for j, error in enumerate(self.comparison.bend_error.T, start=1)
+        }
         if self.only_bends:
             return bends
-        distances = {"shape_m": self.comparison.shape_error, "path_m": self.comparison.path_error}
+        distances = {
+            "shape_m": self.comparison.shape_error,
+            "path_m": self.comparison.path_error,
+        }
         return distances | {"heading_rad": self.comparison.heading_error} | bends
 
     @property
@@ -245,14 +291,21 @@ class MeasuredDifference:
     def document(self) -> dict[str, object]:
         """Return the entry of metrics.json: the RMS of each signal over the run and over equal intervals."""
         time = self.comparison.time
-        edges = np.linspace(0, len(time), min(_MAX_INTERVALS, len(time)) + 1).round().astype(int)
+        edges = (
+            np.linspace(0, len(time), min(_MAX_INTERVALS, len(time)) + 1)
+            .round()
+            .astype(int)
+        )
         intervals = list(zip(edges[:-1], edges[1:], strict=True))
         signals = self.signals()
         return {
             "rms": {name: rms(values) for name, values in signals.items()},
             "over_time": {
                 "time_s": [round(float(time[a:b].mean()), 6) for a, b in intervals],
-                **{name: [rms(values[a:b]) for a, b in intervals] for name, values in signals.items()},
+                **{
+                    name: [rms(values[a:b]) for a, b in intervals]
+                    for name, values in signals.items()
+                },
             },
         }
 
@@ -274,10 +327,11 @@ class AssumptionShare:
         name: short name.
         title: description in one line.
         value: contribution to each of `MEASURES`, in that order.
-        low: smallest contribution over the orders in which the assumptions may be switched.
+        low: smallest contribution over the orders in which the assumptions may be
+            switched.
         high: largest contribution over these orders.
-        how: "averaged" over orders or "first" in the order (both in the analytical model), or "refined" in
-            the only plant that has the assumption.
+        how: "averaged" over orders or "first" in the order (both in the analytical
+            model), or "refined" in the only plant that has the assumption.
     """
 
     name: str
@@ -293,17 +347,20 @@ class Attribution:
     """Division of the difference between twin and analytical model into contributions.
 
     Attributes:
-        reference: values of `MEASURES` for the analytical model; 0 for the shape distance.
+        reference: values of `MEASURES` for the analytical model; 0 for the shape
+            distance.
         gap: twin − analytical.
         remainder: part that no assumption explains.
-        matched: difference that remains if both plants have stiff bends and the same friction at the same
-            points.
-        same: assumptions that both plants share in this scenario, so that they explain no difference.
-        shares: contributions of the assumptions; together with the remainder they add up to the gap.
-        window_s: length of the part of the runs, from the start, that all of this refers to, s; None: the
-            whole runs.
-        damping: name of the damping time → change of the gap if the bends of the twin have this damping time,
-            which is an end of its 95 % interval.
+        matched: difference that remains if both plants have stiff bends and the same
+            friction at the same points.
+        same: assumptions that both plants share in this scenario, so that they explain
+            no difference.
+        shares: contributions of the assumptions; together with the remainder they add
+            up to the gap.
+        window_s: length of the part of the runs, from the start, that all of this
+            refers to, s; None: the whole runs.
+        damping: name of the damping time → change of the gap if the bends of the twin
+            have this damping time, which is an end of its 95 % interval.
     """
 
     reference: tuple[float, ...]
@@ -335,6 +392,10 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     before, after = plant_metrics(reference), plant_metrics(candidate)
     names = list(MEASURES)[:-1]
     if any(metrics[name] is None for metrics in (before, after) for name in names):
-        raise ValueError("the difference of a run without whole gait periods cannot be attributed")
+        raise ValueError(
+            "the difference of a run without whole gait periods cannot be attributed"
+        )
     differences = [after[name] - before[name] for name in names]
-    return np.array([*differences, compare(reference, candidate).metrics["shape_rms_m"]])
+    return np.array(
+        [*differences, compare(reference, candidate).metrics["shape_rms_m"]]
+    )

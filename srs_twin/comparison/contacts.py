@@ -1,7 +1,7 @@
 """Contacts of a run with obstacles and objects, and motion of objects.
 
-On a plant that ignores obstacles, such as most analytical models, the body passes through them. Its overlaps
-with them then take the place of contacts.
+On a plant that ignores obstacles, such as most analytical models, the body passes
+through them. Its overlaps with them then take the place of contacts.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ object_moved_m: distance of an object at the end from its place at the start, th
 OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 
 CONTACT, OVERLAP = CONTACT_EVENTS = "contact", "overlap"
-"""Kinds of the events of contacts, and of overlaps on a plant that ignores obstacles."""
+"""Kinds of the events of contacts, and of overlaps on a plant that ignores obstacles.
+"""
 
 TOUCH_N = 1e-3
 """Smallest force of a contact, N; smaller ones are numerical."""
@@ -63,7 +64,12 @@ def touches(trajectory: Trajectory) -> list[Touch]:
         row, connector = np.unravel_index(force[group].argmax(), force[group].shape)
         begin, end = trajectory.time[group[[0, -1]]]
         contacts.append(
-            Touch(float(begin), float(end), float(force[group][row, connector]), int(connector) + 1)
+            Touch(
+                float(begin),
+                float(end),
+                float(force[group][row, connector]),
+                int(connector) + 1,
+            )
         )
     return contacts
 
@@ -73,7 +79,9 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
     events = []
     for touch in touches(trajectory):
         text = f"connector {touch.connector}, at most {touch.force:.2g} N"
-        events.append(Event(touch.begin, CONTACT, text + _duration(touch.begin, touch.end)))
+        events.append(
+            Event(touch.begin, CONTACT, text + _duration(touch.begin, touch.end))
+        )
     for group in _spells(trajectory) if ignores_obstacles(trajectory) else ():
         begin, end = map(float, trajectory.time[group[[0, -1]]])
         depth = -1e3 * trajectory["clearance"][group].min()
@@ -90,10 +98,11 @@ def _duration(begin: float, end: float) -> str:
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics of contacts with obstacles and objects; all None in a world without them.
 
-    - ``contacts``, ``contact_time_s``: number and duration of contacts. On a plant that ignores obstacles,
-      they are those of the overlaps of its body with obstacles.
-    - ``clearance_m``: smallest distance of the collision hull from obstacles and objects at the samples
-      (`plants.clearance`), at most 0 after a contact, also one between two samples.
+    - ``contacts``, ``contact_time_s``: number and duration of contacts. On a plant that
+      ignores obstacles, they are those of the overlaps of its body with obstacles.
+    - ``clearance_m``: smallest distance of the collision hull from obstacles and
+      objects at the samples (`plants.clearance`), at most 0 after a contact, also one
+      between two samples.
     """
     metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
     touching = _touching(trajectory)
@@ -116,12 +125,14 @@ def ignores_obstacles(trajectory: Trajectory) -> bool:
 def contact_free_s(runs: Iterable[Trajectory]) -> float:
     """Return the time of the last sample before the first contact in one of the runs, s; inf without one.
 
-    Overlaps on a plant that ignores obstacles do not affect its motion and do not count.
+    Overlaps on a plant that ignores obstacles do not affect its motion and do not
+    count.
     """
     end = math.inf
     for run in runs:
         for touch in touches(run)[:1]:
-            # The force at a sample is the mean since the sample before, at which the contact had not begun.
+            # The force at a sample is the mean since the sample before, at which the
+            # contact had not begun.
             before = max(int(np.searchsorted(run.time, touch.begin)) - 1, 0)
             end = min(end, float(run.time[before]))
     return end
@@ -132,7 +143,9 @@ def _touching(trajectory: Trajectory) -> np.ndarray | None:
     force = obstacle_force(trajectory)
     if force is not None:
         return np.asarray(force.max(axis=1) > TOUCH_N)
-    return trajectory["clearance"] < -TOUCHING_M if trajectory.has("clearance") else None
+    return (
+        trajectory["clearance"] < -TOUCHING_M if trajectory.has("clearance") else None
+    )
 
 
 def _spells(trajectory: Trajectory) -> list[np.ndarray]:
@@ -149,7 +162,9 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
     """Return the force of obstacles on each connector, shape (samples, N), N; None without obstacles."""
     if not trajectory.has("obstacle_force_x"):
         return None
-    return np.hypot(trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y"))
+    return np.hypot(
+        trajectory.stack("obstacle_force_x"), trajectory.stack("obstacle_force_y")
+    )
 
 
 def object_metrics(trajectory: Trajectory) -> dict[str, float]:

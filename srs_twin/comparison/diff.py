@@ -1,8 +1,9 @@
 """Comparison of two sets of results, for example of two commits, machines or settings.
 
-A number counts as changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value (a verdict, a status, a
-number that only one side has) counts as changed if it is not equal. Two single runs are compared even if
-their scenarios have different names. Wall times are left out.
+A number counts as changed if |a − b| > max(abs, rel · max(|a|, |b|)). Any other value
+(a verdict, a status, a number that only one side has) counts as changed if it is not
+equal. Two single runs are compared even if their scenarios have different names. Wall
+times are left out.
 """
 
 from __future__ import annotations
@@ -41,8 +42,13 @@ ValueKey = tuple[str, str]
 class Tolerance(StrictModel):
     """Allowed difference between two numbers."""
 
-    rel: Annotated[float, Field(ge=0, le=1, description="Relative to the larger of the two numbers.")] = REL
-    abs: Annotated[float, Field(ge=0, le=1e9, description="In the unit of the number.")] = ABS
+    rel: Annotated[
+        float,
+        Field(ge=0, le=1, description="Relative to the larger of the two numbers."),
+    ] = REL
+    abs: Annotated[
+        float, Field(ge=0, le=1e9, description="In the unit of the number.")
+    ] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
         """Return whether two values count as equal."""
@@ -58,12 +64,21 @@ class Tolerances(Tolerance):
 
     metrics: Annotated[
         dict[str, Tolerance],
-        Field(description="Metric, with or without the name of its plant → its tolerance."),
+        Field(
+            description="Metric, with or without the name of its plant → its tolerance."
+        ),
     ] = {}
 
     def for_metric(self, metric: str) -> Tolerance:
         """Return the tolerance for a metric: by its full name, by its name without plant, or the default."""
-        return next((self.metrics[name] for name in tolerance_names(metric) if name in self.metrics), self)
+        return next(
+            (
+                self.metrics[name]
+                for name in tolerance_names(metric)
+                if name in self.metrics
+            ),
+            self,
+        )
 
 
 def load_tolerances(path: StrPath) -> Tolerances:
@@ -122,7 +137,8 @@ class Difference:
         moved: changed values in the order of A, then values that only B has.
         same: number of values that count as equal.
         wheres: all scenarios, sweep points and rows, in order.
-        versions: package → versions of A and B, if both name the package and they differ.
+        versions: package → versions of A and B, if both name the package and they
+            differ.
     """
 
     moved: tuple[ChangedValue, ...]
@@ -133,8 +149,12 @@ class Difference:
     def document(self) -> dict[str, object]:
         """Return JSON values, in which numbers that JSON lacks are "NaN", "Infinity" and "-Infinity"."""
         moved = [asdict(change) | {"rel": change.rel} for change in self.moved]
-        return {"moved": [{key: _json_value(value) for key, value in row.items()} for row in moved],
-                "same": self.same}  # fmt: skip
+        return {
+            "moved": [
+                {key: _json_value(value) for key, value in row.items()} for row in moved
+            ],
+            "same": self.same,
+        }
 
 
 def _json_value(value: object) -> object:
@@ -160,10 +180,16 @@ def diff(
         InputError: there are no results, or a file does not contain results.
         UnknownNameError: a tolerance is for a metric that neither set has.
     """
-    a, b = (given if isinstance(given, Results) else read_results(given) for given in (a, b))
+    a, b = (
+        given if isinstance(given, Results) else read_results(given) for given in (a, b)
+    )
     allowed, before, after = tolerances or Tolerances(), a.values, b.values
-    wheres, other_wheres = ({where for where, _ in values} for values in (before, after))
-    if len(wheres) == len(other_wheres) == 1:  # single runs are compared regardless of their names
+    wheres, other_wheres = (
+        {where for where, _ in values} for values in (before, after)
+    )
+    if (
+        len(wheres) == len(other_wheres) == 1
+    ):  # single runs are compared regardless of their names
         (where,) = wheres
         after = {(where, metric): value for (_, metric), value in after.items()}
     keys = list(dict.fromkeys((*before, *after)))
@@ -172,7 +198,11 @@ def diff(
         if name not in known:
             raise UnknownNameError("metric of a tolerance", name, known)
     pairs = [ChangedValue(*key, before.get(key), after.get(key)) for key in keys]
-    moved = [pair for pair in pairs if not allowed.for_metric(pair.metric).allows(pair.a, pair.b)]
+    moved = [
+        pair
+        for pair in pairs
+        if not allowed.for_metric(pair.metric).allows(pair.a, pair.b)
+    ]
     common = [name for name in a.versions if name in b.versions]
     versions = {name: (a.versions[name], b.versions[name]) for name in common}
     return Difference(
@@ -193,8 +223,8 @@ def read_results(path: StrPath) -> Results:
     """Read the results of `run`, `compare`, `replay`, `sweep` or `reproduce`.
 
     Args:
-        path: metrics.json, results.parquet or reproduce.json, or a folder, which is searched recursively for
-            them.
+        path: metrics.json, results.parquet or reproduce.json, or a folder, which is
+            searched recursively for them.
 
     Raises:
         InputError: there are no results, or the file does not contain results.
@@ -204,7 +234,9 @@ def read_results(path: StrPath) -> Results:
         return _read(require_file(source, suffix=".json"), "")
     files = sorted(_result_files(source))
     if not files:
-        raise InputError(f"{display_path(source)}: the folder has no results ({', '.join(_FILES)})")
+        raise InputError(
+            f"{display_path(source)}: the folder has no results ({', '.join(_FILES)})"
+        )
     values: dict[ValueKey, Leaf] = {}
     versions: dict[str, str] = {}
     for file in files:
@@ -222,24 +254,36 @@ def _result_files(folder: Path) -> Iterator[Path]:
         InputError: the folder cannot be listed.
     """
     pending = [os.fspath(folder)]
-    while pending:  # without recursion: folders may be nested more deeply than the stack allows
+    while (
+        pending
+    ):  # without recursion: folders may be nested more deeply than the stack allows
         current = pending.pop()
         try:
             entries = list(os.scandir(current))
         except OSError as error:
             if current == os.fspath(folder):
-                raise InputError(f"{display_path(folder)}: cannot be read ({error.strerror})") from error
+                raise InputError(
+                    f"{display_path(folder)}: cannot be read ({error.strerror})"
+                ) from error
             continue
         # Skip hidden folders, which may contain incomplete files of a killed process.
         entries = [entry for entry in entries if not entry.name.startswith(".")]
-        pending += [entry.path for entry in entries if entry.is_dir(follow_symlinks=False)]
-        yield from (Path(entry.path) for entry in entries if entry.name in _FILES and entry.is_file())
+        pending += [
+            entry.path for entry in entries if entry.is_dir(follow_symlinks=False)
+        ]
+        yield from (
+            Path(entry.path)
+            for entry in entries
+            if entry.name in _FILES and entry.is_file()
+        )
 
 
 def _read(path: Path, folder: str) -> Results:
     """Read one file; the folder becomes a prefix of its scenario, points or rows."""
     try:
-        read_values, versions = _read_sweep(path) if path.suffix == ".parquet" else _read_document(path)
+        read_values, versions = (
+            _read_sweep(path) if path.suffix == ".parquet" else _read_document(path)
+        )
         values = {
             ("/".join(filter(None, (folder, where))), metric): value
             for (where, metric), value in read_values
@@ -262,7 +306,11 @@ def _read_document(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, s
         met = [
             (
                 f"expectations[{i}].met",
-                "not judged" if expectation.get("state") == "not_judged" else bool(expectation["met"]),
+                (
+                    "not judged"
+                    if expectation.get("state") == "not_judged"
+                    else bool(expectation["met"])
+                ),
             )
             for i, expectation in enumerate(document["expectations"])
         ]
@@ -296,7 +344,9 @@ def _read_sweep(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, str]
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
         raise ValueError("the file is not the result of a sweep") from error
-    metadata = parse_json(table.schema.metadata[b"srs_twin.sweep"].decode(), display_path(path))
+    metadata = parse_json(
+        table.schema.metadata[b"srs_twin.sweep"].decode(), display_path(path)
+    )
     names = table.column_names
     fields = names[1 : names.index("status")]
     metrics = ["status", *names[names.index("exit_code") + 1 :]]

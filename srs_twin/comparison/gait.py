@@ -11,7 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.sampling import interpolant, is_near_zero, meanings_of, positive_number, units_of
+from srs_twin.comparison.sampling import (
+    interpolant,
+    is_near_zero,
+    meanings_of,
+    positive_number,
+    units_of,
+)
 from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
@@ -36,8 +42,9 @@ class GaitWindow:
 
     $$\bar x(t) = \frac{1}{T} \int_t^{t+T} x\,ds, \qquad \dot{\bar x}(t) = \frac{x(t+T) - x(t)}{T},$$
 
-    for t from the start of the window to one period before its end. Between the samples, x is a cubic spline,
-    so T need not be a multiple of the sample period, and the window need not begin at a sample.
+    for t from the start of the window to one period before its end. Between the
+    samples, x is a cubic spline, so T need not be a multiple of the sample period, and
+    the window need not begin at a sample.
 
     Attributes:
         start: start of the window, s.
@@ -55,11 +62,12 @@ class GaitWindow:
     def from_trajectory(cls, trajectory: Trajectory) -> GaitWindow | None:
         """Return the window of a run: all whole periods after a warm-up of two periods.
 
-        The warm-up of a run of exactly three whole periods is one period, so that two are left for the means.
+        The warm-up of a run of exactly three whole periods is one period, so that two
+        are left for the means.
 
         Returns:
-            None if the run has no gait frequency in its metadata, fewer than three whole periods, or too few
-            samples per period.
+            None if the run has no gait frequency in its metadata, fewer than three
+            whole periods, or too few samples per period.
 
         Raises:
             InputError: the gait frequency in the metadata is not a positive number.
@@ -70,9 +78,15 @@ class GaitWindow:
         time = trajectory.time
         whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
-        # Evaluate at four times per sample period, to include the spline between samples.
+        # Evaluate at four times per sample period, to include the spline between
+        # samples.
         times = max(_MIN_TIMES_PER_PERIOD, int(np.ceil(4 * samples)))
-        return cls(float(time[0]) + warm_up / frequency, 1.0 / frequency, whole - warm_up, times)
+        return cls(
+            float(time[0]) + warm_up / frequency,
+            1.0 / frequency,
+            whole - warm_up,
+            times,
+        )
 
     @classmethod
     def missing_reason(cls, trajectory: Trajectory) -> str:
@@ -86,12 +100,24 @@ class GaitWindow:
             return "the run has no gait frequency"
         whole, samples = _extent(trajectory, frequency)
         if whole < MIN_PERIODS:
-            return f"the run has {whole} of the {MIN_PERIODS} whole gait periods that are needed"
-        few = samples < _MIN_SAMPLES_PER_PERIOD or len(trajectory) < MIN_PERIODS * _MIN_SAMPLES_PER_PERIOD
-        return f"the run has fewer than {_MIN_SAMPLES_PER_PERIOD} samples per gait period" if few else ""
+            return (
+                f"the run has {whole} of the {MIN_PERIODS} whole gait periods that are"
+                " needed"
+            )
+        few = (
+            samples < _MIN_SAMPLES_PER_PERIOD
+            or len(trajectory) < MIN_PERIODS * _MIN_SAMPLES_PER_PERIOD
+        )
+        return (
+            f"the run has fewer than {_MIN_SAMPLES_PER_PERIOD} samples per gait period"
+            if few
+            else ""
+        )
 
     @classmethod
-    def ending_at(cls, trajectory: Trajectory, period: float, end: float, periods: int) -> GaitWindow | None:
+    def ending_at(
+        cls, trajectory: Trajectory, period: float, end: float, periods: int
+    ) -> GaitWindow | None:
         """Return a window of several periods that ends at a given time.
 
         Args:
@@ -106,7 +132,12 @@ class GaitWindow:
         start, step = end - periods * period, float(np.median(np.diff(trajectory.time)))
         if start < trajectory.time[0] - _PERIOD_ROUNDING * period:
             return None
-        return cls(start, period, periods, max(_MIN_TIMES_PER_PERIOD, math.ceil(4 * period / step)))
+        return cls(
+            start,
+            period,
+            periods,
+            max(_MIN_TIMES_PER_PERIOD, math.ceil(4 * period / step)),
+        )
 
     @property
     def end(self) -> float:
@@ -116,13 +147,16 @@ class GaitWindow:
     def times(self, periods: int) -> np.ndarray:
         """Return equally spaced times over the first periods, shape (periods · times_per_period,), s.
 
-        They are midpoints of equal intervals. The mean of a smooth periodic signal at these times equals its
-        integral over whole periods, divided by their duration, to rounding accuracy.
+        They are midpoints of equal intervals. The mean of a smooth periodic signal at
+        these times equals its integral over whole periods, divided by their duration,
+        to rounding accuracy.
         """
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
 
-    def running_mean(self, trajectory: Trajectory, values: Array) -> tuple[Array, Array]:
+    def running_mean(
+        self, trajectory: Trajectory, values: Array
+    ) -> tuple[Array, Array]:
         """Return the running mean of a signal over one period, and its rate.
 
         Args:
@@ -130,18 +164,23 @@ class GaitWindow:
             values: samples of the signal, shape (samples, …).
 
         Returns:
-            Mean and rate at equally spaced times over K − 1 periods, each of shape (times, …).
+            Mean and rate at equally spaced times over K − 1 periods, each of shape
+            (times, …).
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
         begin = self.times(self.periods - 1)
         end = begin + self.period
-        return (integral(end) - integral(begin)) / self.period, (signal(end) - signal(begin)) / self.period
+        return (integral(end) - integral(begin)) / self.period, (
+            signal(end) - signal(begin)
+        ) / self.period
 
     def mean(self, trajectory: Trajectory, values: Array) -> Array:
         """Return the mean over the window of a signal with samples of shape (samples, …), shape (…)."""
         integral = interpolant(trajectory, values).antiderivative()
-        mean: Array = (integral(self.end) - integral(self.start)) / (self.end - self.start)
+        mean: Array = (integral(self.end) - integral(self.start)) / (
+            self.end - self.start
+        )
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
@@ -155,7 +194,9 @@ class GaitWindow:
             Amplitudes, shape (…).
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
-        by_period = signal.reshape(self.periods, self.times_per_period, *values.shape[1:])
+        by_period = signal.reshape(
+            self.periods, self.times_per_period, *values.shape[1:]
+        )
         amplitude: Array = 0.5 * np.ptp(by_period, axis=1).mean(axis=0)
         return amplitude
 
@@ -165,55 +206,70 @@ def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
     time = trajectory.time
     # Rounding must not shorten a run that is meant to end after a whole period.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
-    return whole, (1.0 / (frequency * float(np.median(np.diff(time)))) if len(time) > 1 else 0.0)
+    return whole, (
+        1.0 / (frequency * float(np.median(np.diff(time)))) if len(time) > 1 else 0.0
+    )
 
 
 MIN_TRAVEL_BODY_LENGTHS = 1e-3
 """Distance per gait period, in body lengths, below which a snake has no path."""
 
 
-def displacement_per_period(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
+def displacement_per_period(
+    trajectory: Trajectory, window: GaitWindow
+) -> tuple[Array, Array]:
     """Return the chord (m, negative for backward motion) and the turn (rad) of each period.
 
-    Both are means over all periods that begin within one period. A single phase would count the lateral
-    oscillation of the body as a part of the radius. A window of K periods gives K − 1 values of each.
+    Both are means over all periods that begin within one period. A single phase would
+    count the lateral oscillation of the body as a part of the radius. A window of K
+    periods gives K − 1 values of each.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
     chords = window.period * speed
-    return chords.reshape(shape).mean(axis=1), window.period * turn_rate.reshape(shape).mean(axis=1)
+    return chords.reshape(shape).mean(axis=1), window.period * turn_rate.reshape(
+        shape
+    ).mean(axis=1)
 
 
 def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
     """Return the speed along the period-averaged path and the rate of the period-mean heading over time.
 
-    The speed (m/s) is negative if the mean motion is against the heading. The rate (rad/s) is positive to the
-    left.
+    The speed (m/s) is negative if the mean motion is against the heading. The rate
+    (rad/s) is positive to the left.
     """
     heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
     _, velocity = window.running_mean(trajectory, trajectory.com)
     forward = velocity[:, 0] * np.cos(heading) + velocity[:, 1] * np.sin(heading)
-    return np.copysign(1.0, forward.mean()) * np.hypot(velocity[:, 0], velocity[:, 1]), turn_rate
+    return (
+        np.copysign(1.0, forward.mean()) * np.hypot(velocity[:, 0], velocity[:, 1]),
+        turn_rate,
+    )
 
 
 STRAIGHT_BODY_LENGTHS = 100.0
 """Turning radius, in body lengths, above which a path counts as straight.
 
-For generation 2 it is about 20 m; a path of 2 m then deviates from its tangent by 0.1 m.
+For generation 2 it is about 20 m; a path of 2 m then deviates from its tangent by 0.1
+m.
 """
 STRAIGHT_TURN_RAD = 1e-3
 """Turn per gait period below which a path counts as straight, rad.
 
-Contact creep causes turns of about this size (0.06°) in a snake that does not move forward.
+Contact creep causes turns of about this size (0.06°) in a snake that does not move
+forward.
 """
 
 
-def turning_radius(speed: float, yaw_rate: float, period: float, length: float) -> float | None:
+def turning_radius(
+    speed: float, yaw_rate: float, period: float, length: float
+) -> float | None:
     """Return the signed turning radius, m, positive to the left; None for a straight path.
 
-    In one period the body moves along a chord of length speed · period and turns by yaw_rate · period, which
-    determines the radius of the circle. Speed divided by yaw rate would be the radius of the averaged path,
-    which is smaller: by 1 % if the body turns by half a radian per period.
+    In one period the body moves along a chord of length speed · period and turns by
+    yaw_rate · period, which determines the radius of the circle. Speed divided by yaw
+    rate would be the radius of the averaged path, which is smaller: by 1 % if the body
+    turns by half a radian per period.
 
     Args:
         speed: mean speed along the heading, m/s.
@@ -243,13 +299,17 @@ pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 """Power and cost of transport of a gait."""
 
 
-def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> dict[str, Any]:
+def energy_metrics(
+    trajectory: Trajectory, window: GaitWindow, speed: float
+) -> dict[str, Any]:
     """Compute the power and cost of transport of a gait over whole periods.
 
-    - ``mechanical_power_w``: mean power of the torques, which friction and segments dissipate.
+    - ``mechanical_power_w``: mean power of the torques, which friction and segments
+      dissipate.
     - ``internal_power_w``: part of it that the segments of a twin dissipate.
     - ``cost_of_transport``: mechanical power divided by weight and speed.
-    - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that pressure, per time.
+    - ``pneumatic_power_w``: supply pressure times the volume of air drawn at that
+      pressure, per time.
     - ``pneumatic_cost_of_transport``: pneumatic power divided by weight and speed.
 
     A metric is None if the run does not record the required columns.
@@ -276,7 +336,9 @@ def energy_metrics(trajectory: Trajectory, window: GaitWindow, speed: float) -> 
 
 def _mean_rate(trajectory: Trajectory, window: GaitWindow, name: str) -> float:
     """Return the mean rate of a cumulative column over the window."""
-    start, end = np.interp([window.start, window.end], trajectory.time, trajectory[name])
+    start, end = np.interp(
+        [window.start, window.end], trajectory.time, trajectory[name]
+    )
     return float((end - start) / (window.end - window.start))
 
 
@@ -296,22 +358,26 @@ travel_speed_rel: travel speed of the twin minus that of the analytical model, d
 travel_direction_abs: magnitude of the difference of the directions of travel
 contact_agreement: share of samples in which a connector touches the floor on both plants or on neither
 """)
-SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {"travel_direction_abs": "rad"}
+SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
+    "travel_direction_abs": "rad"
+}
 """Differences between two runs of a spatial snake."""
 
 
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the metrics of a run of a spatial snake; a planar one has none of them.
 
-    - ``travel_speed_m_s``: magnitude of the mean velocity of the centre of mass over whole gait periods. A
-      sidewinder travels across its body, so that its forward speed is only a part of it.
-    - ``travel_direction_rad``: direction of that velocity relative to the mean heading, positive to the left,
-      −π to π.
+    - ``travel_speed_m_s``: magnitude of the mean velocity of the centre of mass over
+      whole gait periods. A sidewinder travels across its body, so that its forward
+      speed is only a part of it.
+    - ``travel_direction_rad``: direction of that velocity relative to the mean heading,
+      positive to the left, −π to π.
     - ``body_height_m``: largest height of a connector in the same periods.
     - ``contact_share``: mean share of connectors that press on the floor.
-    - ``supports``: mean number of separate parts of the body that press on the floor; with two, it can roll
-      over.
-    - ``roll_turns``: turns of the body about its axis over the whole run, mean over the connectors.
+    - ``supports``: mean number of separate parts of the body that press on the floor;
+      with two, it can roll over.
+    - ``roll_turns``: turns of the body about its axis over the whole run, mean over the
+      connectors.
 
     The first two are None without a gait of at least three whole periods.
     """
@@ -332,7 +398,9 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     metrics["body_height_m"] = float(trajectory.stack("z")[used].max())
     touches = trajectory.stack("load")[used] > 0.0
     metrics["contact_share"] = float(touches.mean())
-    metrics["supports"] = float((np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean())
+    metrics["supports"] = float(
+        (np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean()
+    )
     w, x, y, z = (trajectory.stack(f"quaternion_{axis}") for axis in "wxyz")
     # Heights of the tips of the left and the upper axis of a connector.
     roll = np.unwrap(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)), axis=0)
@@ -340,13 +408,16 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     return metrics
 
 
-def spatial_differences(reference: Trajectory, candidate: Trajectory, time: Array) -> dict[str, float | None]:
+def spatial_differences(
+    reference: Trajectory, candidate: Trajectory, time: Array
+) -> dict[str, float | None]:
     """Compare two runs of a spatial snake; planar ones have none of these differences.
 
     - ``travel_speed_rel``: (candidate − reference) / reference.
-    - ``travel_direction_abs``: magnitude of the difference of the directions of travel, 0 to π.
-    - ``contact_agreement``: share of the samples of all connectors in which both or neither press on the
-      floor, in whole gait periods if there are any.
+    - ``travel_direction_abs``: magnitude of the difference of the directions of travel,
+      0 to π.
+    - ``contact_agreement``: share of the samples of all connectors in which both or
+      neither press on the floor, in whole gait periods if there are any.
 
     Args:
         reference: run of the analytical model.
@@ -359,12 +430,17 @@ def spatial_differences(reference: Trajectory, candidate: Trajectory, time: Arra
     before, after = spatial_metrics(reference), spatial_metrics(candidate)
     speed, other = before["travel_speed_m_s"], after["travel_speed_m_s"]
     if speed is not None and other is not None:
-        turn = (after["travel_direction_rad"] or 0.0) - (before["travel_direction_rad"] or 0.0)
+        turn = (after["travel_direction_rad"] or 0.0) - (
+            before["travel_direction_rad"] or 0.0
+        )
         if not is_near_zero(speed, other, "m/s"):
             differences["travel_speed_rel"] = other / speed - 1
         differences["travel_direction_abs"] = abs(math.remainder(turn, 2 * math.pi))
     window = GaitWindow.from_trajectory(reference)
     used = time[time >= window.start] if window else time
-    touches = [interpolant(run, run.stack("load"))(used) > 0.0 for run in (reference, candidate)]
+    touches = [
+        interpolant(run, run.stack("load"))(used) > 0.0
+        for run in (reference, candidate)
+    ]
     differences["contact_agreement"] = float((touches[0] == touches[1]).mean())
     return differences

@@ -1,8 +1,8 @@
 """Metrics of iterative learning: amplitudes and duties by period, convergence, path before and after.
 
-Amplitudes are computed from the sensor readings in the periods of each chamber (`control.duties`). The path
-of the centre of mass is measured over the last periods, together with the extent of the body to its left and
-right (Fig. 58, Table 8).
+Amplitudes are computed from the sensor readings in the periods of each chamber
+(`control.duties`). The path of the centre of mass is measured over the last periods,
+together with the extent of the body to its left and right (Fig. 58, Table 8).
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ from srs_twin.comparison.gait import (
     path_curvature,
     turning_radius,
 )
-from srs_twin.comparison.sampling import body_length, label, meanings_of, positive_number, units_of
+from srs_twin.comparison.sampling import (
+    body_length,
+    label,
+    meanings_of,
+    positive_number,
+    units_of,
+)
 from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
@@ -34,9 +40,10 @@ class PeriodAmplitudes:
     """Amplitude, target and duty of each chamber in each of its K whole periods.
 
     Attributes:
-        amplitude: largest sensed bend to the side of the chamber, shape (K, segments, 2), rad; NaN without a
-            valid reading.
-        target: target amplitude at the end of the period, same shape, rad; NaN if there is none.
+        amplitude: largest sensed bend to the side of the chamber, shape (K, segments,
+            2), rad; NaN without a valid reading.
+        target: target amplitude at the end of the period, same shape, rad; NaN if there
+            is none.
         duty: duty in the middle of the period, same shape.
     """
 
@@ -54,24 +61,37 @@ class PeriodAmplitudes:
         """Divide a run into the periods of its chambers.
 
         Raises:
-            InputError: the metadata lack the fill starts of the chambers or the gait frequency.
+            InputError: the metadata lack the fill starts of the chambers or the gait
+                frequency.
         """
         sensed = trajectory.stack("sensed")
         period, fill_starts = _chamber_periods(trajectory, sensed.shape[-1])
         time = trajectory.time
-        whole = int(math.floor(((time[-1] - fill_starts) / period).min() + _PERIOD_ROUNDING))
+        whole = int(
+            math.floor(((time[-1] - fill_starts) / period).min() + _PERIOD_ROUNDING)
+        )
         shape = (max(whole, 0), sensed.shape[-1], 2)
         result = cls(*np.full((3, *shape), math.nan))
         for side, name in enumerate(("plus", "minus")):
-            target, duty = trajectory.stack(f"target_{name}"), trajectory.stack(f"duty_{name}")
+            target, duty = (
+                trajectory.stack(f"target_{name}"),
+                trajectory.stack(f"duty_{name}"),
+            )
             for j in range(shape[1]):
                 bend = sensed[:, j] if side == 0 else -sensed[:, j]
-                edges = fill_starts[j, side] + period * (np.arange(shape[0] + 1) - _PERIOD_ROUNDING)
+                edges = fill_starts[j, side] + period * (
+                    np.arange(shape[0] + 1) - _PERIOD_ROUNDING
+                )
                 samples = np.searchsorted(time, edges)
-                for n, (first, end) in enumerate(zip(samples[:-1], samples[1:], strict=True)):
+                for n, (first, end) in enumerate(
+                    zip(samples[:-1], samples[1:], strict=True)
+                ):
                     valid = bend[first:end][np.isfinite(bend[first:end])]
-                    result.amplitude[n, j, side] = valid.max() if len(valid) else math.nan
-                    # A sample is taken at the end of its tick, so the last one still belongs to the period.
+                    result.amplitude[n, j, side] = (
+                        valid.max() if len(valid) else math.nan
+                    )
+                    # A sample is taken at the end of its tick, so the last one still
+                    # belongs to the period.
                     result.target[n, j, side] = target[end - 1, j]
                     result.duty[n, j, side] = duty[(first + end) // 2, j]
         return result
@@ -81,11 +101,17 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
     """Return the gait period (s) and the start of the first fill of each chamber, shape (segments, 2), s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
-    fill_starts = np.array(listed, dtype=float) if isinstance(listed, list) else np.empty(0)
-    if frequency is None or fill_starts.shape != (segments, 2) or not np.isfinite(fill_starts).all():
+    fill_starts = (
+        np.array(listed, dtype=float) if isinstance(listed, list) else np.empty(0)
+    )
+    if (
+        frequency is None
+        or fill_starts.shape != (segments, 2)
+        or not np.isfinite(fill_starts).all()
+    ):
         raise InputError(
-            f"{label(trajectory)}: the periods of the chambers are unknown; the metadata "
-            "need gait_frequency_hz and control.fill_begins_s"
+            f"{label(trajectory)}: the periods of the chambers are unknown; the"
+            " metadata need gait_frequency_hz and control.fill_begins_s"
         )
     return 1 / frequency, fill_starts
 
@@ -100,8 +126,10 @@ class PathFit:
 
     Attributes:
         centre: centre of the circle, or any point on the line, shape (2,), m.
-        radius: m, positive if the centre is on the left of the heading; None for a line.
-        direction: unit vector of the heading in the middle of the path, or along the line, shape (2,).
+        radius: m, positive if the centre is on the left of the heading; None for a
+            line.
+        direction: unit vector of the heading in the middle of the path, or along the
+            line, shape (2,).
     """
 
     centre: Array
@@ -109,12 +137,16 @@ class PathFit:
     direction: Array
 
     @classmethod
-    def from_trajectory(cls, trajectory: Trajectory, window: GaitWindow) -> PathFit | None:
+    def from_trajectory(
+        cls, trajectory: Trajectory, window: GaitWindow
+    ) -> PathFit | None:
         """Return the fit over a window of whole periods; None if the snake does not move."""
         mean, velocity = window.running_mean(trajectory, trajectory.com)
         heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
         centroid = mean.mean(axis=0)
-        length = float(np.hypot(*velocity.T).mean()) * (window.periods - 1) * window.period
+        length = (
+            float(np.hypot(*velocity.T).mean()) * (window.periods - 1) * window.period
+        )
         if length < 1e-9:
             return None
         # Left and right refer to the heading, also if the snake moves backward.
@@ -130,28 +162,41 @@ class PathFit:
             axis = np.linalg.svd(mean - centroid, full_matrices=False)[2][0]
             return cls(centroid, None, axis if axis @ direction > 0 else -axis)
         centre = np.array([-a / 2, -b / 2])
-        # Correct the radius: the mean over a period reduces it by the factor sinc(turn/2).
-        radius = length * float(np.sqrt(centre @ centre - c)) / float(np.sinc(turn / (2 * np.pi)))
+        # Correct the radius: the mean over a period reduces it by the factor
+        # sinc(turn/2).
+        radius = (
+            length
+            * float(np.sqrt(centre @ centre - c))
+            / float(np.sinc(turn / (2 * np.pi)))
+        )
         left = direction[0] * centre[1] - direction[1] * centre[0]
-        return cls(centroid + length * centre, radius if left > 0 else -radius, direction)
+        return cls(
+            centroid + length * centre, radius if left > 0 else -radius, direction
+        )
 
     def right_offset(self, points: Array) -> Array:
         """Return the distance of points, shape (…, 2), to the right of the path, shape (…), m."""
         offset = points - self.centre
         if self.radius is None:
-            side: Array = self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
+            side: Array = (
+                self.direction[1] * offset[..., 0] - self.direction[0] * offset[..., 1]
+            )
             return side
         outward = np.hypot(offset[..., 0], offset[..., 1]) - abs(self.radius)
         return outward if self.radius > 0 else -outward
 
 
-def box_edges(trajectory: Trajectory, window: GaitWindow, path: PathFit) -> tuple[float, float]:
+def box_edges(
+    trajectory: Trajectory, window: GaitWindow, path: PathFit
+) -> tuple[float, float]:
     """Return the left (negative) and right edge of the area that the body covers in a window, m.
 
-    Each connector has half the body width on both sides, across its own heading, if the metadata contain a
-    width (``body_width_m``).
+    Each connector has half the body width on both sides, across its own heading, if the
+    metadata contain a width (``body_width_m``).
     """
-    inside = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
+    inside = (trajectory.time >= window.start - 1e-9) & (
+        trajectory.time <= window.end + 1e-9
+    )
     theta, position = trajectory.stack("theta")[inside], trajectory.position[inside]
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     offset = path.right_offset(offset_to_sides(position, theta, half))
@@ -180,7 +225,9 @@ heading_drift_by_period_rad: turn of the heading in each period
 box_left_m: extent of the body to the left of its path; negative
 box_right_m: extent of the body to the right of its path
 """)
-LEARNING_LIST_UNITS = units_of(["amplitude_error_rad", "duty", "heading_drift_by_period_rad"])
+LEARNING_LIST_UNITS = units_of(
+    ["amplitude_error_rad", "duty", "heading_drift_by_period_rad"]
+)
 """Histories: for each period a list over segments of lists over chambers; for the heading one number per
 period."""
 LEARNING_UNITS = units_of(
@@ -211,32 +258,39 @@ def is_learning(trajectory: Trajectory) -> bool:
 def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     """Compute the metrics of a run with iterative learning; None for those that do not apply.
 
-    Amplitudes refer to the periods of each chamber, which are numbered from 1; a period that began before
-    time 0 counts as well. Chambers of modules with a fault have no target and are left out:
+    Amplitudes refer to the periods of each chamber, which are numbered from 1; a period
+    that began before time 0 counts as well. Chambers of modules with a fault have no
+    target and are left out:
 
-    - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes, divided by that of
-      the first period; 1 if the chambers have their final pressures from the start.
-    - ``periods_to_converge``: first period from which all amplitudes stay within 5 % of their targets.
-    - ``amplitude_error_end_rad`` and ``amplitude_error_end_rel``: largest error in the last period, and the
-      largest error divided by its target.
-    - ``duty_lowest`` and ``duty_highest``: smallest and largest duty in the last period.
-    - ``amplitude_error_rad`` (target minus amplitude, None without a target) and ``duty``: by period, segment
-      and chamber.
+    - ``amplitude_growth_rel``: mean amplitude of the last period before a duty changes,
+      divided by that of the first period; 1 if the chambers have their final pressures
+      from the start.
+    - ``periods_to_converge``: first period from which all amplitudes stay within 5 % of
+      their targets.
+    - ``amplitude_error_end_rad`` and ``amplitude_error_end_rel``: largest error in the
+      last period, and the largest error divided by its target.
+    - ``duty_lowest`` and ``duty_highest``: smallest and largest duty in the last
+      period.
+    - ``amplitude_error_rad`` (target minus amplitude, None without a target) and
+      ``duty``: by period, segment and chamber.
 
-    For the path, each period gives the chord along which the centre of mass moves and the turn of the body.
-    Both are means over the phase, so five periods give four values. Curvature is 2 sin(turn/2)/chord,
-    positive to the left:
+    For the path, each period gives the chord along which the centre of mass moves and
+    the turn of the body. Both are means over the phase, so five periods give four
+    values. Curvature is 2 sin(turn/2)/chord, positive to the left:
 
-    - ``path_curvature_before_per_m``: mean over the two periods before the first update of a duty; None if
-      they would begin less than half a period after the start.
-    - ``path_speed_m_s`` (chord per period), ``path_curvature_per_m``, ``path_radius_m``,
-      ``heading_drift_rad`` (turn per period): means over the last five periods.
-    - ``path_radius_spread_rel``: range of the radii in these periods, divided by their mean.
+    - ``path_curvature_before_per_m``: mean over the two periods before the first update
+      of a duty; None if they would begin less than half a period after the start.
+    - ``path_speed_m_s`` (chord per period), ``path_curvature_per_m``,
+      ``path_radius_m``, ``heading_drift_rad`` (turn per period): means over the last
+      five periods.
+    - ``path_radius_spread_rel``: range of the radii in these periods, divided by their
+      mean.
     - ``path_bend_before_per_m``, ``path_bend_per_m``: magnitudes of both curvatures.
-    - ``path_bend_left_rel``: ratio of the second magnitude to the first: the fraction of the curvature that
-      remains after learning.
-    - ``box_left_m``, ``box_right_m``: extent of the body to the left (negative) and to the right of the
-      circle or line through the period-averaged path of the last five periods.
+    - ``path_bend_left_rel``: ratio of the second magnitude to the first: the fraction
+      of the curvature that remains after learning.
+    - ``box_left_m``, ``box_right_m``: extent of the body to the left (negative) and to
+      the right of the circle or line through the period-averaged path of the last five
+      periods.
     - ``heading_drift_by_period_rad``: turn in every whole period of the run.
 
     Args:
@@ -262,20 +316,30 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
 
 
 def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
-    working = ~np.isnan(by_period.target[-1:]) if len(by_period.target) else np.zeros((0, 0, 2), dtype=bool)
+    working = (
+        ~np.isnan(by_period.target[-1:])
+        if len(by_period.target)
+        else np.zeros((0, 0, 2), dtype=bool)
+    )
     if not working.any():
         return {}
-    error, target = np.abs(by_period.error[:, working[0]]), by_period.target[:, working[0]]
+    error, target = (
+        np.abs(by_period.error[:, working[0]]),
+        by_period.target[:, working[0]],
+    )
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
-    # Periods are numbered from 1, and convergence begins after the last period outside the tolerance.
+    # Periods are numbered from 1, and convergence begins after the last period outside
+    # the tolerance.
     first = int(outside[-1]) + 2 if len(outside) else 1
     known = not np.isnan(error[-1]).any()
     duty = by_period.duty[-1, working[0]]
     return {
         "periods_to_converge": float(first) if first <= len(converged) else None,
         "amplitude_error_end_rad": float(error[-1].max()) if known else None,
-        "amplitude_error_end_rel": float((error[-1] / target[-1]).max()) if known else None,
+        "amplitude_error_end_rel": (
+            float((error[-1] / target[-1]).max()) if known else None
+        ),
         "duty_lowest": float(duty.min()),
         "duty_highest": float(duty.max()),
     }
@@ -287,13 +351,18 @@ def _growth(by_period: PeriodAmplitudes) -> float | None:
         return None
     unchanged = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
     last = len(unchanged) - 1 if unchanged.all() else int(np.argmin(unchanged)) - 1
-    first_mean, last_mean = by_period.amplitude[0].mean(), by_period.amplitude[last].mean()
+    first_mean, last_mean = (
+        by_period.amplitude[0].mean(),
+        by_period.amplitude[last].mean(),
+    )
     return float(last_mean / first_mean) if last > 0 and first_mean > 0 else None
 
 
 def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
     """Return the metrics of the path over the last periods."""
-    window = GaitWindow.ending_at(trajectory, period, float(trajectory.time[-1]), LAST_PERIODS)
+    window = GaitWindow.ending_at(
+        trajectory, period, float(trajectory.time[-1]), LAST_PERIODS
+    )
     if window is None:
         return {}
     chords, turns = displacement_per_period(trajectory, window)
@@ -306,13 +375,19 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
     path = PathFit.from_trajectory(trajectory, window) if moves else None
     if path is None:
         return metrics
-    metrics["path_curvature_per_m"] = path_curvature(float(chords.mean()), float(turns.mean()))
+    metrics["path_curvature_per_m"] = path_curvature(
+        float(chords.mean()), float(turns.mean())
+    )
     speeds, yaw_rates = chords / period, turns / period
     mean = turning_radius(float(speeds.mean()), float(yaw_rates.mean()), period, length)
     pairs = zip(speeds.tolist(), yaw_rates.tolist(), strict=True)
-    radii = [turning_radius(speed, yaw_rate, period, length) for speed, yaw_rate in pairs]
+    radii = [
+        turning_radius(speed, yaw_rate, period, length) for speed, yaw_rate in pairs
+    ]
     if mean is not None and None not in radii:
-        metrics["path_radius_spread_rel"] = float(np.ptp(np.array(radii, dtype=float)) / abs(mean))
+        metrics["path_radius_spread_rel"] = float(
+            np.ptp(np.array(radii, dtype=float)) / abs(mean)
+        )
     metrics["path_radius_m"] = mean
     metrics["box_left_m"], metrics["box_right_m"] = box_edges(trajectory, window, path)
     return metrics
@@ -320,9 +395,13 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
 
 def _curvature_before(trajectory: Trajectory, period: float) -> float | None:
     """Return the curvature of the path over the two periods before the first change of a duty."""
-    duty = np.concatenate([trajectory.stack("duty_plus"), trajectory.stack("duty_minus")], axis=-1)
+    duty = np.concatenate(
+        [trajectory.stack("duty_plus"), trajectory.stack("duty_minus")], axis=-1
+    )
     changed = np.flatnonzero((duty != duty[0]).any(axis=1))
-    end = float(trajectory.time[changed[0] - 1] if len(changed) else trajectory.time[-1])
+    end = float(
+        trajectory.time[changed[0] - 1] if len(changed) else trajectory.time[-1]
+    )
     window = GaitWindow.ending_at(trajectory, period, end, 2)
     earliest = 0.5 * period * (1 - _PERIOD_ROUNDING)
     if window is None or window.start - float(trajectory.time[0]) < earliest:
@@ -333,10 +412,22 @@ def _curvature_before(trajectory: Trajectory, period: float) -> float | None:
     return path_curvature(float(chords.mean()), float(turns.mean()))
 
 
-def _curvature_change(before: float | None, after: float | None) -> dict[str, float | None]:
-    first, last = (None if curvature is None else abs(curvature) for curvature in (before, after))
-    ratio = None if first is None or last is None or first < _MIN_CURVATURE else last / first
-    return {"path_bend_before_per_m": first, "path_bend_per_m": last, "path_bend_left_rel": ratio}
+def _curvature_change(
+    before: float | None, after: float | None
+) -> dict[str, float | None]:
+    first, last = (
+        None if curvature is None else abs(curvature) for curvature in (before, after)
+    )
+    ratio = (
+        None
+        if first is None or last is None or first < _MIN_CURVATURE
+        else last / first
+    )
+    return {
+        "path_bend_before_per_m": first,
+        "path_bend_per_m": last,
+        "path_bend_left_rel": ratio,
+    }
 
 
 def _turn_by_period(trajectory: Trajectory, period: float) -> Array:

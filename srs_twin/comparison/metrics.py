@@ -103,15 +103,23 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
     if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
     per_cent = 100 * (value - reference) / reference
-    return "0" if value == reference else f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
+    return (
+        "0"
+        if value == reference
+        else f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
+    )
 
 
-def published(expectations: Sequence[Mapping[str, Any]]) -> dict[str, tuple[float, str]]:
+def published(
+    expectations: Sequence[Mapping[str, Any]],
+) -> dict[str, tuple[float, str]]:
     """Return metric → published value and its source, for the expectations of plants that contain both."""
     return {
         row["metric"]: (row["near"], row["source"])
         for row in expectations
-        if row.get("near") is not None and row.get("source") and row.get("of") != "comparison"
+        if row.get("near") is not None
+        and row.get("source")
+        and row.get("of") != "comparison"
     }
 
 
@@ -156,11 +164,19 @@ _MEANINGS = (
     *(_PLANT_MEANINGS, ENERGY_MEANINGS, _BENCH_MEANINGS),
     *(TRACKING_MEANINGS, LEARNING_MEANINGS, READING_MEANINGS, SPATIAL_MEANINGS),
     *(OBJECT_MEANINGS, CONTACT_MEANINGS),
-    *(_MEASURED_MEANINGS, _TIME_MEANINGS, _COMPARISON_MEANINGS, SPATIAL_DIFFERENCE_MEANINGS),
+    *(
+        _MEASURED_MEANINGS,
+        _TIME_MEANINGS,
+        _COMPARISON_MEANINGS,
+        SPATIAL_DIFFERENCE_MEANINGS,
+    ),
 )
 """Metric → meaning for each topic, in the order of `srs-twin list metrics`."""
 
-LIST_METRIC_UNITS = units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches")) | LEARNING_LIST_UNITS
+LIST_METRIC_UNITS = (
+    units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches"))
+    | LEARNING_LIST_UNITS
+)
 """Metrics of a plant that are lists, head first; those of iterative learning have one list per period."""
 
 MEASURED_UNITS = units_of(_MEASURED_MEANINGS) | {"measured_yaw_rate_abs": "rad/s"}
@@ -174,21 +190,28 @@ METRIC_UNITS = {
     **READING_UNITS,
     **SPATIAL_UNITS,
     **OBJECT_UNITS,
-    **{name: unit for group in extension_groups() for name, unit in group.units.items()},
+    **{
+        name: unit for group in extension_groups() for name, unit in group.units.items()
+    },
     **CONTACT_UNITS,
     **MEASURED_UNITS,
     **units_of(_TIME_MEANINGS),
 }
 """Metrics of a plant that are one number each, without those of plug-ins; see `metric_units`."""
 
-COMPARISON_UNITS = units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
-"""Metrics of `compare`, each one number. They are defined here, so that listing them does not import
-`compare`."""
+COMPARISON_UNITS = (
+    units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
+)
+"""Metrics of `compare`, each one number.
+
+They are defined here, so that listing them does not import `compare`."""
 
 
 def metric_units() -> dict[str, str]:
     """Return metric → unit for metrics of a plant that are one number each; expectations can name them."""
-    return METRIC_UNITS | {name: unit for group in metric_groups() for name, unit in group.units.items()}
+    return METRIC_UNITS | {
+        name: unit for group in metric_groups() for name, unit in group.units.items()
+    }
 
 
 def all_units() -> dict[str, str]:
@@ -205,8 +228,9 @@ def metric_name(name: str) -> str:
     """Return the name of a metric in results, and make the metrics of its module known.
 
     Args:
-        name: name of a metric, with its module if that is a plug-in or belongs to an installed distribution:
-            ``module:metric``. The groups of metrics that distributions register are read for unknown names.
+        name: name of a metric, with its module if that is a plug-in or belongs to an
+            installed distribution: ``module:metric``. The groups of metrics that
+            distributions register are read for unknown names.
 
     Raises:
         ValueError: the module is not allowed.
@@ -228,7 +252,10 @@ def metric_name(name: str) -> str:
 def written_name(metric: str) -> str:
     """Return the name of a metric for a file, with its module if that is a plug-in."""
     groups = plugin_parts(MetricGroup)
-    return next((f"{module}:{metric}" for module, group in groups if metric in group.meanings), metric)
+    return next(
+        (f"{module}:{metric}" for module, group in groups if metric in group.meanings),
+        metric,
+    )
 
 
 def meanings() -> dict[str, str]:
@@ -238,23 +265,32 @@ def meanings() -> dict[str, str]:
 
 
 VALIDATION = (
-    "Both plants are simulations. They are compared with hardware only by the values that the dissertation "
-    "publishes and by replayed recordings; all other differences are between the two plants."
+    "Both plants are simulations. They are compared with hardware only by the values"
+    " that the dissertation publishes and by replayed recordings; all other differences"
+    " are between the two plants."
 )
 """Statement on validation for every report."""
 
 _SAME_RATIO = 0.01
 """Relative difference below which plants agree, 1."""
-_PRESET = "The twin ran with preset {}, for searching: cite a run without it (docs/agreement.md#presets)."
-_OVERLAP = "Parts of the body overlap by up to {:.0f} mm ({}), as no robot can (docs/objects.md#limits)."
-_COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
+_PRESET = (
+    "The twin ran with preset {}, for searching: cite a run without it"
+    " (docs/agreement.md#presets)."
+)
+_OVERLAP = (
+    "Parts of the body overlap by up to {:.0f} mm ({}), as no robot can"
+    " (docs/objects.md#limits)."
+)
+_COMPLIANCE = (
+    "Compliance: the segments of the twin yield to loads, those of the model do not."
+)
 """Explanation of the cause that headlines name most often."""
 _MIN_CAUSE_RATIO = 0.25
 """Fraction of a difference that a cause must exceed to be mentioned, 1."""
 
 _LEARNT = (
-    "Learning brought the amplitudes to their targets. It does not control the path, whose curvature changed "
-    "from {:.2g} to {:.2g} 1/m (docs/learning.md)."
+    "Learning brought the amplitudes to their targets. It does not control the path,"
+    " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/learning.md)."
 )
 """Sentence on a learning run whose amplitudes have converged."""
 
@@ -262,22 +298,27 @@ _LEARNT = (
 def headline(metrics: Mapping[str, Any]) -> str:
     """Return a summary in a sentence or two, and sentences on its terms and on what limits the result.
 
-    A contact with obstacles is named first, then the difference over the whole run, and then the difference
-    before the contact with its cause.
+    A contact with obstacles is named first, then the difference over the whole run, and
+    then the difference before the contact with its cause.
 
     Args:
         metrics: contents of metrics.json.
     """
     text, preset = _summary(metrics), metrics.get("preset")
     sentences = [*_contacts(metrics), text]
-    sentences += [*[_COMPLIANCE] * ("compliance" in text), *[_PRESET.format(preset)] * bool(preset)]
+    sentences += [
+        *[_COMPLIANCE] * ("compliance" in text),
+        *[_PRESET.format(preset)] * bool(preset),
+    ]
     plants = metrics["plants"]
     shown = plants.get("twin") or plants.get("analytical") or {}
     ends = [shown.get(f"path_curvature_{name}per_m") for name in ("before_", "")]
     if shown.get("periods_to_converge") is not None and None not in ends:
         sentences.append(_LEARNT.format(*ends))
     if overlaps := metrics.get("body_overlap_m"):
-        sentences.append(_OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps)))
+        sentences.append(
+            _OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps))
+        )
     return " ".join(sentences)
 
 
@@ -286,7 +327,11 @@ def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
     names = {"twin": "the twin", "analytical": "the model"}
     plants = {name: plant for name, plant in metrics["plants"].items() if name in names}
     if any(plant.get("contacts") for plant in plants.values()):
-        texts = [f"{names[name]} {_meeting(metrics, name)}" for name in names if name in plants]
+        texts = [
+            f"{names[name]} {_meeting(metrics, name)}"
+            for name in names
+            if name in plants
+        ]
         yield f"{'; '.join(texts).capitalize()}."
 
 
@@ -311,30 +356,50 @@ def _summary(metrics: Mapping[str, Any]) -> str:
         return _summary_of_both(metrics, plants)
     name = "twin" if twin else "model"
     if (travel := one.get("travel_speed_m_s")) is not None:
-        return f"The {name} travels at {travel:.3g} m/s, {_direction(one)} of its heading."
+        return (
+            f"The {name} travels at {travel:.3g} m/s, {_direction(one)} of its heading."
+        )
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
-        how = "straight on" if abs(turn) < STRAIGHT_RAD_S else f"turning by {turn:.3g} rad/s"
+        how = (
+            "straight on"
+            if abs(turn) < STRAIGHT_RAD_S
+            else f"turning by {turn:.3g} rad/s"
+        )
         moved = one.get("object_moved_m")
         objects = "" if moved is None else f"; it moves an object by {moved:.2g} m"
         return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}{objects}."
     if one.get("goal_reached") is not None:
         return f"The {name} {_arrives(one)}."
     if one.get("error_rms_rad") is not None:
-        return f"The {name} follows its reference within {one['error_rms_rad']:.2g} rad RMS."
+        return (
+            f"The {name} follows its reference within {one['error_rms_rad']:.2g} rad"
+            " RMS."
+        )
     return f"The {name} moves by {one.get('path_length_m') or 0.0:.3g} m."
 
 
-def _summary_of_both(metrics: Mapping[str, Any], plants: Mapping[str, Mapping[str, Any]]) -> str:
+def _summary_of_both(
+    metrics: Mapping[str, Any], plants: Mapping[str, Mapping[str, Any]]
+) -> str:
     model, twin = plants["analytical"], plants["twin"]
     if model.get("goal_reached") is not None and twin.get("goal_reached") is not None:
         return f"The twin {_arrives(twin)}; the model {_arrives(model)}."
     if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
-        errors = f"{twin['error_rms_rad']:.2g} rad RMS, the model within {model['error_rms_rad']:.2g}"
+        errors = (
+            f"{twin['error_rms_rad']:.2g} rad RMS, the model within"
+            f" {model['error_rms_rad']:.2g}"
+        )
         return f"The twin follows its reference within {errors}."
-    if model.get("travel_speed_m_s") is not None and twin.get("travel_speed_m_s") is not None:
+    if (
+        model.get("travel_speed_m_s") is not None
+        and twin.get("travel_speed_m_s") is not None
+    ):
         text = _compared(metrics, metrics, "travel_speed_m_s", "m/s")
-        return f"The twin travels {text}, {_direction(twin)}; the model {_direction(model)}."
+        return (
+            f"The twin travels {text}, {_direction(twin)}; the model"
+            f" {_direction(model)}."
+        )
     if model.get("com_speed_m_s") is None or twin.get("com_speed_m_s") is None:
         bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
@@ -344,13 +409,19 @@ def _summary_of_both(metrics: Mapping[str, Any], plants: Mapping[str, Mapping[st
     text = f"Over the whole run, t{text} Before the contact"
     if before["plants"]["twin"]["com_speed_m_s"] is None:
         return f"{text}, too few whole gait periods pass to explain a difference."
-    return f"{text} (first {before['end_s']:.3g} s), it crawls {_crawling(metrics, before)}."
+    return (
+        f"{text} (first {before['end_s']:.3g} s), it crawls"
+        f" {_crawling(metrics, before)}."
+    )
 
 
 def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
     """Return how speed and yaw rate of the twin compare; arguments as for `_compared`."""
     text = _compared(metrics, part, "com_speed_m_s", "m/s")
-    rates = [abs(part["plants"][name].get("yaw_rate_rad_s") or 0.0) for name in ("analytical", "twin")]
+    rates = [
+        abs(part["plants"][name].get("yaw_rate_rad_s") or 0.0)
+        for name in ("analytical", "twin")
+    ]
     if max(rates) >= STRAIGHT_RAD_S:
         text += f", and turns {_compared(metrics, part, 'yaw_rate_rad_s', 'rad/s')}"
     return text
@@ -362,14 +433,20 @@ def _over_segments(metrics: Mapping[str, Any]) -> str:
     reference = metrics["plants"]["analytical"]["com_speed_m_s"]
     if not ranges or reference < ZERO:
         return ""
-    low, high = (round(100 * (speed / reference - 1)) for speed in ranges["stiffness_and_damping"])
+    low, high = (
+        round(100 * (speed / reference - 1))
+        for speed in ranges["stiffness_and_damping"]
+    )
     if high <= 0:
         text = f"between {-low} and {-high} % slower"
     elif low >= 0:
         text = f"between {low} and {high} % faster"
     else:
         text = f"between {-low} % slower and {high} % faster"
-    return f" For plausible values of the stiffness and damping of its segments, it is {text}."
+    return (
+        " For plausible values of the stiffness and damping of its segments, it is"
+        f" {text}."
+    )
 
 
 def _direction(plant: Mapping[str, Any]) -> str:
@@ -380,10 +457,16 @@ def _direction(plant: Mapping[str, Any]) -> str:
 def _arrives(plant: Mapping[str, Any]) -> str:
     reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
     cross_track = plant.get("cross_track_rms_m")
-    return reached if cross_track is None else f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
+    return (
+        reached
+        if cross_track is None
+        else f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
+    )
 
 
-def _compared(metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str) -> str:
+def _compared(
+    metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str
+) -> str:
     """Return how a metric of the twin compares with that of the model, and the main cause of the difference.
 
     Args:
@@ -392,7 +475,9 @@ def _compared(metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, 
         metric: metric.
         unit: its unit.
     """
-    reference, value = (part["plants"][plant][metric] for plant in ("analytical", "twin"))
+    reference, value = (
+        part["plants"][plant][metric] for plant in ("analytical", "twin")
+    )
     both = f"{value:.3g} against {reference:.3g} {unit}"
     near_zero = is_near_zero(reference, value, unit)
     if near_zero and is_near_zero(value, reference, unit):
@@ -408,41 +493,57 @@ def _compared(metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, 
     return f"{abs(100 * share):.0f} % {direction} than the model ({both}{why})"
 
 
-def _main_cause(causes: Sequence[tuple[str, float]], reference: float, share: float, *, alone: bool) -> str:
+def _main_cause(
+    causes: Sequence[tuple[str, float]], reference: float, share: float, *, alone: bool
+) -> str:
     """Return the main cause of a relative difference as text, in whole per cents that add up to it.
 
-    If a cause was switched alone, the text states the effect with "would". The contributions of an
-    attribution are means over the orders of switching. The text is empty if no cause acts in the direction of
-    the difference.
+    If a cause was switched alone, the text states the effect with "would". The
+    contributions of an attribution are means over the orders of switching. The text is
+    empty if no cause acts in the direction of the difference.
     """
     whole = round(100 * share)
     for name, change in causes:
         effect = round(100 * change / reference)
-        if effect * share <= 0 or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(share):
+        if effect * share <= 0 or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(
+            share
+        ):
             continue
         rest = whole - effect
         verb = ("slow" if share < 0 else "speed") + ("" if alone else "s")
-        does = f"{'alone would ' if alone else ''}{verb} it{' up' if share > 0 else ''} by {abs(effect)} %"
+        does = (
+            f"{'alone would ' if alone else ''}{verb} it{' up' if share > 0 else ''} by"
+            f" {abs(effect)} %"
+        )
         if not rest:
             return f"; {name} {does}"
-        others = f"by another {abs(rest)} %" if rest * share > 0 else f"offset {abs(rest)} %"
+        others = (
+            f"by another {abs(rest)} %" if rest * share > 0 else f"offset {abs(rest)} %"
+        )
         return f"; {name} {does}, other effects {others}"
     return ""
 
 
-def _causes(metrics: Mapping[str, Any], metric: str, window: float | None) -> list[tuple[str, float]]:
+def _causes(
+    metrics: Mapping[str, Any], metric: str, window: float | None
+) -> list[tuple[str, float]]:
     """Return assumptions and their effects on a metric in a window, the largest effect first."""
     effects = []
     if (attribution := metrics.get("attribution")) is not None:
         if attribution.get("window_s") == window:
             k = list(attribution["measures"]).index(metric)
-            effects = [(share["name"], share["value"][k]) for share in attribution["shares"]]
+            effects = [
+                (share["name"], share["value"][k]) for share in attribution["shares"]
+            ]
     elif (cause := metrics.get("cause")) and cause.get("window_s") == window:
         effects = [(cause["name"], cause[metric])]
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
-_MEASURED = "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad measured_heading_rms_rad"
+_MEASURED = (
+    "measured_shape_rms_m measured_path_rms_m measured_bend_rms_rad"
+    " measured_heading_rms_rad"
+)
 _GAIT = f"""
     com_speed_m_s yaw_rate_rad_s turning_radius_m path_length_m mean_bend_amplitude_rad
     travel_speed_m_s travel_direction_rad body_height_m contact_share supports roll_turns object_moved_m
@@ -464,9 +565,16 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     """Return the metrics of a short table, depending on whether the plants follow a plan or a reference."""
 
     def measured(*names: str) -> bool:
-        return any(plant.get(name) is not None for plant in plants.values() for name in names)
+        return any(
+            plant.get(name) is not None for plant in plants.values() for name in names
+        )
 
-    additional = [name for group in metric_groups() if not group.main for name in group.short_table]
+    additional = [
+        name
+        for group in metric_groups()
+        if not group.main
+        for name in group.short_table
+    ]
     for group in metric_groups():
         if group.main and measured(group.main):
             return [*group.short_table, *additional, *_COMPARISON]
@@ -489,8 +597,10 @@ class ResultRow(NamedTuple):
         metric: name of the metric.
         unit: its unit; empty for counts, ratios, and yes or no.
         values: one cell per plant.
-        difference: twin − analytical in the unit, or the value of a metric of the comparison.
-        per_cent: twin − analytical in per cent of the analytical value, for some metrics.
+        difference: twin − analytical in the unit, or the value of a metric of the
+            comparison.
+        per_cent: twin − analytical in per cent of the analytical value, for some
+            metrics.
     """
 
     metric: str
@@ -507,28 +617,40 @@ def result_rows(
 
     Args:
         metrics: contents of metrics.json.
-        names: metrics of plants and of the comparison; those without a value are left out.
+        names: metrics of plants and of the comparison; those without a value are left
+            out.
         text: function that formats a value.
     """
     units, plants = all_units(), metrics["plants"]
     for name in names:
         unit = "" if units[name] == "1" else units[name]
         values = [plant.get(name) for plant in plants.values()]
-        between = (metrics.get("comparison") or {}).get(name) if name in COMPARISON_UNITS else None
+        between = (
+            (metrics.get("comparison") or {}).get(name)
+            if name in COMPARISON_UNITS
+            else None
+        )
         if between is not None:
-            yield ResultRow(name, unit, [""] * len(plants), text(tidy(name, between)), "")
+            yield ResultRow(
+                name, unit, [""] * len(plants), text(tidy(name, between)), ""
+            )
         elif any(value is not None for value in values):
             texts = [text(tidy(name, value)) for value in values]
             yield ResultRow(name, unit, texts, *_differences(metrics, name, text))
 
 
-def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], str]) -> tuple[str, str]:
+def _differences(
+    metrics: Mapping[str, Any], metric: str, text: Callable[[Any], str]
+) -> tuple[str, str]:
     """Return twin − analytical as text, in the unit of the metric and in per cent.
 
-    The difference is 0 if both values have the same text. The per cent are empty for most metrics; both texts
-    are empty if one of the values is missing.
+    The difference is 0 if both values have the same text. The per cent are empty for
+    most metrics; both texts are empty if one of the values is missing.
     """
-    model, twin = (tidy(metric, metrics["plants"].get(p, {}).get(metric)) for p in ("analytical", "twin"))
+    model, twin = (
+        tidy(metric, metrics["plants"].get(p, {}).get(metric))
+        for p in ("analytical", "twin")
+    )
     if (
         metric in _NOT_COMPARED
         or is_yes_no(metric)
@@ -541,49 +663,65 @@ def _differences(metrics: Mapping[str, Any], metric: str, text: Callable[[Any], 
     if text(model) == text(twin):
         twin = model
     difference = f"{twin - model:+.3g}" if twin != model else "0"
-    is_relative = metric in RELATIVE.union(*(group.relative for group in metric_groups()))
+    is_relative = metric in RELATIVE.union(
+        *(group.relative for group in metric_groups())
+    )
     return difference, _per_cent(metric, model, twin) if is_relative else ""
 
 
 _GAIT_METRICS = [
     *("com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m"),
-    *("bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", *ENERGY_MEANINGS),
+    *(
+        "bend_amplitude_rad",
+        "bend_bias_rad",
+        "mean_bend_amplitude_rad",
+        *ENERGY_MEANINGS,
+    ),
 ]
 _NOT_LEARNING = dict.fromkeys(LEARNING_UNITS | LEARNING_LIST_UNITS)
 
 
-def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dict[str, Any]:
+def plant_metrics(
+    trajectory: Trajectory, *, wall_s: float | None = None
+) -> dict[str, Any]:
     """Compute the metrics of one run.
 
-    The gait metrics are means over whole gait periods after a warm-up of two (`GaitWindow`). They are None if
-    the run is not periodic or has fewer than three whole periods:
+    The gait metrics are means over whole gait periods after a warm-up of two
+    (`GaitWindow`). They are None if the run is not periodic or has fewer than three
+    whole periods:
 
-    - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass divided by its duration,
-      negative if that path is against the period-mean heading.
+    - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass
+      divided by its duration, negative if that path is against the period-mean heading.
     - ``yaw_rate_rad_s``: slope of the period-mean heading, positive to the left.
-    - ``turning_radius_m``: radius of the circle on which each period moves the centre of mass, positive if
-      its centre is on the left; None for a straight path (`gait.turning_radius`).
-    - ``bend_amplitude_rad``: half the peak-to-peak range of each period, averaged over the periods; head
-      first. ``mean_bend_amplitude_rad`` is the mean over the segments.
+    - ``turning_radius_m``: radius of the circle on which each period moves the centre
+      of mass, positive if its centre is on the left; None for a straight path
+      (`gait.turning_radius`).
+    - ``bend_amplitude_rad``: half the peak-to-peak range of each period, averaged over
+      the periods; head first. ``mean_bend_amplitude_rad`` is the mean over the
+      segments.
     - ``bend_bias_rad``: mean bend, head first.
     - power and cost of transport: see `gait.energy_metrics`.
 
-    A run with a reference has `tracking.tracking_metrics`, and a run with iterative learning has
-    `learning.learning_metrics`; otherwise these are None. A run on a bench without a reference has
-    ``final_bend_rad``, the bend of the first segment at its end. A run with a non-ideal sensor has
-    `reading.reading_metrics`. Extensions add their groups of metrics (`extensions.METRICS`). The metrics of a
-    comparison with a recording (`measured_…`) are None here; see `compare.MeasuredDifference`.
+    A run with a reference has `tracking.tracking_metrics`, and a run with iterative
+    learning has `learning.learning_metrics`; otherwise these are None. A run on a bench
+    without a reference has ``final_bend_rad``, the bend of the first segment at its
+    end. A run with a non-ideal sensor has `reading.reading_metrics`. Extensions add
+    their groups of metrics (`extensions.METRICS`). The metrics of a comparison with a
+    recording (`measured_…`) are None here; see `compare.MeasuredDifference`.
 
-    The remaining metrics cover the whole run: ``path_length_m`` of the raw path, ``valve_switches`` as [+, −]
-    openings per segment (None if they were not counted), ``wall_s``, and ``realtime_factor``, the simulated
-    time divided by the computing time (both None without a computing time).
+    The remaining metrics cover the whole run: ``path_length_m`` of the raw path,
+    ``valve_switches`` as [+, −] openings per segment (None if they were not counted),
+    ``wall_s``, and ``realtime_factor``, the simulated time divided by the computing
+    time (both None without a computing time).
 
     Args:
-        trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its metadata.
+        trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its
+            metadata.
         wall_s: computing time, s.
 
     Returns:
-        JSON values by the names above; their units are in `METRIC_UNITS` and `LIST_METRIC_UNITS`.
+        JSON values by the names above; their units are in `METRIC_UNITS` and
+        `LIST_METRIC_UNITS`.
 
     Raises:
         InputError: columns or metadata are missing or unusable.
@@ -592,17 +730,27 @@ def plant_metrics(trajectory: Trajectory, *, wall_s: float | None = None) -> dic
     steps = np.diff(trajectory.com, axis=0)
     simulated = float(trajectory.time[-1] - trajectory.time[0])
     window = GaitWindow.from_trajectory(trajectory)
-    gait = dict.fromkeys(_GAIT_METRICS) if window is None else _gait_metrics(trajectory, window)
+    gait = (
+        dict.fromkeys(_GAIT_METRICS)
+        if window is None
+        else _gait_metrics(trajectory, window)
+    )
     following = trajectory.has("reference")
     ends = trajectory.metadata.get("base") == "clamped" and not following
     return {
         **gait,
-        **(tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)),
+        **(
+            tracking_metrics(trajectory) if following else dict.fromkeys(TRACKING_UNITS)
+        ),
         **(learning_metrics(trajectory) if is_learning(trajectory) else _NOT_LEARNING),
         **reading_metrics(trajectory),
         **spatial_metrics(trajectory),
         **object_metrics(trajectory),
-        **{name: value for group in metric_groups() for name, value in group.measure(trajectory).items()},
+        **{
+            name: value
+            for group in metric_groups()
+            for name, value in group.measure(trajectory).items()
+        },
         **contact_metrics(trajectory),
         **dict.fromkeys(MEASURED_UNITS),
         "final_bend_rad": float(trajectory["bend_1"][-1]) if ends else None,
@@ -621,7 +769,9 @@ def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, objec
     return {
         "com_speed_m_s": speed,
         "yaw_rate_rad_s": yaw_rate,
-        "turning_radius_m": turning_radius(speed, yaw_rate, window.period, body_length(trajectory)),
+        "turning_radius_m": turning_radius(
+            speed, yaw_rate, window.period, body_length(trajectory)
+        ),
         "bend_amplitude_rad": amplitude.tolist(),
         "bend_bias_rad": window.mean(trajectory, bend).tolist(),
         "mean_bend_amplitude_rad": float(amplitude.mean()),

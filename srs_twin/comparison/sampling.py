@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-# Unit suffixes of metric names in addition to those of file keys; longer suffixes come first.
+# Unit suffixes of metric names in addition to those of file keys; longer suffixes come
+# first.
 _UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
 
 
@@ -44,8 +45,9 @@ ZERO = 5e-5
 """Magnitude below which a length, speed or angle counts as zero, m, m/s or rad: a tenth of a millimetre."""
 _RESOLUTION = {"m": ZERO, "m/s": ZERO, "rad": ZERO, "rad/s": STRAIGHT_RAD_S}
 _MAX_CHANGE = 10.0
-"""Largest change, as a multiple of the reference, that is stated in per cent. A larger per cent would mainly
-measure how near to zero the reference is."""
+"""Largest change, as a multiple of the reference, that is stated in per cent.
+
+A larger per cent would mainly measure how near to zero the reference is."""
 
 
 def is_near_zero(reference: float, value: float, unit: str) -> bool:
@@ -78,21 +80,27 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
         names: columns that must exist in addition to ``time``; ``"x"`` means ``x_1…``.
 
     Raises:
-        InputError: a column is missing or contains a value that is not finite, there is no sample, or the
-            time does not increase between samples.
+        InputError: a column is missing or contains a value that is not finite, there is
+            no sample, or the time does not increase between samples.
     """
     run = label(trajectory)
     missing = [name for name in ("time", *names) if not trajectory.has(name)]
     if missing:
-        raise InputError(f"{run}: no column '{missing[0]}'; the metrics cannot be computed without it")
+        raise InputError(
+            f"{run}: no column '{missing[0]}'; the metrics cannot be computed"
+            " without it"
+        )
     if len(trajectory) == 0:
         raise InputError(f"{run}: the trajectory has no samples")
     for name in ("time", *names):
-        values = trajectory[name] if name in trajectory.columns else trajectory.stack(name)
+        values = (
+            trajectory[name] if name in trajectory.columns else trajectory.stack(name)
+        )
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
         if bad.size:
             raise InputError(
-                f"{run}: column '{name}' is not finite at sample {bad[0]}; cut the run before it"
+                f"{run}: column '{name}' is not finite at sample {bad[0]}; cut the run"
+                " before it"
             )
     if np.any(np.diff(trajectory.time) <= 0):
         raise InputError(f"{run}: time must increase from sample to sample")
@@ -107,9 +115,14 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
     value = trajectory.metadata.get(name)
     if value is None:
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < np.inf:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not 0 < value < np.inf
+    ):
         raise InputError(
-            f"{label(trajectory)}: metadata {name} is {value!r}; it must be a positive number or null"
+            f"{label(trajectory)}: metadata {name} is {value!r}; it must be a positive"
+            " number or null"
         )
     return float(value)
 
@@ -120,9 +133,13 @@ def segment_lengths(trajectory: Trajectory) -> tuple[float, float]:
     Raises:
         InputError: one of them is missing.
     """
-    length, gap = (trajectory.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m"))
+    length, gap = (
+        trajectory.metadata.get(name) for name in ("segment_length_m", "rigid_gap_m")
+    )
     if length is None or gap is None:
-        raise InputError(f"{label(trajectory)}: metadata segment_length_m or rigid_gap_m is missing")
+        raise InputError(
+            f"{label(trajectory)}: metadata segment_length_m or rigid_gap_m is missing"
+        )
     return float(length), float(gap)
 
 
@@ -135,7 +152,8 @@ def body_length(trajectory: Trajectory) -> float:
     length = positive_number(trajectory, "body_length_m")
     if length is None:
         raise InputError(
-            f"{label(trajectory)}: metadata body_length_m is missing; distances are divided by it"
+            f"{label(trajectory)}: metadata body_length_m is missing; distances are"
+            " divided by it"
         )
     return length
 
@@ -143,14 +161,15 @@ def body_length(trajectory: Trajectory) -> float:
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
     """Return the cubic spline through samples of a trajectory.
 
-    Its error is of fourth order in the sample period; the error of its integral over a gait period is
-    smaller.
+    Its error is of fourth order in the sample period; the error of its integral over a
+    gait period is smaller.
 
     Args:
         trajectory: run with two samples or more.
         values: shape (samples, …).
     """
-    # Imported here because it takes half a second, which commands that only list metrics do not need.
+    # Imported here because it takes half a second, which commands that only list
+    # metrics do not need.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)
@@ -166,11 +185,14 @@ class MetricGroup:
 
     Attributes:
         meanings: metric → meaning in one line.
-        measure: returns the values of a run by metric, None where a metric is undefined.
-        why_undefined: returns the reason why a metric has no value; empty if this is the outcome of the run.
+        measure: returns the values of a run by metric, None where a metric is
+            undefined.
+        why_undefined: returns the reason why a metric has no value; empty if this is
+            the outcome of the run.
         relative: metrics whose difference between the plants is also shown in per cent.
-        main: metric that only runs of this topic have; `short_table` is then the whole short table of such a
-            run. If empty, `short_table` is appended to the short table of every run.
+        main: metric that only runs of this topic have; `short_table` is then the whole
+            short table of such a run. If empty, `short_table` is appended to the short
+            table of every run.
         short_table: metrics of the short table.
         yes_no: metrics that are 1 or 0, shown as yes or no.
     """

@@ -1,12 +1,14 @@
 r"""Metrics of a module on a bench: tracking of a reference (Chapter 4), and its sensor (Fig. 13, 14).
 
-Sines are fitted to recorded signals by least squares, at the frequency of the reference:
+Sines are fitted to recorded signals by least squares, at the frequency of the
+reference:
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
 
-The reading of a curvature sensor is a function of the bend. The bend of a run is not distributed evenly, and
-single readings are noisy. Readings and bends are therefore averaged over bins of 1° of bend. Each bin with
-samples counts once, as in a calibration at evenly spaced angles.
+The reading of a curvature sensor is a function of the bend. The bend of a run is not
+distributed evenly, and single readings are noisy. Readings and bends are therefore
+averaged over bins of 1° of bend. Each bin with samples counts once, as in a calibration
+at evenly spaced angles.
 """
 
 from __future__ import annotations
@@ -54,15 +56,20 @@ def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
     (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
     residual = rms(values - basis @ np.array([sine, cosine, offset]))
-    return SineFit(float(np.hypot(sine, cosine)), float(np.arctan2(cosine, sine)), float(offset), residual)
+    return SineFit(
+        float(np.hypot(sine, cosine)),
+        float(np.arctan2(cosine, sine)),
+        float(offset),
+        residual,
+    )
 
 
 def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
     """Return the frequency of a sine without noise, Hz; None for any other signal.
 
-    Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent samples give a first
-    estimate of f. Samples about a quarter period apart give the final one, because the cosine is most
-    sensitive there.
+    Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent
+    samples give a first estimate of f. Samples about a quarter period apart give the
+    final one, because the cosine is most sensitive there.
 
     Args:
         time: equally spaced except for the last sample, shape (samples,), s.
@@ -93,7 +100,9 @@ def _phase_step(values: np.ndarray, spacing: int) -> float | None:
     return float(np.arccos(cosine)) if 0 < 1 - cosine < 2 else None
 
 
-def step_response(time: np.ndarray, bend: np.ndarray, before: float, after: float) -> dict[str, float | None]:
+def step_response(
+    time: np.ndarray, bend: np.ndarray, before: float, after: float
+) -> dict[str, float | None]:
     """Return the metrics of a step response; the bend is interpolated linearly between samples.
 
     Args:
@@ -103,11 +112,15 @@ def step_response(time: np.ndarray, bend: np.ndarray, before: float, after: floa
         after: reference after it, rad.
 
     Returns:
-        ``rise_time_s`` from 10 to 90 %, ``overshoot_rel`` and ``overshoot_rad`` (0 without overshoot),
-        ``settling_2_s`` and ``settling_5_s``; None for levels that are not reached before the end of the run.
+        ``rise_time_s`` from 10 to 90 %, ``overshoot_rel`` and ``overshoot_rad`` (0
+        without overshoot), ``settling_2_s`` and ``settling_5_s``; None for levels that
+        are not reached before the end of the run.
     """
     response = (bend - before) / (after - before)
-    low, high = _first_crossing(time, response, 0.1), _first_crossing(time, response, 0.9)
+    low, high = (
+        _first_crossing(time, response, 0.1),
+        _first_crossing(time, response, 0.9),
+    )
     overshoot = max(0.0, float(response.max()) - 1.0)
     return {
         "rise_time_s": None if low is None or high is None else high - low,
@@ -118,7 +131,9 @@ def step_response(time: np.ndarray, bend: np.ndarray, before: float, after: floa
     }
 
 
-def _first_crossing(time: np.ndarray, response: np.ndarray, level: float) -> float | None:
+def _first_crossing(
+    time: np.ndarray, response: np.ndarray, level: float
+) -> float | None:
     """Return the first time at which a level is reached from below, s."""
     above = np.flatnonzero(response >= level)
     if not len(above):
@@ -134,10 +149,14 @@ def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float
     last = int(outside[-1])
     if last + 1 == len(response):
         return None
-    return _crossing_time(time, response, last + 1, 1.0 + np.copysign(band, response[last] - 1.0))
+    return _crossing_time(
+        time, response, last + 1, 1.0 + np.copysign(band, response[last] - 1.0)
+    )
 
 
-def _crossing_time(time: np.ndarray, response: np.ndarray, k: int, level: float) -> float:
+def _crossing_time(
+    time: np.ndarray, response: np.ndarray, k: int, level: float
+) -> float:
     """Return the time at which the line from sample k − 1 to k crosses a level; the first time if k is 0."""
     if k == 0:
         return float(time[0])
@@ -175,32 +194,36 @@ _MIN_STEP = 1e-3
 def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the tracking metrics of the first segment; None for those that do not apply.
 
-    Metrics of a step, which is a reference that changes once, or a constant one from which the initial bend
-    differs:
+    Metrics of a step, which is a reference that changes once, or a constant one from
+    which the initial bend differs:
 
     - ``rise_time_s``: time from 10 to 90 % of the step.
-    - ``overshoot_rel`` and ``overshoot_rad``: overshoot, relative to the step and as an angle.
-    - ``settling_2_s`` and ``settling_5_s``: time after which the bend stays within 2 and 5 % of the step.
+    - ``overshoot_rel`` and ``overshoot_rad``: overshoot, relative to the step and as an
+      angle.
+    - ``settling_2_s`` and ``settling_5_s``: time after which the bend stays within 2
+      and 5 % of the step.
 
-    Metrics of the steady state, over the second half of the time since the last change of a reference that
-    changes at most once:
+    Metrics of the steady state, over the second half of the time since the last change
+    of a reference that changes at most once:
 
     - ``steady_error_rad``: mean of bend minus reference; ``steady_rms_rad``: its RMS.
-    - ``ripple_pp_rad`` and ``ripple_rms_rad``: peak-to-peak and RMS of the bend about its mean.
-    - ``sensed_ripple_pp_rad``: peak-to-peak of the sensor reading with its noise, as in the figures of the
-      dissertation.
+    - ``ripple_pp_rad`` and ``ripple_rms_rad``: peak-to-peak and RMS of the bend about
+      its mean.
+    - ``sensed_ripple_pp_rad``: peak-to-peak of the sensor reading with its noise, as in
+      the figures of the dissertation.
 
-    Metrics of a sine, over whole periods after a warm-up of two (of one, if the run has two or three
-    periods):
+    Metrics of a sine, over whole periods after a warm-up of two (of one, if the run has
+    two or three periods):
 
     - ``amplitude_rel``: amplitude of the fitted sine divided by that of the reference.
     - ``phase_lag_rad``: phase lag behind the reference, between −π and π.
-    - ``amplitude_spread_rel`` and ``phase_lag_spread_rad``: their standard deviations between fits to single
-      periods.
+    - ``amplitude_spread_rel`` and ``phase_lag_spread_rad``: their standard deviations
+      between fits to single periods.
     - ``fit_residual_rad``: RMS residual of the fitted sine.
 
-    Metrics of every run: ``error_rms_rad``, the RMS of reference minus bend; ``inlet_openings`` per valve;
-    and ``outlet_openings`` per valve, for separate outlet valves in a run that is recorded in every tick.
+    Metrics of every run: ``error_rms_rad``, the RMS of reference minus bend;
+    ``inlet_openings`` per valve; and ``outlet_openings`` per valve, for separate outlet
+    valves in a run that is recorded in every tick.
 
     Args:
         trajectory: run with ``reference_1`` and ``bend_1``.
@@ -257,8 +280,13 @@ def _sine_metrics(
     first = min(WARM_UP_PERIODS, whole // 2)
 
     def fits(begin: int, end: int) -> list[SineFit]:
-        samples = slice(*np.searchsorted(time, start + np.array([begin, end]) / frequency - 1e-9))
-        return [fit_sine(time[samples], signal[samples], frequency) for signal in (reference, bend)]
+        samples = slice(
+            *np.searchsorted(time, start + np.array([begin, end]) / frequency - 1e-9)
+        )
+        return [
+            fit_sine(time[samples], signal[samples], frequency)
+            for signal in (reference, bend)
+        ]
 
     reference_fit, bend_fit = fits(first, whole)
     by_period = [fits(n, n + 1) for n in range(first, whole)]
@@ -269,7 +297,9 @@ def _sine_metrics(
         "amplitude_rel": bend_fit.amplitude / reference_fit.amplitude,
         "amplitude_spread_rel": float(np.std(gains, ddof=1)) if several else None,
         "phase_lag_rad": _lag(reference_fit, bend_fit),
-        "phase_lag_spread_rad": float(np.std(np.unwrap(lags), ddof=1)) if several else None,
+        "phase_lag_spread_rad": (
+            float(np.std(np.unwrap(lags), ddof=1)) if several else None
+        ),
         "fit_residual_rad": bend_fit.residual,
     }
 
@@ -282,10 +312,16 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the openings per valve: inlets as counted by the plant, outlets from the samples."""
     counted = trajectory.metadata.get("valve_switches")
-    metrics: dict[str, float | None] = {"inlet_openings": float(np.mean(counted[0])) if counted else None}
+    metrics: dict[str, float | None] = {
+        "inlet_openings": float(np.mean(counted[0])) if counted else None
+    }
     names = ("valve_plus_1", "valve_minus_1")
     tick = trajectory.metadata.get("tick_s")
-    if tick is None or len(trajectory) < 2 or not all(trajectory.has(name) for name in names):
+    if (
+        tick is None
+        or len(trajectory) < 2
+        or not all(trajectory.has(name) for name in names)
+    ):
         return metrics
     states = np.stack([trajectory[name] for name in names])
     every_tick = float(np.diff(trajectory.time).max()) < 1.5 * tick
@@ -332,14 +368,21 @@ class ReadingCurve:
         Raises:
             InputError: columns are missing or unusable.
         """
-        if not (trajectory.has("sensed_1") and _sensor(trajectory).get("kind", "ideal") != "ideal"):
+        if not (
+            trajectory.has("sensed_1")
+            and _sensor(trajectory).get("kind", "ideal") != "ideal"
+        ):
             return None
         check_columns(trajectory, "bend_1")
         read = np.isfinite(trajectory["sensed_1"])
         bend, sensed = trajectory["bend_1"][read], trajectory["sensed_1"][read]
         # Rounding centres a bin at 0, so that bends to both sides are treated alike.
-        _, bins, samples = np.unique(np.round(bend / BIN_RAD), return_inverse=True, return_counts=True)
-        return cls(np.bincount(bins, bend) / samples, np.bincount(bins, sensed) / samples)
+        _, bins, samples = np.unique(
+            np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
+        )
+        return cls(
+            np.bincount(bins, bend) / samples, np.bincount(bins, sensed) / samples
+        )
 
     @property
     def r_squared(self) -> float | None:
@@ -366,12 +409,13 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return metrics of the first segment's sensor, all None for an ideal sensor or without one.
 
     - ``reading_r_squared``: R² of a linear relation between reading and bend.
-    - ``reading_error_rad``: largest magnitude of mean reading minus mean bend, in which noise is averaged
-      out.
-    - ``reading_backstep_rad``: largest decrease of the reading with increasing bend. It is 0, apart from
-      noise, if the reading is unique.
+    - ``reading_error_rad``: largest magnitude of mean reading minus mean bend, in which
+      noise is averaged out.
+    - ``reading_backstep_rad``: largest decrease of the reading with increasing bend. It
+      is 0, apart from noise, if the reading is unique.
     - ``reading_backstep_at_rad``: bend in the middle of that decrease.
-    - ``reading_range_t``: change of the field at the Hall element from the smallest to the largest bend.
+    - ``reading_range_t``: change of the field at the Hall element from the smallest to
+      the largest bend.
 
     The metrics depend on the bends that occur in the run, but not on their cause.
 
@@ -393,7 +437,9 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     metrics["reading_backstep_rad"], metrics["reading_backstep_at_rad"] = curve.backstep
     field = _field_per_rad(_sensor(trajectory))
     if field is not None:
-        metrics["reading_range_t"] = float(abs(curve.reading[-1] - curve.reading[0])) * field
+        metrics["reading_range_t"] = (
+            float(abs(curve.reading[-1] - curve.reading[0])) * field
+        )
     return metrics
 
 
@@ -404,7 +450,12 @@ def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
 def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
     """Return the change of the field at the Hall element per sensed bend, T/rad; None if it is not known."""
     hall, line = _mapping(sensor.get("hall")), _mapping(sensor.get("calibration"))
-    values = (hall.get("gain"), hall.get("gain_error"), hall.get("sensitivity"), line.get("slope"))
+    values = (
+        hall.get("gain"),
+        hall.get("gain_error"),
+        hall.get("sensitivity"),
+        line.get("slope"),
+    )
     numbers = [float(value) for value in values if isinstance(value, int | float)]
     if len(numbers) < len(values):
         return None

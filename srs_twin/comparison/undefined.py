@@ -1,8 +1,9 @@
 """Reasons for undefined metrics of a run.
 
-A metric without a value has one of two causes. Either the run lacks the data for the metric, such as whole
-gait periods, a reference or a recording; the metric cannot be judged then. Or the missing value is the
-result: a path without a turning radius is straight, and a plan without a length was not found.
+A metric without a value has one of two causes. Either the run lacks the data for the
+metric, such as whole gait periods, a reference or a recording; the metric cannot be
+judged then. Or the missing value is the result: a path without a turning radius is
+straight, and a plan without a length was not found.
 """
 
 from __future__ import annotations
@@ -29,12 +30,27 @@ _ENERGY = {
     "pneumatic_power_w": "air",
     "pneumatic_cost_of_transport": "air",
 }
-_OF_A_GAIT = {"com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m", "mean_bend_amplitude_rad", *_ENERGY}
-_OF_TWO_GAITS = {"com_speed_rel", "yaw_rate_abs", "measured_com_speed_rel", "measured_yaw_rate_abs"}
+_OF_A_GAIT = {
+    "com_speed_m_s",
+    "yaw_rate_rad_s",
+    "turning_radius_m",
+    "mean_bend_amplitude_rad",
+    *_ENERGY,
+}
+_OF_TWO_GAITS = {
+    "com_speed_rel",
+    "yaw_rate_abs",
+    "measured_com_speed_rel",
+    "measured_yaw_rate_abs",
+}
 _REACHED = {"rise_time_s", "settling_2_s", "settling_5_s"}
 _SINE = {
-    "amplitude_rel", "amplitude_spread_rel", "phase_lag_rad", "phase_lag_spread_rad", "fit_residual_rad",
-}  # fmt: skip
+    "amplitude_rel",
+    "amplitude_spread_rel",
+    "phase_lag_rad",
+    "phase_lag_spread_rad",
+    "fit_residual_rad",
+}
 _OPENINGS = {"inlet_openings", "outlet_openings"}
 
 
@@ -44,8 +60,9 @@ class Undefined:
 
     Attributes:
         reason: text.
-        beyond: lower bound of the value, in the unit of the metric: a bend that has not settled by the end of
-            a run may settle later. -inf if nothing is known about the value.
+        beyond: lower bound of the value, in the unit of the metric: a bend that has not
+            settled by the end of a run may settle later. -inf if nothing is known about
+            the value.
     """
 
     reason: str
@@ -53,20 +70,29 @@ class Undefined:
 
 
 def why_undefined(
-    metric: str, subject: str, metrics: Mapping[str, Any], runs: Mapping[str, Trajectory]
+    metric: str,
+    subject: str,
+    metrics: Mapping[str, Any],
+    runs: Mapping[str, Trajectory],
 ) -> Undefined | None:
     """Return the reason why a metric of a run has no value.
 
     Args:
         metric: name of the metric.
         subject: "analytical", "twin" or "comparison".
-        metrics: contents of metrics.json: "plants" → plant → metric, "comparison" → metric.
+        metrics: contents of metrics.json: "plants" → plant → metric, "comparison" →
+            metric.
         runs: plant → trajectory, and "measured" → the replayed recording.
 
     Returns:
-        None if the metric has a value, or if the missing value is the result of the run.
+        None if the metric has a value, or if the missing value is the result of the
+        run.
     """
-    values = (metrics["comparison"] if subject == "comparison" else metrics["plants"].get(subject)) or {}
+    values = (
+        metrics["comparison"]
+        if subject == "comparison"
+        else metrics["plants"].get(subject)
+    ) or {}
     if values.get(metric) is not None:
         return None
     if metric in _OF_TWO_GAITS | _OF_A_GAIT:
@@ -108,18 +134,28 @@ def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
     if measured.metadata.get("bends_only") and metric != "measured_bend_rms_rad":
         return "only bends were recorded"
     clamped = any(run.metadata.get("base") == "clamped" for run in runs.values())
-    return "the robot was clamped at its head" if clamped and metric in _OF_TWO_GAITS else ""
+    return (
+        "the robot was clamped at its head"
+        if clamped and metric in _OF_TWO_GAITS
+        else ""
+    )
 
 
-def _tracking(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+def _tracking(
+    metric: str, values: Mapping[str, Any], run: Trajectory
+) -> Undefined | None:
     if values.get("error_rms_rad") is None:
         return Undefined("the run follows no reference")
     if metric in _REACHED and values.get("overshoot_rel") is not None:
         changes = np.flatnonzero(np.diff(run["reference_1"])) + 1
         passed = float(run.time[-1] - run.time[changes[0] if len(changes) else 0])
-        return Undefined(f"it is not reached within the {passed:.4g} s after the step", passed)
+        return Undefined(
+            f"it is not reached within the {passed:.4g} s after the step", passed
+        )
     if metric in _SINE:
-        return Undefined("the run does not hold enough whole periods of a sine reference")
+        return Undefined(
+            "the run does not hold enough whole periods of a sine reference"
+        )
     if metric in _OPENINGS:
         return Undefined("the run does not record these openings")
     if metric == "sensed_ripple_pp_rad" and values.get("ripple_pp_rad") is not None:
@@ -127,16 +163,31 @@ def _tracking(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefi
     return Undefined("the reference is not a single step")
 
 
-def _learning(metric: str, values: Mapping[str, Any], run: Trajectory) -> Undefined | None:
+def _learning(
+    metric: str, values: Mapping[str, Any], run: Trajectory
+) -> Undefined | None:
     if not is_learning(run):
         return Undefined("the run has no iterative learning")
     periods = len(values.get("duty") or ())
-    still = values.get("heading_drift_rad") is not None and values.get("path_curvature_per_m") is None
-    if metric == "periods_to_converge" and values.get("amplitude_error_end_rad") is not None:
-        return Undefined(f"the amplitudes have not converged within {periods} periods", periods)
+    still = (
+        values.get("heading_drift_rad") is not None
+        and values.get("path_curvature_per_m") is None
+    )
+    if (
+        metric == "periods_to_converge"
+        and values.get("amplitude_error_end_rad") is not None
+    ):
+        return Undefined(
+            f"the amplitudes have not converged within {periods} periods", periods
+        )
     if not metric.startswith(("path_", "box_", "heading_")):
-        return Undefined(f"it is not defined by the learning periods of the run ({periods})")
-    if still or (metric.startswith("path_radius") and values.get("path_curvature_per_m") is not None):
+        return Undefined(
+            f"it is not defined by the learning periods of the run ({periods})"
+        )
+    if still or (
+        metric.startswith("path_radius")
+        and values.get("path_curvature_per_m") is not None
+    ):
         return None
     if values.get("heading_drift_rad") is None:
         return Undefined(f"the run has fewer than {LAST_PERIODS} whole periods")
@@ -160,4 +211,8 @@ def _other(metric: str, run: Trajectory) -> str:
         if ReadingCurve.from_trajectory(run) is None:
             return "the run has no sensor, or an ideal one"
         return "the sensor has no Hall element" if metric == "reading_range_t" else ""
-    return "the run is not on a bench without a reference" if metric == "final_bend_rad" else ""
+    return (
+        "the run is not on a bench without a reference"
+        if metric == "final_bend_rad"
+        else ""
+    )

@@ -27,8 +27,8 @@ _BLAS_LOCK = threading.RLock()
 
 def is_plausible(*quantities: Any) -> bool:
     """Return whether all elements of some arrays are finite and smaller than `LARGEST_PLAUSIBLE`."""
-    # Test the sum of squares first: it decides almost all cases in half a microsecond per array, without
-    # warnings.
+    # Test the sum of squares first: it decides almost all cases in half a microsecond
+    # per array, without warnings.
     if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
     return all(first_implausible(values) is None for values in quantities)
@@ -54,16 +54,19 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
     """
     if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
         shown = f"{value!r} {unit}".strip()
-        raise InputError(f"{name} {shown} is not allowed; it must be finite and above 0")
+        raise InputError(
+            f"{name} {shown} is not allowed; it must be finite and above 0"
+        )
 
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread within a `with` block, so that results do not depend on the number of cores.
 
-    OpenBLAS splits sums between its threads, so the last digits of products of matrices larger than about 100
-    × 100 depend on the number of threads. The limit applies to the whole process. Blocks in several Python
-    threads are therefore serialised: otherwise the first block to end would remove the limit for the others.
+    OpenBLAS splits sums between its threads, so the last digits of products of matrices
+    larger than about 100 × 100 depend on the number of threads. The limit applies to
+    the whole process. Blocks in several Python threads are therefore serialised:
+    otherwise the first block to end would remove the limit for the others.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield
@@ -72,7 +75,8 @@ def one_blas_thread() -> Iterator[None]:
 def blas_kernels() -> tuple[str, ...]:
     """Return the sorted names of the kernels of NumPy's and SciPy's BLAS libraries, such as `SkylakeX`.
 
-    Libraries without this information, and those of other packages (OpenCV), are not included.
+    Libraries without this information, and those of other packages (OpenCV), are not
+    included.
     """
     import scipy.linalg  # noqa: F401  loads SciPy's own BLAS library
 
@@ -80,8 +84,12 @@ def blas_kernels() -> tuple[str, ...]:
     kernels = set()
     for library in ThreadpoolController().select(user_api="blas").info():
         path = Path(library["filepath"])
-        package = path.relative_to(packages).parts[0] if path.is_relative_to(packages) else ""
-        if package.partition(".")[0] in ("", "numpy", "scipy") and library.get("architecture"):
+        package = (
+            path.relative_to(packages).parts[0] if path.is_relative_to(packages) else ""
+        )
+        if package.partition(".")[0] in ("", "numpy", "scipy") and library.get(
+            "architecture"
+        ):
             kernels.add(library["architecture"])
     return tuple(sorted(kernels))
 
@@ -93,12 +101,21 @@ def concatenate_records(records: Sequence[Record]) -> Record:
     """Return the concatenation of records of arrays along their first axis, the samples.
 
     Args:
-        records: one or more records of the same type, whose shapes differ only in the number of samples. A
-            single record is returned without a copy.
+        records: one or more records of the same type, whose shapes differ only in the
+            number of samples. A single record is returned without a copy.
     """
     if len(records) == 1:
         return records[0]
     kind: Any = type(records[0])
-    names = kind._fields if issubclass(kind, tuple) else [field.name for field in fields(kind)]
-    whole: Record = kind(*(np.concatenate([getattr(record, name) for record in records]) for name in names))
+    names = (
+        kind._fields
+        if issubclass(kind, tuple)
+        else [field.name for field in fields(kind)]
+    )
+    whole: Record = kind(
+        *(
+            np.concatenate([getattr(record, name) for record in records])
+            for name in names
+        )
+    )
     return whole

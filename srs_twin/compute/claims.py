@@ -1,9 +1,10 @@
 """Claims of plants, controllers, batches and environments, which serve one thread at a time.
 
-Such an object changes while it runs. A second thread would continue from half a step, or crash the engine.
-`rollout` therefore claims its plant and its controller until it ends, and a method in `claiming_methods`
-claims its object while it runs. A thread may claim again what it has claimed. After the end of a claim, any
-other thread may use the object.
+Such an object changes while it runs. A second thread would continue from half a step,
+or crash the engine. `rollout` therefore claims its plant and its controller until it
+ends, and a method in `claiming_methods` claims its object while it runs. A thread may
+claim again what it has claimed. After the end of a claim, any other thread may use the
+object.
 
 Claims are stored outside the objects, so that copies and pickles have none.
 """
@@ -33,7 +34,8 @@ class Claimable(DeepCopied):
     """Base class of objects that one thread uses at a time.
 
     Attributes:
-        claiming_methods: names of the methods, also of subclasses, that claim the object while they run.
+        claiming_methods: names of the methods, also of subclasses, that claim the
+            object while they run.
     """
 
     claiming_methods: ClassVar[tuple[str, ...]] = (
@@ -58,8 +60,8 @@ def _claiming(method: Callable[..., Any]) -> Callable[..., Any]:
         thread = get_ident()
         if _HOLDERS.get(key) == thread:
             return method(self, *arguments, **options)
-        # An interrupt may arrive after any call. The claim is therefore made inside the block that ends it,
-        # and the end of that block calls nothing.
+        # An interrupt may arrive after any call. The claim is therefore made inside the
+        # block that ends it, and the end of that block calls nothing.
         try:
             _acquire(self, thread)
             return method(self, *arguments, **options)
@@ -95,6 +97,7 @@ def claim(item: object) -> Iterator[None]:
 def _acquire(item: object, thread: int) -> None:
     if _HOLDERS.setdefault(id(item), thread) != thread:
         raise InputError(
-            f"this {type(item).__name__} is in use by another thread; build another one for this thread. "
-            "run_many runs several jobs on threads, each with its own plant and controller"
+            f"this {type(item).__name__} is in use by another thread; build another one"
+            " for this thread. run_many runs several jobs on threads, each with its"
+            " own plant and controller"
         )

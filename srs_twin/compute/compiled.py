@@ -1,9 +1,10 @@
 """Numba compilation with a disk cache that detects changes in inlined functions.
 
-Numba optimises every function by itself and again in each of its callers, and turns all of them into machine
-code. Here a function that a kernel calls is a *part* of the kernel (`_PartLibrary`): it is optimised and
-turned into machine code only once, together with the function that Python calls. Only that function has a
-wrapper for Python and a cache on disk.
+Numba optimises every function by itself and again in each of its callers, and turns all
+of them into machine code. Here a function that a kernel calls is a *part* of the kernel
+(`_PartLibrary`): it is optimised and turned into machine code only once, together with
+the function that Python calls. Only that function has a wrapper for Python and a cache
+on disk.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ from srs_twin.errors import CacheWarning
 
 Function = Callable[..., Any]
 
-# Allowed optimisations: they may change the order of sums, but not the treatment of infinities and NaN.
+# Allowed optimisations: they may change the order of sums, but not the treatment of
+# infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {
     "nogil": True,
@@ -41,8 +43,8 @@ _OPTIONS: Any = {
     "fastmath": _FASTMATH,
     "no_cfunc_wrapper": True,  # no kernel is called from C
 }
-# Disable reference counts, which take most of a small kernel's time; a kernel that creates no arrays does not
-# need them.
+# Disable reference counts, which take most of a small kernel's time; a kernel that
+# creates no arrays does not need them.
 _NO_REFCOUNTS: Any = {"_nrt": False}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned = False
@@ -62,7 +64,11 @@ class _PartLibrary(JITCodeLibrary):
         """Make the global variables of the functions known, which numba sets; emit no machine code."""
         self._raise_if_finalized()
         names = [variable.name for variable in self._final_module.global_variables]
-        lines = [f"@{name} = common global ptr null" for name in names if name.startswith("_ZN08NumbaEnv")]
+        lines = [
+            f"@{name} = common global ptr null"
+            for name in names
+            if name.startswith("_ZN08NumbaEnv")
+        ]
         self._stub = llvm.parse_assembly("\n".join(lines))
         self._codegen._add_module(self._stub)
         self._codegen._engine.finalize_object()
@@ -77,10 +83,17 @@ class _PartLibrary(JITCodeLibrary):
             self._collect(libraries)
             for library in list(libraries)[1:]:
                 is_part = isinstance(library, _PartLibrary)
-                code = library._final_module if is_part else library._get_module_for_linking()
+                code = (
+                    library._final_module
+                    if is_part
+                    else library._get_module_for_linking()
+                )
                 module.link_in(code, preserve=True)
             for function in module.functions:
-                if not function.is_declaration and function.linkage == llvm.Linkage.external:
+                if (
+                    not function.is_declaration
+                    and function.linkage == llvm.Linkage.external
+                ):
                     function.linkage = "linkonce_odr"  # several kernels may contain it
             self._shared_module = module
         return self._shared_module
@@ -100,13 +113,19 @@ class _PartLibrary(JITCodeLibrary):
 class _PartCompiler(Compiler):
     """Numba's compiler with a `_PartLibrary`."""
 
-    def __init__(self, typing_context: Any, target_context: Any, _: Any, *rest: Any) -> None:
+    def __init__(
+        self, typing_context: Any, target_context: Any, _: Any, *rest: Any
+    ) -> None:
         library = _PartLibrary(target_context.codegen(), "part")
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
 
 
-# A wrapper for functions with records of arrays as arguments takes longer to compile than the functions.
-_PART_OPTIONS: Any = _OPTIONS | {"no_cpython_wrapper": True, "pipeline_class": _PartCompiler}
+# A wrapper for functions with records of arrays as arguments takes longer to compile
+# than the functions.
+_PART_OPTIONS: Any = _OPTIONS | {
+    "no_cpython_wrapper": True,
+    "pipeline_class": _PartCompiler,
+}
 
 
 class Kernel:
@@ -140,10 +159,12 @@ def compiled(function: Function) -> Kernel:
 
     The kernel runs without the interpreter's lock.
 
-    Numba's own cache is valid as long as the source file of the function is unchanged. It does not detect
-    changes in inlined functions from other files, such as a corrected friction law. Here the cache is valid
-    as long as a digest of the bytecode of the function, of every kernel that it calls and of their constants
-    is unchanged. Without a writable cache folder every process compiles its kernels, with one `CacheWarning`.
+    Numba's own cache is valid as long as the source file of the function is unchanged.
+    It does not detect changes in inlined functions from other files, such as a
+    corrected friction law. Here the cache is valid as long as a digest of the bytecode
+    of the function, of every kernel that it calls and of their constants is unchanged.
+    Without a writable cache folder every process compiles its kernels, with one
+    `CacheWarning`.
     """
     return Kernel(function, _NO_REFCOUNTS)
 
@@ -159,8 +180,11 @@ def kernel_only(function: Function) -> Function:
     return part
 
 
-# Functions that are chosen by types return no arrays, whose references they would have to count.
-overload_part: Function = functools.partial(overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS)
+# Functions that are chosen by types return no arrays, whose references they would have
+# to count.
+overload_part: Function = functools.partial(
+    overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS
+)
 """Decorator `numba.extending.overload` for functions that only kernels call."""
 
 
@@ -173,7 +197,8 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
     """Return a decorator that compiles a function, as `kernel_only`, where it is needed.
 
     Args:
-        condition: decides on the numba type of the first argument. If false, the call is compiled to nothing.
+        condition: decides on the numba type of the first argument. If false, the call
+            is compiled to nothing.
         otherwise: number, or tuple of numbers, that such a call returns.
     """
 
@@ -188,7 +213,9 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
             def result(*arguments: types.Type) -> types.Type:
                 kind: types.Type = typeof(otherwise)
                 if condition(arguments[0]):
-                    kind = context.resolve_function_type(kernel._numba_type_, arguments, {}).return_type
+                    kind = context.resolve_function_type(
+                        kernel._numba_type_, arguments, {}
+                    ).return_type
                 return kind
 
             result.pysig = inspect.signature(function)  # type: ignore[attr-defined]  # names of the arguments
@@ -196,8 +223,12 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
 
         def lower(context: Any, builder: Any, signature: Any, values: Any) -> Any:
             if not condition(signature.args[0]):
-                return context.get_constant_generic(builder, signature.return_type, otherwise)
-            called = context.typing_context.resolve_function_type(kernel._numba_type_, signature.args, {})
+                return context.get_constant_generic(
+                    builder, signature.return_type, otherwise
+                )
+            called = context.typing_context.resolve_function_type(
+                kernel._numba_type_, signature.args, {}
+            )
             return context.get_function(kernel._numba_type_, called)(builder, values)
 
         lower_builtin(call, types.VarArg(types.Any))(lower)
@@ -220,13 +251,15 @@ def _with_cache(dispatcher: Any, function: Function) -> Function:
 class _Cache(FunctionCache):
     """Cache of one function that is disabled if its folder cannot be used.
 
-    The cache files are pickles, which can execute code. A folder that other users can write to is not used.
+    The cache files are pickles, which can execute code. A folder that other users can
+    write to is not used.
     """
 
     def load_overload(self, sig: object, target_context: object) -> Any:
         """Return the cached machine code for a signature, or None.
 
-        The digest is computed here, at the first call, because all names that the function uses exist then.
+        The digest is computed here, at the first call, because all names that the
+        function uses exist then.
         """
         self._cache_file._source_stamp = _source_stamp(self._py_func)
         if (reason := _why_unsafe(Path(self._cache_path))) is not None:
@@ -245,8 +278,8 @@ class _Cache(FunctionCache):
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # The index refers to a kernel that was an argument in another process, or to a function that has
-            # since been removed; start a new index.
+            # The index refers to a kernel that was an argument in another process, or
+            # to a function that has since been removed; start a new index.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
@@ -263,11 +296,16 @@ def _why_unsafe(folder: Path) -> str | None:
             continue
         if status.st_uid not in (os.getuid(), 0):
             return f"{path} belongs to another user"
-        # In a folder with the sticky bit, such as /tmp, only the owner can replace a file.
+        # In a folder with the sticky bit, such as /tmp, only the owner can replace a
+        # file.
         sticky = path != folder and status.st_mode & stat.S_ISVTX
         if status.st_mode & stat.S_IWOTH and not sticky:
             return f"{path} can be written by all users"
-        if status.st_mode & stat.S_IWGRP and not sticky and not _is_own_group(status.st_gid):
+        if (
+            status.st_mode & stat.S_IWGRP
+            and not sticky
+            and not _is_own_group(status.st_gid)
+        ):
             return f"{path} can be written by its group (chmod g-w forbids it)"
     return None
 
@@ -290,7 +328,10 @@ def _warn(reason: str, requirement: str = "that you can write to") -> None:
     global _warned
     if not _warned:
         _warned = True
-        problem = f"compiled kernels cannot be cached, so every start compiles them again ({reason})"
+        problem = (
+            "compiled kernels cannot be cached, so every start compiles them again"
+            f" ({reason})"
+        )
         remedy = f"set NUMBA_CACHE_DIR to a folder {requirement}"
         warnings.warn(f"{problem}; {remedy}", CacheWarning, stacklevel=1)
 
@@ -298,13 +339,17 @@ def _warn(reason: str, requirement: str = "that you can write to") -> None:
 @functools.cache
 def _source_stamp(function: FunctionType) -> str:
     """Return a digest of the computation of a function; comments and docstrings do not change it."""
-    digest = hashlib.sha256(f"{function.__module__} {sorted(_FASTMATH)} {sorted(_NO_REFCOUNTS)}".encode())
+    digest = hashlib.sha256(
+        f"{function.__module__} {sorted(_FASTMATH)} {sorted(_NO_REFCOUNTS)}".encode()
+    )
     for text in _code_parts(function.__code__, function.__globals__, set()):
         digest.update(text.encode() + b"\0")
     return digest.hexdigest()
 
 
-def _code_parts(code: CodeType, names: Mapping[str, object], seen: set[CodeType]) -> Iterator[str]:
+def _code_parts(
+    code: CodeType, names: Mapping[str, object], seen: set[CodeType]
+) -> Iterator[str]:
     """Yield the bytecode of a function and the values of its names, recursively for called functions."""
     if code in seen:
         return
@@ -318,17 +363,23 @@ def _code_parts(code: CodeType, names: Mapping[str, object], seen: set[CodeType]
     for name in code.co_names:
         value = names.get(name)
         if isinstance(value, ModuleType) and value.__name__.startswith("srs_twin"):
-            yield from _value_parts(name, [vars(value).get(attribute) for attribute in code.co_names], seen)
+            yield from _value_parts(
+                name, [vars(value).get(attribute) for attribute in code.co_names], seen
+            )
         else:
             yield from _value_parts(name, [value], seen)
 
 
-def _value_parts(name: str, values: Iterable[object], seen: set[CodeType]) -> Iterator[str]:
+def _value_parts(
+    name: str, values: Iterable[object], seen: set[CodeType]
+) -> Iterator[str]:
     """Yield the values of a name as text; for functions the same as `_code_parts`."""
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):
-            yield f"{function.__module__}.{function.__qualname__}"  # machine code contains this name
+            yield (  # machine code contains this name
+                f"{function.__module__}.{function.__qualname__}"
+            )
             yield from _code_parts(function.__code__, function.__globals__, seen)
         elif isinstance(value, tuple):
             yield from _value_parts(name, value, seen)

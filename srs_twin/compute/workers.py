@@ -1,11 +1,12 @@
 """Execution of numbered tasks on threads or in worker processes.
 
-`Workers` is a pool of threads for tasks that release the interpreter's lock. `run_tasks` runs tasks in worker
-processes and survives the death of a worker.
+`Workers` is a pool of threads for tasks that release the interpreter's lock.
+`run_tasks` runs tasks in worker processes and survives the death of a worker.
 
-On Linux, worker processes are forked from the fork server of multiprocessing, a separate process that has
-imported the required modules once. A worker, also a replacement for a dead one, starts in hundredths of a
-second instead of one or two seconds. On other systems, where forks are unsafe, every worker is a new process.
+On Linux, worker processes are forked from the fork server of multiprocessing, a
+separate process that has imported the required modules once. A worker, also a
+replacement for a dead one, starts in hundredths of a second instead of one or two
+seconds. On other systems, where forks are unsafe, every worker is a new process.
 docs/decisions/worker-processes.md compares this with the pools of libraries.
 """
 
@@ -51,8 +52,8 @@ class Workers:
         """Create the pool; threads start with the first task.
 
         Args:
-            threads: number of threads (default: one per processor); with 1, tasks run on the calling
-                thread.
+            threads: number of threads (default: one per processor); with 1, tasks run
+                on the calling thread.
 
         Raises:
             InputError: fewer than one thread.
@@ -74,14 +75,16 @@ class Workers:
     ) -> list[Returned]:
         """Run tasks 0 … count − 1 and return their results in order.
 
-        If tasks fail, the error of the first one by number is raised, as in a loop, after all tasks before it
-        have finished. An interrupt (Ctrl-C) is raised when the running tasks have ended.
+        If tasks fail, the error of the first one by number is raised, as in a loop,
+        after all tasks before it have finished. An interrupt (Ctrl-C) is raised when
+        the running tasks have ended.
 
         Args:
             count: number of tasks.
-            task: function of the task number and of an `IsCancelled` function. A cancelled task may return
-                any value or raise any exception.
-            progress: function called on the calling thread with the number of finished tasks.
+            task: function of the task number and of an `IsCancelled` function. A
+                cancelled task may return any value or raise any exception.
+            progress: function called on the calling thread with the number of finished
+                tasks.
         """
         progress = progress or (lambda done: None)
         if self._pool is None:
@@ -91,7 +94,10 @@ class Workers:
                 progress(k + 1)
             return results
         end = count  # results of tasks with this or a higher number are not needed
-        futures = [self._pool.submit(task, k, lambda k=k: k >= end) for k in range(count)]  # type: ignore[misc]
+        futures = [
+            self._pool.submit(task, k, lambda k=k: k >= end)  # type: ignore[misc]
+            for k in range(count)
+        ]
         try:
             for done, future in enumerate(as_completed(futures), start=1):
                 if future.cancelled():
@@ -122,12 +128,15 @@ GRACE_S = 2.0
 """Time for a worker to leave its task and clean up before it is killed, s."""
 
 # The parent process already warns of kernels that cannot be cached.
-_WARNINGS = (os.environ.get("PYTHONWARNINGS"), "ignore::UserWarning:srs_twin.compute.compiled")
+_WARNINGS = (
+    os.environ.get("PYTHONWARNINGS"),
+    "ignore::UserWarning:srs_twin.compute.compiled",
+)
 _ENVIRONMENT = {
     # Import nothing from the current folder.
     "PYTHONSAFEPATH": "1",
-    # Disable threads of libraries: there are as many workers as processors, and a forked process should have
-    # no other threads.
+    # Disable threads of libraries: there are as many workers as processors, and a
+    # forked process should have no other threads.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
@@ -174,9 +183,9 @@ def _interrupts_blocked() -> Iterator[None]:
 def _empty_main_module() -> Iterator[None]:
     """Replace the main module by an empty one, like that of a worker.
 
-    Otherwise multiprocessing would import the main program in each worker, and a script without
-    ``__name__ == "__main__"`` would run again. Pickling also fails early for objects that only the main
-    program defines.
+    Otherwise multiprocessing would import the main program in each worker, and a script
+    without ``__name__ == "__main__"`` would run again. Pickling also fails early for
+    objects that only the main program defines.
     """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -193,8 +202,8 @@ class TaskResult(Generic[Result]):
     Attributes:
         number: index of its argument.
         result: return value; None after an error.
-        error: `SrsError` that the task raised, `TaskFailedError` for any other exception, `WorkerDiedError`
-            if its workers died; None after success.
+        error: `SrsError` that the task raised, `TaskFailedError` for any other
+            exception, `WorkerDiedError` if its workers died; None after success.
     """
 
     number: int
@@ -211,18 +220,20 @@ def run_tasks(
 ) -> Generator[TaskResult[Result], None, None]:
     """Run a function on every argument in worker processes; yield results in the order of completion.
 
-    If a worker dies (killed, out of memory, a crash in compiled code), its task is repeated in a new worker.
-    Workers ignore Ctrl-C. They end when the generator is closed or this process ends for any reason.
+    If a worker dies (killed, out of memory, a crash in compiled code), its task is
+    repeated in a new worker. Workers ignore Ctrl-C. They end when the generator is
+    closed or this process ends for any reason.
 
     Args:
-        task: function called in a worker; function, arguments and results must be picklable.
+        task: function called in a worker; function, arguments and results must be
+            picklable.
         arguments: one argument per task.
         workers: number of processes (default: one per processor), at most one per task.
         attempts: number of workers that may die on a task before it fails.
 
     Raises:
-        InputError: fewer than one worker or attempt; task or arguments that cannot be pickled or that only
-            the main program defines.
+        InputError: fewer than one worker or attempt; task or arguments that cannot be
+            pickled or that only the main program defines.
         TaskFailedError: the task cannot be imported.
         WorkerDiedError: ``attempts`` workers in a row died before their first task.
     """
@@ -235,8 +246,9 @@ def run_tasks(
             program, *packed = map(pickle.dumps, [task, *arguments])
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
-            f"cannot be sent to worker processes: {error}. Workers import functions and classes by name, but "
-            "not from the main program: define them in a module and import it"
+            f"cannot be sent to worker processes: {error}. Workers import functions and"
+            " classes by name, but not from the main program: define them in a module"
+            " and import it"
         ) from error
     return _TaskRun(program, packed, count, attempts).results()
 
@@ -244,7 +256,9 @@ def run_tasks(
 class _TaskRun:
     """State of one `run_tasks`: waiting tasks, finished tasks, and workers."""
 
-    def __init__(self, program: bytes, packed: Sequence[bytes], count: int, attempts: int) -> None:
+    def __init__(
+        self, program: bytes, packed: Sequence[bytes], count: int, attempts: int
+    ) -> None:
         self._program, self._packed = program, packed
         self._count, self._attempts = count, attempts
         self._waiting = deque(range(len(packed)))
@@ -259,7 +273,9 @@ class _TaskRun:
         remaining = len(self._packed)
         try:
             while remaining:
-                while len(self._workers) < min(self._count, remaining - len(self._finished)):
+                while len(self._workers) < min(
+                    self._count, remaining - len(self._finished)
+                ):
                     self._workers.append(_Worker(self._program))
                 self._assign_tasks()
                 if self._finished:  # yield only while all workers are busy
@@ -285,16 +301,24 @@ class _TaskRun:
         """Wait until a worker reports or dies, and handle all that did.
 
         Raises:
-            SrsError: the task cannot be imported, or workers died before their first task.
+            SrsError: the task cannot be imported, or workers died before their first
+                task.
         """
-        handles = [handle for worker in self._workers for handle in (worker.pipe, worker.process.sentinel)]
+        handles = [
+            handle
+            for worker in self._workers
+            for handle in (worker.pipe, worker.process.sentinel)
+        ]
         active = wait_for(handles)
         for worker in list(self._workers):
             if worker.pipe not in active and worker.process.sentinel not in active:
                 continue
             try:
                 result, error = worker.receive()
-            except (EOFError, OSError):  # the worker died, possibly while it sent a result
+            except (
+                EOFError,
+                OSError,
+            ):  # the worker died, possibly while it sent a result
                 self._handle_death(worker)
                 continue
             if worker.number is not None:
@@ -309,8 +333,13 @@ class _TaskRun:
         exit_code = worker.end(time.monotonic() + GRACE_S)
         if worker.ready:
             self._failed_starts = 0
-        elif worker.start_time > self._last_failed_start:  # workers that started together count once
-            self._failed_starts, self._last_failed_start = self._failed_starts + 1, time.monotonic()
+        elif (
+            worker.start_time > self._last_failed_start
+        ):  # workers that started together count once
+            self._failed_starts, self._last_failed_start = (
+                self._failed_starts + 1,
+                time.monotonic(),
+            )
             if self._failed_starts == self._attempts:
                 raise WorkerDiedError(exit_code, self._attempts) from None
         if (number := worker.number) is not None:
@@ -348,7 +377,9 @@ class _Worker:
         Raises:
             EOFError, OSError: the worker has died.
         """
-        if not self.pipe.poll():  # if the fork server has died, the pipe reports no end of file
+        if (
+            not self.pipe.poll()
+        ):  # if the fork server has died, the pipe reports no end of file
             raise EOFError
         answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())
         return answer
@@ -364,14 +395,20 @@ class _Worker:
         return code or 0
 
 
-def _start_process(target: Callable[..., None], arguments: tuple[object, ...]) -> BaseProcess:
+def _start_process(
+    target: Callable[..., None], arguments: tuple[object, ...]
+) -> BaseProcess:
     """Start a process that ignores Ctrl-C; retry for a while, because the fork server may have just died."""
     deadline = time.monotonic() + GRACE_S
     while True:
         start_server()
-        process = get_context(START_METHOD).Process(target=target, args=arguments, daemon=True)  # type: ignore[attr-defined]
+        process = get_context(START_METHOD).Process(  # type: ignore[attr-defined]
+            target=target, args=arguments, daemon=True
+        )
         # The fork server ignores Ctrl-C, and so do its children.
-        blocked = nullcontext() if START_METHOD == "forkserver" else _interrupts_blocked()
+        blocked = (
+            nullcontext() if START_METHOD == "forkserver" else _interrupts_blocked()
+        )
         try:
             with blocked, _empty_main_module():
                 process.start()
@@ -389,20 +426,28 @@ def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _raise_exit)
     arguments: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-    threading.Thread(target=_receive_arguments, args=(pipe, arguments), daemon=True).start()
+    threading.Thread(
+        target=_receive_arguments, args=(pipe, arguments), daemon=True
+    ).start()
     task: list[Any] = []
     with suppress(OSError):  # the parent process no longer reads results
         pipe.send_bytes(_call_and_pickle(lambda: task.append(pickle.loads(program))))
         while True:
             raw = arguments.get()
-            pipe.send_bytes(_call_and_pickle(lambda raw=raw: task[0](pickle.loads(raw))))  # type: ignore[misc]
+            pipe.send_bytes(
+                _call_and_pickle(
+                    lambda raw=raw: task[0](pickle.loads(raw))  # type: ignore[misc]
+                )
+            )
 
 
 def _call_and_pickle(call: Callable[[], Any]) -> bytes:
     """Call a function and return its result and error, pickled; one of them is None."""
     try:
         return pickle.dumps((call(), None))
-    except Exception as error:  # any exception of a task is reported, so that the worker continues
+    except (
+        Exception
+    ) as error:  # any exception of a task is reported, so that the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
         # Tracebacks cannot be pickled; a note is printed with the error.
         reported.add_note("".join(traceback.format_exception(error)))

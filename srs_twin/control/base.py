@@ -21,16 +21,16 @@ if TYPE_CHECKING:
 class Controller(Claimable, Stateful, ABC):
     """Function of sensor readings and poses that returns the valve commands of one control tick.
 
-    Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`. They do not know
-    which plant they control.
+    Controllers read `SnakeState.sensed` and poses from a camera, never the true `bend`.
+    They do not know which plant they control.
 
     Attributes:
         kind: name of the controller in scenario files.
         frequency: gait frequency, Hz; None if the controller is not periodic.
         layouts: supported valve layouts, names in `LAYOUTS`.
         spatial: whether it commands the chambers of a spatial robot.
-        finished: whether the controller has ended its task; the rollout ends after the tick in which it
-            becomes True.
+        finished: whether the controller has ended its task; the rollout ends after the
+            tick in which it becomes True.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
@@ -40,7 +40,9 @@ class Controller(Claimable, Stateful, ABC):
     layouts: tuple[str, ...] = tuple(LAYOUTS)
     spatial: bool = False
     finished: bool = False
-    _events: list[Event]  # since the last call of `events`; `reset` creates it in controllers with events
+    _events: list[
+        Event
+    ]  # since the last call of `events`; `reset` creates it in controllers with events
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -72,7 +74,8 @@ class Controller(Claimable, Stateful, ABC):
         """Continue from a saved state; call `reset` with the same robot and tick first.
 
         Raises:
-            InputError: the state belongs to another controller, or `reset` has not been called.
+            InputError: the state belongs to another controller, or `reset` has not been
+                called.
         """
         self.check_saveable(Controller, f"controller '{self.kind}'")
         state.check(f"controller '{self.kind}'", self.identity())
@@ -85,7 +88,8 @@ class Controller(Claimable, Stateful, ABC):
     def script(self, duration: float) -> Schedule | None:
         """Return the valve states of the whole run if they do not depend on measurements, else None.
 
-        It is called after `reset`. A controller with a script has constant signals and no events.
+        It is called after `reset`. A controller with a script has constant signals and
+        no events.
 
         Args:
             duration: s, a whole number of ticks.
@@ -107,14 +111,15 @@ class Controller(Claimable, Stateful, ABC):
 
 
 MAX_READING_RAD = 2 * math.pi
-"""Magnitude above which readings count as lost, rad: no segment bends by a full turn."""
+"""Magnitude above which readings count as lost, rad: no segment bends by a full turn.
+"""
 
 
 class SensorReadings(Stateful):
     """Latest valid bend readings of all segments.
 
-    A reading is lost if it is not finite or larger than a full turn. The previous valid reading (0 before the
-    first) is used in its place, and an event records the loss.
+    A reading is lost if it is not finite or larger than a full turn. The previous valid
+    reading (0 before the first) is used in its place, and an event records the loss.
 
     Attributes:
         value: latest valid readings, shape (segments,), rad.
@@ -146,9 +151,14 @@ class SensorReadings(Stateful):
             return []
         events = []
         for j in np.flatnonzero(lost & ~self.lost):
-            text = f"segment {j + 1}: reading lost; the last good one, {self.value[j]:.4g} rad, is held"
+            text = (
+                f"segment {j + 1}: reading lost; the last good one, {self.value[j]:.4g}"
+                " rad, is held"
+            )
             events.append(Event(time, "reading_lost", text))
         for j in np.flatnonzero(self.lost & ~lost):
-            events.append(Event(time, "reading_back", f"segment {j + 1}: readings are back"))
+            events.append(
+                Event(time, "reading_back", f"segment {j + 1}: readings are back")
+            )
         self.lost = lost
         return events

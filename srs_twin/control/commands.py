@@ -67,12 +67,18 @@ class GaitLimits:
     def for_robot(cls, spec: RobotSpec) -> GaitLimits:
         """Return the limits of a robot; no pressure exceeds its limit for pulsed operation."""
         low, high = (ratio * spec.supply.nominal for ratio in RELATIVE_PRESSURE_RANGE)
-        return cls((-MAX_OFFSET, MAX_OFFSET), FREQUENCY_RANGE_HZ, (low, min(high, spec.supply.pulsed_limit)))
+        return cls(
+            (-MAX_OFFSET, MAX_OFFSET),
+            FREQUENCY_RANGE_HZ,
+            (low, min(high, spec.supply.pulsed_limit)),
+        )
 
     def clipped(self, command: GaitCommand) -> GaitCommand:
         """Return the command with every parameter clipped to its limits."""
         pairs = zip(astuple(command), astuple(self), strict=True)
-        return GaitCommand(*(min(max(value, low), high) for value, (low, high) in pairs))
+        return GaitCommand(
+            *(min(max(value, low), high) for value, (low, high) in pairs)
+        )
 
 
 class CommandedGait(Stateful):
@@ -85,13 +91,16 @@ class CommandedGait(Stateful):
 
     state_attributes = ("gait", "command")
 
-    def __init__(self, spec: RobotSpec, tick: float, pneumatics: Pneumatics, command: GaitCommand) -> None:
+    def __init__(
+        self, spec: RobotSpec, tick: float, pneumatics: Pneumatics, command: GaitCommand
+    ) -> None:
         """Start the gait at time 0.
 
         Args:
             spec: the robot.
             tick: control tick of the plant, s.
-            pneumatics: pneumatics of the plant, made for the largest pressure that will be commanded.
+            pneumatics: pneumatics of the plant, made for the largest pressure that will
+                be commanded.
             command: the first command.
 
         Raises:
@@ -102,11 +111,13 @@ class CommandedGait(Stateful):
         self.gait.reset(spec, tick)
         pneumatics.set_supply_pressure(command.pressure)
 
-    def valves(self, time: float, command: GaitCommand, pitch: PitchWave | None = None) -> np.ndarray:
+    def valves(
+        self, time: float, command: GaitCommand, pitch: PitchWave | None = None
+    ) -> np.ndarray:
         """Apply a command and return the valve states of the tick that begins at `time` (s).
 
-        The phase of the wave is continuous. The new supply pressure acts immediately. A spatial robot also
-        has a pitch wave.
+        The phase of the wave is continuous. The new supply pressure acts immediately. A
+        spatial robot also has a pitch wave.
 
         Raises:
             InputError: the gait or the supply cannot follow the command.
@@ -128,13 +139,16 @@ class ScheduledOffset(Controller):
 
     state_attributes = ("_inner", "_applied", "_events")
 
-    def __init__(self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]) -> None:
+    def __init__(
+        self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]
+    ) -> None:
         """Wrap a controller.
 
         Args:
-            controller: controller to steer; its current offset is used until the first change.
-            changes: (time in s, new offset). A change takes effect at the first tick that begins at or after
-                its time.
+            controller: controller to steer; its current offset is used until the first
+                change.
+            changes: (time in s, new offset). A change takes effect at the first tick
+                that begins at or after its time.
 
         Raises:
             InputError: the times are not above 0 and increasing.
@@ -142,9 +156,14 @@ class ScheduledOffset(Controller):
         times = [0.0, *(time for time, _ in changes)]
         if not all(b > a for a, b in zip(times, times[1:], strict=False)):
             raise InputError(
-                f"times {times[1:]} s of offset changes are not allowed; they must be above 0 and increasing"
+                f"times {times[1:]} s of offset changes are not allowed; they must be"
+                " above 0 and increasing"
             )
-        self.kind, self.frequency, self.layouts = controller.kind, controller.frequency, controller.layouts
+        self.kind, self.frequency, self.layouts = (
+            controller.kind,
+            controller.frequency,
+            controller.layouts,
+        )
         self.changes = tuple(changes)
         self._inner, self._initial_offset = controller, controller.offset
 
@@ -162,10 +181,15 @@ class ScheduledOffset(Controller):
     def step(self, state: SnakeState) -> np.ndarray:
         """See `Controller.step`."""
         time = float(state.time)
-        while self._applied < len(self.changes) and time >= self.changes[self._applied][0] - _TIME_ROUNDING_S:
+        while (
+            self._applied < len(self.changes)
+            and time >= self.changes[self._applied][0] - _TIME_ROUNDING_S
+        ):
             before, after = self._inner.offset, self.changes[self._applied][1]
             self._inner.offset = after
-            self._events.append(Event(time, "offset", f"offset {before:g} to {after:g}"))
+            self._events.append(
+                Event(time, "offset", f"offset {before:g} to {after:g}")
+            )
             self._applied += 1
         valves = self._inner.step(state)
         self.finished = self._inner.finished
@@ -181,4 +205,6 @@ class ScheduledOffset(Controller):
 
     def describe(self) -> dict[str, object]:
         """See `Controller.describe`."""
-        return self._inner.describe() | {"changes": [list(change) for change in self.changes]}
+        return self._inner.describe() | {
+            "changes": [list(change) for change in self.changes]
+        }

@@ -7,19 +7,22 @@ the dissertation). The target of the other side decreases linearly with the offs
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
-**Periods.** Each chamber has its own period, in which the bend of its segment is measured. Period n of a
-chamber runs from the start of its n-th fill to the start of the next one. Air flow and inertia delay the bend
-that a fill causes, but by less than the vent that follows. The peak of a fill is therefore inside one period,
-and the duty is updated before the next fill begins. With one common period for all chambers, as in Section
-5.1, the periods of some chambers would end during a peak, and their duties would change during a fill.
+**Periods.** Each chamber has its own period, in which the bend of its segment is
+measured. Period n of a chamber runs from the start of its n-th fill to the start of the
+next one. Air flow and inertia delay the bend that a fill causes, but by less than the
+vent that follows. The peak of a fill is therefore inside one period, and the duty is
+updated before the next fill begins. With one common period for all chambers, as in
+Section 5.1, the periods of some chambers would end during a peak, and their duties
+would change during a fill.
 
 **Duties.** The learning law updates one duty per chamber (Eq. 32),
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$
 
-If the amplitude is c u, each update multiplies the error by 1 − k c. The clipped quantity is the duty itself,
-not an error integral, so there is no wind-up: the duty leaves its bound at the first error of the other sign.
+If the amplitude is c u, each update multiplies the error by 1 − k c. The clipped
+quantity is the duty itself, not an error integral, so there is no wind-up: the duty
+leaves its bound at the first error of the other sign.
 """
 
 from __future__ import annotations
@@ -57,8 +60,8 @@ def validated_offset(offset: float) -> float:
     """
     if not abs(offset) <= MAX_OFFSET:
         raise InputError(
-            f"ilc offset {offset!r} is not allowed; it must lie between -{MAX_OFFSET:g} and "
-            f"{MAX_OFFSET:g}, for which Section 5.1 gives targets"
+            f"ilc offset {offset!r} is not allowed; it must lie between -{MAX_OFFSET:g}"
+            f" and {MAX_OFFSET:g}, for which Section 5.1 gives targets"
         )
     return float(offset)
 
@@ -81,10 +84,11 @@ class ChamberPeriods(Stateful):
 
     Attributes:
         period: T, s.
-        fill_starts: start of the first fill, s, from −T/2 to T/2; negative for a chamber that is already
-            filling at time 0.
+        fill_starts: start of the first fill, s, from −T/2 to T/2; negative for a
+            chamber that is already filling at time 0.
         number: number of the current period, 0 before the first.
-        peak: largest bend to the side of the chamber (+: left) in the last completed period, rad.
+        peak: largest bend to the side of the chamber (+: left) in the last completed
+            period, rad.
         span: range of the readings in that period, rad.
         lost: fraction of the readings in that period that were lost.
         started: start of that period, s.
@@ -95,15 +99,24 @@ class ChamberPeriods(Stateful):
         *("_max", "_min", "_readings", "_lost_readings", "_next"),
     )
 
-    def __init__(self, phase_lag: np.ndarray, frequency: float, tick: float, *, common: bool = False) -> None:
+    def __init__(
+        self,
+        phase_lag: np.ndarray,
+        frequency: float,
+        tick: float,
+        *,
+        common: bool = False,
+    ) -> None:
         """Initialise the periods at time 0.
 
         Args:
-            phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment, shape (segments,), rad.
-                The + chamber fills where the wave is positive, the − chamber where it is negative.
+            phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment,
+                shape (segments,), rad. The + chamber fills where the wave is positive,
+                the − chamber where it is negative.
             frequency: f, Hz.
             tick: time between readings, s.
-            common: whether all chambers share periods that begin at time 0, as in Section 5.1.
+            common: whether all chambers share periods that begin at time 0, as in
+                Section 5.1.
 
         Raises:
             InputError: a period has too few readings.
@@ -111,33 +124,45 @@ class ChamberPeriods(Stateful):
         self.period, self._tick = 1 / frequency, tick
         if self.period / tick < MIN_READINGS_PER_PERIOD * (1 - _PERIOD_ROUNDING):
             raise InputError(
-                f"a gait of {frequency:g} Hz has fewer than {MIN_READINGS_PER_PERIOD} readings per period at "
-                f"a tick of {tick:g} s; use at most {self.period / MIN_READINGS_PER_PERIOD:.4g} s, or "
-                f"at most {1 / (MIN_READINGS_PER_PERIOD * tick):.4g} Hz"
+                f"a gait of {frequency:g} Hz has fewer than {MIN_READINGS_PER_PERIOD}"
+                f" readings per period at a tick of {tick:g} s; use at most"
+                f" {self.period / MIN_READINGS_PER_PERIOD:.4g} s, or at most"
+                f" {1 / (MIN_READINGS_PER_PERIOD * tick):.4g} Hz"
             )
         fraction = np.stack([phase_lag, phase_lag + math.pi], axis=-1) / (2 * math.pi)
         fraction = (fraction + _PERIOD_ROUNDING) % 1 - _PERIOD_ROUNDING
         fraction = np.where(fraction > 0.5 + _PERIOD_ROUNDING, fraction - 1, fraction)
-        self.fill_starts = np.zeros(fraction.shape) if common else fraction * self.period
+        self.fill_starts = (
+            np.zeros(fraction.shape) if common else fraction * self.period
+        )
         self.number = np.where(self.fill_starts < -_PERIOD_ROUNDING * self.period, 1, 0)
         self.peak: np.ndarray = np.full(fraction.shape, math.nan)
         self.span: np.ndarray = np.full(fraction.shape, math.nan)
         self.lost: np.ndarray = np.zeros(fraction.shape)
         self.started: np.ndarray = np.full(fraction.shape, -math.inf)
-        self._max, self._min = np.full(fraction.shape, -math.inf), np.full(fraction.shape, math.inf)
+        self._max, self._min = (
+            np.full(fraction.shape, -math.inf),
+            np.full(fraction.shape, math.inf),
+        )
         self._unsteered, self._common = self.fill_starts, common
         self._bends: np.ndarray = np.zeros(fraction.shape)
-        self._readings, self._lost_readings = np.zeros(fraction.shape), np.zeros(fraction.shape)
+        self._readings, self._lost_readings = (
+            np.zeros(fraction.shape),
+            np.zeros(fraction.shape),
+        )
         self._set_next()
 
     def steer(self, shift: float) -> None:
         """Shift the fill starts to those of a wave with an offset φ (Eq. 13).
 
         Args:
-            shift: asin φ, rad: phase lead of the fills of + chambers, and phase lag of those of − chambers.
+            shift: asin φ, rad: phase lead of the fills of + chambers, and phase lag of
+                those of − chambers.
         """
         if not self._common:
-            self.fill_starts = self._unsteered + shift / (2 * math.pi) * self.period * np.array([-1, 1])
+            self.fill_starts = self._unsteered + shift / (
+                2 * math.pi
+            ) * self.period * np.array([-1, 1])
             self._set_next()
 
     def update(self, reading: np.ndarray, lost: np.ndarray) -> None:
@@ -166,8 +191,12 @@ class ChamberPeriods(Stateful):
         ended = begun & (self.number >= 1)
         self.peak = np.where(ended, self._max, self.peak)
         self.span = np.where(ended, self._max - self._min, self.span)
-        self.lost = np.where(ended, self._lost_readings / np.maximum(self._readings, 1), self.lost)
-        self.started = np.where(ended, self.fill_starts + (self.number - 1) * self.period, self.started)
+        self.lost = np.where(
+            ended, self._lost_readings / np.maximum(self._readings, 1), self.lost
+        )
+        self.started = np.where(
+            ended, self.fill_starts + (self.number - 1) * self.period, self.started
+        )
         self._max[begun], self._min[begun] = -math.inf, math.inf
         self._readings[begun] = self._lost_readings[begun] = 0
         self.number = self.number + begun
@@ -187,7 +216,13 @@ class Duties(Stateful):
         error: e in the last update, same shape, rad; NaN before the first.
     """
 
-    state_attributes = ("value", "error", "_relative_error", "_saturation", "_converged")
+    state_attributes = (
+        "value",
+        "error",
+        "_relative_error",
+        "_saturation",
+        "_converged",
+    )
 
     def __init__(self, segments: int, gain: float) -> None:
         """Initialise all duties to 1.
@@ -203,7 +238,9 @@ class Duties(Stateful):
         self._saturation = np.zeros((segments, 2), dtype=int)
         self._converged = False
 
-    def learn(self, time: float, chambers: np.ndarray, peak: np.ndarray, target: np.ndarray) -> list[Event]:
+    def learn(
+        self, time: float, chambers: np.ndarray, peak: np.ndarray, target: np.ndarray
+    ) -> list[Event]:
         """Update the duties of some chambers and return the changes of their saturation.
 
         All arrays have the shape (segments, 2).
@@ -215,14 +252,21 @@ class Duties(Stateful):
             target: target amplitudes, rad.
         """
         self.error = np.where(chambers, target - peak, self.error)
-        self._relative_error = np.where(chambers, np.abs(target - peak) / target, self._relative_error)
+        self._relative_error = np.where(
+            chambers, np.abs(target - peak) / target, self._relative_error
+        )
         unclipped = np.where(chambers, self.value + self._gain * self.error, self.value)
         self.value = np.clip(unclipped, 0.0, 1.0)
-        saturation = (unclipped > 1 + _DUTY_ROUNDING).astype(int) - (unclipped < -_DUTY_ROUNDING)
+        saturation = (unclipped > 1 + _DUTY_ROUNDING).astype(int) - (
+            unclipped < -_DUTY_ROUNDING
+        )
         saturation = np.where(chambers, saturation, self._saturation)
         events = [
             Event(
-                time, "saturation", f"segment {j + 1}, {SIDES[k]} chamber: {_SATURATIONS[saturation[j, k]]}"
+                time,
+                "saturation",
+                f"segment {j + 1}, {SIDES[k]} chamber:"
+                f" {_SATURATIONS[saturation[j, k]]}",
             )
             for j, k in np.argwhere(saturation != self._saturation)
         ]
@@ -241,11 +285,17 @@ class Duties(Stateful):
             time: s.
             working: segments without a fault, shape (segments,).
         """
-        reached = bool(working.any() and (self._relative_error[working] <= CONVERGENCE_TOLERANCE).all())
+        reached = bool(
+            working.any()
+            and (self._relative_error[working] <= CONVERGENCE_TOLERANCE).all()
+        )
         if self._converged or not reached:
             return []
         self._converged = True
-        text = f"all amplitudes are within {100 * CONVERGENCE_TOLERANCE:g} % of their targets"
+        text = (
+            f"all amplitudes are within {100 * CONVERGENCE_TOLERANCE:g} % of their"
+            " targets"
+        )
         return [Event(time, "converged", text)]
 
     def summary(self, time: float, period: int, working: np.ndarray) -> list[Event]:
@@ -262,10 +312,15 @@ class Duties(Stateful):
         j, side = np.unravel_index(np.nanargmax(np.abs(error)), error.shape)
         low, high = self.value[working].min(), self.value[working].max()
         text = (
-            f"after period {period}: largest amplitude error {error[j, side]:+.3g} rad (segment {j + 1}, "
-            f"{SIDES[int(side)]} chamber), duties now {low:.3g} to {high:.3g}"
+            f"after period {period}: largest amplitude error {error[j, side]:+.3g} rad"
+            f" (segment {j + 1}, {SIDES[int(side)]} chamber), duties now {low:.3g} to"
+            f" {high:.3g}"
         )
         return [Event(time, "ilc_update", text)]
 
 
-_SATURATIONS = {1: "duty saturated at 1", -1: "duty saturated at 0", 0: "duty no longer saturated"}
+_SATURATIONS = {
+    1: "duty saturated at 1",
+    -1: "duty saturated at 0",
+    0: "duty no longer saturated",
+}

@@ -2,27 +2,30 @@ r"""Lateral undulation: a square wave of valve states that travels from head to 
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
-S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 does the reverse; sign(0) = +1. The wave
-travels from head to tail and propels the snake forward (E12: as printed, Eq. 13 travels in the opposite
-direction). φ > 0 turns left. The mirror image of a gait has the offset −φ and its phase ψ shifted by π.
+S_j = +1 fills the + chamber of segment j and vents the − chamber, −1 does the reverse;
+sign(0) = +1. The wave travels from head to tail and propels the snake forward (E12: as
+printed, Eq. 13 travels in the opposite direction). φ > 0 turns left. The mirror image
+of a gait has the offset −φ and its phase ψ shifted by π.
 
-Two extensions are not part of the dissertation: each segment may have an additional phase lag α_j, and both
-chambers may vent for a fraction r of the period, centred at the sign changes of the wave,
+Two extensions are not part of the dissertation: each segment may have an additional
+phase lag α_j, and both chambers may vent for a fraction r of the period, centred at the
+sign changes of the wave,
 
 $$ S_j = 0 \quad \text{where} \quad
    |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
 
-**Spatial robots** have a second wave, which bends the segments upwards and downwards. With the ratio ρ of its
-frequency to that of the first wave and its lag λ,
+**Spatial robots** have a second wave, which bends the segments upwards and downwards.
+With the ratio ρ of its frequency to that of the first wave and its lag λ,
 
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves only open and close, so the smaller wave rests, that is, it is 0 for a fraction r of its period. The
-fundamental of this square wave has the amplitude cos(π r/2). The pitch share s, from 0 to 1, is the amplitude
-of the pitch wave over the sum of both amplitudes. With s < 1/2 the pitch wave rests so that its amplitude is
-s/(1 − s); with s > 1/2 the other wave rests. Chamber c with the direction d_c fills where
-d_c · (S_j, P_j) > 0.
+Valves only open and close, so the smaller wave rests, that is, it is 0 for a fraction r
+of its period. The fundamental of this square wave has the amplitude cos(π r/2). The
+pitch share s, from 0 to 1, is the amplitude of the pitch wave over the sum of both
+amplitudes. With s < 1/2 the pitch wave rests so that its amplitude is s/(1 − s); with s
+> 1/2 the other wave rests. Chamber c with the direction d_c fills where d_c · (S_j,
+P_j) > 0.
 
 | gait | pitch wave |
 |---|---|
@@ -62,7 +65,8 @@ class PitchWave:
         share: s, share of the pitch wave in the sum of the amplitudes, 0 to 1.
         lag_rad: λ, lag behind the wave to the left and right, rad.
         frequency_ratio: ρ, frequency over that of the other wave, above 0.
-        lifted_segments: number of segments from the head that bend upwards all the time.
+        lifted_segments: number of segments from the head that bend upwards all the
+            time.
     """
 
     share: float = 0.5
@@ -72,12 +76,18 @@ class PitchWave:
 
     def __post_init__(self) -> None:
         if not 0 <= self.share <= 1:
-            raise InputError(f"pitch share {self.share!r} is not allowed; it must be 0 to 1")
+            raise InputError(
+                f"pitch share {self.share!r} is not allowed; it must be 0 to 1"
+            )
         if not math.isfinite(self.lag_rad):
-            raise InputError(f"pitch lag {self.lag_rad!r} is not allowed; it must be finite")
+            raise InputError(
+                f"pitch lag {self.lag_rad!r} is not allowed; it must be finite"
+            )
         check_positive("pitch frequency ratio", self.frequency_ratio, "1")
         if self.lifted_segments < 0:
-            raise InputError(f"{self.lifted_segments} lifted segments are not allowed; use 0 or more")
+            raise InputError(
+                f"{self.lifted_segments} lifted segments are not allowed; use 0 or more"
+            )
 
     def check(self, spec: RobotSpec) -> None:
         """Check that a robot can have this wave.
@@ -86,17 +96,23 @@ class PitchWave:
             InputError: the robot bends in one plane, or has too few segments to lift.
         """
         if not spec.is_spatial:
-            raise InputError(f"a gait with pitch needs a spatial robot; {spec.name} bends in one plane")
+            raise InputError(
+                f"a gait with pitch needs a spatial robot; {spec.name} bends in one"
+                " plane"
+            )
         if self.lifted_segments > spec.segments:
             raise InputError(
-                f"{self.lifted_segments} lifted segments, but {spec.name} has {spec.segments} segments"
+                f"{self.lifted_segments} lifted segments, but {spec.name} has"
+                f" {spec.segments} segments"
             )
 
     @property
     def rest_levels(self) -> tuple[float, float]:
         """Levels sin(π r/2) below which the wave to the left and right, and the pitch wave, rest."""
         ratio = self.share / (1 - self.share) if self.share < 1 else math.inf
-        return _rest_level(1 / ratio if ratio > 1 else 1.0), _rest_level(min(ratio, 1.0))
+        return _rest_level(1 / ratio if ratio > 1 else 1.0), _rest_level(
+            min(ratio, 1.0)
+        )
 
 
 def _rest_level(amplitude: float) -> float:
@@ -111,7 +127,8 @@ class Gait(Controller):
         frequency: f, Hz; use `change_frequency` to change it during a run.
         offset: φ, between −1 and 1; may be changed during a run.
         phase: ψ, rad.
-        phase_lag: β (j − 1) − ψ of each segment, shape (segments,), rad; available after `reset`.
+        phase_lag: β (j − 1) − ψ of each segment, shape (segments,), rad; available
+            after `reset`.
     """
 
     kind = "gait"
@@ -123,10 +140,16 @@ class Gait(Controller):
 
     @checked
     def __init__(
-        self, frequency: float, offset: float = 0.0, *, phase: float = 0.0, phase_step: float | None = None,
-        phases: Sequence[float] | None = None, rest_share: float | None = None,
+        self,
+        frequency: float,
+        offset: float = 0.0,
+        *,
+        phase: float = 0.0,
+        phase_step: float | None = None,
+        phases: Sequence[float] | None = None,
+        rest_share: float | None = None,
         pitch: PitchWave | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Create the gait.
 
         Args:
@@ -139,20 +162,26 @@ class Gait(Controller):
             pitch: second wave of a spatial robot; None means none.
 
         Raises:
-            InputError: a rest share is given together with a pitch wave, the frequency is not above 0, or the
-                offset or the rest share is out of range. Setting
+            InputError: a rest share is given together with a pitch wave, the frequency
+                is not above 0, or the offset or the rest share is out of range. Setting
                 `offset` later raises it as well.
         """
         rest_share = rest_share or 0.0
         if not 0 <= rest_share < 1:
-            raise InputError(f"gait rest {rest_share!r} is not allowed; it must be at least 0 and below 1")
+            raise InputError(
+                f"gait rest {rest_share!r} is not allowed; it must be at least 0 and"
+                " below 1"
+            )
         self.frequency = _checked_frequency(frequency)
         self.offset = offset
         self.phase = phase
         self._phase_step, self._phases = phase_step, phases or ()
         self.rest_level = math.sin(math.pi / 2 * rest_share)
         if pitch is not None and rest_share:
-            raise InputError("a gait with a pitch wave rests as its share demands; leave out rest_share")
+            raise InputError(
+                "a gait with a pitch wave rests as its share demands; leave out"
+                " rest_share"
+            )
         self.pitch = pitch
 
     @property
@@ -163,7 +192,9 @@ class Gait(Controller):
     @offset.setter
     def offset(self, value: float) -> None:
         if not abs(value) < 1:
-            raise InputError(f"gait offset {value!r} is not allowed; it must lie between -1 and 1")
+            raise InputError(
+                f"gait offset {value!r} is not allowed; it must lie between -1 and 1"
+            )
         self._offset = float(value)
 
     def change_frequency(self, frequency: float, time: float) -> None:
@@ -191,7 +222,10 @@ class Gait(Controller):
             InputError: the number of phases is not the number of segments.
         """
         if len(self._phases) not in (0, spec.segments):
-            raise InputError(f"{len(self._phases)} phases, but {spec.name} has {spec.segments} segments")
+            raise InputError(
+                f"{len(self._phases)} phases, but {spec.name} has {spec.segments}"
+                " segments"
+            )
         if self.pitch is not None:
             self.pitch.check(spec)
         self._axes = spec.chamber.axes if spec.is_spatial else None
@@ -212,8 +246,8 @@ class Gait(Controller):
         if self._axes is not None:
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
-        # A tick that is shorter than every level of the wave contains at most one change; equal states at its
-        # ends mean none.
+        # A tick that is shorter than every level of the wave contains at most one
+        # change; equal states at its ends mean none.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
@@ -224,16 +258,28 @@ class Gait(Controller):
         slot = self._tick / len(self._slot_centres)
         count = round(duration / slot)
         if self._axes is not None:
-            blocks = np.array_split(slot * (np.arange(count) + 0.5), max(1, count // _BLOCK))
-            return Schedule.from_slots(np.concatenate([self._spatial_valves(b) for b in blocks]), duration)
+            blocks = np.array_split(
+                slot * (np.arange(count) + 0.5), max(1, count // _BLOCK)
+            )
+            return Schedule.from_slots(
+                np.concatenate([self._spatial_valves(b) for b in blocks]), duration
+            )
         if self._shortest_level() < 2 * slot:
-            return Schedule.from_slots(_antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration)
-        # Evaluate the wave only near its changes: in the slot of a change and in the two adjacent slots,
-        # because rounding may move the change by one slot.
+            return Schedule.from_slots(
+                _antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration
+            )
+        # Evaluate the wave only near its changes: in the slot of a change and in the
+        # two adjacent slots, because rounding may move the change by one slot.
         period, (up, down) = 1 / self.frequency, self._crossings()
-        angles = [-up, math.pi + up, -down, math.pi + down] if self.rest_level else [-up, math.pi + up]
+        angles = (
+            [-up, math.pi + up, -down, math.pi + down]
+            if self.rest_level
+            else [-up, math.pi + up]
+        )
         phases = np.add.outer(self.phase_lag, angles).ravel() / (2 * math.pi) * period
-        numbers = np.arange(math.floor(-phases.max() / period), math.ceil(duration / period) + 1)
+        numbers = np.arange(
+            math.floor(-phases.max() / period), math.ceil(duration / period) + 1
+        )
         edges = np.ceil(np.add.outer(phases, period * numbers).ravel() / slot - 0.5)
         near = np.add.outer(edges, [-1, 0, 1]).ravel()
         begins = np.unique(np.append(near[(near > 0) & (near < count)], 0)).astype(int)
@@ -246,9 +292,13 @@ class Gait(Controller):
         assert self._axes is not None
         pitch = self.pitch or PitchWave(share=0.0)
         angle = 2 * math.pi * self.frequency * time[:, None] - self.phase_lag
-        rest_left, rest_up = (self.rest_level, 1.0) if self.pitch is None else pitch.rest_levels
+        rest_left, rest_up = (
+            (self.rest_level, 1.0) if self.pitch is None else pitch.rest_levels
+        )
         left = _three_levels(np.sin(angle) + self._offset, rest_left)
-        up = _three_levels(np.sin(pitch.frequency_ratio * angle - pitch.lag_rad), rest_up)
+        up = _three_levels(
+            np.sin(pitch.frequency_ratio * angle - pitch.lag_rad), rest_up
+        )
         left[:, : pitch.lifted_segments], up[:, : pitch.lifted_segments] = 0, 1
         push = left[..., None] * self._axes[:, 0] + up[..., None] * self._axes[:, 1]
         return np.where(push > 1e-9, 1, -1).astype(np.int8)
@@ -260,8 +310,14 @@ class Gait(Controller):
     def _shortest_level(self) -> float:
         """Return the shortest time between two changes of S, s."""
         up, down = self._crossings()
-        angles = [math.pi + 2 * up, math.pi - 2 * down, *([down - up] if self.rest_level else [])]
-        return min(angle for angle in angles if angle > 0) / (2 * math.pi * self.frequency)
+        angles = [
+            math.pi + 2 * up,
+            math.pi - 2 * down,
+            *([down - up] if self.rest_level else []),
+        ]
+        return min(angle for angle in angles if angle > 0) / (
+            2 * math.pi * self.frequency
+        )
 
     def _crossings(self) -> tuple[float, float]:
         """Return the negated phase angles at which S changes to 1 and to −1, rad."""
@@ -271,7 +327,10 @@ class Gait(Controller):
 
     def _wave(self, time: np.ndarray) -> np.ndarray:
         """Return S, shape (times, segments), int8."""
-        value = np.sin(2 * math.pi * self.frequency * time[:, None] - self.phase_lag) + self._offset
+        value = (
+            np.sin(2 * math.pi * self.frequency * time[:, None] - self.phase_lag)
+            + self._offset
+        )
         return _three_levels(value, self.rest_level).astype(np.int8)
 
 

@@ -2,12 +2,15 @@
 
 The phases follow each other in open loop at given times, or on the sensed bends:
 
-1. *Curl.* The valves of the holding segments, at the tail, fill one side with a duty that rises from 0 to 1.
-   A fast curl would push the object away. The other segments vent and lie still.
-2. *Drag.* The holding segments stay filled; the others use the gait of Eq. 13. In the sensed mode the phase
-   begins when the readings have settled, and only if the holding segments bend less than they would without
-   an object; otherwise the grasp has missed, and the run ends.
-3. *Release.* The holding segments vent, after a time or a distance of the centre of mass.
+1. *Curl.* The valves of the holding segments, at the tail, fill one side with a duty
+   that rises from 0 to 1. A fast curl would push the object away. The other segments
+   vent and lie still.
+2. *Drag.* The holding segments stay filled; the others use the gait of Eq. 13. In the
+   sensed mode the phase begins when the readings have settled, and only if the holding
+   segments bend less than they would without an object; otherwise the grasp has missed,
+   and the run ends.
+3. *Release.* The holding segments vent, after a time or a distance of the centre of
+   mass.
 """
 
 from __future__ import annotations
@@ -32,7 +35,9 @@ SIDES = ("left", "right")
 _SLOTS = 20  # slots of a tick in which the duty of the curl is resolved
 _SETTLED_RAD_PER_S = 0.3  # bend rate below which the curl has ended
 _SETTLING_S = 0.3  # time over which this rate is measured
-_GRIP_RAD = 0.1  # smallest decrease of the bend by an object, mean over the holding segments
+_GRIP_RAD = (
+    0.1  # smallest decrease of the bend by an object, mean over the holding segments
+)
 
 
 class Phase(IntEnum):
@@ -51,8 +56,8 @@ def check_hold(hold: int, spec: RobotSpec) -> None:
     """
     if not 1 <= hold <= spec.segments - 2:
         raise InputError(
-            f"{hold} holding segments are not allowed; {spec.name} has {spec.segments} segments, of which "
-            "at least two must crawl"
+            f"{hold} holding segments are not allowed; {spec.name} has {spec.segments}"
+            " segments, of which at least two must crawl"
         )
 
 
@@ -72,7 +77,8 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
     Args:
         valves: valve states of a tick, shape (slots, segments, 2); changed in place.
         hold: number of holding segments.
-        duty: fraction of the slots in which a chamber fills, from -1 (right chambers) to 1 (left ones).
+        duty: fraction of the slots in which a chamber fills, from -1 (right chambers)
+            to 1 (left ones).
         pulses: number of equal pulses in the tick.
     """
     slots, chamber = len(valves) // pulses, 0 if duty >= 0 else 1
@@ -108,10 +114,18 @@ class Grasp(Controller):
     frequency: float
 
     def __init__(
-        self, frequency: float, *, mode: str = "sensed", side: str = "left", hold: int = 4,
-        curl_s: float = 1.5, drag_after_s: float = 2.0, release_after_s: float | None = None,
-        drag_m: float | None = None, phase_step: float | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        frequency: float,
+        *,
+        mode: str = "sensed",
+        side: str = "left",
+        hold: int = 4,
+        curl_s: float = 1.5,
+        drag_after_s: float = 2.0,
+        release_after_s: float | None = None,
+        drag_m: float | None = None,
+        phase_step: float | None = None,
+    ) -> None:
         """Create the controller.
 
         Args:
@@ -120,10 +134,14 @@ class Grasp(Controller):
             side: side of the object, one of `SIDES`.
             hold: number of holding segments, at the tail.
             curl_s: time in which the duty of the curl rises to 1, s.
-            drag_after_s: start of the drag in open loop, s; in the sensed mode the latest start.
-            release_after_s: time of the release after the start of the drag, s; None: never.
-            drag_m: distance of the drag after which the object is released, m; sensed mode only.
-            phase_step: phase lag of the gait per segment, rad; None uses that of the robot.
+            drag_after_s: start of the drag in open loop, s; in the sensed mode the
+                latest start.
+            release_after_s: time of the release after the start of the drag, s; None:
+                never.
+            drag_m: distance of the drag after which the object is released, m; sensed
+                mode only.
+            phase_step: phase lag of the gait per segment, rad; None uses that of the
+                robot.
 
         Raises:
             InputError: a name is unknown, or an option does not belong to the mode.
@@ -165,7 +183,11 @@ class Grasp(Controller):
             valves = np.repeat(valves[None], _SLOTS, axis=0)
         if self.phase is Phase.CURL:
             valves[:] = -1
-        duty = min(time / self.curl_s, 1.0) if self.phase is Phase.CURL else float(self.phase is Phase.DRAG)
+        duty = (
+            min(time / self.curl_s, 1.0)
+            if self.phase is Phase.CURL
+            else float(self.phase is Phase.DRAG)
+        )
         self.duty = toward * duty
         hold_with(valves, self.hold, self.duty)
         return valves
@@ -175,16 +197,30 @@ class Grasp(Controller):
         if self.finished:
             return
         if self.phase is Phase.CURL and time >= self.curl_s:
-            rate = np.abs(self._past[-1] - self._past[0]).max() / (self._tick * (len(self._past) - 1))
+            rate = np.abs(self._past[-1] - self._past[0]).max() / (
+                self._tick * (len(self._past) - 1)
+            )
             late = time >= self.drag_after_s
-            if self.mode == "sensed" and (late or rate < _SETTLED_RAD_PER_S) and self.grip < _GRIP_RAD:
-                self._events.append(Event(time, "grasp_missed", "the tail is closed without an object"))
+            if (
+                self.mode == "sensed"
+                and (late or rate < _SETTLED_RAD_PER_S)
+                and self.grip < _GRIP_RAD
+            ):
+                self._events.append(
+                    Event(time, "grasp_missed", "the tail is closed without an object")
+                )
                 self.finished = True
             elif late or (self.mode == "sensed" and rate < _SETTLED_RAD_PER_S):
                 self._begin(Phase.DRAG, time, com)
         elif self.phase is Phase.DRAG:
-            timed_out = self.release_after_s is not None and time - self._since >= self.release_after_s
-            moved = self.drag_m is not None and np.hypot(*(com - self._start)) >= self.drag_m
+            timed_out = (
+                self.release_after_s is not None
+                and time - self._since >= self.release_after_s
+            )
+            moved = (
+                self.drag_m is not None
+                and np.hypot(*(com - self._start)) >= self.drag_m
+            )
             if timed_out or moved:
                 self._begin(Phase.RELEASE, time, com)
 
@@ -194,7 +230,8 @@ class Grasp(Controller):
         self.phase = phase
         name = phase.name.lower()
         text = (
-            f"{name} begins; the object keeps the holding segments {self.grip:.2g} rad from their free bend"
+            f"{name} begins; the object keeps the holding segments {self.grip:.2g} rad"
+            " from their free bend"
         )
         self._events.append(Event(time, "grasp", text))
 

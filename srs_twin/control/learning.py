@@ -1,18 +1,19 @@
 r"""Iterative learning control of a gait (Section 5.1), with one update per chamber and gait period.
 
-The wave is that of the open-loop gait without offset (Eq. 13). Where the wave fills a chamber, its valve is
-pulse-width modulated with the duty of that chamber. With all duties at 1 the valve states are those of the
-open-loop gait.
+The wave is that of the open-loop gait without offset (Eq. 13). Where the wave fills a
+chamber, its valve is pulse-width modulated with the duty of that chamber. With all
+duties at 1 the valve states are those of the open-loop gait.
 
-Each chamber has its own period (`ChamberPeriods`), at the end of which its duty is corrected by the measured
-amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is the largest sensed bend in its period, that of a
-− chamber the negated smallest one. The snake is steered by different target amplitudes of the two sides
-(`targets`). With `steering="targets_and_wave"`, φ also acts on the wave as in Eq. 13, which lengthens the
+Each chamber has its own period (`ChamberPeriods`), at the end of which its duty is
+corrected by the measured amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is
+the largest sensed bend in its period, that of a − chamber the negated smallest one. The
+snake is steered by different target amplitudes of the two sides (`targets`). With
+`steering="targets_and_wave"`, φ also acts on the wave as in Eq. 13, which lengthens the
 fills on the side towards which the snake turns.
 
-In the first periods, the free ones, the duties stay at 1. The amplitudes of the period after them are
-recorded. The target amplitude A is the smallest recorded amplitude, which every chamber can reach, or a given
-value.
+In the first periods, the free ones, the duties stay at 1. The amplitudes of the period
+after them are recorded. The target amplitude A is the smallest recorded amplitude,
+which every chamber can reach, or a given value.
 """
 
 from __future__ import annotations
@@ -62,9 +63,11 @@ class ILC(Controller):
 
     Attributes:
         frequency: gait frequency f, Hz.
-        offset: φ, positive to the left, between −0.3 and 0.3; may be changed during a run.
+        offset: φ, positive to the left, between −0.3 and 0.3; may be changed during a
+            run.
         amplitude: A, rad; None until it is known.
-        duties: learnt duties; the chambers of segments with a fault vent regardless of them.
+        duties: learnt duties; the chambers of segments with a fault vent regardless of
+            them.
         faults: fault detection of the modules.
     """
 
@@ -100,10 +103,12 @@ class ILC(Controller):
             k: learning gain, 1/rad.
             free_periods: number of periods before the recorded one.
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
-            on_fault: "go_on" to continue without a faulty module, or "stop" to end the run.
-            clock: "chamber" for one period per chamber, or "common" for the single interrupt per gait period
-                of the dissertation.
-            steering: "targets", or "targets_and_wave", where φ also acts on the wave as in Eq. 13.
+            on_fault: "go_on" to continue without a faulty module, or "stop" to end the
+                run.
+            clock: "chamber" for one period per chamber, or "common" for the single
+                interrupt per gait period of the dissertation.
+            steering: "targets", or "targets_and_wave", where φ also acts on the wave as
+                in Eq. 13.
             phase: ψ of the wave, rad.
             phase_step: β, rad; None uses that of the robot.
 
@@ -111,7 +116,11 @@ class ILC(Controller):
             InputError: a number is out of range, or a fill has too few pulses.
             UnknownNameError: an option has an unknown value.
         """
-        for name, word in {"on_fault": on_fault, "clock": clock, "steering": steering}.items():
+        for name, word in {
+            "on_fault": on_fault,
+            "clock": clock,
+            "steering": steering,
+        }.items():
             if word not in _CHOICES[name]:
                 raise UnknownNameError(name, word, _CHOICES[name])
         if isinstance(target, str) and target != SMALLEST:
@@ -123,12 +132,16 @@ class ILC(Controller):
         for name, value in numbers.items():
             check_positive(f"ilc {name}", value)
         if free_periods < 1:
-            raise InputError(f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or more")
+            raise InputError(
+                f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or"
+                " more"
+            )
         self._gait = Gait(frequency, phase=phase, phase_step=phase_step)
         if carrier_hz < 2 * MIN_PULSES * frequency:
             raise InputError(
-                f"ilc carrier_hz {carrier_hz:g} gives fewer than {MIN_PULSES} pulses per fill at "
-                f"{frequency:g} Hz; use {2 * MIN_PULSES * frequency:g} Hz or more"
+                f"ilc carrier_hz {carrier_hz:g} gives fewer than {MIN_PULSES} pulses"
+                f" per fill at {frequency:g} Hz; use {2 * MIN_PULSES * frequency:g} Hz"
+                " or more"
             )
         self.frequency = frequency
         self._fixed_target, self._k = fixed_target, k
@@ -157,10 +170,17 @@ class ILC(Controller):
         self._gait.reset(spec, tick)
         self._gait.offset = 0.0
         self._pulses = PulseWidthModulator(
-            self._carrier_hz, tick, spec.segments, aligned=True, allow_long_ticks=True, scale=spec.scale
+            self._carrier_hz,
+            tick,
+            spec.segments,
+            aligned=True,
+            allow_long_ticks=True,
+            scale=spec.scale,
         )
         common = self._clock == "common"
-        self._periods = ChamberPeriods(self._gait.phase_lag, self.frequency, tick, common=common)
+        self._periods = ChamberPeriods(
+            self._gait.phase_lag, self.frequency, tick, common=common
+        )
         self._steer_wave()
         starts = self._periods.fill_starts
         self._last_chamber = np.unravel_index(starts.argmax(), starts.shape)
@@ -232,10 +252,13 @@ class ILC(Controller):
     def _set_commands(self) -> None:
         """Set the commanded duties and the targets; idle segments get duty 0 and target NaN.
 
-        It is called after every change of its inputs rather than in every tick, which saves time.
+        It is called after every change of its inputs rather than in every tick, which
+        saves time.
         """
         working = self.faults.working[:, None]
-        sides = targets(math.nan if self.amplitude is None else self.amplitude, self._offset)
+        sides = targets(
+            math.nan if self.amplitude is None else self.amplitude, self._offset
+        )
         self._command: np.ndarray = np.where(working, self.duties.value, 0.0)
         self._targets: np.ndarray = np.where(working, sides, math.nan)
         self.finished = self._on_fault == "stop" and bool(self.faults.detected)
@@ -248,8 +271,11 @@ class ILC(Controller):
             return
         faults.check_sensors(time, ended, self._command, periods)
         peak = np.where(periods.lost <= _MAX_LOST, periods.peak, math.nan)
-        # Ignore periods that began before the end of a test, because they include venting.
-        measured = ended & ~np.isnan(peak) & (periods.started >= faults.resumed[:, None])
+        # Ignore periods that began before the end of a test, because they include
+        # venting.
+        measured = (
+            ended & ~np.isnan(peak) & (periods.started >= faults.resumed[:, None])
+        )
         self._amplitudes = np.where(measured, peak, self._amplitudes)
         if self.amplitude is None:
             self._record_amplitudes(time, measured)
@@ -269,8 +295,12 @@ class ILC(Controller):
     def _record_amplitudes(self, time: float, measured: np.ndarray) -> None:
         """Record amplitudes up to the period after the free ones; then set the target amplitude."""
         number, working = self._periods.number, self.faults.working
-        recorded = measured & ((number <= self._free_periods + 2) | np.isnan(self._record[1]))
-        self._record = np.where(recorded, np.stack([self._record[1], self._amplitudes]), self._record)
+        recorded = measured & (
+            (number <= self._free_periods + 2) | np.isnan(self._record[1])
+        )
+        self._record = np.where(
+            recorded, np.stack([self._record[1], self._amplitudes]), self._record
+        )
         too_early = (number[working] < self._free_periods + 2).any()
         if too_early or np.isnan(self._record[1][working]).all():
             return
@@ -280,5 +310,8 @@ class ILC(Controller):
             record = np.where(working[:, None], self._record[1], math.nan)
             j, side = np.unravel_index(np.nanargmin(record), record.shape)
             self.amplitude = float(record[j, side])
-            text = f"target {self.amplitude:.4g} rad, the smallest amplitude recorded (segment {j + 1})"
+            text = (
+                f"target {self.amplitude:.4g} rad, the smallest amplitude recorded"
+                f" (segment {j + 1})"
+            )
             self._events.append(Event(time, "target", text))

@@ -1,17 +1,19 @@
 """Detection of dead sensors and stuck valves from the bend readings of a gait.
 
-**Sensors.** A sensor is dead if its readings do not change during a whole period although its chambers fill,
-or if all readings of a period are lost.
+**Sensors.** A sensor is dead if its readings do not change during a whole period
+although its chambers fill, or if all readings of a period are lost.
 
-**Valves.** A valve is suspected if for two periods the amplitude of its chamber is below a tenth of the
-target at full duty, or above the target at duty 0. A + chamber that never vents and a − chamber that never
-fills produce the same readings: the segment swings between straight and left. Both chambers are therefore
-vented in a test. If the segment then rests bent, the chamber on that side is stuck open. If it rests
-straight, the chamber that was too weak is stuck shut. A chamber that was too strong although its segment
-rests straight has another cause (a load or a biased sensor), and the segment works again.
+**Valves.** A valve is suspected if for two periods the amplitude of its chamber is
+below a tenth of the target at full duty, or above the target at duty 0. A + chamber
+that never vents and a − chamber that never fills produce the same readings: the segment
+swings between straight and left. Both chambers are therefore vented in a test. If the
+segment then rests bent, the chamber on that side is stuck open. If it rests straight,
+the chamber that was too weak is stuck shut. A chamber that was too strong although its
+segment rests straight has another cause (a load or a biased sensor), and the segment
+works again.
 
-The bend at rest is the mean over a whole period, so that the gait of the other segments cancels. The mean
-begins half a period after venting, when the chambers are empty.
+The bend at rest is the mean over a whole period, so that the gait of the other segments
+cancels. The mean begins half a period after venting, when the chambers are empty.
 """
 
 from __future__ import annotations
@@ -52,7 +54,16 @@ class ModuleFaults(Stateful):
     """
 
     state_attributes = (
-        *("detected", "faulty", "tested", "testing", "resumed", "_weak", "_strong", "_cleared"),
+        *(
+            "detected",
+            "faulty",
+            "tested",
+            "testing",
+            "resumed",
+            "_weak",
+            "_strong",
+            "_cleared",
+        ),
         *("_test_started", "_bent_above", "_rest_sum", "_rest_count", "_events"),
     )
 
@@ -70,7 +81,10 @@ class ModuleFaults(Stateful):
         self.resumed = np.full(segments, -math.inf)
         self._period = period
         # Successive periods in which each chamber was too weak, or too strong.
-        self._weak, self._strong = np.zeros((segments, 2), dtype=int), np.zeros((segments, 2), dtype=int)
+        self._weak, self._strong = (
+            np.zeros((segments, 2), dtype=int),
+            np.zeros((segments, 2), dtype=int),
+        )
         self._cleared = np.zeros((segments, 2), dtype=bool)
         self._test_started, self._bent_above = np.zeros(segments), np.zeros(segments)
         self._rest_sum, self._rest_count = np.zeros(segments), np.zeros(segments)
@@ -97,7 +111,8 @@ class ModuleFaults(Stateful):
             duty: their duties in that period, same shape.
             periods: readings of that period.
         """
-        # The first period of a chamber may be incomplete: some chambers already fill at time 0.
+        # The first period of a chamber may be incomplete: some chambers already fill at
+        # time 0.
         whole = ended & (periods.number > 2) & self.working[:, None]
         driven = duty.max(axis=1, keepdims=True) >= MIN_DRIVING_DUTY
         silent = (whole & (periods.lost == 1)).any(axis=1)
@@ -105,10 +120,17 @@ class ModuleFaults(Stateful):
         for j in map(int, np.flatnonzero(silent)):
             self._report(time, j, "sensor dead, all readings of a period are lost")
         for j in map(int, np.flatnonzero(still & ~silent)):
-            self._report(time, j, f"sensor dead, readings stay within {STILL_RAD:g} rad")
+            self._report(
+                time, j, f"sensor dead, readings stay within {STILL_RAD:g} rad"
+            )
 
     def check_valves(
-        self, time: float, ended: np.ndarray, duty: np.ndarray, peak: np.ndarray, target: np.ndarray
+        self,
+        time: float,
+        ended: np.ndarray,
+        duty: np.ndarray,
+        peak: np.ndarray,
+        target: np.ndarray,
     ) -> None:
         """Start tests of the segments with too weak or too strong chambers.
 
@@ -125,8 +147,12 @@ class ModuleFaults(Stateful):
         weak = (duty >= 1) & (peak < WEAK_RATIO * target)
         strong = (duty <= 0) & (peak > STRONG_RATIO * target) & ~self._cleared
         self._weak = np.where(ended, np.where(weak, self._weak + 1, 0), self._weak)
-        self._strong = np.where(ended, np.where(strong, self._strong + 1, 0), self._strong)
-        suspected = (self._weak >= SUSPICIOUS_PERIODS) | (self._strong >= SUSPICIOUS_PERIODS)
+        self._strong = np.where(
+            ended, np.where(strong, self._strong + 1, 0), self._strong
+        )
+        suspected = (self._weak >= SUSPICIOUS_PERIODS) | (
+            self._strong >= SUSPICIOUS_PERIODS
+        )
         self._start_tests(time, suspected, target)
 
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
@@ -134,18 +160,26 @@ class ModuleFaults(Stateful):
 
         Args:
             time: s.
-            peaks: amplitudes in the recorded free periods, shape (periods, segments, 2), rad.
+            peaks: amplitudes in the recorded free periods, shape (periods, segments,
+                2), rad.
         """
         median = float(np.nanmedian(peaks[-1][self.working]))
-        weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0) & self.working[:, None]
+        weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0) & self.working[
+            :, None
+        ]
         self._weak[weak] = SUSPICIOUS_PERIODS
         self._start_tests(time, weak, np.full(weak.shape, median))
 
-    def _start_tests(self, time: float, chambers: np.ndarray, target: np.ndarray) -> None:
+    def _start_tests(
+        self, time: float, chambers: np.ndarray, target: np.ndarray
+    ) -> None:
         """Vent the segments of suspected chambers; arrays have the shape (segments, 2), targets in rad."""
         for j in np.flatnonzero(chambers.any(axis=1) & self.working):
             self.tested[j], self.testing = True, True
-            self._test_started[j], self._bent_above[j] = time, BENT_RATIO * float(target[j].min())
+            self._test_started[j], self._bent_above[j] = (
+                time,
+                BENT_RATIO * float(target[j].min()),
+            )
             self._rest_sum[j] = self._rest_count[j] = 0
             text = f"segment {j + 1}: a valve may be stuck; both chambers vent"
             self._events.append(Event(time, "fault_suspected", text))
@@ -163,18 +197,28 @@ class ModuleFaults(Stateful):
         self._rest_count += resting
         for j in np.flatnonzero(self.tested & (elapsed >= VENTING_PERIODS + 1)):
             self.tested[j], self.resumed[j] = False, time
-            self._end_test(time, int(j), self._rest_sum[j] / max(self._rest_count[j], 1))
+            self._end_test(
+                time, int(j), self._rest_sum[j] / max(self._rest_count[j], 1)
+            )
         self.testing = bool(self.tested.any())
 
     def _end_test(self, time: float, j: int, rest: float) -> None:
         """Report the fault of segment j from its bend at rest (rad), or clear the segment."""
         weak = self._weak[j] >= SUSPICIOUS_PERIODS
         if abs(rest) > self._bent_above[j]:
-            self._report(time, j, f"valve of the {SIDES[int(rest < 0)]} chamber stuck open")
+            self._report(
+                time, j, f"valve of the {SIDES[int(rest < 0)]} chamber stuck open"
+            )
         elif weak.all():
-            self._report(time, j, "neither chamber bends it: both valves stuck shut, or no air")
+            self._report(
+                time, j, "neither chamber bends it: both valves stuck shut, or no air"
+            )
         elif weak.any():
-            self._report(time, j, f"valve of the {SIDES[int(np.argmax(weak))]} chamber stuck shut")
+            self._report(
+                time,
+                j,
+                f"valve of the {SIDES[int(np.argmax(weak))]} chamber stuck shut",
+            )
         else:
             self._cleared[j] = True
             text = f"segment {j + 1}: rests straight when vented; no valve is stuck"

@@ -16,17 +16,19 @@ from srs_twin.robot.scale import SHIPPED, Scale
 class PulseWidthModulator(Stateful):
     """Pulse-width modulation of 3/2 valves.
 
-    In each carrier period a chamber fills for the fraction given by its duty, and vents for the rest. By
-    default the pulse of the + chamber begins at the start of the period and that of the − chamber ends at its
-    end. If the two duties add up to 1, the two valves are then always in opposite states, as in Fig. 45c.
-    With `aligned`, both pulses begin at the start of the period, so that both chambers are treated alike.
+    In each carrier period a chamber fills for the fraction given by its duty, and vents
+    for the rest. By default the pulse of the + chamber begins at the start of the
+    period and that of the − chamber ends at its end. If the two duties add up to 1, the
+    two valves are then always in opposite states, as in Fig. 45c. With `aligned`, both
+    pulses begin at the start of the period, so that both chambers are treated alike.
 
-    A period may be a fractional number of ticks or slots: a slot belongs to the period, and to the pulse,
-    that contains its centre. The length of a pulse is therefore wrong by at most one slot, and the mean over
-    many periods is exact. A valve opens at most once per period, and does not switch at duties of 0 and 1.
+    A period may be a fractional number of ticks or slots: a slot belongs to the period,
+    and to the pulse, that contains its centre. The length of a pulse is therefore wrong
+    by at most one slot, and the mean over many periods is exact. A valve opens at most
+    once per period, and does not switch at duties of 0 and 1.
 
-    The switching time of 3 ms is part of τ₂ (`LagPneumatics`), which smooths shorter pulses. They are not
-    suppressed here.
+    The switching time of 3 ms is part of τ₂ (`LagPneumatics`), which smooths shorter
+    pulses. They are not suppressed here.
 
     Attributes:
         period: carrier period, s.
@@ -52,15 +54,17 @@ class PulseWidthModulator(Stateful):
             carrier_hz: carrier frequency, Hz.
             tick: s.
             segments: number of segments.
-            aligned: whether the pulses of both chambers begin at the start of the period.
-            allow_long_ticks: whether a tick may be longer than a period, for controllers that do not update
-                the duties in every period.
+            aligned: whether the pulses of both chambers begin at the start of the
+                period.
+            allow_long_ticks: whether a tick may be longer than a period, for
+                controllers that do not update the duties in every period.
             scale: units of the robot, for the length of the slots.
-            chambers: number of chambers per segment; other numbers than 2 need `aligned`.
+            chambers: number of chambers per segment; other numbers than 2 need
+                `aligned`.
 
         Raises:
-            InputError: the carrier frequency or the tick is not above 0, or the tick is longer than a period
-                without `allow_long_ticks`.
+            InputError: the carrier frequency or the tick is not above 0, or the tick is
+                longer than a period without `allow_long_ticks`.
         """
         check_positive("carrier_hz", carrier_hz)
         slot = valve_slot(tick, scale)
@@ -68,8 +72,8 @@ class PulseWidthModulator(Stateful):
         self.period = 1 / carrier_hz
         if tick > self.period and not allow_long_ticks:
             raise InputError(
-                f"a carrier of {carrier_hz:g} Hz is too fast for the tick of {tick:g} s; use "
-                f"{1 / tick:g} Hz or less, or a shorter tick"
+                f"a carrier of {carrier_hz:g} Hz is too fast for the tick of {tick:g}"
+                f" s; use {1 / tick:g} Hz or less, or a shorter tick"
             )
         self._aligned = aligned
         self._periods_per_slot = carrier_hz * slot
@@ -85,8 +89,9 @@ class PulseWidthModulator(Stateful):
         """Return the valve states of the next tick.
 
         Args:
-            duty: duties of the + and − chambers, shape (segments, 2). They are used if a period begins in
-                this tick; otherwise the current period continues with its own duties.
+            duty: duties of the + and − chambers, shape (segments, 2). They are used if
+                a period begins in this tick; otherwise the current period continues
+                with its own duties.
 
         Returns:
             +1 fill, −1 vent, shape (slots, segments, 2), int8.
@@ -96,12 +101,19 @@ class PulseWidthModulator(Stateful):
         """
         new_duty = np.asarray(duty, dtype=float)
         if new_duty.shape != self.duty.shape:
-            raise InputError(f"duties have shape {new_duty.shape}; allowed: {self.duty.shape}")
+            raise InputError(
+                f"duties have shape {new_duty.shape}; allowed: {self.duty.shape}"
+            )
         outside = ~((new_duty >= 0) & (new_duty <= 1))
         if outside.any():
-            raise InputError(f"duty {new_duty[outside][0]:g} is not allowed; it must lie between 0 and 1")
+            raise InputError(
+                f"duty {new_duty[outside][0]:g} is not allowed; it must lie between 0"
+                " and 1"
+            )
         # Time at the centres of the slots, in carrier periods.
-        elapsed = (self._ticks * self._slots + np.arange(self._slots) + 0.5) * self._periods_per_slot
+        elapsed = (
+            self._ticks * self._slots + np.arange(self._slots) + 0.5
+        ) * self._periods_per_slot
         number = np.floor(elapsed)
         new_period = (number != self._period_number)[:, None, None]
         duties = np.where(new_period, new_duty, self.duty)
@@ -109,11 +121,15 @@ class PulseWidthModulator(Stateful):
         if self._aligned:
             filling = phase[..., None] < duties
         else:
-            filling = np.stack([phase < duties[..., 0], phase >= 1 - duties[..., 1]], axis=-1)
+            filling = np.stack(
+                [phase < duties[..., 0], phase >= 1 - duties[..., 1]], axis=-1
+            )
         self._period_number, self.duty = int(number[-1]), duties[-1]
         self._ticks += 1
         return np.where(filling, 1, -1).astype(np.int8)
 
     def _last_period(self) -> int:
         """Return the number of the period that contains the last slot of the next tick."""
-        return math.floor((self._ticks * self._slots + self._slots - 0.5) * self._periods_per_slot)
+        return math.floor(
+            (self._ticks * self._slots + self._slots - 0.5) * self._periods_per_slot
+        )

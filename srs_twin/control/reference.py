@@ -23,7 +23,10 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Reference(ABC):
-    """Bend over time, rad. Times are numbers or arrays, and the results have their shape."""
+    """Bend over time, rad.
+
+    Times are numbers or arrays, and the results have their shape.
+    """
 
     @property
     @abstractmethod
@@ -50,20 +53,23 @@ class Reference(ABC):
             policy: "refuse" a reference that exceeds the limit, or "saturate" it.
 
         Raises:
-            InputError: the reference exceeds the limit and the policy is "refuse", or the limit is not above
-                0.
+            InputError: the reference exceeds the limit and the policy is "refuse", or
+                the limit is not above 0.
             UnknownNameError: the policy is unknown.
         """
         if policy not in POLICIES:
-            raise UnknownNameError("policy for a reference beyond the range", policy, POLICIES)
+            raise UnknownNameError(
+                "policy for a reference beyond the range", policy, POLICIES
+            )
         check_positive("range limit", limit, "rad")
         if self.peak <= limit:
             return self
         if policy == "refuse":
             raise InputError(
-                f"the reference reaches {math.degrees(self.peak):.4g}°, but the module bends at most "
-                f"{math.degrees(limit):.4g}° at its supply pressure; reduce the reference, raise the "
-                "pressure, or let the reference saturate"
+                f"the reference reaches {math.degrees(self.peak):.4g}°, but the module"
+                f" bends at most {math.degrees(limit):.4g}° at its supply pressure;"
+                " reduce the reference, raise the pressure, or let the reference"
+                " saturate"
             )
         return ClippedReference(self, limit)
 
@@ -71,7 +77,10 @@ class Reference(ABC):
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, int | float) and not math.isfinite(value):
-                raise InputError(f"reference: {field.name} {value!r} is not allowed; it must be finite")
+                raise InputError(
+                    f"reference: {field.name} {value!r} is not allowed; it must be"
+                    " finite"
+                )
 
 
 @dataclass(frozen=True)
@@ -109,7 +118,10 @@ class Staircase(Reference):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not (len(self.bends) and np.isfinite(self.bends).all()):
-            raise InputError(f"staircase bends {self.bends!r} are not allowed; give one or more, all finite")
+            raise InputError(
+                f"staircase bends {self.bends!r} are not allowed; give one or more, all"
+                " finite"
+            )
         check_positive("staircase hold", self.hold, "s")
 
     @property
@@ -145,7 +157,9 @@ class Step(Reference):
 
     def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
-        return np.where(np.asarray(time) > self.time - _ROUNDING, self.bend, self.before)[()]
+        return np.where(
+            np.asarray(time) > self.time - _ROUNDING, self.bend, self.before
+        )[()]
 
 
 @dataclass(frozen=True)
@@ -203,7 +217,9 @@ class Square(_Periodic):
     def value(self, time: ArrayLike) -> Array:
         """See `Reference.value`."""
         fraction = (self._angle(time) / (2 * math.pi) + _ROUNDING) % 1.0
-        return self.offset + np.where(fraction < 0.5, self.amplitude, -self.amplitude)[()]
+        return (
+            self.offset + np.where(fraction < 0.5, self.amplitude, -self.amplitude)[()]
+        )
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ class Replay(Controller):
     Attributes:
         schedule: recorded valve states.
         frequency: gait frequency of the recording, Hz; None if it was not periodic.
-        layouts: valve layouts that have all recorded states; only separate valves can hold.
+        layouts: valve layouts that have all recorded states; only separate valves can
+            hold.
     """
 
     kind = "replay"
@@ -37,7 +38,8 @@ class Replay(Controller):
         segments = self.schedule.states.shape[1]
         if segments != spec.segments:
             raise InputError(
-                f"the recorded valves belong to {segments} segments, but {spec.name} has {spec.segments}"
+                f"the recorded valves belong to {segments} segments, but {spec.name}"
+                f" has {spec.segments}"
             )
         slots = count_slots(tick, spec.scale)
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
@@ -45,7 +47,12 @@ class Replay(Controller):
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick; without the slot axis if no state changes in it."""
         schedule = self.schedule
-        runs = np.searchsorted(schedule.starts, float(state.time) + self._slot_centres, side="right") - 1
+        runs = (
+            np.searchsorted(
+                schedule.starts, float(state.time) + self._slot_centres, side="right"
+            )
+            - 1
+        )
         states = schedule.states[np.maximum(runs, 0)]
         return np.asarray(states[0] if runs[0] == runs[-1] else states)
 
@@ -95,7 +102,9 @@ class HoldValves(Controller):
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`."""
-        self._valves = np.tile(np.array(self._states, dtype=np.int8), (spec.segments, 1))
+        self._valves = np.tile(
+            np.array(self._states, dtype=np.int8), (spec.segments, 1)
+        )
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states, shape (segments, 2)."""

@@ -1,45 +1,53 @@
 r"""Sliding mode control of a module (Chapter 4), by valve states or by duties.
 
-Both controllers drive the sensed bend q of each segment to a reference r by means of the sliding variable
+Both controllers drive the sensed bend q of each segment to a reference r by means of
+the sliding variable
 
 $$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}). $$
 
-On σ = 0 the error decays as e^{−Dt}. The controllers differ in how they estimate ė from noisy readings, and
-in how they convert σ to valve states.
+On σ = 0 the error decays as e^{−Dt}. The controllers differ in how they estimate ė from
+noisy readings, and in how they convert σ to valve states.
 
-`VelocityFilter` estimates the rate of a noisy reading, because finite differences would amplify the noise. It
-is a second-order low-pass (Butterworth) filter whose rate is used as well as its value,
+`VelocityFilter` estimates the rate of a noisy reading, because finite differences would
+amplify the noise. It is a second-order low-pass (Butterworth) filter whose rate is used
+as well as its value,
 
 $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
 
-solved exactly for a reading that is linear between ticks. Both outputs are delayed by √2/ω_c at frequencies
-far below the cutoff (9 ms at 25 Hz, 0.34 rad of a 6 Hz sine). White noise of standard deviation s, sampled
-every T, gives a noise of about s √(ω_c³ T / √8) in the rate; finite differences would give s √2 / T. For 0.2°
-sampled every millisecond and 25 Hz these are 7°/s and 283°/s.
+solved exactly for a reading that is linear between ticks. Both outputs are delayed by
+√2/ω_c at frequencies far below the cutoff (9 ms at 25 Hz, 0.34 rad of a 6 Hz sine).
+White noise of standard deviation s, sampled every T, gives a noise of about s √(ω_c³ T
+/ √8) in the rate; finite differences would give s √2 / T. For 0.2° sampled every
+millisecond and 25 Hz these are 7°/s and 283°/s.
 
 `DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
 
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so errors up to ε/D persist. The bend and its rate come from the same `VelocityFilter`: with
-an equal delay of both, σ is the delayed true one, and the noise of D e is filtered as well. The printed D =
-0.5 1/s would give a time constant of 2 s, and the printed ε = 2°/s is below the noise of any rate estimate
-that is fast enough (E6).
+At rest σ = D e, so errors up to ε/D persist. The bend and its rate come from the same
+`VelocityFilter`: with an equal delay of both, σ is the delayed true one, and the noise
+of D e is filtered as well. The printed D = 0.5 1/s would give a time constant of 2 s,
+and the printed ε = 2°/s is below the noise of any rate estimate that is fast enough
+(E6).
 
-`IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). Once per carrier period T,
+`IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). Once per
+carrier period T,
 
 $$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
 
-and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the proportional-integral law μ = (K/T) e +
-(K D/T) ∫e dt, clipped without wind-up: μ leaves its bound at the first σ of the other sign.
+and the chambers get the duties (1 + μ)/2 and (1 − μ)/2. This is the
+proportional-integral law μ = (K/T) e + (K D/T) ∫e dt, clipped without wind-up: μ leaves
+its bound at the first σ of the other sign.
 
-Both e and ė are means over the last period; the mean of ė is the difference of e between the ends of the
-period, divided by T. A mean over a whole period does not contain the ripple that the valves cause. A single
-reading per period would always be taken at the same phase of the ripple, which gives an offset of several
-degrees. A step of the reference contributes to ė.
+Both e and ė are means over the last period; the mean of ė is the difference of e
+between the ends of the period, divided by T. A mean over a whole period does not
+contain the ripple that the valves cause. A single reading per period would always be
+taken at the same phase of the ripple, which gives an offset of several degrees. A step
+of the reference contributes to ė.
 
-Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). Here it does; D of the other form is D K.
+Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). Here it does; D of the
+other form is D K.
 """
 
 from __future__ import annotations
@@ -86,7 +94,8 @@ class VelocityFilter(Stateful):
         """
         cutoff = np.asarray(cutoff_hz, dtype=float)
         check_positive("cutoff_hz", cutoff_hz)
-        # The poles are w (−1 ± i), so the homogeneous solution is a decaying oscillation of frequency w.
+        # The poles are w (−1 ± i), so the homogeneous solution is a decaying
+        # oscillation of frequency w.
         self._w = math.sqrt(2) * math.pi * cutoff
         self._tick = tick
         self.lag = 1 / self._w
@@ -103,14 +112,25 @@ class VelocityFilter(Stateful):
             reading: shape (segments,).
         """
         if self._last is None:
-            self.value, self.rate = np.array(reading, dtype=float), np.zeros(np.shape(reading))
+            self.value, self.rate = (
+                np.array(reading, dtype=float),
+                np.zeros(np.shape(reading)),
+            )
         else:
-            # The particular solution for a linear reading is that line, delayed by the lag; the deviation
-            # from it is a homogeneous solution and decays.
+            # The particular solution for a linear reading is that line, delayed by the
+            # lag; the deviation from it is a homogeneous solution and decays.
             slope = (reading - self._last) / self._tick
-            deviation, rate_deviation = self.value - (self._last - slope * self.lag), self.rate - slope
+            deviation, rate_deviation = (
+                self.value - (self._last - slope * self.lag),
+                self.rate - slope,
+            )
             w, c, s = self._w, self._cos, self._sin
-            self.value = reading - slope * self.lag + (c + s) * deviation + s / w * rate_deviation
+            self.value = (
+                reading
+                - slope * self.lag
+                + (c + s) * deviation
+                + s / w * rate_deviation
+            )
             self.rate = slope - 2 * w * s * deviation + (c - s) * rate_deviation
         self._last = np.array(reading, dtype=float)
 
@@ -153,14 +173,15 @@ class SlidingMode(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the shape of a gain is neither that of one number nor (segments,).
+            InputError: the shape of a gain is neither that of one number nor
+                (segments,).
         """
         for name in self.gains:
             shape = np.shape(getattr(self, name))
             if shape not in ((), (spec.segments,)):
                 raise InputError(
-                    f"{self.kind}: {name} has shape {shape}; give one number, or one per segment "
-                    f"({spec.segments})"
+                    f"{self.kind}: {name} has shape {shape}; give one number, or one"
+                    f" per segment ({spec.segments})"
                 )
         self._tick = tick
         self._readings = SensorReadings(spec.segments)
@@ -173,9 +194,14 @@ class SlidingMode(Controller):
     def signals(self) -> dict[str, Any]:
         """Return the reference, e and σ.
 
-        The reference belongs to the end of the tick, where signals are sampled; e and σ belong to its start.
+        The reference belongs to the end of the tick, where signals are sampled; e and σ
+        belong to its start.
         """
-        return {"reference": self._next_reference, "error": self._error, "sigma": self._sigma}
+        return {
+            "reference": self._next_reference,
+            "error": self._error,
+            "sigma": self._sigma,
+        }
 
     def _read_sensors(self, state: SnakeState) -> float:
         """Update the readings and the reference at the end of the tick; return the start of the tick, s."""
@@ -186,14 +212,16 @@ class SlidingMode(Controller):
         clipped = bool(self.reference.is_clipped(time))
         if clipped and not self._was_clipped:
             text = (
-                f"the reference exceeds the range of the module and is cut at {self.reference.peak:.4g} rad"
+                "the reference exceeds the range of the module and is cut at"
+                f" {self.reference.peak:.4g} rad"
             )
             self._events.append(Event(time, "saturation", text))
         self._was_clipped = self._was_clipped or clipped
         return time
 
 
-# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of Chapter 4.
+# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of
+# Chapter 4.
 DIRECT_D_PER_S = 58.0
 """Slope D of the sliding manifold of `DirectSMC`, 1/s."""
 EPSILON_RAD_PER_S = math.radians(84.0)
@@ -235,7 +263,9 @@ class DirectSMC(SlidingMode):
         self._rate = self._filter.rate
         self._error = self.reference.value(time) - self._filter.value
         self._sigma = self.reference.rate(time) - self._rate + self.D * self._error
-        valves = np.where(np.abs(self._sigma) > self.epsilon, np.sign(self._sigma), 0.0).astype(np.int8)
+        valves = np.where(
+            np.abs(self._sigma) > self.epsilon, np.sign(self._sigma), 0.0
+        ).astype(np.int8)
         return np.stack([valves, -valves], axis=-1)
 
     def signals(self) -> dict[str, Any]:
@@ -243,7 +273,8 @@ class DirectSMC(SlidingMode):
         return super().signals() | {"rate": self._rate}
 
 
-# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of Chapter 4.
+# Tuned by benchmarks/gains.py for generation 4 at 7 psi, one set for all experiments of
+# Chapter 4.
 K_S_PER_RAD = 0.042
 """Gain K of `IterativeSMC`, s/rad."""
 ITERATIVE_D_PER_S = 16.0
@@ -277,10 +308,13 @@ class IterativeSMC(SlidingMode):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the tick is not a multiple of 0.1 ms, or it is longer than a carrier period.
+            InputError: the tick is not a multiple of 0.1 ms, or it is longer than a
+                carrier period.
         """
         super().reset(spec, tick, seed=seed)
-        self._pulses = PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
+        self._pulses = PulseWidthModulator(
+            self.carrier_hz, tick, spec.segments, scale=spec.scale
+        )
         self._mu = np.zeros(spec.segments)
         self._last_error = np.zeros(spec.segments)
         self._error_sum = np.zeros(spec.segments)
@@ -288,16 +322,24 @@ class IterativeSMC(SlidingMode):
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick, shape (slots, segments, 2)."""
-        self._error = self.reference.value(self._read_sensors(state)) - self._readings.value
+        self._error = (
+            self.reference.value(self._read_sensors(state)) - self._readings.value
+        )
         if self._pulses.due():
             self._update()
         self._error_sum, self._count = self._error_sum + self._error, self._count + 1
-        return self._pulses.step(np.stack([(1 + self._mu) / 2, (1 - self._mu) / 2], axis=-1))
+        return self._pulses.step(
+            np.stack([(1 + self._mu) / 2, (1 - self._mu) / 2], axis=-1)
+        )
 
     def signals(self) -> dict[str, Any]:
         """Return the signals of `SlidingMode`, μ, and the duties of the current period."""
         plus, minus = self._pulses.duty.T
-        return super().signals() | {"mu": self._mu, "duty_plus": plus, "duty_minus": minus}
+        return super().signals() | {
+            "mu": self._mu,
+            "duty_plus": plus,
+            "duty_minus": minus,
+        }
 
     def _update(self) -> None:
         """Update μ from the mean errors since the last update; before the first one the error was 0."""
@@ -305,4 +347,8 @@ class IterativeSMC(SlidingMode):
         mean = self._error_sum / max(self._count, 1)
         self._sigma = (self._error - self._last_error) / elapsed + self.D * mean
         self._mu = np.clip(self._mu + self.K * self._sigma, -1.0, 1.0)
-        self._last_error, self._error_sum, self._count = self._error, np.zeros_like(self._error_sum), 0
+        self._last_error, self._error_sum, self._count = (
+            self._error,
+            np.zeros_like(self._error_sum),
+            0,
+        )

@@ -1,8 +1,9 @@
 """Reinforcement-learning environments on the twin for Gymnasium and dm_env (docs/environments.md).
 
 Importing this package registers the tasks of `TASKS`, as ``SRSTwin/GoTo-v0`` and so on.
-`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it: since version 1.0 Gymnasium does not search
-entry points. `srs_twin.envs.dm.load("GoTo")` returns the same task for dm_env, without Gymnasium.
+`gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")` imports it: since version 1.0
+Gymnasium does not search entry points. `srs_twin.envs.dm.load("GoTo")` returns the same
+task for dm_env, without Gymnasium.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
-            # No wrappers: SnakeEnv checks order and types itself, and `copy.copy` of a wrapper would share
-            # the environment.
+            # No wrappers: SnakeEnv checks order and types itself, and `copy.copy` of a
+            # wrapper would share the environment.
             order_enforce=False,
             disable_env_checker=True,
         )

@@ -1,13 +1,13 @@
 """Pegs and Grasp: crawl to a goal among posts, and drag an object with the tail.
 
-Pegs: the skin of the snake has the same friction in every direction, so that it hardly moves without posts.
-Its goal may be in any direction, because almost every gait moves the snake among posts, but only steering
-brings it to a given place.
+Pegs: the skin of the snake has the same friction in every direction, so that it hardly
+moves without posts. Its goal may be in any direction, because almost every gait moves
+the snake among posts, but only steering brings it to a given place.
 
-Grasp: the tail of a chain of modules has to curl around a cylinder and drag it. The object is gripped in a
-step if it presses on opposite sides of the tail, and held if it was gripped and at rest in the tail for the
-last `HELD_S`. Only the way that the object moves while it is gripped is rewarded, so that pushing it away is
-no success.
+Grasp: the tail of a chain of modules has to curl around a cylinder and drag it. The
+object is gripped in a step if it presses on opposite sides of the tail, and held if it
+was gripped and at rest in the tail for the last `HELD_S`. Only the way that the object
+moves while it is gripped is rewarded, so that pushing it away is no success.
 """
 
 from __future__ import annotations
@@ -37,7 +37,13 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import GRAVITY
 from srs_twin.robot.world import Bounds, Circle, Goal, MovableObject, World, peg_field
 
-_SKIN = {"law": "ellipse", "points_per_segment": 3, "forward": 0.3, "backward": 0.3, "transverse": 0.3}
+_SKIN = {
+    "law": "ellipse",
+    "points_per_segment": 3,
+    "forward": 0.3,
+    "backward": 0.3,
+    "transverse": 0.3,
+}
 ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}
 """Robot of the scenario pegs_skin."""
 
@@ -80,7 +86,9 @@ class PegsEpisode(CrawlEpisode):
     def _measure(self) -> dict[str, Sequence[float]]:
         values = super()._measure()
         posts = np.reshape(values["obstacles"], (-1, 3))
-        nearest = np.argsort(np.hypot(posts[:, 0], posts[:, 1]), kind="stable")[:_SEEN_PEGS]
+        nearest = np.argsort(np.hypot(posts[:, 0], posts[:, 1]), kind="stable")[
+            :_SEEN_PEGS
+        ]
         return values | {"pegs": posts[nearest, :2].ravel().tolist()}
 
 
@@ -89,9 +97,18 @@ class PegsTask(CrawlTask):
 
     episode_class = PegsEpisode
 
-    def __init__(self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 12.0, **settings: Any) -> None:
+    def __init__(
+        self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 12.0, **settings: Any
+    ) -> None:
         """Create the task; arguments and errors as in `CrawlTask`, with 3 hinges per segment."""
-        arena = Arena(_ROOM, (0.0, 0.0), _GOAL_DISTANCES_M, (-math.pi, math.pi), 1, friction=_FRICTION)
+        arena = Arena(
+            _ROOM,
+            (0.0, 0.0),
+            _GOAL_DISTANCES_M,
+            (-math.pi, math.pi),
+            1,
+            friction=_FRICTION,
+        )
         settings = {"hinges_per_segment": 3, **settings}
         super().__init__("Pegs", arena, robot=robot, limit_s=limit_s, **settings)
 
@@ -99,15 +116,24 @@ class PegsTask(CrawlTask):
         groups = super()._observation_groups()
         del groups["obstacles"]
         text = "position of the post with rank {} by distance,"
-        pegs = (place_signals(f"peg_{k}", _FAR_M, text.format(k)) for k in range(1, _SEEN_PEGS + 1))
+        pegs = (
+            place_signals(f"peg_{k}", _FAR_M, text.format(k))
+            for k in range(1, _SEEN_PEGS + 1)
+        )
         return groups | {"pegs": tuple(signal for pair in pegs for signal in pair)}
 
     def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
         first = (-(_COLUMNS - 1) / 2 * _PITCH_M, 0.0)
-        return peg_field(_PITCH_M, _RADIUS_M, _ROWS, _COLUMNS, first, seed, jitter=_JITTER_M)
+        return peg_field(
+            _PITCH_M, _RADIUS_M, _ROWS, _COLUMNS, first, seed, jitter=_JITTER_M
+        )
 
 
-CHAIN = {"base": "gen2", "geometry": {"connectors": 13}, "gait": {"phase_step_rad": math.pi / 4}}
+CHAIN = {
+    "base": "gen2",
+    "geometry": {"connectors": 13},
+    "gait": {"phase_step_rad": math.pi / 4},
+}
 """Robot of the scenario grasp_cylinder: twelve modules, of which eight crawl with one wave."""
 
 HOLD = 4
@@ -139,7 +165,8 @@ _LOST_M = 0.25
 0.1 m, and a tail that curls to the wrong side stays within this distance."""
 
 _PULSES = 5
-"""Pulses of the holding modules in a step; a slower carrier would push the object away."""
+"""Pulses of the holding modules in a step; a slower carrier would push the object away.
+"""
 _SLOTS = 100
 """Slots of a step with constant valves."""
 
@@ -166,19 +193,29 @@ class GraspTask(CameraTask):
     has_obstacles = True
     reward_terms = (
         RewardTerm(
-            "progress_m", 1.0, "increase of the distance of the object from its start while it is gripped"
+            "progress_m",
+            1.0,
+            "increase of the distance of the object from its start while it is gripped",
         ),
         RewardTerm(
             "dragged",
             1.0,
-            f"1 in the step in which this distance is {DRAG_M:g} m and the object was held for {HELD_S:g} s",
+            f"1 in the step in which this distance is {DRAG_M:g} m and the object was"
+            f" held for {HELD_S:g} s",
         ),
-        RewardTerm("object_lost", -1.0, "1 in the step in which the object has left the tail"),
+        RewardTerm(
+            "object_lost", -1.0, "1 in the step in which the object has left the tail"
+        ),
         *COSTS,
     )
 
     def __init__(
-        self, *, robot: Robot = CHAIN, limit_s: float = 8.0, camera: Camera = CAMERA, **settings: Any
+        self,
+        *,
+        robot: Robot = CHAIN,
+        limit_s: float = 8.0,
+        camera: Camera = CAMERA,
+        **settings: Any,
     ) -> None:
         """Create the task.
 
@@ -196,26 +233,54 @@ class GraspTask(CameraTask):
         check_hold(HOLD, self.robot)
         self.camera = camera
         self.actions = (
-            Signal("grip", "1", -1.0, 1.0, "duty of the holding modules; positive values bend to the left"),
-            Signal("drive", "1", 0.0, 1.0, "the other modules use the gait above 0.5, otherwise they vent"),
-            Signal("offset", "1", -0.4, 0.4, "steering offset φ of the gait, positive to the left"),
+            Signal(
+                "grip",
+                "1",
+                -1.0,
+                1.0,
+                "duty of the holding modules; positive values bend to the left",
+            ),
+            Signal(
+                "drive",
+                "1",
+                0.0,
+                1.0,
+                "the other modules use the gait above 0.5, otherwise they vent",
+            ),
+            Signal(
+                "offset",
+                "1",
+                -0.4,
+                0.4,
+                "steering offset φ of the gait, positive to the left",
+            ),
         )
-        radius = Signal("object_radius_m", "m", *_OBJECT_RADII_M, "radius of the object")
+        radius = Signal(
+            "object_radius_m", "m", *_OBJECT_RADII_M, "radius of the object"
+        )
         item = (*place_signals("object", _FAR_M, "position of the object"), radius)
         range_m = -_FAR_M, _FAR_M
         self._set_observations(
-            observation_groups(range_m, range_m, {"object": item}, self.robot, self.actions)
+            observation_groups(
+                range_m, range_m, {"object": item}, self.robot, self.actions
+            )
         )
 
-    def begin(self, rng: np.random.Generator, last: Episode | None = None) -> GraspEpisode:
+    def begin(
+        self, rng: np.random.Generator, last: Episode | None = None
+    ) -> GraspEpisode:
         """See `Task.begin`."""
         spec, seed = self._variation.draw(rng), int(rng.integers(2**32))
         ranges = (_OBJECT_RADII_M, _MASSES_KG, _LOADS_N, _BEHIND_M, _GAPS_M)
-        radius, mass, load, behind, gap = (float(rng.uniform(*limits)) for limits in ranges)
+        radius, mass, load, behind, gap = (
+            float(rng.uniform(*limits)) for limits in ranges
+        )
         side, geometry = (1 if rng.random() < 0.5 else -1), spec.geometry
         front = geometry.body_length / 2 - (geometry.segments - HOLD) * geometry.pitch
         y = side * (geometry.width / 2 + gap + radius)
-        item = MovableObject((radius,), mass, load / (mass * GRAVITY), front - behind, y)
+        item = MovableObject(
+            (radius,), mass, load / (mass * GRAVITY), front - behind, y
+        )
         twin = self._twin(spec, last, World(objects=(item,)))
         return GraspEpisode(self, twin, item, seed)
 
@@ -223,9 +288,16 @@ class GraspTask(CameraTask):
 class GraspEpisode(ObservedEpisode):
     """Episode of dragging an object."""
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("_command", "_driven", "_moved", "_grips")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "_command",
+        "_driven",
+        "_moved",
+        "_grips",
+    )
 
-    def __init__(self, task: GraspTask, twin: TwinSnake, item: MovableObject, seed: int) -> None:
+    def __init__(
+        self, task: GraspTask, twin: TwinSnake, item: MovableObject, seed: int
+    ) -> None:
         """Place the straight snake at the origin."""
         state = twin.reset(seed=seed)
         self._item, self._gait = item, Gait(GRASP_FREQUENCY_HZ)
@@ -268,25 +340,32 @@ class GraspEpisode(ObservedEpisode):
 
     def _measure(self) -> dict[str, Sequence[float]]:
         seen, values = self._observe()
-        return values | {"object": [*ahead_and_left(seen, *self._object_place()), self._item.size[0]]}
+        return values | {
+            "object": [*ahead_and_left(seen, *self._object_place()), self._item.size[0]]
+        }
 
     def _is_gripped(self) -> bool:
         """Return whether the object pressed on opposite sides of the holding modules in the last step."""
         forces = np.asarray(self.state.obstacle_force)[-HOLD - 1 :]
-        directions = [np.arctan2(y, x) for x, y in forces if math.hypot(x, y) > _TOUCH_N]
+        directions = [
+            np.arctan2(y, x) for x, y in forces if math.hypot(x, y) > _TOUCH_N
+        ]
         turns = np.subtract.outer(directions, directions)
         return bool((np.cos(turns) <= math.cos(_OPPOSITE_RAD)).any())
 
     def _is_held(self) -> bool:
         """Return whether the object was gripped and at rest in the tail for `HELD_S`."""
         steps = round(HELD_S / self._task.step_s)
-        return len(self._grips) >= steps and bool((np.ptp(self._grips[-steps:], axis=0) <= _SLIP_M).all())
+        return len(self._grips) >= steps and bool(
+            (np.ptp(self._grips[-steps:], axis=0) <= _SLIP_M).all()
+        )
 
     def _reward_values(self) -> dict[str, float]:
         before, self._moved = self._moved, self._distance_moved()
         holding = np.asarray(self.state.position)[-HOLD - 1 :]
         gripped = self._is_gripped()
-        # Distances to the holding connectors behind the first one locate the object in the tail.
+        # Distances to the holding connectors behind the first one locate the object in
+        # the tail.
         distances = np.hypot(*(holding[1:] - self._object_place()).T)
         self._grips = [*self._grips, distances] if gripped else []
         if self._moved >= DRAG_M and self._is_held():

@@ -1,16 +1,19 @@
 """GoTo, Obstacles and Crawl3D: crawl to a goal, on an open floor or through gates between circles.
 
-In Obstacles two rows of circles close the room, and each has a gate at a random place. A snake that does not
-see the circles could feel its way along a row, so contact ends the episode.
+In Obstacles two rows of circles close the room, and each has a gate at a random place.
+A snake that does not see the circles could feel its way along a row, so contact ends
+the episode.
 
-The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its weight. By default it is
-the decrease of the distance to the goal in m, plus 1 at the goal, minus 1 outside the room or in contact with
-an obstacle. The first term is potential-based shaping with the potential −distance and no discount:
-its sum is the distance gained, so it does not change the ranking of policies that reach the goal.
+The reward of a step is the sum of the terms `CrawlTask.reward_terms`, each with its
+weight. By default it is the decrease of the distance to the goal in m, plus 1 at the
+goal, minus 1 outside the room or in contact with an obstacle. The first term is
+potential-based shaping with the potential −distance and no discount: its sum is the
+distance gained, so it does not change the ranking of policies that reach the goal.
 
-In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch wave of the gait, so
-that the robot can undulate, sidewind to both sides or crawl rectilinearly (`control.gait`). With a share of 0
-the wave to the left and right remains.
+In Crawl3D a spatial robot crawls on an open floor. The agent also commands the pitch
+wave of the gait, so that the robot can undulate, sidewind to both sides or crawl
+rectilinearly (`control.gait`). With a share of 0 the wave to the left and right
+remains.
 """
 
 from __future__ import annotations
@@ -34,7 +37,15 @@ from srs_twin.envs.observed import (
     observation_groups,
     place_signals,
 )
-from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, StepResult, abbreviate, as_finite_array
+from srs_twin.envs.task import (
+    Episode,
+    RewardTerm,
+    Signal,
+    Signals,
+    StepResult,
+    abbreviate,
+    as_finite_array,
+)
 from srs_twin.envs.variation import Robot
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import short_digest
@@ -56,8 +67,10 @@ _SITES = 6
 """Number of sites in a row of obstacles; one of the inner sites is free."""
 
 _SPACING_M = 0.30
-"""Distance between neighbouring sites, m. A free site leaves a gate of 0.32 to 0.36 m, and other gaps are at
-most 0.06 m; generation 2 sweeps 0.1 m when straight, 0.17 m in tight turns."""
+"""Distance between neighbouring sites, m.
+
+A free site leaves a gate of 0.32 to 0.36 m, and other gaps are at most 0.06 m;
+generation 2 sweeps 0.1 m when straight, 0.17 m in tight turns."""
 
 _SHIFT_M = 0.05
 """Largest random displacement of a row along itself, m."""
@@ -140,11 +153,15 @@ class CrawlEpisode(ObservedEpisode):
     goal: Goal
     collisions_end: ClassVar[bool] = True
 
-    def __init__(self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, seed: int) -> None:
+    def __init__(
+        self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, seed: int
+    ) -> None:
         """Place the snake at the origin of a world with a goal."""
         assert world.goal is not None, "the task sets a goal"
         self.world, self.goal, limits = world, world.goal, task.limits
-        mean_command = GaitCommand(0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure)))
+        mean_command = GaitCommand(
+            0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure))
+        )
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
         self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
         self._distance, self._offset = self._goal_distance(state), 0.0
@@ -158,16 +175,23 @@ class CrawlEpisode(ObservedEpisode):
         """See `Episode.set_goal`."""
         given = as_finite_array(place, (2,))
         if given is None:
-            raise InputError(f"option goal {abbreviate(place)} is not allowed; give x and y in m")
+            raise InputError(
+                f"option goal {abbreviate(place)} is not allowed; give x and y in m"
+            )
         x, y = given.tolist()
-        name, goal = f"option goal ({x:g}, {y:g}) is not allowed", Goal(x, y, None, GOAL_RADIUS_M)
+        name, goal = (
+            f"option goal ({x:g}, {y:g}) is not allowed",
+            Goal(x, y, None, GOAL_RADIUS_M),
+        )
         if hit := obstacle_at(self.world, x, y):
             relation = "outside" if hit.startswith("the bounds") else "inside"
             raise InputError(f"{name}; it is {relation} {hit}")
         self.goal, self.world = goal, replace(self.world, goal=goal)
         self._initialise_from_state()
         if self._distance <= goal.radius:
-            raise InputError(f"{name}; the snake is there already, within {goal.radius:g} m")
+            raise InputError(
+                f"{name}; the snake is there already, within {goal.radius:g} m"
+            )
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def _initialise_from_state(self) -> None:
@@ -194,7 +218,10 @@ class CrawlEpisode(ObservedEpisode):
     def _measure(self) -> dict[str, Sequence[float]]:
         seen, values = self._observe()
         values["goal"] = ahead_and_left(seen, self.goal.x, self.goal.y)
-        circles = ((*ahead_and_left(seen, item.x, item.y), item.radius) for item in self.world.obstacles)
+        circles = (
+            (*ahead_and_left(seen, item.x, item.y), item.radius)
+            for item in self.world.obstacles
+        )
         values["obstacles"] = [number for circle in circles for number in circle]
         return values
 
@@ -231,7 +258,9 @@ class CrawlEpisode(ObservedEpisode):
         return bool((np.abs(self.state.obstacle_force) > 0).any())
 
     def _goal_distance(self, state: SnakeState) -> float:
-        return math.hypot(self.goal.x - float(state.com[0]), self.goal.y - float(state.com[1]))
+        return math.hypot(
+            self.goal.x - float(state.com[0]), self.goal.y - float(state.com[1])
+        )
 
 
 class SpatialCrawlEpisode(CrawlEpisode):
@@ -261,10 +290,16 @@ class CrawlTask(CameraTask):
 
     episode_class: ClassVar[type[CrawlEpisode]] = CrawlEpisode
     reward_terms: ClassVar[tuple[RewardTerm, ...]] = (
-        RewardTerm("progress_m", 1.0, "decrease of the distance from the centre of mass to the goal"),
+        RewardTerm(
+            "progress_m",
+            1.0,
+            "decrease of the distance from the centre of mass to the goal",
+        ),
         RewardTerm("touching_s", 0.0, "time in contact with an obstacle"),
         RewardTerm("goal_reached", 1.0, "1 in the step that reaches the goal"),
-        RewardTerm("collided", -1.0, "1 in the step that touches an obstacle, except in Pegs"),
+        RewardTerm(
+            "collided", -1.0, "1 in the step that touches an obstacle, except in Pegs"
+        ),
         RewardTerm("room_left", -1.0, "1 in the step that leaves the room"),
         *COSTS,
         RewardTerm("offset_change", 0.0, "absolute change of the steering offset"),
@@ -288,18 +323,19 @@ class CrawlTask(CameraTask):
             robot: name, path or keys of the robot.
             limit_s: time limit, s.
             camera: frame rate and noise of the camera; at least one frame per step.
-            **settings: `fit`, `ranges`, `rewards`, `observations`, `action_range` and settings of the twin,
-                see `Task`.
+            **settings: `fit`, `ranges`, `rewards`, `observations`, `action_range` and
+                settings of the twin, see `Task`.
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
-            InputError: the robot, fit, range or time limit is invalid, or the camera is too slow.
+            InputError: the robot, fit, range or time limit is invalid, or the camera is
+                too slow.
         """
         super().__init__(robot, limit_s, **settings)
         if camera.rate_hz * STEP_S < 1 - 1e-9:
             raise InputError(
-                f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g} s; "
-                f"it must be {1 / STEP_S:g} Hz or more"
+                f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g}"
+                f" s; it must be {1 / STEP_S:g} Hz or more"
             )
         self.name, self.arena, self.camera = name, arena, camera
         self.has_obstacles = arena.obstacles > 0
@@ -307,7 +343,9 @@ class CrawlTask(CameraTask):
         self.actions = self._action_signals()
         self._set_observations(self._observation_groups())
 
-    def begin(self, rng: np.random.Generator, last: Episode | None = None) -> CrawlEpisode:
+    def begin(
+        self, rng: np.random.Generator, last: Episode | None = None
+    ) -> CrawlEpisode:
         """See `Task.begin`."""
         spec = self._variation.draw(rng)
         world, heading, seed = self._draw_world(rng)
@@ -317,12 +355,22 @@ class CrawlTask(CameraTask):
     def _draw_world(self, rng: np.random.Generator) -> tuple[World, float, int]:
         """Return the world, the initial heading (rad) and the random seed of an episode."""
         arena = self.arena
-        draws = (rng.uniform(*limits) for limits in (arena.headings, arena.distances, arena.bearings))
+        draws = (
+            rng.uniform(*limits)
+            for limits in (arena.headings, arena.distances, arena.bearings)
+        )
         heading, distance, bearing = map(float, draws)
         direction = heading + bearing
-        goal = Goal(distance * math.cos(direction), distance * math.sin(direction), None, GOAL_RADIUS_M)
+        goal = Goal(
+            distance * math.cos(direction),
+            distance * math.sin(direction),
+            None,
+            GOAL_RADIUS_M,
+        )
         seed = int(rng.integers(2**32))
-        world = World(self._draw_obstacles(goal, seed), arena.room, goal, friction=arena.friction)
+        world = World(
+            self._draw_obstacles(goal, seed), arena.room, goal, friction=arena.friction
+        )
         return world, heading, seed
 
     def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
@@ -344,9 +392,21 @@ class CrawlTask(CameraTask):
         limits = self.limits
         low, high = (pressure / _PA_PER_KPA for pressure in limits.pressure)
         return (
-            Signal("offset", "1", *limits.offset, "steering offset φ of the gait, positive to the left"),
-            Signal("frequency_hz", "Hz", *limits.frequency, "gait frequency; the phase stays continuous"),
-            Signal("pressure_kpa", "kPa", low, high, "gauge pressure of the air supply"),
+            Signal(
+                "offset",
+                "1",
+                *limits.offset,
+                "steering offset φ of the gait, positive to the left",
+            ),
+            Signal(
+                "frequency_hz",
+                "Hz",
+                *limits.frequency,
+                "gait frequency; the phase stays continuous",
+            ),
+            Signal(
+                "pressure_kpa", "kPa", low, high, "gauge pressure of the air supply"
+            ),
         )
 
     def _observation_groups(self) -> dict[str, Signals]:
@@ -359,7 +419,11 @@ class CrawlTask(CameraTask):
         circles: list[Signal] = []
         for k in range(1, self.arena.obstacles + 1):
             circles += place_signals(f"obstacle_{k}", far, f"position of circle {k}")
-            circles.append(Signal(f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"))
+            circles.append(
+                Signal(
+                    f"obstacle_{k}_radius_m", "m", *_RADII_M, f"radius of circle {k}"
+                )
+            )
         return groups | ({"obstacles": tuple(circles)} if circles else {})
 
 
@@ -378,13 +442,23 @@ class SpatialCrawlTask(CrawlTask):
         super().__init__("Crawl3D", FLOOR, robot=robot, **settings)
 
     def _gait_limits(self) -> GaitLimits:
-        low, high = (ratio * self.robot.supply.nominal for ratio in SPATIAL_RELATIVE_PRESSURES)
-        return GaitLimits((-MAX_OFFSET, MAX_OFFSET), SPATIAL_FREQUENCIES_HZ, (low, high))
+        low, high = (
+            ratio * self.robot.supply.nominal for ratio in SPATIAL_RELATIVE_PRESSURES
+        )
+        return GaitLimits(
+            (-MAX_OFFSET, MAX_OFFSET), SPATIAL_FREQUENCIES_HZ, (low, high)
+        )
 
     def _action_signals(self) -> Signals:
         lag = "lag of the pitch wave; π/2: sidewinding to the right"
         return (
             *super()._action_signals(),
-            Signal("pitch_share", "1", 0.0, 1.0, "share of the pitch wave in the sum of the amplitudes"),
+            Signal(
+                "pitch_share",
+                "1",
+                0.0,
+                1.0,
+                "share of the pitch wave in the sum of the amplitudes",
+            ),
             Signal("pitch_lag_rad", "rad", -math.pi, math.pi, lag),
         )

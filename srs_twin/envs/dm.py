@@ -9,7 +9,15 @@ import numpy as np
 
 from srs_twin.compute.claims import Claimable
 from srs_twin.envs.rendering import EpisodeRenderer
-from srs_twin.envs.task import Episode, Signal, StepResult, Task, check_seed, lower_bounds, upper_bounds
+from srs_twin.envs.task import (
+    Episode,
+    Signal,
+    StepResult,
+    Task,
+    check_seed,
+    lower_bounds,
+    upper_bounds,
+)
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import InputError
 from srs_twin.plants.twin.physics import SnakePhysics
@@ -19,9 +27,10 @@ try:
     from dm_env import specs
 except ImportError as error:
     raise InputError(
-        "srs_twin.envs.dm needs dm-control, which is not installed. Python 3.13 and later cannot install it, "
-        "because its dependency labmaze has no wheel for them. Use the same tasks through Gymnasium "
-        "(docs/environments.md), or Python 3.11 or 3.12 with `pip install dm-control`."
+        "srs_twin.envs.dm needs dm-control, which is not installed. Python 3.13 and"
+        " later cannot install it, because its dependency labmaze has no wheel for"
+        " them. Use the same tasks through Gymnasium (docs/environments.md), or Python"
+        " 3.11 or 3.12 with `pip install dm-control`."
     ) from error
 
 
@@ -104,12 +113,20 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         actions = self.task.commands
         names = "\t".join(signal.name for signal in actions)
         return specs.BoundedArray(
-            (len(actions),), np.float32, lower_bounds(actions), upper_bounds(actions), names
+            (len(actions),),
+            np.float32,
+            lower_bounds(actions),
+            upper_bounds(actions),
+            names,
         )
 
-    def observation_spec(self, physics: EpisodePhysics) -> OrderedDict[str, specs.BoundedArray]:
+    def observation_spec(
+        self, physics: EpisodePhysics
+    ) -> OrderedDict[str, specs.BoundedArray]:
         """Return the bounds of the observations, by signal name."""
-        return OrderedDict((signal.name, _spec(signal)) for signal in self.task.observations)
+        return OrderedDict(
+            (signal.name, _spec(signal)) for signal in self.task.observations
+        )
 
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
         """Return the observations by signal name, shape (1,) each."""
@@ -145,7 +162,9 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnviron
     """
     check_seed(seed)
     instance = make_task(task, **settings)
-    return SnakeEnvironment(EpisodePhysics(instance, np.random.default_rng(seed)), DmTask(instance))
+    return SnakeEnvironment(
+        EpisodePhysics(instance, np.random.default_rng(seed)), DmTask(instance)
+    )
 
 
 def _spec(signal: Signal) -> specs.BoundedArray:

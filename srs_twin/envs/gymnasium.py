@@ -1,8 +1,8 @@
 """Gymnasium environments: one task, or several of one kind stepped in parallel threads.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives exactly the same values as it does alone.
-As in `TwinBatch`, each thread steps whole environments: nearly all of a step is one engine call, which
-releases Python's global interpreter lock.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv` and gives exactly the same values
+as it does alone. As in `TwinBatch`, each thread steps whole environments: nearly all of
+a step is one engine call, which releases Python's global interpreter lock.
 """
 
 from __future__ import annotations
@@ -47,15 +47,19 @@ FPS = 10
 class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment of a task, as made by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`.
 
-    Actions and observations are float32 boxes with one number per signal of the task. The environment itself
-    sets `truncated` at the time limit of the task, so that no wrapper is needed.
+    Actions and observations are float32 boxes with one number per signal of the task.
+    The environment itself sets `truncated` at the time limit of the task, so that no
+    wrapper is needed.
 
     Attributes:
         task: definition of the task, with its signals.
         episode: current episode; None before the first `reset`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": FPS}  # type: ignore[misc]
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+        "render_modes": list(RENDER_MODES),
+        "render_fps": FPS,
+    }
 
     def __init__(
         self,
@@ -96,14 +100,14 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
 
         Args:
             seed: random seed; None: continue with the current generator.
-            options: `state`: a saved state, from `episode.save()` in an episode of the same seed, to continue
-                from; or `snake`: a physical state to start from, with `yaw_rate` (rad/s). `goal`: x and y of
-                the goal, m.
+            options: `state`: a saved state, from `episode.save()` in an episode of the
+                same seed, to continue from; or `snake`: a physical state to start from,
+                with `yaw_rate` (rad/s). `goal`: x and y of the goal, m.
 
         Raises:
             UnknownNameError: an option does not exist.
-            InputError: the state does not belong to this episode, or a value is not allowed; the environment
-                is left unchanged.
+            InputError: the state does not belong to this episode, or a value is not
+                allowed; the environment is left unchanged.
         """
         return self.start_episode(seed, self.draw_episode(seed, options))
 
@@ -118,8 +122,13 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         """
         check_seed(seed)
         checked = _checked_options(options)
-        rng = copy.deepcopy(self.np_random) if seed is None else seeding.np_random(seed)[0]
-        # Do not reuse the twin of the running episode with options, because they may be refused.
+        rng = (
+            copy.deepcopy(self.np_random)
+            if seed is None
+            else seeding.np_random(seed)[0]
+        )
+        # Do not reuse the twin of the running episode with options, because they may be
+        # refused.
         episode = self.task.begin(rng, None if checked else self.episode)
         if "snake" in checked:
             episode.place(checked["snake"], checked.get("yaw_rate", 0.0))
@@ -150,9 +159,14 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         """Return an image, shape (height, width, 3), uint8; None without a render mode.
 
         Raises:
-            InputError: no episode has started, or OpenGL cannot render without a display here.
+            InputError: no episode has started, or OpenGL cannot render without a
+                display here.
         """
-        return None if self.render_mode is None else self._renderer.render(self._current_episode())
+        return (
+            None
+            if self.render_mode is None
+            else self._renderer.render(self._current_episode())
+        )
 
     def close(self) -> None:
         """Release the renderer."""
@@ -177,20 +191,28 @@ def _checked_options(options: object) -> dict[str, Any]:
 
     Raises:
         UnknownNameError: an option does not exist.
-        InputError: options is not a mapping, two options exclude each other, or a value has the wrong type.
+        InputError: options is not a mapping, two options exclude each other, or a value
+            has the wrong type.
     """
     if options is None:
         return {}
     if not isinstance(options, Mapping):
         raise InputError(
-            f"options {abbreviate(options)} are not allowed; give a dict with {', '.join(_RESET_OPTIONS)}"
+            f"options {abbreviate(options)} are not allowed; give a dict with"
+            f" {', '.join(_RESET_OPTIONS)}"
         )
     check_names("option of reset", options, _RESET_OPTIONS)
     for name, (expected_type, expected) in _OPTION_TYPES.items():
         if name in options and not isinstance(options[name], expected_type):
-            raise InputError(f"option {name} {abbreviate(options[name])} is not allowed; give {expected}")
+            raise InputError(
+                f"option {name} {abbreviate(options[name])} is not allowed; give"
+                f" {expected}"
+            )
     if "state" in options and not {"state", "goal"}.issuperset(options):
-        raise InputError("options snake and yaw_rate are not allowed with option state; leave them out")
+        raise InputError(
+            "options snake and yaw_rate are not allowed with option state; leave"
+            " them out"
+        )
     if "yaw_rate" in options and "snake" not in options:
         raise InputError("option yaw_rate requires option snake; give both")
     return dict(options)
@@ -204,8 +226,9 @@ def space_of(signals: Signals) -> spaces.Box:
 class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     """Several environments of one task: `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`.
 
-    An environment whose episode has ended starts the next one at the next step and ignores the action
-    (`AutoresetMode.NEXT_STEP`, the default of Gymnasium's vector environments).
+    An environment whose episode has ended starts the next one at the next step and
+    ignores the action (`AutoresetMode.NEXT_STEP`, the default of Gymnasium's vector
+    environments).
 
     Attributes:
         envs: the single environments.
@@ -214,17 +237,24 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     envs: list[SnakeEnv]  # type: ignore[assignment]
 
     def __init__(
-        self, task: str, num_envs: int = 1, *, threads: int | None = None, engine: str = "cpu",
-        device: str | None = None, **settings: Any,
-    ) -> None:  # fmt: skip
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        threads: int | None = None,
+        engine: str = "cpu",
+        device: str | None = None,
+        **settings: Any,
+    ) -> None:
         """Create the environments.
 
         Args:
             task: name of a task, one of `TASKS`.
             num_envs: number of environments.
             threads: number of threads; default: one per processor.
-            engine: "cpu", or "warp" to step all twins on a device. Warp requires that all episodes have the
-                same robot and no obstacles; otherwise the environments run on the CPU, with a warning.
+            engine: "cpu", or "warp" to step all twins on a device. Warp requires that
+                all episodes have the same robot and no obstacles; otherwise the
+                environments run on the CPU, with a warning.
             device: Warp device; None: its preferred one.
             **settings: settings of `SnakeEnv`, including render mode and image size.
 
@@ -232,7 +262,9 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             InputError: `num_envs` is less than 1, or see `SnakeEnv`.
         """
         if num_envs < 1:
-            raise InputError(f"num_envs {num_envs} is not allowed; it must be 1 or more")
+            raise InputError(
+                f"num_envs {num_envs} is not allowed; it must be 1 or more"
+            )
         super().__init__([partial(SnakeEnv, task, **settings)] * num_envs)
         check_choice("engine", engine, ENGINES)
         self._batch_class: Any = warp_batch() if engine == "warp" else None
@@ -242,7 +274,10 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         self._ended = np.zeros(num_envs, dtype=bool)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start an episode in every environment.
 
@@ -251,21 +286,26 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             options: options for all environments, see `SnakeEnv.reset`.
 
         Raises:
-            InputError: the number of seeds is wrong, or see `SnakeEnv.reset`; all environments are left
-                unchanged.
+            InputError: the number of seeds is wrong, or see `SnakeEnv.reset`; all
+                environments are left unchanged.
         """
         if np.iterable(seed):
             seeds = list(seed)
         else:
             check_seed(seed)
-            seeds = [None if seed is None else int(seed) + k for k in range(self.num_envs)]
+            seeds = [
+                None if seed is None else int(seed) + k for k in range(self.num_envs)
+            ]
         if len(seeds) != self.num_envs:
             raise InputError(
-                f"seed: {len(seeds)} seeds are given for {self.num_envs} environments; give one for each"
+                f"seed: {len(seeds)} seeds are given for {self.num_envs} environments;"
+                " give one for each"
             )
         for env_seed in seeds:
             check_seed(env_seed)
-        episodes = self._workers.run(self.num_envs, lambda k, _: self.envs[k].draw_episode(seeds[k], options))
+        episodes = self._workers.run(
+            self.num_envs, lambda k, _: self.envs[k].draw_episode(seeds[k], options)
+        )
         starts = [
             env.start_episode(env_seed, episode)
             for env, env_seed, episode in zip(self.envs, seeds, episodes, strict=True)
@@ -282,21 +322,24 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         """Apply one action per environment for a step of the task, shape (environments, actions).
 
         Raises:
-            InputError: the shape is wrong, or a value is not finite; no environment is stepped.
+            InputError: the shape is wrong, or a value is not finite; no environment is
+                stepped.
         """
         shape = self.action_space.shape
         assert shape is not None, "a box has a shape"
         checked = as_finite_array(actions, shape)
         if checked is None:
             raise InputError(
-                f"actions {abbreviate(actions)} are not allowed; give finite numbers of shape {shape}, "
-                f"an action for each of {self.num_envs} environments"
+                f"actions {abbreviate(actions)} are not allowed; give finite numbers of"
+                f" shape {shape}, an action for each of {self.num_envs} environments"
             )
         actions = checked
         if self._batch is not None:
             results = self._step_on_device(actions)
         else:
-            results = self._workers.run(self.num_envs, lambda k, _: self._step_or_reset(k, actions[k]))
+            results = self._workers.run(
+                self.num_envs, lambda k, _: self._step_or_reset(k, actions[k])
+            )
         *columns, infos = zip(*results, strict=True)
         observations, rewards, terminated, truncated = map(np.array, columns)
         self._ended = terminated | truncated
@@ -313,10 +356,14 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         try:
             if not self.envs[0].task.has_identical_episodes:
                 raise InputError("robot or obstacles differ between episodes")
-            if self._batch is None or any(a is not b for a, b in zip(self._batch.twins, twins, strict=True)):
+            if self._batch is None or any(
+                a is not b for a, b in zip(self._batch.twins, twins, strict=True)
+            ):
                 self._batch = self._batch_class(twins, device=self._device)
         except InputError as error:
-            warnings.warn(f"environments run on the CPU: {error}", EngineWarning, stacklevel=3)
+            warnings.warn(
+                f"environments run on the CPU: {error}", EngineWarning, stacklevel=3
+            )
             self._batch_class = self._batch = None
             return
         self._reset_device_poses(range(self.num_envs))
@@ -324,25 +371,37 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     def _reset_device_poses(self, environments: Sequence[int]) -> None:
         """Reset the snakes of some environments to the initial poses of their episodes."""
         states = [self.envs[k]._current_episode().state for k in environments]
-        self._batch.reset(poses=[(*s.com, float(s.heading)) for s in states], worlds=list(environments))
+        self._batch.reset(
+            poses=[(*s.com, float(s.heading)) for s in states],
+            worlds=list(environments),
+        )
 
     def _step_on_device(self, actions: np.ndarray) -> list[StepResult]:
         """Step all running episodes as one batch and reset the ended ones."""
         batch, ended = self._batch, np.flatnonzero(self._ended).tolist()
         results = {k: self._begin_next(k) for k in ended}
         running = [k for k in range(self.num_envs) if k not in results]
-        vented = np.full((self.envs[0]._current_episode().twin.spec.segments, 2), -1, dtype=np.int8)
+        vented = np.full(
+            (self.envs[0]._current_episode().twin.spec.segments, 2), -1, dtype=np.int8
+        )
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k]._current_episode().command(actions[k])
-        # Arrays with several valve states per step have three dimensions; repeat a single state.
+        # Arrays with several valve states per step have three dimensions; repeat a
+        # single state.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.update_supply_pressure()
-        batch.step(np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves]))
+        batch.step(
+            np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves])
+        )
         for k in running:
             episode, error = self.envs[k]._current_episode(), batch.errors[k]
-            results[k] = episode.finish_step(batch.state.at(k)) if error is None else episode.diverged(error)
+            results[k] = (
+                episode.finish_step(batch.state.at(k))
+                if error is None
+                else episode.diverged(error)
+            )
         if ended:
             self._reset_device_poses(ended)
         return [results[k] for k in range(self.num_envs)]

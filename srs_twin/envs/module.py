@@ -1,12 +1,13 @@
 r"""Module: track a reference bend with one clamped module, by the duties of its two chambers.
 
-The reference is constant for one second, then jumps to the next angle, drawn within the reach of the supply
-pressure. The reward of a step is the negative absolute error at its end, integrated over the step:
+The reference is constant for one second, then jumps to the next angle, drawn within the
+reach of the supply pressure. The reward of a step is the negative absolute error at its
+end, integrated over the step:
 
 $$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
 
-The cost measures tracking over the whole episode, so no potential term is used. q is the true bend, not the
-sensor reading.
+The cost measures tracking over the whole episode, so no potential term is used. q is
+the true bend, not the sensor reading.
 """
 
 from __future__ import annotations
@@ -47,11 +48,15 @@ class ModuleTask(Task):
     name, step_s = "Module", STEP_S
     reward_terms = (
         RewardTerm(
-            "error_rad_s", -1.0, "absolute error of the bend at the end of the step, times its duration"
+            "error_rad_s",
+            -1.0,
+            "absolute error of the bend at the end of the step, times its duration",
         ),
     )
 
-    def __init__(self, *, robot: str = "gen4_module", limit_s: float = 5.0, **settings: Any) -> None:
+    def __init__(
+        self, *, robot: str = "gen4_module", limit_s: float = 5.0, **settings: Any
+    ) -> None:
         """Create the task.
 
         Args:
@@ -61,12 +66,18 @@ class ModuleTask(Task):
 
         Raises:
             UnknownNameError: the twin does not have a setting of that name.
-            InputError: the robot has several segments, or it, the fit, range or time limit is invalid.
+            InputError: the robot has several segments, or it, the fit, range or time
+                limit is invalid.
         """
-        super().__init__(robot, limit_s, **{"sensor": "hall", "timestep": TIMESTEP_S, **settings})
+        super().__init__(
+            robot, limit_s, **{"sensor": "hall", "timestep": TIMESTEP_S, **settings}
+        )
         spec = self.robot
         if spec.segments != 1:
-            raise InputError(f"robot '{spec.name}' has {spec.segments} segments; this task is for one module")
+            raise InputError(
+                f"robot '{spec.name}' has {spec.segments} segments; this task is for"
+                " one module"
+            )
         self.reach = REACH_SHARE * largest_bend(spec, spec.supply.nominal)
         plus = f"duty of the + chamber at {CARRIER_HZ:g} Hz; it bends to the left"
         minus = f"duty of the − chamber at {CARRIER_HZ:g} Hz; it bends to the right"
@@ -77,16 +88,34 @@ class ModuleTask(Task):
         largest = MAX_READING_RAD
         bends = (
             Signal("bend_rad", "rad", -largest, largest, "sensor reading of the bend"),
-            Signal("bend_before_rad", "rad", -largest, largest, "sensor reading one step earlier"),
-            Signal("reference_rad", "rad", -self.reach, self.reach, "reference bend of the next step"),
+            Signal(
+                "bend_before_rad",
+                "rad",
+                -largest,
+                largest,
+                "sensor reading one step earlier",
+            ),
+            Signal(
+                "reference_rad",
+                "rad",
+                -self.reach,
+                self.reach,
+                "reference bend of the next step",
+            ),
         )
-        command = tuple(replace(action, description="last command") for action in self.actions)
+        command = tuple(
+            replace(action, description="last command") for action in self.actions
+        )
         self._set_observations({"bends": bends, "command": command})
 
-    def begin(self, rng: np.random.Generator, last: Episode | None = None) -> ModuleEpisode:
+    def begin(
+        self, rng: np.random.Generator, last: Episode | None = None
+    ) -> ModuleEpisode:
         """See `Task.begin`."""
         spec = self._variation.draw(rng)
-        levels = rng.uniform(-self.reach, self.reach, max(1, round(self.limit_s / HOLD_S)))
+        levels = rng.uniform(
+            -self.reach, self.reach, max(1, round(self.limit_s / HOLD_S))
+        )
         seed = int(rng.integers(2**32))
         return ModuleEpisode(self, self._twin(spec, last, base="clamped"), levels, seed)
 
@@ -96,7 +125,9 @@ class ModuleEpisode(Episode):
 
     state_attributes = ("_carrier", "_readings", "_duties", "_levels")
 
-    def __init__(self, task: ModuleTask, twin: TwinSnake, levels: np.ndarray, seed: int) -> None:
+    def __init__(
+        self, task: ModuleTask, twin: TwinSnake, levels: np.ndarray, seed: int
+    ) -> None:
         """Start with a straight module and empty chambers."""
         state = twin.reset(seed=seed)
         self._levels = levels
@@ -124,7 +155,11 @@ class ModuleEpisode(Episode):
         return {"bends": bends, "command": self._duties}
 
     def _reward_values(self) -> dict[str, float]:
-        return {"error_rad_s": abs(self._target - float(self.state.bend[0])) * self._task.step_s}
+        return {
+            "error_rad_s": (
+                abs(self._target - float(self.state.bend[0])) * self._task.step_s
+            )
+        }
 
     def _info(self) -> dict[str, Any]:
         plus, minus = map(float, self.state.pressure[0])

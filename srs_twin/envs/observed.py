@@ -20,7 +20,8 @@ STEP_S = 0.1
 """Duration of a step, s."""
 
 CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
-"""Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad)."""
+"""Camera with one frame per step and the noise of scenario follow_fig57 (1 mm, 5 mrad).
+"""
 
 COSTS = (
     RewardTerm("time_s", 0.0, "duration of the step"),
@@ -43,11 +44,21 @@ class CameraTask(Task):
 class ObservedEpisode(Episode):
     """Episode of a snake with a gait, a camera and bend sensors."""
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("_gait", "_frames", "_readings", "_air")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "_gait",
+        "_frames",
+        "_readings",
+        "_air",
+    )
 
-    def __init__(self, task: CameraTask, twin: TwinSnake, state: SnakeState, seed: int) -> None:
+    def __init__(
+        self, task: CameraTask, twin: TwinSnake, state: SnakeState, seed: int
+    ) -> None:
         """Initialise; see `Episode.__init__`."""
-        self._frames, self._readings = CameraFrames(task.camera, seed), SensorReadings(state.sensed.size)
+        self._frames, self._readings = (
+            CameraFrames(task.camera, seed),
+            SensorReadings(state.sensed.size),
+        )
         self._air = float(state.air)
         super().__init__(task, twin, state)
 
@@ -90,7 +101,12 @@ class ObservedEpisode(Episode):
 
 def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
     """Return the position of a point relative to an observed pose, ahead and to the left, m."""
-    c, s, dx, dy = math.cos(seen.heading), math.sin(seen.heading), x - seen.x, y - seen.y
+    c, s, dx, dy = (
+        math.cos(seen.heading),
+        math.sin(seen.heading),
+        x - seen.x,
+        y - seen.y,
+    )
     return c * dx + s * dy, c * dy - s * dx
 
 
@@ -98,7 +114,13 @@ def place_signals(name: str, far: float, description: str) -> Signals:
     """Return the signals of a position relative to the observed pose, up to a distance in m."""
     return (
         Signal(f"{name}_ahead_m", "m", -far, far, f"{description} along the heading"),
-        Signal(f"{name}_left_m", "m", -far, far, f"{description} to the left of the heading"),
+        Signal(
+            f"{name}_left_m",
+            "m",
+            -far,
+            far,
+            f"{description} to the left of the heading",
+        ),
     )
 
 
@@ -118,24 +140,58 @@ def observation_groups(
         robot: robot.
         actions: components of an action.
     """
-    directions = (("bend_#_rad", "a bend"), ("pitch_#_rad", "a bend upwards"))[: 1 + robot.is_spatial]
+    directions = (("bend_#_rad", "a bend"), ("pitch_#_rad", "a bend upwards"))[
+        : 1 + robot.is_spatial
+    ]
     largest = MAX_READING_RAD
     return {
         "pose": (
             Signal("x_m", "m", *x, "x of the centre of mass, from the camera"),
             Signal("y_m", "m", *y, "y of the centre of mass, from the camera"),
-            Signal("heading_cos", "1", -1.0, 1.0, "cosine of the mean heading, from the camera"),
-            Signal("heading_sin", "1", -1.0, 1.0, "sine of the mean heading, from the camera"),
+            Signal(
+                "heading_cos",
+                "1",
+                -1.0,
+                1.0,
+                "cosine of the mean heading, from the camera",
+            ),
+            Signal(
+                "heading_sin",
+                "1",
+                -1.0,
+                1.0,
+                "sine of the mean heading, from the camera",
+            ),
         ),
         **target,
         "gait": (
-            Signal("gait_cos", "1", -1.0, 1.0, "cosine of the gait phase at the first segment"),
-            Signal("gait_sin", "1", -1.0, 1.0, "sine of the gait phase at the first segment"),
+            Signal(
+                "gait_cos",
+                "1",
+                -1.0,
+                1.0,
+                "cosine of the gait phase at the first segment",
+            ),
+            Signal(
+                "gait_sin",
+                "1",
+                -1.0,
+                1.0,
+                "sine of the gait phase at the first segment",
+            ),
         ),
         "bends": tuple(
-            Signal(name.replace("#", str(k)), "rad", -largest, largest, f"sensor reading of {text}")
+            Signal(
+                name.replace("#", str(k)),
+                "rad",
+                -largest,
+                largest,
+                f"sensor reading of {text}",
+            )
             for name, text in directions
             for k in range(1, robot.segments + 1)
         ),
-        "command": tuple(replace(action, description="last command") for action in actions),
+        "command": tuple(
+            replace(action, description="last command") for action in actions
+        ),
     }

@@ -1,9 +1,10 @@
 """Policies: small networks stored as files, and the package's controllers as baselines.
 
-Baselines get only the observations of an agent. `PathFollowing` plans a path at the start of an episode and
-steers with an unmodified `planning.follower.Follower` from the observed pose. The gait has the frequency and
-pressure at which its footprint was measured. `ProportionalIntegral` sets the difference between the two
-duties of a module by a PI law, to which Eq. 30 reduces at a constant reference. `PegSteering` steers among
+Baselines get only the observations of an agent. `PathFollowing` plans a path at the
+start of an episode and steers with an unmodified `planning.follower.Follower` from the
+observed pose. The gait has the frequency and pressure at which its footprint was
+measured. `ProportionalIntegral` sets the difference between the two duties of a module
+by a PI law, to which Eq. 30 reduces at a constant reference. `PegSteering` steers among
 posts, and `SensedGrasp` is the controller of scenario grasp_cylinder.
 """
 
@@ -51,7 +52,8 @@ class NetworkPolicy:
     Attributes:
         task: name of the task.
         observations: names of the observations that are its input, in order.
-        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each layer.
+        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each
+            layer.
     """
 
     task: str
@@ -64,21 +66,24 @@ class NetworkPolicy:
         for weights, biases in self.layers[:-1]:
             values = np.tanh(weights @ values + biases)
         weights, biases = self.layers[-1]
-        action: np.ndarray = np.clip(weights @ values + biases, -1.0, 1.0).astype(np.float32)
+        action: np.ndarray = np.clip(weights @ values + biases, -1.0, 1.0).astype(
+            np.float32
+        )
         return action
 
     def bind(self, task: Task) -> Callable[[np.ndarray], np.ndarray]:
         """Return a function from the observations of a task to actions.
 
         Raises:
-            InputError: the task is another one, lacks observations of the policy, or has physical actions.
+            InputError: the task is another one, lacks observations of the policy, or
+                has physical actions.
         """
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
         if task.name != self.task or missing or task.action_range != "unit":
             raise InputError(
-                f"the policy is for task {self.task} with actions from −1 to 1 and the observations "
-                f"{', '.join(self.observations)}; the task {task.name} "
+                f"the policy is for task {self.task} with actions from −1 to 1 and the"
+                f" observations {', '.join(self.observations)}; the task {task.name} "
                 + (f"has no {', '.join(missing)}" if missing else "differs")
             )
         indices = [names.index(name) for name in self.observations]
@@ -87,10 +92,14 @@ class NetworkPolicy:
     def save(self, path: StrPath) -> None:
         """Write the policy as an npz file, weights in single precision."""
         arrays: dict[str, np.ndarray] = {
-            "task": np.array(self.task), "observations": np.array(self.observations)
-        }  # fmt: skip
+            "task": np.array(self.task),
+            "observations": np.array(self.observations),
+        }
         for k, (weights, biases) in enumerate(self.layers):
-            arrays |= {f"weights_{k}": weights.astype(np.float32), f"biases_{k}": biases.astype(np.float32)}
+            arrays |= {
+                f"weights_{k}": weights.astype(np.float32),
+                f"biases_{k}": biases.astype(np.float32),
+            }
         with atomic_write(Path(path)) as temporary, open(temporary, "wb") as file:
             np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
 
@@ -114,7 +123,8 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         array = arrays.get(name)
         if array is None or array.ndim != axes or array.dtype.kind not in kinds:
             raise InputError(
-                f"{path}: not a policy file (no {what} '{name}'); examples/train_ppo.py writes one"
+                f"{path}: not a policy file (no {what} '{name}'); examples/train_ppo.py"
+                " writes one"
             )
         return array
 
@@ -126,13 +136,21 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         for k in range(sum(name.startswith("weights_") for name in arrays))
     )
     task = get("task", "text", 0, "U")
-    # A small file can contain millions of empty names, so their number is compared before they are copied.
+    # A small file can contain millions of empty names, so their number is compared
+    # before they are copied.
     observations = get("observations", "list of texts", 1, "U")
     sizes = [observations.size, *(len(biases) for _, biases in layers)]
     shapes = [weights.shape for weights, _ in layers]
     finite = all(np.isfinite(array).all() for layer in layers for array in layer)
-    if not layers or not finite or shapes != [(after, before) for before, after in pairwise(sizes)]:
-        raise InputError(f"{path}: the layers of the policy do not fit together, or have no finite numbers")
+    if (
+        not layers
+        or not finite
+        or shapes != [(after, before) for before, after in pairwise(sizes)]
+    ):
+        raise InputError(
+            f"{path}: the layers of the policy do not fit together, or have no finite"
+            " numbers"
+        )
     return NetworkPolicy(str(task), tuple(map(str, observations)), layers)
 
 
@@ -148,7 +166,8 @@ PRESSURE_KPA = 48.3
 PEGS_FREQUENCY_HZ = 1.0
 """Gait frequency of scenario pegs_skin, Hz."""
 
-# The next four are those of scenario follow_fig57; docs/following.md describes how they were chosen.
+# The next four are those of scenario follow_fig57; docs/following.md describes how they
+# were chosen.
 TURN_SHARE = 0.7
 """Fraction of the measured curvature range that the planner may use; the steering law needs the rest."""
 
@@ -198,7 +217,9 @@ class _Baseline(ABC):
 
     def _state(self, values: Mapping[str, float]) -> SnakeState:
         """Return a snake state with time and observed pose only; all other values are empty arrays."""
-        unknown = dict.fromkeys((entry.name for entry in fields(SnakeState)), np.full(0, math.nan))
+        unknown = dict.fromkeys(
+            (entry.name for entry in fields(SnakeState)), np.full(0, math.nan)
+        )
         known: dict[str, Any] = {
             "time": self._steps * self._task.step_s,
             "com": np.array([values["x_m"], values["y_m"]]),
@@ -237,7 +258,9 @@ class PathFollowing(_Baseline):
 
         law = PathLaw(measured, LOOKAHEAD_M, SETTLE_M)
         conditions = Conditions(Camera(1 / STEP_S), settle=SETTLE_M, stray=STRAY_M)
-        follower = Follower(self._offset, law, replan(pose), goal, measured, conditions, replan=replan)
+        follower = Follower(
+            self._offset, law, replan(pose), goal, measured, conditions, replan=replan
+        )
         follower.reset(self._task.robot, STEP_S)
         return follower
 
@@ -257,7 +280,9 @@ class ProportionalIntegral(_Baseline):
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
         error = values["reference_rad"] - values["bend_rad"]
         # Clipping the integral prevents wind-up while the duties are saturated.
-        self._integral = _clip_to_unit(self._integral + self.rate_per_rad_s * error * self._task.step_s)
+        self._integral = _clip_to_unit(
+            self._integral + self.rate_per_rad_s * error * self._task.step_s
+        )
         difference = _clip_to_unit(self._integral + self.gain_per_rad * error)
         return [(1 + difference) / 2, (1 - difference) / 2]
 
@@ -283,7 +308,9 @@ class SensedGrasp(_Baseline):
             side = "left" if values["object_left_m"] > 0 else "right"
             self._grasp = Grasp(GRASP_FREQUENCY_HZ, side=side, hold=HOLD)
             self._grasp.reset(self._task.robot, self._task.step_s)
-        bends = np.array([values[f"bend_{k + 1}_rad"] for k in range(self._task.robot.segments)])
+        bends = np.array(
+            [values[f"bend_{k + 1}_rad"] for k in range(self._task.robot.segments)]
+        )
         self._grasp.step(replace(self._state(values), sensed=bends))
         return [self._grasp.duty, float(self._grasp.phase is Phase.DRAG), 0.0]
 
@@ -341,7 +368,11 @@ class _OffsetStore(Controller):
 
 def _pose(values: Mapping[str, float]) -> Pose:
     """Return the pose in an observation."""
-    return Pose(values["x_m"], values["y_m"], math.atan2(values["heading_sin"], values["heading_cos"]))
+    return Pose(
+        values["x_m"],
+        values["y_m"],
+        math.atan2(values["heading_sin"], values["heading_cos"]),
+    )
 
 
 def _world_position(pose: Pose, ahead: float, left: float) -> tuple[float, float]:
@@ -353,7 +384,9 @@ def _circles(values: Mapping[str, float], pose: Pose) -> Iterator[Circle]:
     for name in values:
         if name.startswith("obstacle_") and name.endswith("_radius_m"):
             stem = name.removesuffix("radius_m")
-            x, y = _world_position(pose, values[f"{stem}ahead_m"], values[f"{stem}left_m"])
+            x, y = _world_position(
+                pose, values[f"{stem}ahead_m"], values[f"{stem}left_m"]
+            )
             yield Circle(x, y, values[name])
 
 

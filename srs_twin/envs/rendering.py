@@ -79,7 +79,9 @@ def _camera(episode: Episode) -> mujoco.MjvCamera:
     if episode.goal is not None:
         to_goal = np.array([episode.goal.x, episode.goal.y]) - target[:2]
         target[:2] += to_goal / 2
-        camera.distance = max(camera.distance, _GOAL_DISTANCES * float(np.hypot(*to_goal)))
+        camera.distance = max(
+            camera.distance, _GOAL_DISTANCES * float(np.hypot(*to_goal))
+        )
     camera.lookat = target
     return camera
 
@@ -91,5 +93,7 @@ def _add_goal(scene: mujoco.MjvScene, episode: Episode, distance: float) -> None
     from srs_twin.viewing.plots.style import GOAL_COLOR
 
     if episode.goal is not None:
-        ring = goal_ring({key: getattr(episode.goal, key) for key in ("x", "y", "radius")})
+        ring = goal_ring(
+            {key: getattr(episode.goal, key) for key in ("x", "y", "radius")}
+        )
         add_line(scene, ring, GOAL_COLOR, _GOAL_LINE * distance)

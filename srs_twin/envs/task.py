@@ -1,8 +1,9 @@
 """Reinforcement-learning tasks, common to Gymnasium and dm_env.
 
-An agent gives an action and receives an observation every `step_s`. Observations contain only sensor and
-camera measurements, with their noise; the reward and `info` may use the true state. An episode terminates at
-its goal or on failure (`terminated`), or is cut off at the time limit (`truncated`).
+An agent gives an action and receives an observation every `step_s`. Observations
+contain only sensor and camera measurements, with their noise; the reward and `info` may
+use the true state. An episode terminates at its goal or on failure (`terminated`), or
+is cut off at the time limit (`truncated`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from srs_twin.envs.variation import Ranges, Robot, Variation
-from srs_twin.errors import DivergedError, InputError, UnknownNameError, check_choice, count_steps
+from srs_twin.errors import (
+    DivergedError,
+    InputError,
+    UnknownNameError,
+    check_choice,
+    count_steps,
+)
 from srs_twin.io.files import StrPath
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
@@ -90,7 +97,11 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
 def abbreviate(value: object) -> str:
     """Return a short text of a value for messages; a large array is described by its shape."""
     if isinstance(value, np.ndarray):
-        return f"of shape {value.shape}" if value.size > _MAX_PRINTED_VALUES else str(value.tolist())
+        return (
+            f"of shape {value.shape}"
+            if value.size > _MAX_PRINTED_VALUES
+            else str(value.tolist())
+        )
     return reprlib.repr(value)
 
 
@@ -98,7 +109,8 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
     """Check that names are known.
 
     Raises:
-        UnknownNameError: a name is not; the message calls it `kind` and lists all known names.
+        UnknownNameError: a name is not; the message calls it `kind` and lists all known
+            names.
     """
     for name in names:
         if name not in known:
@@ -119,7 +131,10 @@ def check_seed(seed: object) -> None:
     """
     is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not (seed is None or (is_integer and seed >= 0)):  # type: ignore[operator]
-        raise InputError(f"seed {abbreviate(seed)} is not allowed; it must be an integer of 0 or more")
+        raise InputError(
+            f"seed {abbreviate(seed)} is not allowed; it must be an integer of 0 or"
+            " more"
+        )
 
 
 _MAX_PRINTED_VALUES = 6
@@ -195,24 +210,31 @@ class Task(ABC):
         """Initialise the robot distribution, the time limit, the reward and the settings of the twin.
 
         Args:
-            robot: name or path of a robot file, or its keys with `base`, as in a scenario; the tolerances of
-                its modules are drawn for each episode.
+            robot: name or path of a robot file, or its keys with `base`, as in a
+                scenario; the tolerances of its modules are drawn for each episode.
             limit_s: time limit, s.
-            fit: path of a fit file, from whose intervals robots are drawn (`Variation`).
+            fit: path of a fit file, from whose intervals robots are drawn
+                (`Variation`).
             ranges: parameter name → lower and upper limit of a uniform distribution.
             rewards: name of a reward term → weight that replaces its default.
             observations: groups of observations that the agent gets; None: all.
-            action_range: "unit" for actions from −1 to 1, which are scaled to the bounds of the signals;
-                "physical" (deprecated): actions in the units of the signals.
+            action_range: "unit" for actions from −1 to 1, which are scaled to the
+                bounds of the signals; "physical" (deprecated): actions in the units of
+                the signals.
             **twin_settings: arguments of `TwinSnake`, except those that the task sets.
 
         Raises:
-            UnknownNameError: a reward term, a group of observations or a setting of the twin does not exist.
-            InputError: the robot, fit or range is invalid, or the time limit is not a multiple of the step.
+            UnknownNameError: a reward term, a group of observations or a setting of the
+                twin does not exist.
+            InputError: the robot, fit or range is invalid, or the time limit is not a
+                multiple of the step.
         """
         check_choice("action_range", action_range, ACTION_RANGES)
         if action_range == "physical":
-            text = "action_range='physical' ends with release 1.1; actions from −1 to 1 span the same bounds"
+            text = (
+                "action_range='physical' ends with release 1.1; actions from −1 to 1"
+                " span the same bounds"
+            )
             warnings.warn(text, DeprecationWarning, stacklevel=3)
         defaults = {term.name: term.weight for term in self.reward_terms}
         check_names("reward term", rewards or (), defaults)
@@ -220,17 +242,25 @@ class Task(ABC):
         self._requested_groups = None if observations is None else tuple(observations)
         variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
-        own = (keywords(kind.__init__) for kind in type(self).__mro__ if issubclass(kind, Task))
+        own = (
+            keywords(kind.__init__)
+            for kind in type(self).__mro__
+            if issubclass(kind, Task)
+        )
         allowed = keywords(TwinSnake).union(*own) - _RESERVED_TWIN_ARGUMENTS
         check_names("setting of the task or its twin", twin_settings, allowed)
-        self.limit_s, self._variation, self._twin_settings = limit_s, variation, twin_settings
+        self.limit_s, self._variation, self._twin_settings = (
+            limit_s,
+            variation,
+            twin_settings,
+        )
         self.robot = variation.file.spec()
         if not self.spatial:
             self.robot.require_planar("an environment other than Crawl3D")
         elif not self.robot.is_spatial:
             raise InputError(
-                f"robot '{self.robot.name}' bends in one plane; this task needs a robot with chambers in "
-                "several directions (chamber.directions_deg)"
+                f"robot '{self.robot.name}' bends in one plane; this task needs a robot"
+                " with chambers in several directions (chamber.directions_deg)"
             )
 
     def _set_observations(self, groups: Mapping[str, Signals]) -> None:
@@ -240,12 +270,21 @@ class Task(ABC):
             UnknownNameError: a group does not exist.
             InputError: no group is selected.
         """
-        selected = tuple(groups) if self._requested_groups is None else self._requested_groups
+        selected = (
+            tuple(groups) if self._requested_groups is None else self._requested_groups
+        )
         check_names("group of observations", selected, groups)
         if not selected:
-            raise InputError(f"observations: give at least one group of {', '.join(groups)}")
-        self.groups, self._selected_groups = groups, tuple(name for name in groups if name in selected)
-        self.observations = tuple(signal for name in self._selected_groups for signal in groups[name])
+            raise InputError(
+                f"observations: give at least one group of {', '.join(groups)}"
+            )
+        self.groups, self._selected_groups = (
+            groups,
+            tuple(name for name in groups if name in selected),
+        )
+        self.observations = tuple(
+            signal for name in self._selected_groups for signal in groups[name]
+        )
 
     def select(self, measured: Mapping[str, Sequence[float]]) -> np.ndarray:
         """Return the values of the selected groups in order, float32."""
@@ -257,7 +296,9 @@ class Task(ABC):
         """Components of an action with the bounds that the agent has: −1 to 1, or physical ones."""
         if self.action_range == "physical":
             return self.actions
-        return tuple(replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions)
+        return tuple(
+            replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions
+        )
 
     def to_physical(self, action: object) -> list[float]:
         """Return an action in the units of its signals, clipped to their bounds.
@@ -283,25 +324,44 @@ class Task(ABC):
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
         """Return the action, float32, of values in the units of the signals; the inverse of `to_physical`."""
-        low, high = (bounds(self.actions).astype(float) for bounds in (lower_bounds, upper_bounds))
+        low, high = (
+            bounds(self.actions).astype(float)
+            for bounds in (lower_bounds, upper_bounds)
+        )
         given = np.asarray(values, dtype=float)
-        scaled = given if self.action_range == "physical" else 2 * (given - low) / (high - low) - 1
+        scaled = (
+            given
+            if self.action_range == "physical"
+            else 2 * (given - low) / (high - low) - 1
+        )
         return scaled.astype(np.float32)
 
     @property
     def has_identical_episodes(self) -> bool:
         """Whether all episodes have the same robot and no obstacles, as a device batch requires."""
-        first, second = (self._variation.draw(np.random.default_rng(seed)) for seed in range(2))
+        first, second = (
+            self._variation.draw(np.random.default_rng(seed)) for seed in range(2)
+        )
         return first == second and not self.has_obstacles
 
     def _twin(
-        self, spec: RobotSpec, last: Episode | None, world: World | None = None, **own: Any
+        self,
+        spec: RobotSpec,
+        last: Episode | None,
+        world: World | None = None,
+        **own: Any,
     ) -> TwinSnake:
         """Return a twin; that of a finished episode is reused if it has the same robot and no obstacles."""
         solid = world is not None and world.has_obstacles
-        if last is not None and last.twin.spec == spec and not (solid or last.twin.touches):
+        if (
+            last is not None
+            and last.twin.spec == spec
+            and not (solid or last.twin.touches)
+        ):
             return last.twin
-        return TwinSnake(spec, tick=self.step_s, world=world, **own, **self._twin_settings)
+        return TwinSnake(
+            spec, tick=self.step_s, world=world, **own, **self._twin_settings
+        )
 
     @abstractmethod
     def begin(self, rng: np.random.Generator, last: Episode | None = None) -> Episode:
@@ -327,7 +387,13 @@ class Episode(Stateful, ABC):
         first: initial observation and info, before the first action.
     """
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("twin", "state", "ending", "_steps", "_last_observation")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "twin",
+        "state",
+        "ending",
+        "_steps",
+        "_last_observation",
+    )
 
     ending = ""
     goal: Goal | None = None
@@ -338,7 +404,10 @@ class Episode(Stateful, ABC):
         self._task = task
         self._rewards = dict.fromkeys(task.weights, 0.0)
         self._bounds = lower_bounds(task.observations), upper_bounds(task.observations)
-        self._steps, self._max_steps = 0, count_steps("limit_s", task.limit_s, "step", task.step_s)
+        self._steps, self._max_steps = (
+            0,
+            count_steps("limit_s", task.limit_s, "step", task.step_s),
+        )
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
@@ -353,7 +422,9 @@ class Episode(Stateful, ABC):
         """
         state.check(f"episode of {self._task.name}", self.identity())
         self.load_state_dict(state.content)
-        self.first = StepResult(self._last_observation.copy(), 0.0, False, False, self._info())
+        self.first = StepResult(
+            self._last_observation.copy(), 0.0, False, False, self._info()
+        )
 
     def place(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
         """Start from a physical state instead, as `Plant.place` does.
@@ -372,9 +443,13 @@ class Episode(Stateful, ABC):
             place: x and y, m.
 
         Raises:
-            InputError: the task has no goal, or the snake cannot reach one at this place.
+            InputError: the task has no goal, or the snake cannot reach one at this
+                place.
         """
-        raise InputError(f"option goal is not allowed: the task {self._task.name} has no goal at a place")
+        raise InputError(
+            f"option goal is not allowed: the task {self._task.name} has no goal at a"
+            " place"
+        )
 
     def _initialise_from_state(self) -> None:
         """Reset the attributes that depend on the first state."""
@@ -387,10 +462,12 @@ class Episode(Stateful, ABC):
         """Apply an action for one step; values outside their bounds are clipped.
 
         Args:
-            action: one number per action signal of the task, within the bounds of `Task.commands`.
+            action: one number per action signal of the task, within the bounds of
+                `Task.commands`.
 
         Raises:
-            InputError: the shape is wrong, a number is not finite, or the episode is over.
+            InputError: the shape is wrong, a number is not finite, or the episode is
+                over.
         """
         valves = self.command(action)
         try:
@@ -402,7 +479,10 @@ class Episode(Stateful, ABC):
     def command(self, action: object) -> np.ndarray:
         """Return the valve states of the next step, which `finish_step` or `diverged` completes."""
         if self.ending:
-            raise InputError(f"the episode is over ({self.ending}); reset the environment to begin another")
+            raise InputError(
+                f"the episode is over ({self.ending}); reset the environment to begin"
+                " another"
+            )
         return self._valves(self._task.to_physical(action))
 
     def finish_step(self, state: SnakeState) -> StepResult:
@@ -410,20 +490,28 @@ class Episode(Stateful, ABC):
         self.state = state
         self._steps += 1
         values = self._reward_values()
-        self._rewards = {name: weight * values[name] for name, weight in self._task.weights.items()}
+        self._rewards = {
+            name: weight * values[name] for name, weight in self._task.weights.items()
+        }
         reward = float(sum(self._rewards.values()))
         terminated = bool(self.ending)
         truncated = not terminated and self._steps >= self._max_steps
         if truncated:
             self.ending = TIME_UP
-        return StepResult(self._observation(), reward, terminated, truncated, self._info())
+        return StepResult(
+            self._observation(), reward, terminated, truncated, self._info()
+        )
 
     def diverged(self, error: DivergedError) -> StepResult:
         """End the episode with the observation of the previous step, because there is no later one."""
         self._steps += 1
         self.ending = DIVERGED
         return StepResult(
-            self._last_observation.copy(), 0.0, True, False, self._info() | {"error": str(error)}
+            self._last_observation.copy(),
+            0.0,
+            True,
+            False,
+            self._info() | {"error": str(error)},
         )
 
     def _observation(self) -> np.ndarray:

@@ -17,8 +17,8 @@ def make_task(name: str, **settings: Any) -> Task:
 
     Args:
         name: one of `TASKS`.
-        **settings: settings of the task, see `CrawlTask`, `ModuleTask`, `SpatialCrawlTask`, `PegsTask` and
-            `GraspTask`.
+        **settings: settings of the task, see `CrawlTask`, `ModuleTask`,
+            `SpatialCrawlTask`, `PegsTask` and `GraspTask`.
 
     Raises:
         UnknownNameError: the task does not exist.
@@ -33,6 +33,9 @@ def make_task(name: str, **settings: Any) -> Task:
     if name in ("GoTo", "Obstacles"):
         return CrawlTask(name, OPEN if name == "GoTo" else CIRCLES, **settings)
     tasks: dict[str, type[Task]] = {
-        "Module": ModuleTask, "Crawl3D": SpatialCrawlTask, "Pegs": PegsTask, "Grasp": GraspTask
-    }  # fmt: skip
+        "Module": ModuleTask,
+        "Crawl3D": SpatialCrawlTask,
+        "Pegs": PegsTask,
+        "Grasp": GraspTask,
+    }
     return tasks[name](**settings)

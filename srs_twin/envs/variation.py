@@ -1,9 +1,10 @@
 """Distribution of robots over episodes (domain randomisation).
 
-Robots vary by up to three sources: the tolerances of `modules` in a robot file, the confidence intervals of
-a fit file, and given ranges. Fitted parameters are drawn jointly from a normal distribution with the fit's
-standard errors and correlations, and clipped to their intervals. The correlations matter: where the data
-determine only a sum of two parameters, the draws preserve that sum.
+Robots vary by up to three sources: the tolerances of `modules` in a robot file, the
+confidence intervals of a fit file, and given ranges. Fitted parameters are drawn
+jointly from a normal distribution with the fit's standard errors and correlations, and
+clipped to their intervals. The correlations matter: where the data determine only a sum
+of two parameters, the draws preserve that sum.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ class Variation:
 
     Attributes:
         file: nominal robot with the tolerances of its modules.
-        fit: fit whose parameters are drawn from their confidence intervals; None: no fit.
+        fit: fit whose parameters are drawn from their confidence intervals; None: no
+            fit.
         ranges: parameter name → lower and upper limit of a uniform distribution.
     """
 
@@ -45,7 +47,9 @@ class Variation:
     ranges: Ranges = field(default_factory=dict)
 
     @classmethod
-    def load(cls, robot: Robot, fit: StrPath | None = None, ranges: Ranges | None = None) -> Variation:
+    def load(
+        cls, robot: Robot, fit: StrPath | None = None, ranges: Ranges | None = None
+    ) -> Variation:
         """Load the variation of a robot.
 
         Args:
@@ -54,7 +58,8 @@ class Variation:
             ranges: see the attribute.
 
         Raises:
-            InputError: a file does not exist, the fit is for another robot, or a range is not allowed.
+            InputError: a file does not exist, the fit is for another robot, or a range
+                is not allowed.
         """
         fit_file = None if fit is None else load_fit(fit)
         if isinstance(robot, Mapping):
@@ -63,16 +68,21 @@ class Variation:
         else:
             file, name = load_robot_file(robot), os.fspath(robot)
         if fit_file is not None and fit_file.robot != name:
-            raise InputError(f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'")
+            raise InputError(
+                f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'"
+            )
         variation = cls(file, fit_file, dict(ranges or {}))
         spec = variation.file.spec()
         for name, (low, high) in variation.ranges.items():
             if not low <= high:
                 raise InputError(
-                    f"{name}: the range {low:g} to {high:g} is not allowed; give the lower limit first"
+                    f"{name}: the range {low:g} to {high:g} is not allowed; give the"
+                    " lower limit first"
                 )
             for limit in (low, high):
-                free_parameters(spec, [name], starts={name: limit})  # raises if not allowed
+                free_parameters(
+                    spec, [name], starts={name: limit}
+                )  # raises if not allowed
         return variation
 
     def draw(self, rng: np.random.Generator) -> RobotSpec:
@@ -80,20 +90,29 @@ class Variation:
         spec = self.file.spec(int(rng.integers(_SEED_COUNT)))
         if self.fit is not None:
             spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
-        return with_values(spec, {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()})
+        return with_values(
+            spec,
+            {name: float(rng.uniform(*limits)) for name, limits in self.ranges.items()},
+        )
 
 
-def _draw_fitted_values(fit: FitFile, spec: RobotSpec, rng: np.random.Generator) -> dict[str, float]:
+def _draw_fitted_values(
+    fit: FitFile, spec: RobotSpec, rng: np.random.Generator
+) -> dict[str, float]:
     """Draw fitted parameters from their joint normal distribution; add the actuator's fixed bend."""
     fitted = [parameter for parameter in fit.parameters if parameter.value is not None]
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
     # Use eigenvalues, because correlations of 1 make the covariance singular.
-    drawn = rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
+    drawn = (
+        rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
+    )
     unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
     bounds = {unknown.name: unknown for unknown in unknowns}
-    result = {name: value for name, value in fit.held.items() if name == "actuator.bend_rad"}
+    result = {
+        name: value for name, value in fit.held.items() if name == "actuator.bend_rad"
+    }
     for parameter, value in zip(fitted, drawn, strict=True):
         bound = bounds[parameter.name]
         low, high = max(parameter.low, bound.low), min(parameter.high, bound.high)  # type: ignore[type-var]

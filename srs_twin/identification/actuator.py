@@ -1,12 +1,13 @@
 """Actuator parameters of free segments from step responses.
 
 Valve states or pressures and the resulting bends over time. The model is
-`pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode are common to all modules,
-gain and rest bend are individual. Segments must bend freely, on a bench or lifted; on the floor the bends
-depend on the load of the body as well. `actuator.bend_rad` and a common factor of all gains have the same
-effect, so the former is fixed unless requested. With a log of pressures instead of valves, bends follow the
-pressures with the delay τ_mode (for pressures with the time constant τ₁ the relative error is (τ_mode/τ₁)²),
-and the filling of the chambers cannot be estimated.
+`pneumatics.LagPneumatics`, Eq. 14 for nominal modules: τ_fill, τ_vent and τ_mode are
+common to all modules, gain and rest bend are individual. Segments must bend freely, on
+a bench or lifted; on the floor the bends depend on the load of the body as well.
+`actuator.bend_rad` and a common factor of all gains have the same effect, so the former
+is fixed unless requested. With a log of pressures instead of valves, bends follow the
+pressures with the delay τ_mode (for pressures with the time constant τ₁ the relative
+error is (τ_mode/τ₁)²), and the filling of the chambers cannot be estimated.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ from srs_twin.errors import InputError
 from srs_twin.identification.estimate import FitEstimate, Residual, Role
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
 from srs_twin.identification.least_squares import Watch, least_squares
-from srs_twin.identification.parameters import FreeParameter, free_parameters, per_segment, with_values
+from srs_twin.identification.parameters import (
+    FreeParameter,
+    free_parameters,
+    per_segment,
+    with_values,
+)
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.recording import Recording, ValveLog
@@ -54,8 +60,10 @@ class Response:
         supply_pa: gauge pressure of the supply, Pa; not used with a log of pressures.
         time: sample times, ascending, shape (samples,), s.
         bend: measured bends, shape (samples, segments), rad; NaN if unknown.
-        pressure: pressures measured with a log of valves, shape (samples, segments, 2), Pa, or None.
-        clock_known: whether drive and bends share a clock; if not, their offset is estimated.
+        pressure: pressures measured with a log of valves, shape (samples, segments, 2),
+            Pa, or None.
+        clock_known: whether drive and bends share a clock; if not, their offset is
+            estimated.
     """
 
     name: str
@@ -68,7 +76,9 @@ class Response:
     clock_known: bool = True
 
     @classmethod
-    def from_recording(cls, recording: Recording, name: str, supply_pa: float) -> Response:
+    def from_recording(
+        cls, recording: Recording, name: str, supply_pa: float
+    ) -> Response:
         """Return the response of a recording joined with its log, without interpolated samples.
 
         Raises:
@@ -76,12 +86,18 @@ class Response:
         """
         trajectory, log = recording.trajectory, log_of(recording, name)
         log_metadata = trajectory.metadata.get("valve_log")
-        is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get("offset_estimated")
+        is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get(
+            "offset_estimated"
+        )
         bend = measured_bends(recording)
-        drive = log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
+        drive = (
+            log.schedule() if log.kind == "valve" else log.shifted(-float(log.time[0]))
+        )
         sha256 = array_hash(bend, log.time, log.values)
         time = trajectory.time - log.time[0]
-        return cls(name, sha256, drive, supply_pa, time, bend, clock_known=not is_estimated)
+        return cls(
+            name, sha256, drive, supply_pa, time, bend, clock_known=not is_estimated
+        )
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -95,7 +111,10 @@ def log_of(recording: Recording, name: str) -> ValveLog:
         InputError: the recording has no log.
     """
     if recording.valves is None:
-        raise InputError(f"{name}: no log of valves or pressures; join one with the recording (--valves)")
+        raise InputError(
+            f"{name}: no log of valves or pressures; join one with the recording"
+            " (--valves)"
+        )
     return recording.valves
 
 
@@ -129,41 +148,60 @@ def fit_actuator(
     Args:
         responses: measured responses.
         spec: robot whose values are the start of the search.
-        names: free parameters, see `parameters`; default: `default_actuator_parameters`.
+        names: free parameters, see `parameters`; default:
+            `default_actuator_parameters`.
         validation: responses for validation.
         starts: number of searches.
         watch: progress callback, see `least_squares`.
 
     Raises:
-        InputError: there is no response, the number of segments differs from the robot's, or a validation
-            response is also fitted.
+        InputError: there is no response, the number of segments differs from the
+            robot's, or a validation response is also fitted.
     """
     data = assign_roles("responses", responses, validation)
     for response, _ in data:
         if (bends := response.bend.shape[1]) != spec.segments:
-            raise InputError(f"{response.name}: {bends} bends; {spec.name} has {spec.segments} segments")
+            raise InputError(
+                f"{response.name}: {bends} bends; {spec.name} has {spec.segments}"
+                " segments"
+            )
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:
         robot = with_values(spec, values)
         result: list[Residual] = []
         for k, (response, role) in enumerate(data):
-            # Validation responses have no clock parameter, because they must not influence the fit.
-            result += _response_residuals(response, robot, values.get(f"clock_{k}", 0.0), role)
+            # Validation responses have no clock parameter, because they must not
+            # influence the fit.
+            result += _response_residuals(
+                response, robot, values.get(f"clock_{k}", 0.0), role
+            )
         return result
 
     clocks = [
         FreeParameter(
-            f"clock_{k}", "s", 0.0, -CLOCK_ERROR_S * 4, CLOCK_ERROR_S * 4, CLOCK_ERROR_S, nuisance=True
+            f"clock_{k}",
+            "s",
+            0.0,
+            -CLOCK_ERROR_S * 4,
+            CLOCK_ERROR_S * 4,
+            CLOCK_ERROR_S,
+            nuisance=True,
         )
         for k, response in enumerate(responses)
         if not response.clock_known
     ]
-    unknowns = free_parameters(spec, default_actuator_parameters(spec) if names is None else names)
+    unknowns = free_parameters(
+        spec, default_actuator_parameters(spec) if names is None else names
+    )
     held = fixed_values(spec, unknowns)
-    return least_squares(residuals, [*unknowns, *clocks], starts=starts, held=held, watch=watch)
+    return least_squares(
+        residuals, [*unknowns, *clocks], starts=starts, held=held, watch=watch
+    )
 
 
-def fixed_values(spec: RobotSpec, unknowns: Sequence[FreeParameter]) -> dict[str, float]:
+def fixed_values(
+    spec: RobotSpec, unknowns: Sequence[FreeParameter]
+) -> dict[str, float]:
     """Return the values to which gains are relative: nominal pressure, and its bend unless that is free."""
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):
@@ -190,7 +228,9 @@ def predict_response(
     return trace.bend, trace.pressure
 
 
-def _response_residuals(response: Response, spec: RobotSpec, clock: float, role: Role) -> list[Residual]:
+def _response_residuals(
+    response: Response, spec: RobotSpec, clock: float, role: Role
+) -> list[Residual]:
     bend, pressure = predict_response(response, spec, clock)
     residuals = bend_residuals(response.name, response.bend - bend, role, math.nan)
     if response.pressure is not None and pressure is not None:
@@ -207,14 +247,20 @@ def bend_residuals(
 ) -> list[Residual]:
     """Return the residuals of measured bends by segment.
 
-    The residuals of a segment share one scale: the RMS of its errors, or `_BEND_NOISE_RAD` if any error is
-    unknown.
+    The residuals of a segment share one scale: the RMS of its errors, or
+    `_BEND_NOISE_RAD` if any error is unknown.
     """
     residuals = []
     errors = np.broadcast_to(error, difference.shape)
-    for j, (column, column_errors) in enumerate(zip(difference.T, errors.T, strict=True)):
+    for j, (column, column_errors) in enumerate(
+        zip(difference.T, errors.T, strict=True)
+    ):
         measured = np.isfinite(column)
-        noise = float(np.sqrt((column_errors[measured] ** 2).sum() / max(measured.sum(), 1)))
+        noise = float(
+            np.sqrt((column_errors[measured] ** 2).sum() / max(measured.sum(), 1))
+        )
         noise = _BEND_NOISE_RAD if math.isnan(noise) else max(noise, MIN_DRIFT_RAD)
-        residuals.append(Residual(f"{name} bend_{j + 1}", "rad", column[measured], noise, role))
+        residuals.append(
+            Residual(f"{name} bend_{j + 1}", "rad", column[measured], noise, role)
+        )
     return residuals

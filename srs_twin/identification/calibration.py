@@ -64,7 +64,12 @@ Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
 """Function called with a note about each recording, before the search."""
 
-LOCOMOTION = ("friction.mu_t", "friction.mu_n", "geometry.rigid_gap_m", "bending.stiffness_nm_per_rad")
+LOCOMOTION = (
+    "friction.mu_t",
+    "friction.mu_n",
+    "geometry.rigid_gap_m",
+    "bending.stiffness_nm_per_rad",
+)
 """Parameters that `calibrate_locomotion` fits by default."""
 
 _READER = RecordingReader()
@@ -77,7 +82,8 @@ class Calibration:
     """Result of a fit, with the data that it used.
 
     Attributes:
-        estimate: parameters, correlations and residuals; a notebook displays it as a page.
+        estimate: parameters, correlations and residuals; a notebook displays it as a
+            page.
         method: method of the fit.
         title: title, one line.
         robot: initial robot, a name or a path.
@@ -143,38 +149,74 @@ def calibrate_friction(
         robot: initial robot, a name or path.
         validate: tables or recordings for validation, not used by the fit.
         law: friction law of coasting tests: "wheel", "axis" or "ellipse".
-        wheel_inertia: whether coasting tests include the rotational inertia of the wheels.
+        wheel_inertia: whether coasting tests include the rotational inertia of the
+            wheels.
         reader: settings with which recordings are read.
-        out: fit file; an existing one is replaced, and the report is in the same folder. None: not written.
+        out: fit file; an existing one is replaced, and the report is in the same
+            folder. None: not written.
         notify: function called with a note about each recording.
-        progress: function called with the number of model runs and the best weighted RMS so far.
+        progress: function called with the number of model runs and the best weighted
+            RMS so far.
 
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec, paths, kept = locals(), load_robot(robot), _texts(files), _texts(validate)
-    if _all_of_kind([*paths, *kept], is_pull_table, "table of pulls", "recording of a coasting test"):
+    given, spec, paths, kept = (
+        locals(),
+        load_robot(robot),
+        _texts(files),
+        _texts(validate),
+    )
+    if _all_of_kind(
+        [*paths, *kept], is_pull_table, "table of pulls", "recording of a coasting test"
+    ):
         if len(paths) > 1:
-            raise InputError(f"{paths[1]}: a fit uses one table of pulls; give further ones with --validate")
-        pulls, validation_pulls = read_pull_table(paths[0]), [read_pull_table(path) for path in kept]
+            raise InputError(
+                f"{paths[1]}: a fit uses one table of pulls; give further ones with"
+                " --validate"
+            )
+        pulls, validation_pulls = (
+            read_pull_table(paths[0]),
+            [read_pull_table(path) for path in kept],
+        )
         estimate = fit_pulls(pulls, validation=validation_pulls)
         title = f"Friction of {spec.name} from pulls"
-        return _finished(calibrate_friction, given, estimate, "pulls", title, [pulls], validation_pulls)
+        return _finished(
+            calibrate_friction,
+            given,
+            estimate,
+            "pulls",
+            title,
+            [pulls],
+            validation_pulls,
+        )
 
     def coasting_test(path: str) -> CoastingTest:
         try:
             recording = reader.motion(path, spec)
         except UnknownFormatError as error:
-            raise InputError(f"{error}; a table of pulls has the columns {PULL_COLUMNS}") from None
+            raise InputError(
+                f"{error}; a table of pulls has the columns {PULL_COLUMNS}"
+            ) from None
         notify(recording.summary.text())
         return CoastingTest.from_trajectory(recording.trajectory, path)
 
-    runs, validation = [coasting_test(path) for path in paths], [coasting_test(path) for path in kept]
+    runs, validation = (
+        [coasting_test(path) for path in paths],
+        [coasting_test(path) for path in kept],
+    )
     estimate = fit_coasting(
-        runs, spec, validation=validation, law=law, wheel_inertia=wheel_inertia, watch=progress
+        runs,
+        spec,
+        validation=validation,
+        law=law,
+        wheel_inertia=wheel_inertia,
+        watch=progress,
     )
     title = f"Friction of {spec.name} from coasting tests"
-    return _finished(calibrate_friction, given, estimate, "coasting", title, runs, validation)
+    return _finished(
+        calibrate_friction, given, estimate, "coasting", title, runs, validation
+    )
 
 
 @checked
@@ -196,9 +238,11 @@ def calibrate_actuator(
     """Estimate time constants, gains and rest bends, as `srs-twin calibrate actuator`.
 
     Args:
-        files: recordings of step responses, or tables or recordings of constant pressures (gains only).
+        files: recordings of step responses, or tables or recordings of constant
+            pressures (gains only).
         robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default: those beside them.
+        valves: logs, one for each of `files`, then for each of `validate`; default:
+            those beside them.
         validate: recordings or tables for validation, not used by the fit.
         supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
         find: parameters to fit; None: all that the data can show.
@@ -212,29 +256,64 @@ def calibrate_actuator(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec, paths, kept = locals(), load_robot(robot), _texts(files), _texts(validate)
+    given, spec, paths, kept = (
+        locals(),
+        load_robot(robot),
+        _texts(files),
+        _texts(validate),
+    )
     held = f"Actuators of {spec.name} from held pressures"
-    if _all_of_kind([*paths, *kept], is_static_table, "table of constant pressures", "recording"):
+    if _all_of_kind(
+        [*paths, *kept], is_static_table, "table of constant pressures", "recording"
+    ):
         _refuse_option(valves, "--valves", "tables of constant pressures have no log")
-        _refuse_option(static, "--static", "tables of constant pressures already contain plateaus")
-        tables, kept_tables = ([read_static_table(path, spec) for path in group] for group in (paths, kept))
-        estimate = fit_static(tables, spec, names=find, validation=kept_tables, watch=progress)
-        return _finished(calibrate_actuator, given, estimate, "static", held, tables, kept_tables)
+        _refuse_option(
+            static, "--static", "tables of constant pressures already contain plateaus"
+        )
+        tables, kept_tables = (
+            [read_static_table(path, spec) for path in group] for group in (paths, kept)
+        )
+        estimate = fit_static(
+            tables, spec, names=find, validation=kept_tables, watch=progress
+        )
+        return _finished(
+            calibrate_actuator, given, estimate, "static", held, tables, kept_tables
+        )
     supply = spec.supply.nominal if supply_pa is None else supply_pa
-    recordings, kept_recordings = _recordings(paths, kept, _texts(valves), reader, spec, notify)
+    recordings, kept_recordings = _recordings(
+        paths, kept, _texts(valves), reader, spec, notify
+    )
     if static:
         tables = plateau_tables(recordings, spec, supply)
-        kept_tables = [StaticTable.from_recording(r, path, spec, supply) for path, r in kept_recordings]
+        kept_tables = [
+            StaticTable.from_recording(r, path, spec, supply)
+            for path, r in kept_recordings
+        ]
         merged = merge_tables(tables)
-        estimate = fit_static([merged], spec, names=find, validation=kept_tables, watch=progress)
-        return _finished(calibrate_actuator, given, estimate, "static", held, tables, kept_tables, merged)
+        estimate = fit_static(
+            [merged], spec, names=find, validation=kept_tables, watch=progress
+        )
+        return _finished(
+            calibrate_actuator,
+            given,
+            estimate,
+            "static",
+            held,
+            tables,
+            kept_tables,
+            merged,
+        )
     fitted, validation = (
         [Response.from_recording(recording, path, supply) for path, recording in named]
         for named in (recordings, kept_recordings)
     )
-    estimate = fit_actuator(fitted, spec, names=find, validation=validation, starts=starts, watch=progress)
+    estimate = fit_actuator(
+        fitted, spec, names=find, validation=validation, starts=starts, watch=progress
+    )
     title = f"Actuators of {spec.name} from responses"
-    return _finished(calibrate_actuator, given, estimate, "actuator", title, fitted, validation)
+    return _finished(
+        calibrate_actuator, given, estimate, "actuator", title, fitted, validation
+    )
 
 
 @checked
@@ -258,12 +337,14 @@ def calibrate_locomotion(
 ) -> Calibration:
     """Estimate friction, gap, masses or stiffness from runs on the floor, as `srs-twin calibrate locomotion`.
 
-    If there are markers, the rigid gap (or the length of a segment) is measured from them.
+    If there are markers, the rigid gap (or the length of a segment) is measured from
+    them.
 
     Args:
         files: recordings.
         robot: initial robot, a name or path.
-        valves: logs, one for each of `files`, then for each of `validate`; default: those beside them.
+        valves: logs, one for each of `files`, then for each of `validate`; default:
+            those beside them.
         validate: recordings for validation, not used by the fit.
         supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
         find: parameters to fit.
@@ -280,16 +361,29 @@ def calibrate_locomotion(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec, paths, kept = locals(), load_robot(robot), _texts(files), _texts(validate)
+    given, spec, paths, kept = (
+        locals(),
+        load_robot(robot),
+        _texts(files),
+        _texts(validate),
+    )
     plant_model = PlantModel(plant, _plant_settings(plant, model, law))
     supply = spec.supply.nominal if supply_pa is None else supply_pa
-    recordings, kept_recordings = _recordings(paths, kept, _texts(valves), reader, spec, notify)
+    recordings, kept_recordings = _recordings(
+        paths, kept, _texts(valves), reader, spec, notify
+    )
     length = measured_length([recording for _, recording in recordings], spec, find)
-    if length is not None:  # bends and centre of mass depend on the length, so read the recordings again
+    if (
+        length is not None
+    ):  # bends and centre of mass depend on the length, so read the recordings again
         spec = with_values(spec, {length.name: length.value or 0.0})
-        recordings, kept_recordings = _recordings(paths, kept, _texts(valves), reader, spec, str)
+        recordings, kept_recordings = _recordings(
+            paths, kept, _texts(valves), reader, spec, str
+        )
         length = measured_length([recording for _, recording in recordings], spec, find)
-    runs, validation = (_gait_runs(named, supply, notify) for named in (recordings, kept_recordings))
+    runs, validation = (
+        _gait_runs(named, supply, notify) for named in (recordings, kept_recordings)
+    )
     estimate = fit_locomotion(
         runs,
         spec,
@@ -303,7 +397,9 @@ def calibrate_locomotion(
         known=[length] if length else [],
     )
     title = f"Locomotion of {spec.name} against the {plant} plant"
-    return _finished(calibrate_locomotion, given, estimate, "locomotion", title, runs, validation)
+    return _finished(
+        calibrate_locomotion, given, estimate, "locomotion", title, runs, validation
+    )
 
 
 @checked
@@ -327,11 +423,13 @@ def calibrate_damping(
         files: recordings of one hanging segment that is released from a bend.
         robot: initial robot, a name or path.
         valves: whether the chambers were open to the air or closed: "open" or "closed".
-        mass_kg: mass of the body at the end of the segment; None: that of the first connector.
-        inertia_kg_m2: moment of inertia of the body about its centre; None: with the connector's radius of
-            gyration.
+        mass_kg: mass of the body at the end of the segment; None: that of the first
+            connector.
+        inertia_kg_m2: moment of inertia of the body about its centre; None: with the
+            connector's radius of gyration.
         leak_per_s: leak rate of closed chambers; None: fitted.
-        noise_rad: standard deviation of a recorded bend; None: estimated from the recording.
+        noise_rad: standard deviation of a recorded bend; None: estimated from the
+            recording.
         from_s: time from which the segment swings freely; None: detected.
         out: see `calibrate_friction`.
         notify: see `calibrate_friction`.
@@ -345,9 +443,14 @@ def calibrate_damping(
     decays = [read_decay(path, start=from_s, noise=noise_rad) for path in _texts(files)]
     for decay in decays:
         notify(decay.text())
-    estimate = fit_damping(decays, spec, valves=valves, body=body, leak=leak_per_s, watch=progress)
+    estimate = fit_damping(
+        decays, spec, valves=valves, body=body, leak=leak_per_s, watch=progress
+    )
     if valves == "closed":
-        notify("valves closed: frequency and loss_factor contain the spring of the air and its loss")
+        notify(
+            "valves closed: frequency and loss_factor contain the spring of the air and"
+            " its loss"
+        )
     title = f"Damping of {spec.name} from decays with {valves} valves"
     return _finished(calibrate_damping, given, estimate, "damping", title, decays, [])
 
@@ -375,7 +478,11 @@ def _finished(
         path = Path(given["out"])
         if path.suffix not in (".yaml", ".yml"):
             raise InputError(f"out: {path} is not allowed; a fit file ends in .yaml")
-        result.write(path, check_file_name(path.stem, "out names the fit"), _call(function, given))
+        result.write(
+            path,
+            check_file_name(path.stem, "out names the fit"),
+            _call(function, given),
+        )
     return result
 
 
@@ -407,15 +514,22 @@ def _recordings(
     return recordings[: len(paths)], recordings[len(paths) :]
 
 
-def _gait_runs(recordings: NamedRecordings, supply_pa: float, notify: Notify) -> list[GaitRun]:
+def _gait_runs(
+    recordings: NamedRecordings, supply_pa: float, notify: Notify
+) -> list[GaitRun]:
     """Return recordings as gait runs, with a warning if chambers are filling at the start."""
     for path, recording in recordings:
         if not recording.starts_at_rest():
-            notify(f"warning: {path}: chambers are filling at the start; the plants start with empty ones")
+            notify(
+                f"warning: {path}: chambers are filling at the start; the plants start"
+                " with empty ones"
+            )
     return [gait_run(recording, path, supply_pa) for path, recording in recordings]
 
 
-def _all_of_kind(files: Sequence[str], is_first: Callable[[str], bool], first: str, second: str) -> bool:
+def _all_of_kind(
+    files: Sequence[str], is_first: Callable[[str], bool], first: str, second: str
+) -> bool:
     """Return whether all files are of the first kind, False if all are of the second.
 
     Raises:

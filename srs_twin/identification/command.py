@@ -39,14 +39,18 @@ from srs_twin.recordings.commands import FrequencyOption, OffsetOption, ReadingO
 
 with_options = partial(expand_option_groups, plugins=True)
 
-_LOCOMOTION = "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
+_LOCOMOTION = (
+    "friction.mu_t,friction.mu_n,geometry.rigid_gap_m,bending.stiffness_nm_per_rad"
+)
 """Parameters that `calibrate locomotion` fits by default."""
 
 _DEFAULT_READING = ReadingOptions()
 _DEFAULT_OUTPUT = FitOptions()
 
 app = typer.Typer(
-    rich_markup_mode=None, no_args_is_help=True, help="Robot parameters from recordings and runs."
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Robot parameters from recordings and runs.",
 )
 
 
@@ -69,11 +73,13 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls are a table of spring deformations, measured with a spring car; coasting tests are recordings.
+    Pulls are a table of spring deformations, measured with a spring car; coasting tests
+    are recordings.
 
     Options:
         --law NAME: Friction law of coasting tests: wheel, axis or ellipse (skids).
-        --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels in coasting tests.
+        --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels
+            in coasting tests.
     """
     output = FitOutput.from_options(context, "friction", robot, fit)
     from srs_twin.identification.calibration import calibrate_friction
@@ -98,7 +104,8 @@ def design(
 ) -> None:
     """Choose the recordings for a requested accuracy.
 
-    Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait runs.
+    Candidates are pulls, weighing, markers, constant pressures, pressure steps and gait
+    runs.
 
     Options:
         --want NAMES: Parameters and target half-widths of their 95 % intervals, e.g.
@@ -114,14 +121,22 @@ def design(
         except ValueError:
             targets[name] = math.nan
         if not 0 < targets[name] < math.inf:
-            raise InputError(f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%")
+            raise InputError(
+                f"--want {text}: must be NAME=PERCENT, as in friction.mu_t=5%"
+            )
     with interruptible("nothing was chosen"):
         plan = calibrate_design(robot, targets)
     if as_json:
         print_json(plan.document())
         return
-    headings = ("half of the 95 % interval", "min", *(name.partition(".")[2] for name in targets))
-    rows = [("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))]
+    headings = (
+        "half of the 95 % interval",
+        "min",
+        *(name.partition(".")[2] for name in targets),
+    )
+    rows = [
+        ("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))
+    ]
     for k, experiment in enumerate(plan.chosen):
         after = (f"{100 * row[k]:.1f} %" for row in plan.after.values())
         rows.append((f"after {k + 1}", f"{experiment.minutes:g}", *after))
@@ -130,7 +145,10 @@ def design(
         print(f"{k}. {experiment.description}")
     print("The model is assumed to be right.")
     for name in plan.unmet:
-        print(f"{name}: no further experiment of these kinds reaches {100 * targets[name]:g} %")
+        print(
+            f"{name}: no further experiment of these kinds reaches"
+            f" {100 * targets[name]:g} %"
+        )
 
 
 @app.command()
@@ -148,10 +166,12 @@ def actuator(
 ) -> None:
     """Estimate time constants, gains and rest bends.
 
-    Data are recordings of step responses, or tables or recordings of constant pressures (gains only).
+    Data are recordings of step responses, or tables or recordings of constant pressures
+    (gains only).
 
     Options:
-        --static: Fit plateaus of constant pressure in recordings, and write them to NAME.table.csv.
+        --static: Fit plateaus of constant pressure in recordings, and write them to
+            NAME.table.csv.
         --starts N: Number of searches.
     """
     output = FitOutput.from_options(context, "actuator", data.robot, fit)
@@ -169,7 +189,9 @@ def actuator(
         reader=markers.reader(offset_s=offset),
     )
     if result.plateaus is not None:
-        write_static_table(result.plateaus, path := output.path.with_suffix(".table.csv"))
+        write_static_table(
+            result.plateaus, path := output.path.with_suffix(".table.csv")
+        )
         output.say(f"{len(result.plateaus.bend)} plateaus in {display_path(path)}")
 
 
@@ -192,7 +214,8 @@ def locomotion(
 ) -> None:
     """Estimate friction, gap, masses or stiffness.
 
-    If there are markers, the rigid gap (or the length of a segment) is measured from them.
+    If there are markers, the rigid gap (or the length of a segment) is measured from
+    them.
 
     Options:
         --plant NAME: Simulated plant: analytical or twin.
@@ -234,14 +257,17 @@ def damping(
 ) -> None:
     """Estimate stiffness, damping time and loss factor.
 
-    Data are recordings of a hanging segment that is released from a bend, at 100 Hz or more.
+    Data are recordings of a hanging segment that is released from a bend, at 100 Hz or
+    more.
 
     Options:
         --valves STATE: Chambers during the recordings: open or closed.
         --mass-kg KG: Mass of the body at the end of the segment. [default: the robot's]
-        --inertia KGM2: Moment of inertia of the body about its centre, kg*m^2. [default: the robot's]
+        --inertia KGM2: Moment of inertia of the body about its centre, kg*m^2.
+            [default: the robot's]
         --leak-per-s RATE: Leak rate of closed chambers, 1/s. [default: estimated]
-        --noise-rad RAD: Standard deviation of a recorded bend, rad. [default: estimated]
+        --noise-rad RAD: Standard deviation of a recorded bend, rad. [default:
+            estimated]
         --from-s S: Time from which the segment swings freely, s. [default: detected]
     """
     output = FitOutput.from_options(context, "damping", robot, fit)

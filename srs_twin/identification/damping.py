@@ -1,17 +1,20 @@
 r"""Stiffness and damping of a segment from decays of its free swing (`decay`, `hanging_segment`).
 
-Only the known mass and the weight turn the frequency into a stiffness: the decay alone shows k/m and T.
+Only the known mass and the weight turn the frequency into a stiffness: the decay alone
+shows k/m and T.
 
-**Fit.** All recordings share k, T and the leak rate. Each has its own start, rest bend, and two exponentials
-with which its rest bend recovers from having been held. Without measured pressures, closed chambers are at
-ambient pressure at the first sample of the recording, when the segment is at rest. Their air at the release
-follows from the leak rate and the bends recorded until then. The bend at rest before and after the release
+**Fit.** All recordings share k, T and the leak rate. Each has its own start, rest bend,
+and two exponentials with which its rest bend recovers from having been held. Without
+measured pressures, closed chambers are at ambient pressure at the first sample of the
+recording, when the segment is at rest. Their air at the release follows from the leak
+rate and the bends recorded until then. The bend at rest before and after the release
 separates k from the pressures.
 
-**Intervals.** The scale of the residuals is the noise, with 1 % of the amplitude as an allowance for the
-model. Correlated residuals widen the intervals as in all fits (`least_squares`). k and T are those of viscous
-damping, with the loss factor η = 2π f T. A material with an almost constant loss factor is the reference that
-measures the model error: with an equal stiffness and loss at f, its decay gives other values.
+**Intervals.** The scale of the residuals is the noise, with 1 % of the amplitude as an
+allowance for the model. Correlated residuals widen the intervals as in all fits
+(`least_squares`). k and T are those of viscous damping, with the loss factor η = 2π f
+T. A material with an almost constant loss factor is the reference that measures the
+model error: with an equal stiffness and loss at f, its decay gives other values.
 """
 
 from __future__ import annotations
@@ -43,7 +46,13 @@ from srs_twin.identification.hanging_segment import (
     swing,
     weight_moment,
 )
-from srs_twin.identification.least_squares import LEVEL, Refit, SearchOptions, Watch, least_squares
+from srs_twin.identification.least_squares import (
+    LEVEL,
+    Refit,
+    SearchOptions,
+    Watch,
+    least_squares,
+)
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.pneumatics.chambers import AMBIENT_PA, air_bend, bend_law, chamber_gains
 from srs_twin.robot.spec import RobotSpec
@@ -58,7 +67,8 @@ _CREEP_RATIOS = (3.0, 12.0)
 """Time constants of the recovery, as multiples of 1/ω."""
 
 _MAX_CALM_SAMPLES = 25
-"""Samples at rest that count for the rest bend; further ones share errors of the model."""
+"""Samples at rest that count for the rest bend; further ones share errors of the model.
+"""
 
 _FIRST_LEAK = 0.1
 """Leak rate with which a search starts, 1/s."""
@@ -92,25 +102,35 @@ class HangingBody:
     inertia: float
 
     @classmethod
-    def of(cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None) -> HangingBody:
+    def of(
+        cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None
+    ) -> HangingBody:
         """Return the first connector of a robot, or a body with another mass or moment of inertia.
 
         Without `inertia`, the body has the connector's radius of gyration.
 
         Raises:
-            InputError: a value is not positive, or the robot has no segment of this kind.
+            InputError: a value is not positive, or the robot has no segment of this
+                kind.
         """
         if spec.skin is not None or spec.chamber.directions is not None:
             raise InputError(
-                f"{spec.name}: a decay is only fitted for planar segments between connectors; this robot has "
-                "a skin or bends in space"
+                f"{spec.name}: a decay is only fitted for planar segments between"
+                " connectors; this robot has a skin or bends in space"
             )
         connector = spec.mass.connectors[0]
         mass = connector if mass is None else mass
-        inertia = float(spec.yaw_inertia()[0]) * mass / connector if inertia is None else inertia
-        if not (math.isfinite(mass) and mass > 0 and math.isfinite(inertia) and inertia >= 0):
+        inertia = (
+            float(spec.yaw_inertia()[0]) * mass / connector
+            if inertia is None
+            else inertia
+        )
+        if not (
+            math.isfinite(mass) and mass > 0 and math.isfinite(inertia) and inertia >= 0
+        ):
             raise InputError(
-                f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give more than 0"
+                f"mass {mass:g} kg with inertia {inertia:g} kg·m² is not allowed; give"
+                " more than 0"
             )
         return cls(mass, inertia)
 
@@ -119,7 +139,9 @@ class HangingBody:
         g, chamber = spec.geometry, spec.chamber
         plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
         air = (plus, minus, bend_law(spec), chamber.dead_volume, chamber.displacement)
-        return HangingSegment(g.segment_length, g.rigid_gap, self.mass, self.inertia, *air, encloses_air)
+        return HangingSegment(
+            g.segment_length, g.rigid_gap, self.mass, self.inertia, *air, encloses_air
+        )
 
 
 def fit_damping(
@@ -142,26 +164,34 @@ def fit_damping(
         watch: progress callback, see `least_squares`.
 
     Raises:
-        InputError: there is no decay, or the valves are unknown or contradict measured pressures.
+        InputError: there is no decay, or the valves are unknown or contradict measured
+            pressures.
     """
     check_choice("valves", valves, VALVES)
     if not decays:
         raise InputError("a fit needs decays; give at least one")
     measured = [decay.pressure is not None for decay in decays]
     if any(measured) and (valves == "open" or not all(measured)):
-        raise InputError("measured pressures need closed valves, and all files must have them")
-    fit = _DampingFit(decays, spec, body or HangingBody.of(spec), valves == "closed", leak)
+        raise InputError(
+            "measured pressures need closed valves, and all files must have them"
+        )
+    fit = _DampingFit(
+        decays, spec, body or HangingBody.of(spec), valves == "closed", leak
+    )
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    # The frequency does not depend on the law of the material, so the bias of k and T does not widen it.
+    # The frequency does not depend on the law of the material, so the bias of k and T
+    # does not widen it.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
     derived = (
         _derived(start, fit, "frequency", "Hz", error),
         _derived(estimate, fit, "loss_factor", "1"),
     )
-    kept = [k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES]
+    kept = [
+        k for k, parameter in enumerate(estimate.parameters) if parameter.name in NAMES
+    ]
     return replace(
         estimate,
         parameters=tuple(estimate.parameters[k] for k in kept),
@@ -175,25 +205,41 @@ class _DampingFit:
     """Model of several decays, and the best values of its unknowns so far."""
 
     def __init__(
-        self, decays: Sequence[Decay], spec: RobotSpec, body: HangingBody, closed: bool, leak: float | None
+        self,
+        decays: Sequence[Decay],
+        spec: RobotSpec,
+        body: HangingBody,
+        closed: bool,
+        leak: float | None,
     ) -> None:
         self.decays, self.spec, self.body, self.closed = decays, spec, body, closed
         self.encloses_air = closed and decays[0].pressure is None
         self.segment = body.segment(spec, self.encloses_air)
         self.free_leak = self.encloses_air and leak is None
-        self.calm = [calm_samples(decay) for decay in decays] if self.encloses_air else []
+        self.calm = (
+            [calm_samples(decay) for decay in decays] if self.encloses_air else []
+        )
         self.grids = [_grid(decay) for decay in decays]
-        self.air = [_measured_air(decay, spec, grid) for decay, grid in zip(decays, self.grids, strict=True)]
-        self.values = self._first_values() | {"leak": _FIRST_LEAK if leak is None else leak}
+        self.air = [
+            _measured_air(decay, spec, grid)
+            for decay, grid in zip(decays, self.grids, strict=True)
+        ]
+        self.values = self._first_values() | {
+            "leak": _FIRST_LEAK if leak is None else leak
+        }
         if not self.encloses_air:
             self.values["leak"] = 0.0
 
     def _first_values(self) -> dict[str, float]:
         """Return values of the unknowns that follow from the first recording."""
         first = self.decays[0]
-        # The squared frequency is linear in k: the weight adds a constant, the air a share of k.
+        # The squared frequency is linear in k: the weight adds a constant, the air a
+        # share of k.
         segment, air = self.body.segment(self.spec, self.closed), self._air_at_end()
-        one, two = (ringing(segment, Material(k, 0.0), 0.0, air).frequency ** 2 for k in (1.0, 2.0))
+        one, two = (
+            ringing(segment, Material(k, 0.0), 0.0, air).frequency ** 2
+            for k in (1.0, 2.0)
+        )
         squared = first.half_period**-2 / 4
         values = {
             NAMES[0]: max(1 + (squared - one) / (two - one), 0.05 * squared / one),
@@ -208,7 +254,9 @@ class _DampingFit:
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
         """Return the unknowns; `coarse` ones exclude leak and recovery, which few swings do not show."""
 
-        def free(name: str, unit: str, bounds: tuple[float, float], scale: float) -> FreeParameter:
+        def free(
+            name: str, unit: str, bounds: tuple[float, float], scale: float
+        ) -> FreeParameter:
             start = min(max(self.values[name], bounds[0]), bounds[1])
             return FreeParameter(name, unit, start, *bounds, scale)
 
@@ -219,10 +267,14 @@ class _DampingFit:
             size = float(np.ptp(decay.bend))
             speed = size * decay.pulsation
             unknowns.append(free(f"bend_{k}", "rad", (-4.0, 4.0), size))
-            unknowns.append(free(f"rate_{k}", "rad/s", (-20 * speed, 20 * speed), speed))
+            unknowns.append(
+                free(f"rate_{k}", "rad/s", (-20 * speed, 20 * speed), speed)
+            )
             unknowns.append(free(f"rest_{k}", "rad", (-4.0, 4.0), size))
             for j in range(0 if coarse else len(_CREEP_RATIOS)):
-                unknowns.append(free(f"creep_{j}_{k}", "rad", (-3 * size, 3 * size), size))
+                unknowns.append(
+                    free(f"creep_{j}_{k}", "rad", (-3 * size, 3 * size), size)
+                )
         return unknowns
 
     def search(
@@ -242,11 +294,20 @@ class _DampingFit:
             for k, (decay, bend) in enumerate(zip(self.decays, fitted, strict=True)):
                 used = decay.time <= decay.time[0] + 2 * swings * decay.half_period
                 difference = (bend - self._swing(values, k)[0])[used]
-                result.append(Residual(f"{decay.name} bend", "rad", difference, _scale(decay)))
-            # A wrong leak rate, which few swings do not show, would contradict the bend at rest.
-            return result if swings < math.inf else [*result, *self._rest_residuals(values)]
+                result.append(
+                    Residual(f"{decay.name} bend", "rad", difference, _scale(decay))
+                )
+            # A wrong leak rate, which few swings do not show, would contradict the bend
+            # at rest.
+            return (
+                result
+                if swings < math.inf
+                else [*result, *self._rest_residuals(values)]
+            )
 
-        estimate = least_squares(residuals, unknowns, watch=watch, refit=refit, options=_SEARCH)
+        estimate = least_squares(
+            residuals, unknowns, watch=watch, refit=refit, options=_SEARCH
+        )
         if bends is None:
             self.values |= estimate.values
         return estimate
@@ -258,13 +319,22 @@ class _DampingFit:
             bend = float(decay.before[:calm].mean())
             rest = bend - weight_moment(self.segment, bend) / values[NAMES[0]]
             scale = _scale(decay) / math.sqrt(min(calm, _MAX_CALM_SAMPLES))
-            yield Residual(f"{decay.name} rest", "rad", np.array([rest - values[f"rest_{k}"]]), scale)
+            yield Residual(
+                f"{decay.name} rest",
+                "rad",
+                np.array([rest - values[f"rest_{k}"]]),
+                scale,
+            )
 
     def refit(self, values: Mapping[str, float]) -> Mapping[str, float]:
         """Return the fit to decays of a material with a constant loss factor."""
         pulsation = 2 * math.pi * self.small_swing(values).frequency
         bends = [self._swing(values, k, pulsation)[0] for k in range(len(self.decays))]
-        return self.values | dict(values) | self.search(self.unknowns(), bends=bends).values
+        return (
+            self.values
+            | dict(values)
+            | self.search(self.unknowns(), bends=bends).values
+        )
 
     def frequency_error(self) -> float:
         """Return ln of the fitted over the true frequency for a material with a constant loss factor."""
@@ -275,16 +345,24 @@ class _DampingFit:
     def _material(self, values: Mapping[str, float]) -> Material:
         return Material(values[NAMES[0]], values[NAMES[1]], values["leak"])
 
-    def small_swing(self, values: Mapping[str, float], constant_about: float | None = None) -> Ringing:
+    def small_swing(
+        self, values: Mapping[str, float], constant_about: float | None = None
+    ) -> Ringing:
         """Return the small oscillation at the end of the first recording.
 
         Args:
-            values: values of the unknowns; those that are missing have their best value so far.
-            constant_about: frequency about which the loss factor is constant, rad/s; None: viscous damping.
+            values: values of the unknowns; those that are missing have their best value
+                so far.
+            constant_about: frequency about which the loss factor is constant, rad/s;
+                None: viscous damping.
         """
         values = self.values | dict(values)
         material, branches = self._material(values), NO_BRANCHES
-        air = self._swing(values, 0, constant_about)[1][2:4] if self.encloses_air else self._air_at_end()
+        air = (
+            self._swing(values, 0, constant_about)[1][2:4]
+            if self.encloses_air
+            else self._air_at_end()
+        )
         if constant_about is not None:
             material, branches, _ = constant_loss(material, constant_about, 0.0)
         segment = self.body.segment(self.spec, self.closed)
@@ -300,12 +378,16 @@ class _DampingFit:
         air = self._enclosed_air(decay, material.leak)
         rest = values[f"rest_{k}"] + self.air[k]
         for j, ratio in enumerate(_CREEP_RATIOS):
-            rest = rest + values[f"creep_{j}_{k}"] * np.exp((grid[0] - grid) * decay.pulsation / ratio)
+            rest = rest + values[f"creep_{j}_{k}"] * np.exp(
+                (grid[0] - grid) * decay.pulsation / ratio
+            )
         bend, rate = values[f"bend_{k}"], values[f"rate_{k}"]
         if constant_about is not None:
             material, branches, moments = constant_loss(material, constant_about, rate)
         start = np.concatenate([[bend, rate], air, moments])
-        path, end = swing(grid, start, rest, decay.pulsation, material, self.segment, branches)
+        path, end = swing(
+            grid, start, rest, decay.pulsation, material, self.segment, branches
+        )
         return path[:: len(grid) // len(decay.time)], end
 
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
@@ -322,7 +404,9 @@ class _DampingFit:
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
-        amounts: np.ndarray = (AMBIENT_PA + pressure) * self._volumes(np.median(first.bend[end]))
+        amounts: np.ndarray = (AMBIENT_PA + pressure) * self._volumes(
+            np.median(first.bend[end])
+        )
         return amounts
 
     def _volumes(self, bend: np.ndarray) -> np.ndarray:
@@ -335,7 +419,9 @@ class _DampingFit:
         """Return the values on which the estimates depend."""
         held = {"mass_kg": self.body.mass, "inertia_kg_m2": self.body.inertia}
         if self.closed:
-            held["air_stiffness_nm_per_rad"] = self.small_swing(self.values).air_stiffness
+            held["air_stiffness_nm_per_rad"] = self.small_swing(
+                self.values
+            ).air_stiffness
         if self.encloses_air and not self.free_leak:
             held["leak_per_s"] = self.values["leak"]
         return held
@@ -345,7 +431,11 @@ def _grid(decay: Decay) -> np.ndarray:
     if decay.pressure is None:
         return decay.time
     samples = np.arange(len(decay.time))
-    return np.asarray(np.interp(np.arange(len(samples) * _UPSAMPLING) / _UPSAMPLING, samples, decay.time))
+    return np.asarray(
+        np.interp(
+            np.arange(len(samples) * _UPSAMPLING) / _UPSAMPLING, samples, decay.time
+        )
+    )
 
 
 def _measured_air(decay: Decay, spec: RobotSpec, grid: np.ndarray) -> np.ndarray:
@@ -362,14 +452,19 @@ def _scale(decay: Decay) -> float:
 
 
 def _derived(
-    estimate: FitEstimate, fit: _DampingFit, name: str, unit: str, model_error: float = 0.0
+    estimate: FitEstimate,
+    fit: _DampingFit,
+    name: str,
+    unit: str,
+    model_error: float = 0.0,
 ) -> Parameter:
     """Return a quantity of the small oscillation with an interval by linear propagation of errors.
 
     Args:
         estimate: estimate with all unknowns.
         fit: model.
-        name: attribute of `Ringing`; it is positive, and its interval is that of its logarithm.
+        name: attribute of `Ringing`; it is positive, and its interval is that of its
+            logarithm.
         unit: unit of the quantity.
         model_error: further error of the logarithm.
     """
@@ -377,18 +472,32 @@ def _derived(
     def logarithm(changes: Mapping[str, float]) -> float:
         return math.log(getattr(fit.small_swing(estimate.values | dict(changes)), name))
 
-    rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
+    rows = [
+        k
+        for k, parameter in enumerate(estimate.parameters)
+        if parameter.value is not None
+    ]
     changes = []
     for parameter in (estimate.parameters[k] for k in rows):
-        value, step = parameter.value or 0.0, _ERROR_STEP * (parameter.standard_error or 0.0)
-        up, down = (logarithm({parameter.name: value + sign * step}) for sign in (1, -1))
+        value, step = (
+            parameter.value or 0.0,
+            _ERROR_STEP * (parameter.standard_error or 0.0),
+        )
+        up, down = (
+            logarithm({parameter.name: value + sign * step}) for sign in (1, -1)
+        )
         changes.append((up - down) / (2 * _ERROR_STEP))
     row = np.array(changes)
     variance = float(row @ estimate.correlation[np.ix_(rows, rows)] @ row)
     error = math.hypot(math.sqrt(max(variance, 0.0)), model_error)
     freedom = max(estimate.independent - len(estimate.parameters), 1.0)
-    half, value = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error, math.exp(logarithm({}))
-    verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
+    half, value = (
+        float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error,
+        math.exp(logarithm({})),
+    )
+    verdict: Verdict = (
+        "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
+    )
     if estimate.misfit:
         verdict = "cannot tell"
     low, high = value * math.exp(-half), value * math.exp(half)

@@ -1,12 +1,12 @@
 """Recordings of decays: the free swing of a segment that is held bent and released.
 
-A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), at 100 Hz or more. Optional
-``pressure_plus_kpa`` and ``pressure_minus_kpa`` are gauge pressures of closed chambers. The free swing begins
-at the largest speed, about a quarter of a swing after the release. It ends after twice the time in which half
-swings are visible.
+A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), at 100 Hz
+or more. Optional ``pressure_plus_kpa`` and ``pressure_minus_kpa`` are gauge pressures
+of closed chambers. The free swing begins at the largest speed, about a quarter of a
+swing after the release. It ends after twice the time in which half swings are visible.
 
-The noise follows from the smallest singular values of the trajectory matrix: neighbouring samples of a swing
-satisfy a linear recurrence, which only noise disturbs.
+The noise follows from the smallest singular values of the trajectory matrix:
+neighbouring samples of a swing satisfy a linear recurrence, which only noise disturbs.
 """
 
 from __future__ import annotations
@@ -63,9 +63,11 @@ class Decay:
         sha256: SHA-256 of the file.
         time: times of the free swing, shape (samples,), s.
         bend: measured bends, shape (samples,), rad.
-        before: bends recorded before the free swing, and its first one, shape (earlier samples + 1,), rad.
+        before: bends recorded before the free swing, and its first one, shape (earlier
+            samples + 1,), rad.
         before_time: times of these bends, s.
-        pressure: measured gauge pressures, + before −, shape (samples, 2), Pa; None if not measured.
+        pressure: measured gauge pressures, + before −, shape (samples, 2), Pa; None if
+            not measured.
         noise: standard deviation of a bend, rad.
         half_period: mean time between two turning points, s.
         log_decrement: mean logarithm of the ratio of two successive half swings.
@@ -89,59 +91,82 @@ class Decay:
 
     def first_state(self) -> tuple[float, float]:
         """Return bend (rad) and rate (rad/s) at the first time, estimated by a sine in the first swing."""
-        since = self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
+        since = (
+            self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
+        )
         phase = self.pulsation * since
         sine = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1)
-        mean, at_start, forward = np.linalg.lstsq(sine, self.bend[: len(since)], rcond=None)[0]
+        mean, at_start, forward = np.linalg.lstsq(
+            sine, self.bend[: len(since)], rcond=None
+        )[0]
         return float(mean + at_start), float(forward) * self.pulsation
 
     def text(self) -> str:
         """Return what was found in the recording, one line."""
         return (
-            f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s, about "
-            f"{0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
+            f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s,"
+            f" about {0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
         )
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
         return DataSet(
-            self.name, self.sha256, role, len(self.time), float(self.time[0]), float(self.time[-1])
+            self.name,
+            self.sha256,
+            role,
+            len(self.time),
+            float(self.time[0]),
+            float(self.time[-1]),
         )
 
 
-def read_decay(path: StrPath, *, start: float | None = None, noise: float | None = None) -> Decay:
+def read_decay(
+    path: StrPath, *, start: float | None = None, noise: float | None = None
+) -> Decay:
     """Read the free swing in a recording.
 
     Args:
         path: CSV file.
-        start: time from which the segment swings freely, s; None: the time of its largest speed, about a
-            quarter of a swing after the release.
+        start: time from which the segment swings freely, s; None: the time of its
+            largest speed, about a quarter of a swing after the release.
         noise: standard deviation of a bend, rad; None: estimated.
 
     Raises:
-        InputError: a column is missing, or the recording does not show a swing that tells k and T apart.
+        InputError: a column is missing, or the recording does not show a swing that
+            tells k and T apart.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
     file = table.file
     by_name = {column.name: column for column in table.columns if not column.number}
     if "bend" not in by_name:
-        raise file.error(f"no column 'bend_rad'; a recording of a decay has {DECAY_COLUMNS}", 1)
+        raise file.error(
+            f"no column 'bend_rad'; a recording of a decay has {DECAY_COLUMNS}", 1
+        )
     measured = [name for name in pressures if name in by_name]
     if len(measured) == 1:
-        raise file.error(f"{measured[0]} alone; give the pressures of both chambers or none", 1)
+        raise file.error(
+            f"{measured[0]} alone; give the pressures of both chambers or none", 1
+        )
     clock = table.clock(f"no time; a recording of a decay has {DECAY_COLUMNS}")
     rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
     known = np.isfinite(rows.values).all(axis=1)
     time, values = rows.time[known], rows.values[known]
     if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
-        problem = f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are needed"
+        problem = (
+            f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are"
+            " needed"
+        )
         raise file.error(problem)
     rate = 1 / float(np.median(np.diff(time)))
     if rate < _MIN_RATE_HZ * (1 - 1e-3):
-        raise file.error(f"{rate:.3g} samples per second; {_MIN_RATE_HZ:g} Hz or more is needed")
+        raise file.error(
+            f"{rate:.3g} samples per second; {_MIN_RATE_HZ:g} Hz or more is needed"
+        )
     pressure = values[:, 1:] if measured else None
-    return free_swing(file.name, file.sha256, time, values[:, 0], pressure, start=start, noise=noise)
+    return free_swing(
+        file.name, file.sha256, time, values[:, 0], pressure, start=start, noise=noise
+    )
 
 
 def free_swing(
@@ -157,7 +182,8 @@ def free_swing(
     """Return the free swing in recorded bends; the arguments are those of `Decay` and `read_decay`.
 
     Raises:
-        InputError: the swing is too small, too short, overdamped or too fast for the sampling.
+        InputError: the swing is too small, too short, overdamped or too fast for the
+            sampling.
     """
     noise = _noise(bend) if noise is None else noise
     if start is None:
@@ -165,31 +191,39 @@ def free_swing(
     else:
         first = int(np.searchsorted(time, start))
         if first >= len(time):
-            raise InputError(f"{name}: it ends at {time[-1]:g} s, before the free swing from {start:g} s")
+            raise InputError(
+                f"{name}: it ends at {time[-1]:g} s, before the free swing from"
+                f" {start:g} s"
+            )
     size = float(np.ptp(bend[max(first - 1, 0) :]))
     threshold = max(_MIN_TURN * noise, _MIN_TURN_SHARE * size)
     if size <= _MIN_SIZE * noise:
         raise InputError(
-            f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the segment from a larger "
-            "bend"
+            f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the"
+            " segment from a larger bend"
         )
     turns = [first + turn for turn in _turning_points(bend[first:], threshold)]
     if len(turns) < _MIN_HALF_SWINGS:
         raise InputError(
-            f"{name}: {len(turns)} visible half swings; {_MIN_HALF_SWINGS} or more are needed. An overdamped "
-            "decay tells only the product k T: hang a heavier body, or record longer"
+            f"{name}: {len(turns)} visible half swings; {_MIN_HALF_SWINGS} or more are"
+            " needed. An overdamped decay tells only the product k T: hang a heavier"
+            " body, or record longer"
         )
     half_period = float(time[turns[-1]] - time[turns[0]]) / (len(turns) - 1)
     spacing = float(np.median(np.diff(time)))
     if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
         raise InputError(
-            f"{name}: {2 * half_period / spacing:.2g} samples per swing; {_MIN_SAMPLES_PER_SWING:g} or more "
-            "are needed: record faster, or hang a heavier body"
+            f"{name}: {2 * half_period / spacing:.2g} samples per swing;"
+            f" {_MIN_SAMPLES_PER_SWING:g} or more are needed: record faster, or hang a"
+            " heavier body"
         )
     end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
     used = slice(first, int(np.searchsorted(time, end, side="right")))
     if len(time[used]) < _MIN_SAMPLES:
-        problem = f"{len(time[used])} samples of free swing; {_MIN_SAMPLES} or more are needed"
+        problem = (
+            f"{len(time[used])} samples of free swing; {_MIN_SAMPLES} or more are"
+            " needed"
+        )
         raise InputError(f"{name}: {problem}")
     swings = np.abs(np.diff(bend[turns]))
     decrement = float(np.mean(np.log(swings[:-1] / swings[1:])))
@@ -235,13 +269,17 @@ def calm_samples(decay: Decay) -> int:
     Raises:
         InputError: the recording begins with a bent or moving segment.
     """
-    moved = np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES])) > _MIN_TURN * decay.noise
+    moved = (
+        np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES]))
+        > _MIN_TURN * decay.noise
+    )
     calm = int(np.argmax(moved)) if moved.any() else len(moved)
     held = decay.before[decay.before_time < decay.time[0] - decay.half_period]
     bent = float(np.abs(held - decay.before[0]).max(initial=0.0))
     if calm < _MIN_CALM_SAMPLES or bent < float(np.ptp(decay.bend)) / 4:
         raise InputError(
-            f"{decay.name}: the recording of closed valves begins with a bent or moving segment; close the "
-            "valves at rest, start recording, and only then bend and release it (or record the pressures)"
+            f"{decay.name}: the recording of closed valves begins with a bent or moving"
+            " segment; close the valves at rest, start recording, and only then bend"
+            " and release it (or record the pressures)"
         )
     return calm

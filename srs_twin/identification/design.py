@@ -1,18 +1,21 @@
 r"""Optimal experimental design: choose recordings that determine parameters to a requested accuracy.
 
-Each candidate is an experiment that the fits can use, with its predicted observations and their noise. Let J
-be the derivatives of the predictions with respect to the coordinates z, the logarithms of all uncertain
-parameters, and R the covariance of the noise. Then an experiment changes the information matrix Λ to
+Each candidate is an experiment that the fits can use, with its predicted observations
+and their noise. Let J be the derivatives of the predictions with respect to the
+coordinates z, the logarithms of all uncertain parameters, and R the covariance of the
+noise. Then an experiment changes the information matrix Λ to
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
-The initial Λ is that of the `uncertain` parameters of the robot file. The design is greedy. The next
-experiment minimises the mean logarithm of the ratio of interval to requested interval, over the intervals
-that are still too wide. It ends if no experiment narrows one of them by 2 %. For a parameter of value 0, such
-as drag, z is its value divided by a tenth of the robot's axial friction.
+The initial Λ is that of the `uncertain` parameters of the robot file. The design is
+greedy. The next experiment minimises the mean logarithm of the ratio of interval to
+requested interval, over the intervals that are still too wide. It ends if no experiment
+narrows one of them by 2 %. For a parameter of value 0, such as drag, z is its value
+divided by a tenth of the robot's axial friction.
 
-Model discrepancy is not included, except for gait runs: their noise contains 2 % of speed and turning rate,
-the difference between `compliant` and the twin, however long the run is.
+Model discrepancy is not included, except for gait runs: their noise contains 2 % of
+speed and turning rate, the difference between `compliant` and the twin, however long
+the run is.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.rollout import rollout
 
 PULL_SHARE = 0.015
-"""Relative standard error of the mean of ten pulls: 0.0015 of 0.0966 (Section 3.4.1)."""
+"""Relative standard error of the mean of ten pulls: 0.0015 of 0.0966 (Section 3.4.1).
+"""
 
 LENGTH_STD_M = 4e-4
 """Standard deviation of a length measured by markers during a run."""
@@ -102,7 +106,13 @@ def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     """Yield measurements of lengths and masses."""
 
     def lengths(robot: RobotSpec) -> Array:
-        return np.array([robot.geometry.segment_length, robot.geometry.rigid_gap, robot.geometry.half_track])
+        return np.array(
+            [
+                robot.geometry.segment_length,
+                robot.geometry.rigid_gap,
+                robot.geometry.half_track,
+            ]
+        )
 
     yield CandidateExperiment(
         "markers on connectors: calibrate locomotion gives the lengths",
@@ -110,7 +120,9 @@ def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         lengths,
         _constant_noise(LENGTH_STD_M),
     )
-    yield CandidateExperiment("weigh connectors", 5, lambda r: r.mass.array(), _constant_noise(MASS_STD_KG))
+    yield CandidateExperiment(
+        "weigh connectors", 5, lambda r: r.mass.array(), _constant_noise(MASS_STD_KG)
+    )
 
 
 def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
@@ -119,14 +131,23 @@ def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         words = f" with {1000 * load:.0f} g on it" if load else ""
 
         def along(robot: RobotSpec, load: float = load) -> Array:
-            return np.array([robot.friction.mu_t * (robot.mass.total + load) * GRAVITY + robot.friction.drag])
+            return np.array(
+                [
+                    robot.friction.mu_t * (robot.mass.total + load) * GRAVITY
+                    + robot.friction.drag
+                ]
+            )
 
         def across(robot: RobotSpec, load: float = load) -> Array:
             return np.array([robot.friction.mu_n * (robot.mass.total + load) * GRAVITY])
 
         noise = _relative_noise(PULL_SHARE)
-        yield CandidateExperiment(f"10 pulls along{words}, hoses as in use, moving", 10, along, noise)
-        yield CandidateExperiment(f"10 pulls across{words}, wheels fixed, moving", 10, across, noise)
+        yield CandidateExperiment(
+            f"10 pulls along{words}, hoses as in use, moving", 10, along, noise
+        )
+        yield CandidateExperiment(
+            f"10 pulls across{words}, wheels fixed, moving", 10, across, noise
+        )
 
 
 def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
@@ -140,9 +161,12 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         return air_bend(robot, pressure)[:, 0]
 
     yield CandidateExperiment(
-        f"held pressures up to {supply / 1e3:.0f} kPa, segments lifted: calibrate actuator --static",
-        20, static, _constant_noise(BEND_STD_RAD),
-    )  # fmt: skip
+        f"held pressures up to {supply / 1e3:.0f} kPa, segments lifted: calibrate"
+        " actuator --static",
+        20,
+        static,
+        _constant_noise(BEND_STD_RAD),
+    )
 
     def steps(robot: RobotSpec) -> Array:
         chambers, bends = LagPneumatics(robot, supply_pa=supply), []
@@ -151,7 +175,9 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
             valves[0, 0] = state
             duration = 4 * max(spec.actuator.tau_fill, spec.actuator.tau_vent)
             times = np.linspace(0, duration, 41)[1:]
-            bends.append(chambers.advance(chambers.schedule(valves, duration), times).bend[:, 0])
+            bends.append(
+                chambers.advance(chambers.schedule(valves, duration), times).bend[:, 0]
+            )
         return np.concatenate(bends)
 
     yield CandidateExperiment(
@@ -172,16 +198,27 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         std[bends] = np.hypot(BEND_STD_RAD, RUN_DISCREPANCY * predicted[bends])
         return std
 
-    for frequency, offset in ((1.0, 0.0), (1.5, 0.0), (2.0, 0.0), (1.0, 0.3), (2.0, 0.3)):
+    for frequency, offset in (
+        (1.0, 0.0),
+        (1.5, 0.0),
+        (2.0, 0.0),
+        (1.0, 0.3),
+        (2.0, 0.3),
+    ):
 
-        def run(robot: RobotSpec, frequency: float = frequency, offset: float = offset) -> Array:
-            snake = AnalyticalSnake(robot, model="compliant", friction="wheel", supply_pa=supply)
+        def run(
+            robot: RobotSpec, frequency: float = frequency, offset: float = offset
+        ) -> Array:
+            snake = AnalyticalSnake(
+                robot, model="compliant", friction="wheel", supply_pa=supply
+            )
             metrics = plant_metrics(rollout(snake, Gait(frequency, offset=offset), 6.0))
             observed = [metrics["com_speed_m_s"], *metrics["bend_amplitude_rad"]]
             return np.array(observed + ([metrics["yaw_rate_rad_s"]] if offset else []))
 
         description = (
-            f"walk at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa, 20 s: calibrate locomotion"
+            f"walk at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa, 20"
+            " s: calibrate locomotion"
         )
         yield CandidateExperiment(description, 5, run, noise)
 
@@ -192,8 +229,8 @@ class ExperimentDesign:
 
     Attributes:
         chosen: experiments in order.
-        after: requested parameter → half its 95 % interval after each experiment, relative to its value (in
-            its unit if the value is 0).
+        after: requested parameter → half its 95 % interval after each experiment,
+            relative to its value (in its unit if the value is 0).
         before: the same before the first experiment.
         targets: requested accuracy.
     """
@@ -236,7 +273,8 @@ def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDes
 
     Args:
         robot: name or path of the robot, whose file states what is known.
-        want: parameter → half the requested 95 % interval, relative to its value: 0.05 for 5 %.
+        want: parameter → half the requested 95 % interval, relative to its value: 0.05
+            for 5 %.
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
@@ -244,33 +282,48 @@ def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDes
     file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
     has_priors = any(record.uncertain for record in file.records().values())
     priors = Priors.from_robot(file).parameters if has_priors else ()
-    known = {prior.path: (prior.value, float(prior.quantile(shares).std())) for prior in priors}
+    known = {
+        prior.path: (prior.value, float(prior.quantile(shares).std()))
+        for prior in priors
+    }
     return choose_experiments(file.spec(), known, want)
 
 
 def choose_experiments(
-    spec: RobotSpec, known: Mapping[str, tuple[float, float]], targets: Mapping[str, float]
+    spec: RobotSpec,
+    known: Mapping[str, tuple[float, float]],
+    targets: Mapping[str, float],
 ) -> ExperimentDesign:
     """Choose experiments until the requested accuracy is reached (module docstring).
 
     Args:
         spec: robot with its present values.
-        known: uncertain parameter → its value and standard deviation, from the robot file.
+        known: uncertain parameter → its value and standard deviation, from the robot
+            file.
         targets: parameter → half the requested 95 % interval, relative to its value.
 
     Raises:
         InputError: no parameter is requested.
     """
     if not targets:
-        raise InputError("--want names nothing; give parameters such as friction.mu_t=5%")
+        raise InputError(
+            "--want names nothing; give parameters such as friction.mu_t=5%"
+        )
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
     names = list(dict.fromkeys([*targets, *known]))
-    values = {name: known[name][0] if name in known else _value(spec, name) for name in names}
+    values = {
+        name: known[name][0] if name in known else _value(spec, name) for name in names
+    }
     scale = np.array([abs(values[name]) or zero_scale for name in names])
-    std = np.array([known[name][1] if name in known else np.inf for name in names]) / scale
+    std = (
+        np.array([known[name][1] if name in known else np.inf for name in names])
+        / scale
+    )
     information = np.diag(1 / np.minimum(std, _PRIOR_STD) ** 2)
     offered = list(candidates(spec))
-    gains = [_information(experiment, spec, names, values, scale) for experiment in offered]
+    gains = [
+        _information(experiment, spec, names, values, scale) for experiment in offered
+    ]
     rows = [names.index(name) for name in targets]
     goals = np.array(list(targets.values()))
     units = np.array([1.0 if values[name] else zero_scale for name in targets])
@@ -285,9 +338,13 @@ def choose_experiments(
     while (current > goals).any():
         too_wide = current > goals
         scores = [
-            np.inf
-            if chosen.count(k) >= _MAX_REPETITIONS
-            else np.log(np.maximum(widths(information + gain) / goals, 1.0)[too_wide]).mean()
+            (
+                np.inf
+                if chosen.count(k) >= _MAX_REPETITIONS
+                else np.log(
+                    np.maximum(widths(information + gain) / goals, 1.0)[too_wide]
+                ).mean()
+            )
             for k, gain in enumerate(gains)
         ]
         best = int(np.argmin(scores))
@@ -298,7 +355,9 @@ def choose_experiments(
         information, current = information + gains[best], narrowed
         chosen.append(best)
         after.append(current)
-    columns = {name: tuple(float(row[i]) for row in after) for i, name in enumerate(targets)}
+    columns = {
+        name: tuple(float(row[i]) for row in after) for i, name in enumerate(targets)
+    }
     experiments = tuple(offered[k] for k in chosen)
     initial = dict(zip(targets, map(float, before), strict=True))
     return ExperimentDesign(experiments, columns, initial, dict(targets))
@@ -321,7 +380,9 @@ def _information(
     for name, size in zip(names, scale, strict=True):
         up = values[name] + _STEP * size
         down = values[name] - _STEP * size if values[name] else 0.0
-        ends = [experiment.predict(with_values(spec, {name: value})) for value in (up, down)]
+        ends = [
+            experiment.predict(with_values(spec, {name: value})) for value in (up, down)
+        ]
         columns.append((ends[0] - ends[1]) / ((up - down) / size))
     slopes = np.stack(columns, axis=1) / experiment.noise(predicted)[:, None]
     return np.asarray(slopes.T @ slopes)

@@ -1,20 +1,22 @@
 r"""Result of a fit: parameter values with verdicts, and residuals.
 
-The verdicts of `identifiability` assume that the model is right. If the weighted residuals, all or those of
-one kind of signal, exceed their noise by more than `MAX_RESIDUAL_SCALE`, no parameter is identified. The
-interval is then only the scatter about the best value under a wrong model, and the verdict is "cannot tell".
+The verdicts of `identifiability` assume that the model is right. If the weighted
+residuals, all or those of one kind of signal, exceed their noise by more than
+`MAX_RESIDUAL_SCALE`, no parameter is identified. The interval is then only the scatter
+about the best value under a wrong model, and the verdict is "cannot tell".
 
-**Independent samples.** Residuals of neighbouring samples are correlated, because cameras and filters smooth
-the noise and because of model errors. With their autocorrelation ρ_k, n samples determine a mean as well as
-n/τ independent ones,
+**Independent samples.** Residuals of neighbouring samples are correlated, because
+cameras and filters smooth the noise and because of model errors. With their
+autocorrelation ρ_k, n samples determine a mean as well as n/τ independent ones,
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k , $$
 
-summed while the pairs ρ_{2m} + ρ_{2m+1} are positive (initial positive sequence; Geyer 1992, Statistical
-Science 7). A fit of p parameters removes the slow part of the noise from the residuals, a fraction of about
-c = p τ/n of their power at all short lags. This is corrected by ρ_k → (ρ_k + c)/(1 + c), iterated because c
-depends on τ. All series are pooled, weighted by their power. Series that are too short, such as pulls or
-averages of runs, count as independent samples.
+summed while the pairs ρ_{2m} + ρ_{2m+1} are positive (initial positive sequence; Geyer
+1992, Statistical Science 7). A fit of p parameters removes the slow part of the noise
+from the residuals, a fraction of about c = p τ/n of their power at all short lags. This
+is corrected by ρ_k → (ρ_k + c)/(1 + c), iterated because c depends on τ. All series are
+pooled, weighted by their power. Series that are too short, such as pulls or averages of
+runs, count as independent samples.
 """
 
 from __future__ import annotations
@@ -52,7 +54,8 @@ class Residual:
         name: names of data set and signal, ``"step_1 bend_2"``.
         unit: unit of the values.
         values: residuals, shape (samples,), in the order of time for a time series.
-        scale: standard deviation of the expected noise, in the unit; the inverse weight in the fit.
+        scale: standard deviation of the expected noise, in the unit; the inverse weight
+            in the fit.
         role: "fit", or "validation" for data that the fit does not use.
     """
 
@@ -75,10 +78,11 @@ class Parameter:
     Attributes:
         name: name, see `parameters`.
         unit: unit of all values here.
-        verdict: "identified": the standard error is at most a tenth of the value or scale. "weakly
-            identified": it is at most once the value or scale. "cannot tell": the model does not explain the
-            data, and the interval is only the scatter about the best value under a wrong model. "not
-            identifiable": these data do not determine it; such a parameter has no values.
+        verdict: "identified": the standard error is at most a tenth of the value or
+            scale. "weakly identified": it is at most once the value or scale. "cannot
+            tell": the model does not explain the data, and the interval is only the
+            scatter about the best value under a wrong model. "not identifiable": these
+            data do not determine it; such a parameter has no values.
         value: estimate.
         standard_error: standard error of the estimate.
         low: lower end of the 95 % confidence interval.
@@ -99,15 +103,20 @@ class Parameter:
         numbers = (self.value, self.standard_error, self.low, self.high)
         is_empty = self.verdict == "not identifiable"
         if any((number is None) != is_empty for number in numbers):
-            expected = "no numbers" if is_empty else "value, standard_error, low and high"
+            expected = (
+                "no numbers" if is_empty else "value, standard_error, low and high"
+            )
             raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
 
 
-def correlation_matrix(covariance: np.ndarray, parameters: Sequence[Parameter]) -> np.ndarray:
+def correlation_matrix(
+    covariance: np.ndarray, parameters: Sequence[Parameter]
+) -> np.ndarray:
     """Return the correlation of parameters with values, NaN elsewhere, shape (parameters, parameters).
 
     Args:
-        covariance: covariance of the parameters, same shape; not used where a parameter has no value.
+        covariance: covariance of the parameters, same shape; not used where a parameter
+            has no value.
         parameters: parameters.
     """
     matrix = np.full(covariance.shape, np.nan)
@@ -126,14 +135,18 @@ class FitEstimate(HtmlResult):
 
     Attributes:
         parameters: estimated parameters, in the requested order.
-        correlation: correlation of the estimates, shape (parameters, parameters); NaN without a value.
+        correlation: correlation of the estimates, shape (parameters, parameters); NaN
+            without a value.
         residuals: residuals of all data, fit and validation.
-        cancels: unidentifiable directions, each as name → component in the coordinates of `parameters`;
-            {mass: 0.71, stiffness: 0.71} means that only their ratio has an effect.
+        cancels: unidentifiable directions, each as name → component in the coordinates
+            of `parameters`; {mass: 0.71, stiffness: 0.71} means that only their ratio
+            has an effect.
         samples: number of fitted samples.
         independent: equivalent number of independent samples, see `correlation_time`.
-        residual_scale: standard deviation of the weighted residuals; 1 if they are as large as expected.
-        held: values that were fixed in the fit and on which the estimates depend, by name.
+        residual_scale: standard deviation of the weighted residuals; 1 if they are as
+            large as expected.
+        held: values that were fixed in the fit and on which the estimates depend, by
+            name.
         converged: whether the search converged.
         derived: quantities that follow from the parameters, such as a frequency.
     """
@@ -153,13 +166,17 @@ class FitEstimate(HtmlResult):
 
     def __getitem__(self, name: str) -> Parameter:
         """Return a parameter by name."""
-        return next(parameter for parameter in self.parameters if parameter.name == name)
+        return next(
+            parameter for parameter in self.parameters if parameter.name == name
+        )
 
     @property
     def values(self) -> dict[str, float]:
         """Estimated values, by name."""
         return {
-            parameter.name: parameter.value for parameter in self.parameters if parameter.value is not None
+            parameter.name: parameter.value
+            for parameter in self.parameters
+            if parameter.value is not None
         }
 
     @property
@@ -176,11 +193,17 @@ class FitEstimate(HtmlResult):
         for i, parameter in enumerate(self.parameters):
             if parameter.value is None:
                 correlation[i], correlation[:, i] = np.nan, np.nan
-        return replace(self, parameters=(*self.parameters, *known), correlation=correlation)
+        return replace(
+            self, parameters=(*self.parameters, *known), correlation=correlation
+        )
 
     def rms(self, role: Role) -> float | None:
         """Return the RMS of the weighted residuals of a role; None without data."""
-        squares = [(r.values / r.scale) ** 2 for r in self.residuals if r.role == role and len(r.values)]
+        squares = [
+            (r.values / r.scale) ** 2
+            for r in self.residuals
+            if r.role == role and len(r.values)
+        ]
         return float(np.sqrt(np.concatenate(squares).mean())) if squares else None
 
     def text(self) -> str:
@@ -194,7 +217,9 @@ class FitEstimate(HtmlResult):
             why = f"; {parameter.why}" if parameter.why else ""
             value = f"{parameter.value:.5g} ± {parameter.standard_error:.2g}{unit}"
             interval = f"95 % {parameter.low:.5g} to {parameter.high:.5g}"
-            lines.append(f"{parameter.name}: {value}, {interval}: {parameter.verdict}{why}")
+            lines.append(
+                f"{parameter.name}: {value}, {interval}: {parameter.verdict}{why}"
+            )
         return "\n".join((*lines, *self.misfit))
 
 
@@ -217,7 +242,11 @@ def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]
 
 
 def _weighted_rms(residuals: Sequence[Residual]) -> float:
-    return float(np.sqrt(np.mean([(residual.rms / residual.scale) ** 2 for residual in residuals])))
+    return float(
+        np.sqrt(
+            np.mean([(residual.rms / residual.scale) ** 2 for residual in residuals])
+        )
+    )
 
 
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
@@ -237,7 +266,10 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
         if (scale := _weighted_rms(signals)) <= 1:
             break
         worst = max(signals, key=lambda residual: residual.rms / residual.scale)
-        halves = [[np.sum(half**2) for half in np.array_split(residual.values, 2)] for residual in signals]
+        halves = [
+            [np.sum(half**2) for half in np.array_split(residual.values, 2)]
+            for residual in signals
+        ]
         before, after = np.sum(halves, axis=0)
         is_growing = len(worst.values) >= _MIN_SERIES and after > _GROWTH**2 * before
         growing = ", growing with time" if is_growing else ""
@@ -262,13 +294,17 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
         series: residuals over time, each of shape (samples,), in comparable units.
         unknowns: p, the number of fitted parameters.
     """
-    long = [residuals for residuals in series if len(residuals) >= MIN_CORRELATED_SAMPLES]
+    long = [
+        residuals for residuals in series if len(residuals) >= MIN_CORRELATED_SAMPLES
+    ]
     if not long or not any(residuals.any() for residuals in long):
         return 1.0
     longest = max(len(residuals) for residuals in long)
     total = np.zeros(longest)
     for residuals in long:
-        total[: len(residuals)] += _autocovariance(residuals / max(abs(r).max() for r in long))
+        total[: len(residuals)] += _autocovariance(
+            residuals / max(abs(r).max() for r in long)
+        )
     rho = total / total[0]
     pairs = rho[: longest // 2 * 2].reshape(-1, 2).sum(axis=1)
     ends = np.flatnonzero(pairs <= 0)
@@ -278,7 +314,9 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     samples, time = sum(len(residuals) for residuals in long), uncorrected
     for _ in range(_ITERATIONS):
         removed = min(unknowns * time / samples, _MAX_REMOVED_SHARE)
-        time = max(1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * removed) / (1 + removed))
+        time = max(
+            1.0, 1.0 + 2 * (float(kept.sum()) - 1 + lags * removed) / (1 + removed)
+        )
     return time
 
 

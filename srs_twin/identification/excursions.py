@@ -1,7 +1,8 @@
 """Excursions: largest distance of a follower's body beyond its footprint, over runs along random paths.
 
-The runs use the conditions of a scenario, but follow random paths without obstacles of length `LENGTH_M`
-after the scenario's run-up. The seed of a run draws the modules, the camera noise and the path.
+The runs use the conditions of a scenario, but follow random paths without obstacles of
+length `LENGTH_M` after the scenario's run-up. The seed of a run draws the modules, the
+camera noise and the path.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ from srs_twin.io.documents import Override, Overrides
 from srs_twin.io.files import StrPath, check_output_folder, find_file, read_text
 from srs_twin.planning.follow_file import FollowFile
 from srs_twin.planning.follower import ENDINGS, Follower
-from srs_twin.planning.footprint_file import LOST_M, ExcursionsFile, load_footprint_file, save_footprint
+from srs_twin.planning.footprint_file import (
+    LOST_M,
+    ExcursionsFile,
+    load_footprint_file,
+    save_footprint,
+)
 from srs_twin.planning.metrics import beyond, following
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan
@@ -71,47 +77,69 @@ class FollowerRun:
         """Return the largest excursions during the run-up and after it, m."""
         scenario = parse_scenario(self.document | {"seed": self.seed})
         planner, follower = scenario.planner, scenario.build_controller()
-        assert planner is not None and isinstance(follower, Follower), "checked by `measure_excursions`"
+        assert planner is not None and isinstance(follower, Follower), (
+            "checked by `measure_excursions`"
+        )
         body = planner.problem.footprint
         rng = np.random.default_rng([self.seed, 0x5EED])
         arcs = _random_arcs(rng, body.curvatures[0], body.curvatures[-1])
 
         def plan_from(start: Pose, *run_up: tuple[float, float]) -> Plan:
-            return Plan(Outcome.FOUND, "drawn", path_from_arcs(start, [*run_up, *arcs], body))
+            return Plan(
+                Outcome.FOUND, "drawn", path_from_arcs(start, [*run_up, *arcs], body)
+            )
 
-        plan = plan_from(Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else []))
+        plan = plan_from(
+            Pose(*scenario.pose), *([(0.0, self.run_up)] if self.run_up else [])
+        )
         assert plan.end is not None, "it has segments"
         conditions = replace(follower.conditions, stray=math.inf, run_up=self.run_up)
         controller = replace(
-            follower, plan=plan, goal=Goal(plan.end.x, plan.end.y, None, math.inf), world=World(),
-            conditions=conditions, body=body, replan=lambda pose, share: plan_from(pose),
-        )  # fmt: skip
+            follower,
+            plan=plan,
+            goal=Goal(plan.end.x, plan.end.y, None, math.inf),
+            world=World(),
+            conditions=conditions,
+            body=body,
+            replan=lambda pose, share: plan_from(pose),
+        )
         longest = (self.run_up + LENGTH_M + 1) / (_SLOWEST_SHARE * min(body.speeds))
         # Use a multiple of the scenario's duration, which is a whole number of ticks.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
-            scenario.build_plant(self.plant), controller, duration,
-            pose=scenario.pose, seed=self.seed, record_hz=scenario.record_hz,
-        )  # fmt: skip
+            scenario.build_plant(self.plant),
+            controller,
+            duration,
+            pose=scenario.pose,
+            seed=self.seed,
+            record_hz=scenario.record_hz,
+        )
         metadata = following(trajectory)
         assert metadata is not None, "a follower ran"
         start = metadata["plans"][-1]["time"]
         excess, is_after = beyond(trajectory), trajectory.time >= start
-        during_run_up = float(excess[~is_after].max(initial=0.0)) if self.run_up else 0.0
+        during_run_up = (
+            float(excess[~is_after].max(initial=0.0)) if self.run_up else 0.0
+        )
         has_arrived = metadata["ending"] == next(iter(ENDINGS))
         return during_run_up, float(excess[is_after].max()) if has_arrived else LOST_M
 
 
-def _random_arcs(rng: np.random.Generator, low: float, high: float) -> list[tuple[float, float]]:
+def _random_arcs(
+    rng: np.random.Generator, low: float, high: float
+) -> list[tuple[float, float]]:
     """Return curvature and length of the arcs of a random path, straight or of extreme curvature as in plans.
 
     The first arc is curved, as it is in plans after a run-up.
     """
     arcs, left, heading, curvature = [], LENGTH_M, 0.0, 0.0
     while left > _MIN_ARC_M:
-        curvature = float(rng.choice([value for value in (low, 0.0, high) if value != curvature]))
+        curvature = float(
+            rng.choice([value for value in (low, 0.0, high) if value != curvature])
+        )
         length = min(float(rng.uniform(*_ARC_LENGTHS_M)), left)
-        # Limit the heading: on a path that crosses itself, the nearest part would be ambiguous.
+        # Limit the heading: on a path that crosses itself, the nearest part would be
+        # ambiguous.
         if curvature and abs(heading + curvature * length) > _MAX_HEADING:
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
@@ -150,7 +178,8 @@ def calibrate_margin(
         Excursions on each plant.
 
     Raises:
-        InputError: the scenario follows no plan, a run failed, or the file cannot be written.
+        InputError: the scenario follows no plan, a run failed, or the file cannot be
+            written.
     """
     loaded = load_scenario(scenario, set=[*Override.list_of(set), NO_MARGIN])
     kinds, done = plants or tuple(loaded.plants), itertools.count(1)
@@ -164,13 +193,22 @@ def calibrate_margin(
         progress(next(done), runs * len(kinds))
 
     measured = tuple(
-        measure_excursions(loaded, plant, runs, workers=workers, progress=count) for plant in kinds
+        measure_excursions(loaded, plant, runs, workers=workers, progress=count)
+        for plant in kinds
     )
     if path is not None:
         conditions = [result.conditions for result in measured]
-        kept = [old for old in file.excursions or () if old.conditions not in conditions]
-        comments = [line[2:] for line in read_text(source).splitlines() if line.startswith("# ")]
-        save_footprint(file.model_copy(update={"excursions": [*kept, *measured]}), path, header=comments)
+        kept = [
+            old for old in file.excursions or () if old.conditions not in conditions
+        ]
+        comments = [
+            line[2:] for line in read_text(source).splitlines() if line.startswith("# ")
+        ]
+        save_footprint(
+            file.model_copy(update={"excursions": [*kept, *measured]}),
+            path,
+            header=comments,
+        )
     return measured
 
 
@@ -199,11 +237,18 @@ def measure_excursions(
     """
     planner, controller = scenario.file.section("planner"), scenario.controller
     if planner is None or not isinstance(controller, FollowFile):
-        raise InputError(f"{scenario.name}: it follows no plan; margins are only for controller.kind: follow")
+        raise InputError(
+            f"{scenario.name}: it follows no plan; margins are only for"
+            " controller.kind: follow"
+        )
     robot = RobotFile.model_validate(scenario.document["robot"])
     settings = {plant: scenario.document["plants"].get(plant, {})}
-    contact = getattr(PlantsFile.model_validate(settings).running[plant], "contact", None)
-    conditions = controller.conditions(plant, contact, scenario.file.pneumatics.kind, robot, planner)
+    contact = getattr(
+        PlantsFile.model_validate(settings).running[plant], "contact", None
+    )
+    conditions = controller.conditions(
+        plant, contact, scenario.file.pneumatics.kind, robot, planner
+    )
     straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0}
     footprint = {"footprint": planner.footprint, "turn_share": planner.turn_share}
     document = {
@@ -213,7 +258,9 @@ def measure_excursions(
         "planner": straight | footprint,
         "plants": settings,
     }
-    jobs = [FollowerRun(document, conditions.run_up_m, plant, seed) for seed in range(runs)]
+    jobs = [
+        FollowerRun(document, conditions.run_up_m, plant, seed) for seed in range(runs)
+    ]
     results: list[tuple[float, float]] = []
     for done in run_tasks(FollowerRun.run, jobs, workers=workers):
         if done.result is None:
@@ -222,10 +269,15 @@ def measure_excursions(
         if progress:
             progress()
     columns = zip(*results, strict=True)
-    run_up, path = (sorted(round(value, _DIGITS) for value in column) for column in columns)
+    run_up, path = (
+        sorted(round(value, _DIGITS) for value in column) for column in columns
+    )
     return ExcursionsFile(
         conditions=conditions,
-        source=f"`srs-twin calibrate margin {scenario.name}`: {runs} drawn ways of {LENGTH_M:g} m",
+        source=(
+            f"`srs-twin calibrate margin {scenario.name}`: {runs} drawn ways of"
+            f" {LENGTH_M:g} m"
+        ),
         path_m=path,
         run_up_m=run_up if conditions.run_up_m else None,
     )

@@ -1,7 +1,7 @@
 """Fit files: result of a fit with its data, command and versions; calibration/fits/*.yaml.
 
-Each data set is listed with its hash and its role, fit or validation. A file that uses the same samples for
-both is refused. A parameter that is not identifiable has no value.
+Each data set is listed with its hash and its role, fit or validation. A file that uses
+the same samples for both is refused. A parameter that is not identifiable has no value.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ class DataSet:
         sha256: SHA-256 of the file, or of the numbers if there is no file; hexadecimal.
         role: "fit", or "validation" for data that the fit does not use.
         samples: number of samples.
-        from_s: start of the part that is used, s; None: the data set is used completely.
+        from_s: start of the part that is used, s; None: the data set is used
+            completely.
         to_s: end of the part that is used, s.
     """
 
@@ -52,7 +53,12 @@ class DataSet:
         """Return whether both data sets have samples in common."""
         if self.sha256 != other.sha256:
             return False
-        if self.from_s is None or self.to_s is None or other.from_s is None or other.to_s is None:
+        if (
+            self.from_s is None
+            or self.to_s is None
+            or other.from_s is None
+            or other.to_s is None
+        ):
             return True
         return self.from_s < other.to_s and other.from_s < self.to_s
 
@@ -78,7 +84,8 @@ def assign_roles(
         validation: data for validation.
 
     Raises:
-        InputError: there are no data to fit, or data of both roles have samples in common.
+        InputError: there are no data to fit, or data of both roles have samples in
+            common.
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
@@ -90,7 +97,9 @@ def assign_roles(
 
 def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSet]:
     """Return the data sets of a fit, with their roles."""
-    return [data.data_set(role) for data, role in assign_roles("data", fitted, validation)]
+    return [
+        data.data_set(role) for data, role in assign_roles("data", fitted, validation)
+    ]
 
 
 def check_disjoint(sets: Iterable[DataSet]) -> None:
@@ -105,8 +114,8 @@ def check_disjoint(sets: Iterable[DataSet]) -> None:
     for used, new in product(fitted, validation):
         if used.overlaps(new):
             raise InputError(
-                f"{new.name}: the same data as {used.name}, to which the model is fitted; validate with "
-                "other data"
+                f"{new.name}: the same data as {used.name}, to which the model is"
+                " fitted; validate with other data"
             )
 
 
@@ -134,7 +143,16 @@ Long = Annotated[str, Field(max_length=1000)]
 Averages = Annotated[dict[str, Number], Field(max_length=20)]
 Share = Annotated[float, bounded(-1.0, 1.0)]
 Size = Annotated[float, bounded(0.0, 1e12)]
-Method = Literal["pulls", "coasting", "actuator", "static", "locomotion", "damping", "offsets", "edges"]
+Method = Literal[
+    "pulls",
+    "coasting",
+    "actuator",
+    "static",
+    "locomotion",
+    "damping",
+    "offsets",
+    "edges",
+]
 
 _MAX_COMMAND_LENGTH = 2000
 """Largest length of a command in a fit file, characters."""
@@ -142,7 +160,11 @@ _MAX_COMMAND_LENGTH = 2000
 
 def short_command(command: str) -> str:
     """Return a command for a fit file, cut if it is too long."""
-    return command if len(command) <= _MAX_COMMAND_LENGTH else command[: _MAX_COMMAND_LENGTH - 1] + "…"
+    return (
+        command
+        if len(command) <= _MAX_COMMAND_LENGTH
+        else command[: _MAX_COMMAND_LENGTH - 1] + "…"
+    )
 
 
 _DIGITS = 9
@@ -157,7 +179,9 @@ class DataEntry(StrictModel):
 
     name: Text
     """File name, or a label."""
-    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64)]
+    sha256: Annotated[
+        str, Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64)
+    ]
     """SHA-256 of the data, hexadecimal."""
     role: Role
     """fit: used by the fit; validation: not used by it."""
@@ -220,7 +244,9 @@ class FitFile(StrictModel, HtmlResult):
 
     page: ClassVar[str] = "fit"
 
-    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)]
+    name: Annotated[
+        str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)
+    ]
     """Short name."""
     title: Text
     """Title, one line."""
@@ -238,19 +264,28 @@ class FitFile(StrictModel, HtmlResult):
     """Values that were fixed in the fit and on which the estimates depend."""
     parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)]
     """Fitted parameters."""
-    correlation: Annotated[list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)]
+    correlation: Annotated[
+        list[Annotated[list[Share], Field(max_length=100)]], Field(max_length=100)
+    ]
     """Correlation matrix of the parameters with a value, in their order."""
-    cancels: Annotated[list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)]
+    cancels: Annotated[
+        list[Annotated[dict[str, Share], Field(max_length=100)]], Field(max_length=100)
+    ]
     """Unidentifiable directions: name and component."""
     derived: Annotated[list[ParameterEntry], Field(max_length=20)] | None = None
-    """Quantities that follow from the parameters, such as a frequency (default: none)."""
+    """Quantities that follow from the parameters, such as a frequency (default: none).
+    """
     quality: QualityFile
     """Quality of the fit."""
 
     def estimate(self) -> FitEstimate:
         """Return the estimate, without residuals."""
-        parameters = tuple(Parameter(**parameter.model_dump()) for parameter in self.parameters)
-        rows = [k for k, parameter in enumerate(parameters) if parameter.value is not None]
+        parameters = tuple(
+            Parameter(**parameter.model_dump()) for parameter in self.parameters
+        )
+        rows = [
+            k for k, parameter in enumerate(parameters) if parameter.value is not None
+        ]
         correlation = np.full((len(parameters), len(parameters)), np.nan)
         if rows:
             correlation[np.ix_(rows, rows)] = self.correlation
@@ -264,7 +299,9 @@ class FitFile(StrictModel, HtmlResult):
             residual_scale=quality.rms or 0.0,
             held=dict(self.held),
             converged=quality.converged,
-            derived=tuple(Parameter(**quantity.model_dump()) for quantity in self.derived or ()),
+            derived=tuple(
+                Parameter(**quantity.model_dump()) for quantity in self.derived or ()
+            ),
         )
 
     def unidentified(self) -> list[str]:
@@ -281,17 +318,27 @@ class FitFile(StrictModel, HtmlResult):
         missing = self.unidentified()
         for k, data in enumerate(self.data):
             if missing and data.predicted is not None:
-                yield ("data", k, "predicted"), f"predicted without a value of {', '.join(missing)}"
+                yield (
+                    ("data", k, "predicted"),
+                    f"predicted without a value of {', '.join(missing)}",
+                )
         for k, parameter in enumerate(self.parameters):
-            yield from ((("parameters", k, *loc), message) for loc, message in _check_parameter(parameter))
-        for name, count in Counter(parameter.name for parameter in self.parameters).items():
+            yield from (
+                (("parameters", k, *loc), message)
+                for loc, message in _check_parameter(parameter)
+            )
+        for name, count in Counter(
+            parameter.name for parameter in self.parameters
+        ).items():
             if count > 1:
                 yield ("parameters",), f"{name} is listed {count} times; list it once"
         count = sum(parameter.value is not None for parameter in self.parameters)
         yield from _check_correlation(self.correlation, count)
 
 
-def fit_file(estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any) -> FitFile:
+def fit_file(
+    estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any
+) -> FitFile:
     """Return the fit file of an estimate.
 
     Args:
@@ -303,7 +350,11 @@ def fit_file(estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any) ->
         InputError: data have both roles.
     """
     check_disjoint(data)
-    rows = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
+    rows = [
+        k
+        for k, parameter in enumerate(estimate.parameters)
+        if parameter.value is not None
+    ]
     matrix = estimate.correlation[np.ix_(rows, rows)]
     quality = QualityFile(
         samples=estimate.samples,
@@ -349,7 +400,11 @@ def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
     for k, entry in enumerate(data):
         if (entry.from_s is None) != (entry.to_s is None):
             yield ("data", k), "from_s and to_s belong together; give both or neither"
-        elif entry.from_s is not None and entry.to_s is not None and entry.from_s > entry.to_s:
+        elif (
+            entry.from_s is not None
+            and entry.to_s is not None
+            and entry.from_s > entry.to_s
+        ):
             yield ("data", k, "to_s"), f"must be {entry.from_s:g} or more"
     if not any(entry.role == "fit" for entry in data):
         yield ("data",), "no data of role fit; a fit needs at least one"
@@ -367,7 +422,10 @@ def _check_parameter(entry: ParameterEntry) -> Iterator[tuple[Loc, str]]:
         missing = next(name for name in _NUMBERS if name not in present)
         yield ("verdict",), f"{entry.verdict}, but {missing} is missing"
     elif present and not entry.low <= entry.value <= entry.high:  # type: ignore[operator]
-        yield ("value",), f"must be between low and high, {entry.low:g} and {entry.high:g}"
+        yield (
+            ("value",),
+            f"must be between low and high, {entry.low:g} and {entry.high:g}",
+        )
     try:
         unit = parameter_unit(entry.name)
     except UnknownNameError as error:
@@ -377,16 +435,24 @@ def _check_parameter(entry: ParameterEntry) -> Iterator[tuple[Loc, str]]:
             yield ("unit",), f"must be {unit}, not {entry.unit}"
 
 
-def _check_correlation(matrix: Sequence[Sequence[float]], count: int) -> Iterator[tuple[Loc, str]]:
+def _check_correlation(
+    matrix: Sequence[Sequence[float]], count: int
+) -> Iterator[tuple[Loc, str]]:
     if len(matrix) != count or any(len(row) != count for row in matrix):
-        yield ("correlation",), f"must have {count} rows of {count}, one for each parameter with a value"
+        yield (
+            ("correlation",),
+            f"must have {count} rows of {count}, one for each parameter with a value",
+        )
         return
     for i, row in enumerate(matrix):
         for j, entry in enumerate(row):
             if i == j and entry != 1.0:
                 yield ("correlation", i, j), "must be 1 on the diagonal"
             elif j < i and entry != matrix[j][i]:
-                yield ("correlation", i, j), f"must be {matrix[j][i]:g}, as the matrix is symmetric"
+                yield (
+                    ("correlation", i, j),
+                    f"must be {matrix[j][i]:g}, as the matrix is symmetric",
+                )
 
 
 def _parameter_entry(parameter: Parameter) -> ParameterEntry:

@@ -36,14 +36,21 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
         estimate: the same result with residuals of all data.
     """
     quality = fit.quality
-    validated = "" if quality.validation_rms is None else f", of the validation {quality.validation_rms:.3g}"
-    summary = (
-        f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as large as the expected "
-        f"noise); {quality.samples} samples, equivalent to {quality.independent_samples:.4g} independent "
-        f"ones. "
-        f"{'; '.join(quality.misfit or ())}"
+    validated = (
+        ""
+        if quality.validation_rms is None
+        else f", of the validation {quality.validation_rms:.3g}"
     )
-    data = [[entry.role, entry.name, str(entry.samples), entry.sha256[:16] + "…"] for entry in fit.data]
+    summary = (
+        f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as"
+        f" large as the expected noise); {quality.samples} samples, equivalent to"
+        f" {quality.independent_samples:.4g} independent ones."
+        f" {'; '.join(quality.misfit or ())}"
+    )
+    data = [
+        [entry.role, entry.name, str(entry.samples), entry.sha256[:16] + "…"]
+        for entry in fit.data
+    ]
     return render(
         "identification/fit.html",
         title=fit.title,
@@ -60,7 +67,8 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 def fit_page(fit: FitEstimate | FitFile) -> str:
     """Return a fit as HTML for a notebook."""
     return notebook_output(
-        getattr(fit, "title", "Fit"), parameter_table((*fit.parameters, *(fit.derived or ())))
+        getattr(fit, "title", "Fit"),
+        parameter_table((*fit.parameters, *(fit.derived or ()))),
     )
 
 
@@ -76,8 +84,14 @@ def residual_plot(residuals: Sequence[Residual]) -> Figure:
     for axes, residual in zip(rows, shown, strict=True):
         _panel(axes, residual)
     first = shown[0]
-    total = "" if len(residuals) <= len(shown) else f", {len(shown)} of {len(residuals)} signals"
-    rows[0].set_title(f"{first.role}: {_data_name(first)}{total}", fontsize=10, loc="left")
+    total = (
+        ""
+        if len(residuals) <= len(shown)
+        else f", {len(shown)} of {len(residuals)} signals"
+    )
+    rows[0].set_title(
+        f"{first.role}: {_data_name(first)}{total}", fontsize=10, loc="left"
+    )
     rows[-1].set_xlabel("sample")
     return figure
 
@@ -97,9 +111,12 @@ def _panel(axes: Axes, residual: Residual) -> None:
 def _pictures(residuals: Sequence[Residual]) -> Iterator[Picture]:
     """Yield a plot for each data set, those of the fit first."""
     ordered = sorted(
-        (residual for residual in residuals if len(residual.values)), key=lambda residual: residual.role
+        (residual for residual in residuals if len(residual.values)),
+        key=lambda residual: residual.role,
     )
-    groups = groupby(ordered, key=lambda residual: (residual.role, _data_name(residual)))
+    groups = groupby(
+        ordered, key=lambda residual: (residual.role, _data_name(residual))
+    )
     for (role, name), group in groups:
         note = " (not used by the fit)" if role == "validation" else ""
         yield picture(residual_plot(list(group)), f"Residuals of {name}{note}.")
@@ -116,15 +133,22 @@ def parameter_table(parameters: Sequence[Parameter | ParameterEntry]) -> Table:
     for parameter in parameters:
         numbers = ["–", ""]
         if parameter.value is not None:
-            numbers = [f"{parameter.value:.5g}", f"{parameter.low:.5g} to {parameter.high:.5g}"]
-        rows.append([parameter.name, *numbers, parameter.unit, parameter.verdict, parameter.why])
+            numbers = [
+                f"{parameter.value:.5g}",
+                f"{parameter.low:.5g} to {parameter.high:.5g}",
+            ]
+        rows.append(
+            [parameter.name, *numbers, parameter.unit, parameter.verdict, parameter.why]
+        )
     headings = ["parameter", "value", "95 % interval", "unit", "verdict", "why"]
     return Table(headings, rows, numbers=[1, 2])
 
 
 def _details(fit: FitFile) -> dict[str, Table]:
     """Return title → table for the folded part of the page; empty tables are not shown."""
-    known = [parameter.name for parameter in fit.parameters if parameter.value is not None]
+    known = [
+        parameter.name for parameter in fit.parameters if parameter.value is not None
+    ]
     pairs = zip(known, fit.correlation, strict=True) if len(known) > 1 else ()
     correlations = [[name, *(f"{value:+.2f}" for value in row)] for name, row in pairs]
     directions = [

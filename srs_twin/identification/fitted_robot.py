@@ -1,6 +1,7 @@
 """Robots from fits: a base robot with the fitted parameters of one or more fits.
 
-The result is the `robot: {base: …}` block of a scenario, or a robot file. Later fits override earlier ones.
+The result is the `robot: {base: …}` block of a scenario, or a robot file. Later fits
+override earlier ones.
 """
 
 from __future__ import annotations
@@ -17,7 +18,11 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import FitFile, ParameterEntry, load_fit
-from srs_twin.identification.parameters import free_parameters, is_parameter, with_values
+from srs_twin.identification.parameters import (
+    free_parameters,
+    is_parameter,
+    with_values,
+)
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Document, dump_yaml
 from srs_twin.io.files import StrPath, check_output_folder, display_path, write_text
@@ -41,46 +46,80 @@ _ROUNDING = 1e-7
 """Tolerance for equal values; fit files have nine digits."""
 
 
-def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None) -> dict[str, Any]:
+def robot_override(
+    fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None
+) -> dict[str, Any]:
     """Return the robot block of a scenario with the result of a fit: base, and records by section.
 
-    Parameters that are not identifiable keep the value of the base, or that at which the fit fixed them.
+    Parameters that are not identifiable keep the value of the base, or that at which
+    the fit fixed them.
 
     Args:
         fit: fit, whose robot becomes the base.
         weak: whether weakly identified parameters are included.
-        over: base with the results of other fits; its list elements remain where this fit has none. None: the
-            base alone.
+        over: base with the results of other fits; its list elements remain where this
+            fit has none. None: the base alone.
 
     Raises:
-        InputError: the base robot does not exist or draws a fitted parameter at random, or no parameter is
-            identified.
+        InputError: the base robot does not exist or draws a fitted parameter at random,
+            or no parameter is identified.
     """
     file = load_robot_file(fit.robot)
     used = _used_parameters(fit, weak)
     if not used:
-        raise InputError(f"{fit.name}: no parameter is identified, so the fit does not change the robot")
-    values = {parameter.name: parameter.value for parameter in used if parameter.value is not None}
-    held, changed = fit.held.keys() & {"actuator.bend_rad"}, _changed_fixed_values(fit, file.spec())
+        raise InputError(
+            f"{fit.name}: no parameter is identified, so the fit does not change the"
+            " robot"
+        )
+    values = {
+        parameter.name: parameter.value
+        for parameter in used
+        if parameter.value is not None
+    }
+    held, changed = (
+        fit.held.keys() & {"actuator.bend_rad"},
+        _changed_fixed_values(fit, file.spec()),
+    )
     fixed = {name: fit.held[name] for name in held} | changed
     spec = with_values(file.spec() if over is None else over, fixed | values)
     block: dict[str, Any] = {"base": fit.robot}
-    priors = {parameter.name: prior for parameter in used if (prior := _prior(parameter))}
+    priors = {
+        parameter.name: prior for parameter in used if (prior := _prior(parameter))
+    }
 
     def put(name: str, status: str, source: str, *, over: bool = True) -> None:
         section, key = name.split(".", 1)
         for record_key, record in _records(spec, section, key).items():
             if over or record_key not in block.get(section, {}):
-                about = {"status": status, "source": source} | priors.get(f"{section}.{record_key}", {})
+                about = {"status": status, "source": source} | priors.get(
+                    f"{section}.{record_key}", {}
+                )
                 block.setdefault(section, {})[record_key] = record | about
 
     for parameter in used:
-        same_record = [other for other in used if _record_key(other.name) == _record_key(parameter.name)]
+        same_record = [
+            other
+            for other in used
+            if _record_key(other.name) == _record_key(parameter.name)
+        ]
         put(parameter.name, "calibrated", _source(fit, same_record))
-    if any(name.startswith("modules.gain") for name in values) and held and "actuator.bend_rad" not in values:
-        put("actuator.bend_rad", "calibrated", f"held in fit {fit.name}: gains are multiples of it")
+    if (
+        any(name.startswith("modules.gain") for name in values)
+        and held
+        and "actuator.bend_rad" not in values
+    ):
+        put(
+            "actuator.bend_rad",
+            "calibrated",
+            f"held in fit {fit.name}: gains are multiples of it",
+        )
     for name in changed:
-        put(name, "estimated", f"held in fit {fit.name}: its values refer to it", over=False)
+        put(
+            name,
+            "estimated",
+            f"held in fit {fit.name}: its values refer to it",
+            over=False,
+        )
     if pairs := _correlations(fit, list(priors)):
         block["correlated"] = pairs
     tolerances = file.modules
@@ -88,8 +127,8 @@ def robot_override(fit: FitFile, *, weak: bool = True, over: RobotSpec | None = 
         tolerance = SPREAD_KEYS[key.removesuffix("_rad")]
         if getattr(tolerances, tolerance) is not None:
             raise InputError(
-                f"{fit.robot}: it draws modules.{key} at random ({tolerance}), which excludes fits; "
-                f"remove {tolerance} first"
+                f"{fit.robot}: it draws modules.{key} at random ({tolerance}), which"
+                f" excludes fits; remove {tolerance} first"
             )
     return block
 
@@ -101,7 +140,9 @@ def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec
         for parameter in _used_parameters(fit, weak)
         if parameter.value is not None
     }
-    return with_values(robot, _changed_fixed_values(fit, load_robot_file(fit.robot).spec()) | values)
+    return with_values(
+        robot, _changed_fixed_values(fit, load_robot_file(fit.robot).spec()) | values
+    )
 
 
 def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
@@ -110,7 +151,9 @@ def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
     return {
         parameter.name: held[parameter.name]
         for parameter in free_parameters(base, held)
-        if not math.isclose(parameter.start, held[parameter.name], rel_tol=_ROUNDING, abs_tol=_ROUNDING)
+        if not math.isclose(
+            parameter.start, held[parameter.name], rel_tol=_ROUNDING, abs_tol=_ROUNDING
+        )
     }
 
 
@@ -128,11 +171,18 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
     if section == "modules":
         name = _record_key(key)
         values = spec.modules.array(name.removesuffix("_rad")).tolist()
-        return {name: {"value": values, "unit": "rad" if name.endswith("_rad") else "1"}}
+        return {
+            name: {"value": values, "unit": "rad" if name.endswith("_rad") else "1"}
+        }
     if section == "mass":
         masses = list(spec.mass.connectors)
         is_uniform = len(set(masses)) == 1
-        records = {"connectors_kg": {"value": masses[0] if is_uniform else masses, "unit": "kg"}}
+        records = {
+            "connectors_kg": {
+                "value": masses[0] if is_uniform else masses,
+                "unit": "kg",
+            }
+        }
         if key == "connectors_kg":
             records["wheel_kg"] = {"value": spec.mass.wheel, "unit": "kg"}
         return records
@@ -162,12 +212,18 @@ def _prior(parameter: ParameterEntry) -> dict[str, object]:
         if factor > 1.0 and value:
             return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
         return {}
-    return {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}} if high > low else {}
+    return (
+        {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}}
+        if high > low
+        else {}
+    )
 
 
 def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]:
     """Return the `correlated` entries of a robot file."""
-    known = [parameter.name for parameter in fit.parameters if parameter.value is not None]
+    known = [
+        parameter.name for parameter in fit.parameters if parameter.value is not None
+    ]
     entries = []
     for i, j in itertools.combinations(range(len(known)), 2):
         r = float(np.clip(fit.correlation[i][j], -_MAX_CORRELATION, _MAX_CORRELATION))
@@ -177,12 +233,16 @@ def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]
 
 
 def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
-    words = "; ".join(f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries)
+    words = "; ".join(
+        f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries
+    )
     source = f"fit {fit.name} ({fit.method}), 95 %: {words}"
     return source if len(source) <= 1000 else source[:997] + "..."
 
 
-def merge_overrides(fits: Sequence[StrPath], *, base: str | None = None, weak: bool = True) -> dict[str, Any]:
+def merge_overrides(
+    fits: Sequence[StrPath], *, base: str | None = None, weak: bool = True
+) -> dict[str, Any]:
     """Return the robot block of a scenario with the results of several fits.
 
     Args:
@@ -191,7 +251,8 @@ def merge_overrides(fits: Sequence[StrPath], *, base: str | None = None, weak: b
         weak: whether weakly identified parameters are included.
 
     Raises:
-        InputError: there is no fit, a fit is for another robot, or a fit has no identified parameter.
+        InputError: there is no fit, a fit is for another robot, or a fit has no
+            identified parameter.
         InputFileError: a file is not a valid fit.
     """
     loaded = [load_fit(path) for path in fits]
@@ -203,16 +264,22 @@ def merge_overrides(fits: Sequence[StrPath], *, base: str | None = None, weak: b
         expected = base or loaded[0].robot
         if Path(fit.robot).resolve() != Path(expected).resolve():
             raise InputError(
-                f"{path}: a fit of robot {fit.robot}, not of {expected}; fits can only change the robot from "
-                "which they started"
+                f"{path}: a fit of robot {fit.robot}, not of {expected}; fits can only"
+                " change the robot from which they started"
             )
         override = robot_override(fit, weak=weak, over=spec)
         refitted = {parameter.name for parameter in fit.parameters}
-        earlier = [pair for pair in block.get("correlated", []) if not refitted.intersection(pair["of"])]
+        earlier = [
+            pair
+            for pair in block.get("correlated", [])
+            if not refitted.intersection(pair["of"])
+        ]
         if pairs := earlier + override.pop("correlated", []):
             block["correlated"] = pairs
         for key, value in override.items():
-            block[key] = block.get(key, {}) | value if isinstance(value, Mapping) else value
+            block[key] = (
+                block.get(key, {}) | value if isinstance(value, Mapping) else value
+            )
         spec = apply_fit(fit, spec, weak=weak)
     return block
 
@@ -260,7 +327,8 @@ def calibrate_robot(
         check_output_folder(path.parent, (path.name,))
         if os.path.lexists(path) and not overwrite:
             raise InputError(
-                f"{display_path(path)}: the file exists; --overwrite replaces it, --out chooses another"
+                f"{display_path(path)}: the file exists; --overwrite replaces it, --out"
+                " chooses another"
             )
     robot = fitted_robot(fits, name, weak=weak)
     if out is not None:

@@ -13,7 +13,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli.console import Display, console, interruptible, new_table, say
-from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
+from srs_twin.cli.options import (
+    JsonOption,
+    PressureOption,
+    QuietOption,
+    argument,
+    option,
+    print_json,
+)
 from srs_twin.errors import InputError
 from srs_twin.io.files import check_file_name, check_output_folder, display_path
 from srs_twin.recordings.commands import ValvesOption
@@ -28,7 +35,9 @@ FITS = "calibration/fits"
 """Default folder of fit files."""
 
 FilesArgument = Annotated[list[str], argument("FILE", "Recordings or tables to fit.")]
-RobotOption = Annotated[str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")]
+RobotOption = Annotated[
+    str, option("--robot -r ROBOT", "Initial robot, shipped or a file.")
+]
 
 _VALIDATE = "Recording or table for validation, not used by the fit (repeatable)."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
@@ -53,7 +62,10 @@ class DataOptions:
             InputError: the pressure is not allowed.
         """
         if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
-            raise InputError(f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1 to 2000")
+            raise InputError(
+                f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1"
+                " to 2000"
+            )
         return {
             "valves": self.valves or (),
             "validate": self.validate or (),
@@ -94,7 +106,9 @@ class FitProgress(Display):
         return f"{self.title}: {self._bar()[2]}"
 
     def _bar(self) -> tuple[str, None, str]:
-        words = f"{self._runs} model runs, smallest weighted RMS {self._smallest_rms:.3g}"
+        words = (
+            f"{self._runs} model runs, smallest weighted RMS {self._smallest_rms:.3g}"
+        )
         return self.title, None, words
 
 
@@ -111,13 +125,17 @@ _MAX_SIGNALS = 24
 """Largest number of signals whose residuals are printed."""
 
 
-def print_table(headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()) -> None:
+def print_table(
+    headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
+) -> None:
     """Print a table; columns are right-aligned except those with the given indices."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
     terminal = console()
-    terminal.width = max(terminal.width, _TABLE_WIDTH)  # truncated numbers would be wrong numbers
+    terminal.width = max(
+        terminal.width, _TABLE_WIDTH
+    )  # truncated numbers would be wrong numbers
     terminal.print(table)
 
 
@@ -147,17 +165,29 @@ def print_estimate(estimate: FitEstimate) -> None:
 def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
     """Yield a line for each of the strongest correlations."""
     names = [parameter.name for parameter in estimate.parameters]
-    known = [k for k, parameter in enumerate(estimate.parameters) if parameter.value is not None]
-    pairs = [(float(estimate.correlation[i, j]), names[i], names[j]) for i, j in combinations(known, 2)]
+    known = [
+        k
+        for k, parameter in enumerate(estimate.parameters)
+        if parameter.value is not None
+    ]
+    pairs = [
+        (float(estimate.correlation[i, j]), names[i], names[j])
+        for i, j in combinations(known, 2)
+    ]
     strong = [pair for pair in pairs if abs(pair[0]) >= _STRONG_CORRELATION]
     strong.sort(key=lambda pair: -abs(pair[0]))
-    yield from (f"correlation {value:+.2f}: {one}, {other}" for value, one, other in strong[:_MAX_PAIRS])
+    yield from (
+        f"correlation {value:+.2f}: {one}, {other}"
+        for value, one, other in strong[:_MAX_PAIRS]
+    )
 
 
 def direction_lines(estimate: FitEstimate) -> Iterator[str]:
     """Yield a line for each unidentifiable direction."""
     for direction in estimate.cancels:
-        components = ", ".join(f"{component:+.2f} {name}" for name, component in direction.items())
+        components = ", ".join(
+            f"{component:+.2f} {name}" for name, component in direction.items()
+        )
         yield f"unidentifiable direction: {components}"
 
 
@@ -170,7 +200,9 @@ def _residual_lines(estimate: FitEstimate) -> str:
         if total is None:
             continue
         residuals = [
-            residual for residual in estimate.residuals if residual.role == role and len(residual.values)
+            residual
+            for residual in estimate.residuals
+            if residual.role == role and len(residual.values)
         ]
         lines.append(f"{role}: residuals {total:.3g} times the expected noise")
         for residual in residuals[:_MAX_SIGNALS]:
@@ -205,14 +237,21 @@ class FitOutput:
     as_json: bool
 
     @classmethod
-    def from_options(cls, context: typer.Context, method: str, robot: str, options: FitOptions) -> FitOutput:
+    def from_options(
+        cls, context: typer.Context, method: str, robot: str, options: FitOptions
+    ) -> FitOutput:
         """Return the output files after checking that they may be written.
 
         Raises:
-            InputError: the name is not allowed, or the file exists and was written by another command.
+            InputError: the name is not allowed, or the file exists and was written by
+                another command.
         """
         name, out = options.name, options.out
-        source = "--name" if name else f"{'--out' if out else '--robot'} names the fit, without --name"
+        source = (
+            "--name"
+            if name
+            else f"{'--out' if out else '--robot'} names the fit, without --name"
+        )
         default = Path(out).stem if out else f"{Path(robot).stem}_{method}"
         checked = check_file_name(name or default, source)
         path = Path(out) if out else Path(FITS) / f"{checked}.yaml"
@@ -228,13 +267,20 @@ class FitOutput:
         """Print a note on stderr."""
         say(text, quiet=self.quiet)
 
-    def run(self, function: Callable[..., Calibration], *arguments: Any, **settings: Any) -> Calibration:
+    def run(
+        self, function: Callable[..., Calibration], *arguments: Any, **settings: Any
+    ) -> Calibration:
         """Fit with a function of `calibration`, write report and fit file, and print the result.
 
         An interrupt of the search ends the command, and nothing is written.
         """
-        with interruptible(NOTHING_WRITTEN), FitProgress(self.name, quiet=self.quiet) as progress:
-            result = function(*arguments, notify=self.say, progress=progress, **settings)
+        with (
+            interruptible(NOTHING_WRITTEN),
+            FitProgress(self.name, quiet=self.quiet) as progress,
+        ):
+            result = function(
+                *arguments, notify=self.say, progress=progress, **settings
+            )
         fit = result.write(self.path, self.name, self.command)
         if self.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
@@ -257,10 +303,13 @@ def _check_same_command(path: Path, command: str) -> None:
     try:
         existing: FitFile = load_fit(path)
     except InputError as error:
-        raise InputError(f"{display_path(path)}: the file exists and is not a fit; {remedy}") from error
+        raise InputError(
+            f"{display_path(path)}: the file exists and is not a fit; {remedy}"
+        ) from error
     if existing.command != command:
         raise InputError(
-            f"{display_path(path)}: the file exists with another fit ({existing.command}); {remedy}"
+            f"{display_path(path)}: the file exists with another fit"
+            f" ({existing.command}); {remedy}"
         )
 
 
@@ -271,13 +320,21 @@ def command_line(context: typer.Context) -> str:
     for parameter in context.command.params:
         value: object = context.params.get(parameter.name or "")
         # Ignore output options, because they do not change the result.
-        if value in (None, (), [], parameter.default) or parameter.name in ("quiet", "overwrite", "as_json"):
+        if value in (None, (), [], parameter.default) or parameter.name in (
+            "quiet",
+            "overwrite",
+            "as_json",
+        ):
             continue
         values = value if isinstance(value, (list, tuple)) else [value]
         if parameter.param_type_name == "argument":
             arguments += map(str, values)
         elif isinstance(value, bool):
-            words.append(parameter.opts[0] if value else (parameter.secondary_opts or parameter.opts)[0])
+            words.append(
+                parameter.opts[0]
+                if value
+                else (parameter.secondary_opts or parameter.opts)[0]
+            )
         else:
             words += [f"{parameter.opts[0]}={item}" for item in values]
     from srs_twin.identification.fit_file import short_command
@@ -295,5 +352,8 @@ def parse_names(text: str | None) -> list[str] | None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
-        raise InputError(f"--find: '{text}' names nothing; give names such as friction.mu_t,friction.mu_n")
+        raise InputError(
+            f"--find: '{text}' names nothing; give names such as"
+            " friction.mu_t,friction.mu_n"
+        )
     return names

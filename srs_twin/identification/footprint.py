@@ -1,9 +1,10 @@
 """Measurement of footprints: the area that a robot sweeps at each offset, and when the offset changes.
 
-Section 5.3 measured the curvature of the path, the speed and the circles that bound the body at seven offsets
-(Fig. 58, Table 8). Here a simulated plant is run instead. `GaitSetup` specifies robot, gait and plant,
-`FootprintStudy` the runs, and `FootprintMeasurement` their result. Each offset is run several times with
-different initial phases of the gait, and each change of offset at several phases.
+Section 5.3 measured the curvature of the path, the speed and the circles that bound the
+body at seven offsets (Fig. 58, Table 8). Here a simulated plant is run instead.
+`GaitSetup` specifies robot, gait and plant, `FootprintStudy` the runs, and
+`FootprintMeasurement` their result. Each offset is run several times with different
+initial phases of the gait, and each change of offset at several phases.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class GaitSetup:
         supply_pa: supply pressure, Pa.
         controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
         target: target bend amplitude of the learning, rad.
-        plant: "twin", "analytical" (model compliant on wheels), or a function that creates a plant with the
-            tick `TICK`.
+        plant: "twin", "analytical" (model compliant on wheels), or a function that
+            creates a plant with the tick `TICK`.
         steering: steering of the learning, see `ILC`.
         chambers: "lag" or "orifice", for a plant given by name.
         contact: contact of the twin; None: its default. Other plants have none.
@@ -84,7 +85,8 @@ class GaitSetup:
         """Validate the settings.
 
         Raises:
-            InputError: a number is out of its range, or the pressure exceeds the robot's limit for pulses.
+            InputError: a number is out of its range, or the pressure exceeds the
+                robot's limit for pulses.
             UnknownNameError: the controller, plant or chambers do not exist.
         """
         if self.controller not in CONTROLLERS:
@@ -96,31 +98,46 @@ class GaitSetup:
         if self.contact is not None:
             as_contact(self.contact)
             if self.plant != "twin":
-                raise InputError(f"contact {self.contact!r} is only for the twin; remove it for other plants")
-        positive = ("pressure", self.supply_pa / 1000, "kPa"), ("frequency", self.frequency, "Hz")
+                raise InputError(
+                    f"contact {self.contact!r} is only for the twin; remove it for"
+                    " other plants"
+                )
+        positive = (
+            ("pressure", self.supply_pa / 1000, "kPa"),
+            ("frequency", self.frequency, "Hz"),
+        )
         for name, value, unit in positive:
             if not (math.isfinite(value) and value > 0):
-                raise InputError(f"{name} {value:g} {unit} is not allowed; it must be finite and above 0")
+                raise InputError(
+                    f"{name} {value:g} {unit} is not allowed; it must be finite and"
+                    " above 0"
+                )
         spec, supply = self.spec, self.spec.supply
         spec.require_planar("a footprint")
         if spec.segments < 2:
-            raise InputError(f"{spec.name} has one segment; it cannot crawl, so it has no footprint")
+            raise InputError(
+                f"{spec.name} has one segment; it cannot crawl, so it has no footprint"
+            )
         if self.supply_pa > supply.pulsed_limit:
             raise InputError(
-                f"pressure {self.supply_pa / 1000:g} kPa is above the {supply.pulsed_limit / 1000:g} kPa "
-                f"that {spec.name} may have in pulses ({supply.limit_source})"
+                f"pressure {self.supply_pa / 1000:g} kPa is above the"
+                f" {supply.pulsed_limit / 1000:g} kPa that {spec.name} may have in"
+                f" pulses ({supply.limit_source})"
             )
         highest = RECORD_HZ / _MIN_SAMPLES
         if self.frequency > highest:
             raise InputError(
-                f"frequency {self.frequency:g} Hz is not allowed; it must be {highest:.3g} Hz or less"
+                f"frequency {self.frequency:g} Hz is not allowed; it must be"
+                f" {highest:.3g} Hz or less"
             )
         self.make_controller(0.0)  # raises for invalid settings
 
     @property
     def twin_contact(self) -> str | None:
         """Contact of the twin; None for another plant."""
-        return self.contact or ModelSettings.contact.name if self.plant == "twin" else None
+        return (
+            self.contact or ModelSettings.contact.name if self.plant == "twin" else None
+        )
 
     @property
     def period(self) -> float:
@@ -150,7 +167,13 @@ class GaitSetup:
             InputError: a setting is not allowed.
         """
         if self.controller == "ilc":
-            return ILC(self.frequency, offset, target=self.target, phase=phase, steering=self.steering)
+            return ILC(
+                self.frequency,
+                offset,
+                target=self.target,
+                phase=phase,
+                steering=self.steering,
+            )
         return Gait(self.frequency, offset, phase=phase)
 
     def plant_factory(self) -> Callable[[], Plant]:
@@ -159,17 +182,28 @@ class GaitSetup:
             return self.plant
         return partial(_make_plant, self)
 
-    def steady_job(self, factory: Callable[[], Plant], offset: float, phase: float, periods: int) -> Job:
+    def steady_job(
+        self, factory: Callable[[], Plant], offset: float, phase: float, periods: int
+    ) -> Job:
         """Return a run at one offset, with `periods` gait periods to measure at its end."""
         duration = next_sample((self.settling_periods + periods) * self.period)
-        return Job(factory, partial(self.make_controller, offset, phase), duration, record_hz=RECORD_HZ)
+        return Job(
+            factory,
+            partial(self.make_controller, offset, phase),
+            duration,
+            record_hz=RECORD_HZ,
+        )
 
     def change_time(self, phase: float) -> float:
         """Return the time (s) of a change of offset at a phase in periods, after the path has settled."""
         return next_sample((self.settling_periods + phase) * self.period)
 
     def change_job(
-        self, factory: Callable[[], Plant], change: tuple[float, float], time: float, periods: int
+        self,
+        factory: Callable[[], Plant],
+        change: tuple[float, float],
+        time: float,
+        periods: int,
     ) -> Job:
         """Return a run with a change of offset (before, after) at a time (s).
 
@@ -191,8 +225,10 @@ def next_sample(time: float) -> float:
 
 def _make_plant(setup: GaitSetup) -> Plant:
     settings: dict[str, Any] = {
-        "supply_pa": setup.supply_pa, "tick": TICK, "pneumatics": setup.chambers,
-    }  # fmt: skip
+        "supply_pa": setup.supply_pa,
+        "tick": TICK,
+        "pneumatics": setup.chambers,
+    }
     if setup.plant == "twin":
         from srs_twin.plants.twin.snake import TwinSnake
 
@@ -200,7 +236,8 @@ def _make_plant(setup: GaitSetup) -> Plant:
         return TwinSnake(setup.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
-    # With the pulses of learning, the model with prescribed bends would slip too much (docs/learning.md).
+    # With the pulses of learning, the model with prescribed bends would slip too much
+    # (docs/learning.md).
     return AnalyticalSnake(setup.spec, model="compliant", friction="wheel", **settings)
 
 
@@ -228,7 +265,8 @@ class FootprintMeasurement:
 
 
 _OFFSETS = (3, 101)
-"""Smallest and largest number of offsets; a planner interpolates between three or more."""
+"""Smallest and largest number of offsets; a planner interpolates between three or more.
+"""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
 """Smallest and largest number of measured gait periods, and of phases of the gait."""
@@ -266,17 +304,21 @@ class FootprintStudy:
         both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
         fewest, most = _OFFSETS
         if not (both_sides and fewest <= len(self.offsets) <= most):
-            raise InputError(f"{message}; a planner needs {fewest} to {most}, on both sides of 0")
+            raise InputError(
+                f"{message}; a planner needs {fewest} to {most}, on both sides of 0"
+            )
         for before, after in self.changes:
             if before == after or not {before, after} <= set(self.offsets):
                 raise InputError(
-                    f"a change from offset {before:g} to {after:g} is not allowed; it must be between two "
-                    "measured offsets"
+                    f"a change from offset {before:g} to {after:g} is not allowed; it"
+                    " must be between two measured offsets"
                 )
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
-                raise InputError(f"{name} {value} is not allowed; it must be from {low} to {high}")
+                raise InputError(
+                    f"{name} {value} is not allowed; it must be from {low} to {high}"
+                )
 
     @property
     def runs(self) -> int:
@@ -284,12 +326,16 @@ class FootprintStudy:
         return self.phases * (len(self.offsets) + len(self.changes))
 
     def measure(
-        self, *, threads: int | None = None, progress: Callable[[int], None] | None = None
+        self,
+        *,
+        threads: int | None = None,
+        progress: Callable[[int], None] | None = None,
     ) -> FootprintMeasurement:
         """Run the plant and measure the footprint.
 
         Args:
-            threads: number of parallel runs, which does not affect the result; default: one per processor.
+            threads: number of parallel runs, which does not affect the result; default:
+                one per processor.
             progress: called with the number of finished runs.
 
         Raises:
@@ -313,20 +359,33 @@ class FootprintStudy:
         repeats = [runs[k : k + self.phases] for k in range(0, len(runs), self.phases)]
         steady = {
             offset: self._steady(offset, repeat)
-            for offset, repeat in zip(self.offsets, repeats[: len(self.offsets)], strict=True)
+            for offset, repeat in zip(
+                self.offsets, repeats[: len(self.offsets)], strict=True
+            )
         }
         paths = {offset: path for offset, (path, _) in steady.items()}
         transients = [
             self._transient(change, times, repeat, paths)
-            for change, repeat in zip(self.changes, repeats[len(self.offsets) :], strict=True)
+            for change, repeat in zip(
+                self.changes, repeats[len(self.offsets) :], strict=True
+            )
         ]
         means, spreads = zip(*steady.values(), strict=True)
         return FootprintMeasurement(
-            setup, self.offsets, means, spreads, tuple(transients), self.phases, self.periods
+            setup,
+            self.offsets,
+            means,
+            spreads,
+            tuple(transients),
+            self.phases,
+            self.periods,
         )
 
     def _run(
-        self, jobs: Sequence[Job], threads: int | None, progress: Callable[[int], None] | None
+        self,
+        jobs: Sequence[Job],
+        threads: int | None,
+        progress: Callable[[int], None] | None,
     ) -> list[Trajectory]:
         runs = []
         for k, run in enumerate(run_many(jobs, threads=threads, progress=progress)):
@@ -336,10 +395,14 @@ class FootprintStudy:
             runs.append(run)
         return runs
 
-    def _steady(self, offset: float, runs: Sequence[Trajectory]) -> tuple[SteadyPath, SteadyPath]:
+    def _steady(
+        self, offset: float, runs: Sequence[Trajectory]
+    ) -> tuple[SteadyPath, SteadyPath]:
         """Return the path at an offset and half its range over the repeats."""
         with named_in_errors(f"offset {offset:g}"):
-            return average_repeats([steady_path(self.setup, run, self.periods) for run in runs])
+            return average_repeats(
+                [steady_path(self.setup, run, self.periods) for run in runs]
+            )
 
     def _transient(
         self,
@@ -349,11 +412,19 @@ class FootprintStudy:
         paths: Mapping[float, SteadyPath],
     ) -> Transient:
         """Return the transient after a change of offset, the largest over the phases of the gait."""
-        geometry, period, (before, after) = self.setup.spec.geometry, self.setup.period, change
+        geometry, period, (before, after) = (
+            self.setup.spec.geometry,
+            self.setup.period,
+            change,
+        )
         with named_in_errors(f"offset {before:g} to {after:g}"):
             transients = [
                 measure_transient(
-                    run, geometry, period, OffsetChange(time, before, after), (paths[before], paths[after])
+                    run,
+                    geometry,
+                    period,
+                    OffsetChange(time, before, after),
+                    (paths[before], paths[after]),
                 )
                 for run, time in zip(runs, times, strict=True)
             ]
@@ -385,23 +456,31 @@ Changes = Sequence[tuple[float, float]]
 
 
 def footprint_study(
-    setup: GaitSetup, *, offsets: Sequence[float] | None = None, changes: Changes | None = None, **counts: int
+    setup: GaitSetup,
+    *,
+    offsets: Sequence[float] | None = None,
+    changes: Changes | None = None,
+    **counts: int,
 ) -> FootprintStudy:
     """Return the study of a footprint, with defaults filled in.
 
     Args:
         setup: robot, gait and plant.
-        offsets: offsets in ascending order; default: −0.3 to 0.3 with learning, otherwise −0.4 to 0.4, in
-            steps of 0.1.
+        offsets: offsets in ascending order; default: −0.3 to 0.3 with learning,
+            otherwise −0.4 to 0.4, in steps of 0.1.
         changes: (before, after) of the changes of offset; default: `default_changes`.
         **counts: periods and phases of the `FootprintStudy`.
 
     Raises:
         InputError: a value is not allowed.
     """
-    rows = setup.offsets if offsets is None else tuple(float(offset) for offset in offsets)
+    rows = (
+        setup.offsets if offsets is None else tuple(float(offset) for offset in offsets)
+    )
     study = FootprintStudy(setup, rows, (), **counts)
-    return replace(study, changes=default_changes(rows) if changes is None else tuple(changes))
+    return replace(
+        study, changes=default_changes(rows) if changes is None else tuple(changes)
+    )
 
 
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
@@ -415,7 +494,9 @@ def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]
     if 0.0 in offsets:
         for outermost in (low, high):
             inner = [offset for offset in offsets if 0 < offset / outermost < 1]
-            half = min(inner, key=lambda offset: abs(offset - outermost / 2), default=None)
+            half = min(
+                inner, key=lambda offset: abs(offset - outermost / 2), default=None
+            )
             if half is not None:
                 pairs += [(0.0, half), (half, 0.0)]
     return tuple(pairs)

@@ -65,7 +65,8 @@ def footprint(
         --plant NAME: Simulated plant: twin or analytical.
         --contact NAME: Contact of the twin, loaded or preloaded. [default: the twin's]
         --chambers NAME: Pneumatic model: lag, or orifice for compressible flow.
-        --offsets LIST: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
+        --offsets LIST: Offsets, e.g. --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc:
+            -0.3 to 0.3]
         --transients/--no-transients: Also measure changes of offset.
         --periods N: Measured gait periods of each run.
         --phases N: Runs per offset, with different initial phases.
@@ -75,10 +76,16 @@ def footprint(
     from srs_twin.robot.file import load_robot
 
     requested_offsets = None if offsets is None else _parse_numbers(offsets)
-    from srs_twin.identification.footprint_report import calibrate_footprint, footprint_file
+    from srs_twin.identification.footprint_report import (
+        calibrate_footprint,
+        footprint_file,
+    )
 
     file_name = name or f"{load_robot(robot).name}_{controller}"
-    with interruptible(NOTHING_WRITTEN), RunCounter(file_name, 0, quiet=quiet) as counting:
+    with (
+        interruptible(NOTHING_WRITTEN),
+        RunCounter(file_name, 0, quiet=quiet) as counting,
+    ):
         measured = calibrate_footprint(
             robot,
             out=out,
@@ -118,12 +125,14 @@ def margin(
 ) -> None:
     """Measure excursions from a followed path.
 
-    Random paths are followed under the conditions of a scenario. The excursions are written to the footprint
-    file, from which planner.margin_probability derives a margin.
+    Random paths are followed under the conditions of a scenario. The excursions are
+    written to the footprint file, from which planner.margin_probability derives a
+    margin.
 
     Options:
         --runs N: Number of runs on each plant.
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the scenario's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the
+            scenario's]
         --out DIR: Output folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
@@ -131,7 +140,10 @@ def margin(
     from srs_twin.scenario.loading import load_scenario
 
     loaded = load_scenario(scenario, set=[*changes.changes(), NO_MARGIN])
-    with interruptible(NOTHING_WRITTEN), RunCounter(loaded.name, 0, quiet=quiet) as counting:
+    with (
+        interruptible(NOTHING_WRITTEN),
+        RunCounter(loaded.name, 0, quiet=quiet) as counting,
+    ):
         measured = calibrate_margin(
             loaded,
             out=out,
@@ -141,14 +153,22 @@ def margin(
             progress=counting.count,
         )
     if as_json:
-        print_json([result.model_dump(mode="json", exclude_none=True) for result in measured])
+        print_json(
+            [result.model_dump(mode="json", exclude_none=True) for result in measured]
+        )
     elif not quiet:
         rows = []
         for result in measured:
-            quantiles = [excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)]
-            widths = (f"{1000 * value:.0f}" for value in (*quantiles, result.path_m[-1]))
+            quantiles = [
+                excursion_quantile(result.path_m, share) for share in (0.5, 0.9, 0.95)
+            ]
+            widths = (
+                f"{1000 * value:.0f}" for value in (*quantiles, result.path_m[-1])
+            )
             rows.append((result.conditions.plant, *widths))
-        print_table(("plant", "half of the runs", "90 %", "95 %", "all, mm"), rows, left=(0,))
+        print_table(
+            ("plant", "half of the runs", "90 %", "95 %", "all, mm"), rows, left=(0,)
+        )
     name = load_footprint_file(loaded.file.section("planner").footprint).name
     say(f"excursions in {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet)
 
@@ -162,7 +182,9 @@ def _parse_numbers(text: str) -> list[float]:
     try:
         return [float(number) for number in text.split(",")]
     except ValueError:
-        raise InputError(f"--offsets: '{text}' is not a list of numbers such as -0.3,0,0.3") from None
+        raise InputError(
+            f"--offsets: '{text}' is not a list of numbers such as -0.3,0,0.3"
+        ) from None
 
 
 def _print_footprint(measured: FootprintMeasurement) -> None:
@@ -175,11 +197,21 @@ def _print_footprint(measured: FootprintMeasurement) -> None:
                 for name in ("speed", "curvature", "left", "right")
             ),
         )
-        for offset, path, spread in zip(measured.offsets, measured.steady, measured.spread, strict=True)
+        for offset, path, spread in zip(
+            measured.offsets, measured.steady, measured.spread, strict=True
+        )
     ]
     print_table(("offset", "speed m/s", "curvature 1/m", "left m", "right m"), rows)
     if measured.transients:
-        headings = ("offset", "left m", "right m", "over m", "dx m", "dy m", "dheading rad")
+        headings = (
+            "offset",
+            "left m",
+            "right m",
+            "over m",
+            "dx m",
+            "dy m",
+            "dheading rad",
+        )
         print_table(headings, map(_transient_row, measured.transients))
 
 

@@ -19,9 +19,19 @@ from srs_twin.identification.footprint import (
 )
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.arguments import checked
-from srs_twin.io.files import StrPath, check_file_name, check_output_folder, display_path, read_text
+from srs_twin.io.files import (
+    StrPath,
+    check_file_name,
+    check_output_folder,
+    display_path,
+    read_text,
+)
 from srs_twin.planning.footprint import Transient
-from srs_twin.planning.footprint_file import FootprintFile, TransientFile, save_footprint
+from srs_twin.planning.footprint_file import (
+    FootprintFile,
+    TransientFile,
+    save_footprint,
+)
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.provenance import versions
@@ -29,7 +39,12 @@ from srs_twin.scenario.provenance import versions
 _DIGITS = 4
 """Decimals of values in a footprint file."""
 
-_SPREADS = {"curvature_per_m": "curvature", "speed_m_s": "speed", "left_m": "left", "right_m": "right"}
+_SPREADS = {
+    "curvature_per_m": "curvature",
+    "speed_m_s": "speed",
+    "left_m": "left",
+    "right_m": "right",
+}
 """Key of a footprint file's spread → attribute of `SteadyPath`."""
 
 
@@ -37,7 +52,8 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     """Return a measurement as the content of a file, with unit, status and source of each column."""
     setup, paths, source = measured.setup, measured.steady, _source(measured)
     edge = "as curvature_per_m; the farthest that any repeat reached"
-    # The straight snake at the start is longer than during the gait, so its length is an upper bound.
+    # The straight snake at the start is longer than during the gait, so its length is
+    # an upper bound.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -46,27 +62,38 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
 
     content: dict[str, object] = {
         "name": name,
-        "title": f"{setup.spec.title.split(':')[0]}, {setup.frequency:g} Hz, "
-        f"{setup.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(setup)}",
+        "title": (
+            f"{setup.spec.title.split(':')[0]}, {setup.frequency:g} Hz, "
+            f"{setup.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(setup)}"
+        ),
         "robot": setup.spec.name,
         "contact": setup.twin_contact,
         "offset": record(list(measured.offsets), "1", "chosen"),
         "curvature_per_m": record(_column(paths, "curvature"), "1/m", source),
-        "speed_m_s": record(_column(paths, "speed"), "m/s", "as curvature_per_m; along the arc"),
+        "speed_m_s": record(
+            _column(paths, "speed"), "m/s", "as curvature_per_m; along the arc"
+        ),
         "left_m": record(_column(paths, "left"), "m", edge),
         "right_m": record(_column(paths, "right"), "m", "as left_m"),
-        "ahead_m": record(max(*_column(paths, "ahead"), straight), "m", "as left_m, or straight"),
+        "ahead_m": record(
+            max(*_column(paths, "ahead"), straight), "m", "as left_m, or straight"
+        ),
         "behind_m": record(max(*_column(paths, "behind"), straight), "m", "as ahead_m"),
         "spread": {
-            "source": f"half the range over {measured.repeats} phases of the gait at the start",
+            "source": (
+                f"half the range over {measured.repeats} phases of the gait at the"
+                " start"
+            ),
             **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
         },
     }
     if measured.transients:
         content["transients"] = {
             "status": "calibrated",
-            "source": f"as curvature_per_m, each change at {measured.repeats} phases of the gait: the widest "
-            "and longest of them, and the mean jump",
+            "source": (
+                f"as curvature_per_m, each change at {measured.repeats} phases of the"
+                " gait: the widest and longest of them, and the mean jump"
+            ),
             "changes": [_change_entry(transient) for transient in measured.transients],
         }
     return FootprintFile.model_validate(content)
@@ -118,10 +145,19 @@ def calibrate_footprint(
         InputError: a setting is not allowed, or the file exists or cannot be written.
     """
     spec = load_robot(robot)
-    frequency = FREQUENCY_HZ.get(controller, 1.0) if frequency_hz is None else frequency_hz
+    frequency = (
+        FREQUENCY_HZ.get(controller, 1.0) if frequency_hz is None else frequency_hz
+    )
     supply = spec.supply.nominal if supply_pa is None else supply_pa
     setup = GaitSetup(
-        spec, frequency, supply, controller, target_rad, plant, chambers=chambers, contact=contact
+        spec,
+        frequency,
+        supply,
+        controller,
+        target_rad,
+        plant,
+        chambers=chambers,
+        contact=contact,
     )
     study = footprint_study(
         setup,
@@ -158,7 +194,10 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
     """
     setup = study.setup
     words = [
-        f"srs-twin calibrate footprint {robot} --name {name} --controller {setup.controller}",
+        (
+            f"srs-twin calibrate footprint {robot} --name {name} --controller"
+            f" {setup.controller}"
+        ),
         f"--frequency {setup.frequency:g} --pressure {setup.supply_pa / 1000:.9g}",
     ]
     if setup.controller == "ilc":
@@ -177,9 +216,13 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
     return " ".join(words)
 
 
-def header_lines(study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]) -> list[str]:
+def header_lines(
+    study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]
+) -> list[str]:
     """Return the comment lines of a footprint file; the first two identify the study."""
-    with_versions = ", ".join(f"{package} {version}" for package, version in versions.items())
+    with_versions = ", ".join(
+        f"{package} {version}" for package, version in versions.items()
+    )
     return [*_identity(study, robot, name), f"with: {with_versions}"]
 
 
@@ -193,7 +236,11 @@ def robot_hash(spec: RobotSpec) -> str:
         if not is_dataclass(section):
             return section
         values = {field: getattr(section, field.name) for field in fields(section)}
-        return {field.name: non_defaults(value) for field, value in values.items() if value != field.default}
+        return {
+            field.name: non_defaults(value)
+            for field, value in values.items()
+            if value != field.default
+        }
 
     return hashlib.sha256(repr(non_defaults(spec)).encode()).hexdigest()
 
@@ -209,15 +256,18 @@ def check_same_study(path: Path, study: FootprintStudy, robot: str, name: str) -
     first = [line.removeprefix("# ") for line in read_text(path).splitlines()[:2]]
     if first != _identity(study, robot, name):
         raise InputError(
-            f"{display_path(path)}: the file exists with another footprint; --overwrite replaces it; --name "
-            "or --out choose another file"
+            f"{display_path(path)}: the file exists with another footprint; --overwrite"
+            " replaces it; --name or --out choose another file"
         )
 
 
 def _identity(study: FootprintStudy, robot: str, name: str) -> list[str]:
     return [
         f"measured by: {calibrate_command(study, robot, name)}",
-        f"robot {study.setup.spec.name}, sha256 of its numbers: {robot_hash(study.setup.spec)}",
+        (
+            f"robot {study.setup.spec.name}, sha256 of its numbers:"
+            f" {robot_hash(study.setup.spec)}"
+        ),
     ]
 
 
@@ -233,13 +283,18 @@ def _change_entry(transient: Transient) -> dict[str, float]:
 
 def _source(measured: FootprintMeasurement) -> str:
     return (
-        f"measured on {_plant_text(measured.setup)} by `srs-twin calibrate footprint`, over "
-        f"{measured.periods} gait periods at each of {measured.repeats} phases of the gait at the start"
+        f"measured on {_plant_text(measured.setup)} by `srs-twin calibrate footprint`,"
+        f" over {measured.periods} gait periods at each of {measured.repeats} phases of"
+        " the gait at the start"
     )
 
 
 def _plant_text(setup: GaitSetup) -> str:
     if not isinstance(setup.plant, str):
         return "a custom plant"
-    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[setup.plant]
-    return named if setup.chambers == "lag" else f"{named} with {setup.chambers} chambers"
+    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[
+        setup.plant
+    ]
+    return (
+        named if setup.chambers == "lag" else f"{named} with {setup.chambers} chambers"
+    )

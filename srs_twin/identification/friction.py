@@ -1,34 +1,38 @@
 r"""Friction of the wheels from pulls with a spring car (Eq. 17, Table 2) and from coasting tests.
 
-**Pulls.** Each pull gives one coefficient from the largest deformation of the spring as motion begins,
+**Pulls.** Each pull gives one coefficient from the largest deformation of the spring as
+motion begins,
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}, $$
 
-along the body with rolling wheels, and across it with blocked wheels. The estimate is the mean over the
-pulls. Its standard error includes the errors of k and m, which all pulls share. This is the static
-coefficient; the kinetic one may be smaller. A table of pulls is a CSV file with one pull per row:
-``along_mm`` or ``across_mm``, the largest deformation of the spring (m without a unit; an empty cell: no pull
-in that direction). ``spring_n_per_m`` and ``mass_kg`` are the same in all rows that have them, as are their
+along the body with rolling wheels, and across it with blocked wheels. The estimate is
+the mean over the pulls. Its standard error includes the errors of k and m, which all
+pulls share. This is the static coefficient; the kinetic one may be smaller. A table of
+pulls is a CSV file with one pull per row: ``along_mm`` or ``across_mm``, the largest
+deformation of the spring (m without a unit; an empty cell: no pull in that direction).
+``spring_n_per_m`` and ``mass_kg`` are the same in all rows that have them, as are their
 optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg``.
 
-**Coasting tests.** The robot with vented chambers is pushed and released on the floor. If it is straight, it
-decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across them; in other directions the friction law
-determines the deceleration (`floor.slide`, which also defines s). Initial position and velocity of each run
-are fitted together with μ_t and μ_n. If the motion of a run in one direction is within the noise, its initial
-velocity in that direction is set to 0.
+**Coasting tests.** The robot with vented chambers is pushed and released on the floor.
+If it is straight, it decelerates by μ_t g/(1 + s) along its wheels and by μ_n g across
+them; in other directions the friction law determines the deceleration (`floor.slide`,
+which also defines s). Initial position and velocity of each run are fitted together
+with μ_t and μ_n. If the motion of a run in one direction is within the noise, its
+initial velocity in that direction is set to 0.
 
-**Bent bodies.** The wheels of a bent body cannot all roll. The body follows the circular arc that takes the
-least power, on which its wheels are misaligned by
+**Bent bodies.** The wheels of a bent body cannot all roll. The body follows the
+circular arc that takes the least power, on which its wheels are misaligned by
 
 $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert $$
 
-on average, where δ_i is the heading of connector i. Slip across the wheels adds to the drag, whose
-coefficient is μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is measured in a frame that turns with
-the body, and the angle between the mean heading and the direction of rolling is fitted. The fit computes ε
-from the recorded bends, or from the rest bends of the robot file if none are recorded. Errors of the bends
-(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most the ε of the errors, because ε is a seminorm. In
-two further fits, ε is smaller and larger by the 95 % quantile of this bound. The interval of a coefficient
-includes the intervals of these fits.
+on average, where δ_i is the heading of connector i. Slip across the wheels adds to the
+drag, whose coefficient is μ_t + ε √(μ_n² − μ_t²) under the law `wheel`. The motion is
+measured in a frame that turns with the body, and the angle between the mean heading and
+the direction of rolling is fitted. The fit computes ε from the recorded bends, or from
+the rest bends of the robot file if none are recorded. Errors of the bends
+(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most the ε of the errors, because
+ε is a seminorm. In two further fits, ε is smaller and larger by the 95 % quantile of
+this bound. The interval of a coefficient includes the intervals of these fits.
 """
 
 from __future__ import annotations
@@ -51,13 +55,23 @@ from srs_twin.identification.estimate import (
     Verdict,
     correlation_matrix,
 )
-from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles, trajectory_hash
+from srs_twin.identification.fit_file import (
+    DataSet,
+    array_hash,
+    assign_roles,
+    trajectory_hash,
+)
 from srs_twin.identification.least_squares import LEVEL, Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.recordings.body.trajectories import moving_slope
-from srs_twin.recordings.csv_table import CsvColumn, CsvTable, first_line_names, read_table
+from srs_twin.recordings.csv_table import (
+    CsvColumn,
+    CsvTable,
+    first_line_names,
+    read_table,
+)
 from srs_twin.recordings.recorded_file import read_file
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot import friction
@@ -98,18 +112,27 @@ class Pulls:
     def __post_init__(self) -> None:
         for name in ("stiffness", "mass"):
             value, error = getattr(self, name), getattr(self, f"{name}_error")
-            if not (math.isfinite(value) and value > 0 and math.isfinite(error) and 0 <= error < value):
+            if not (
+                math.isfinite(value)
+                and value > 0
+                and math.isfinite(error)
+                and 0 <= error < value
+            ):
                 raise InputError(
-                    f"{self.name}: {name} {value!r} with error {error!r} is not allowed; it must be above 0 "
-                    "and its error smaller"
+                    f"{self.name}: {name} {value!r} with error {error!r} is not"
+                    " allowed; it must be above 0 and its error smaller"
                 )
         for direction in _DIRECTIONS:
             pulls = np.asarray(getattr(self, direction), dtype=float)
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
-                raise InputError(f"{self.name}: pulls {direction} must be a list of lengths in m, 0 or more")
+                raise InputError(
+                    f"{self.name}: pulls {direction} must be a list of lengths in m, 0"
+                    " or more"
+                )
             if len(pulls) == 1:
                 raise InputError(
-                    f"{self.name}: one pull {direction} does not show the scatter; give 2 or more, or none"
+                    f"{self.name}: one pull {direction} does not show the scatter; give"
+                    " 2 or more, or none"
                 )
 
     @property
@@ -123,7 +146,10 @@ class Pulls:
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
-        along, across = (np.asarray(getattr(self, direction), dtype=float) for direction in _DIRECTIONS)
+        along, across = (
+            np.asarray(getattr(self, direction), dtype=float)
+            for direction in _DIRECTIONS
+        )
         used = array_hash(along, across, np.array([self.stiffness, self.mass]))
         return DataSet(self.name, self.sha256 or used, role, len(along) + len(across))
 
@@ -139,28 +165,54 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
         InputError: the same pulls are used for fit and validation.
     """
     data_with_roles = assign_roles("pulls", [pulls], validation)
-    shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (pulls.mass_error / pulls.mass) ** 2
+    shared = (pulls.stiffness_error / pulls.stiffness) ** 2 + (
+        pulls.mass_error / pulls.mass
+    ) ** 2
     values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
     means = np.array([value.mean() if len(value) else np.nan for value in values])
-    variances = np.array([value.var(ddof=1) / len(value) if len(value) else np.nan for value in values])
+    variances = np.array(
+        [value.var(ddof=1) / len(value) if len(value) else np.nan for value in values]
+    )
     # Errors of k and m affect both coefficients by the same factor, so they correlate.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
-    parameters = [_parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)]
+    parameters = [
+        _parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)
+    ]
     correlation = correlation_matrix(covariance, parameters)
-    scatter = [max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan for value in values]
+    scatter = [
+        max(float(value.std(ddof=1)), 1e-12) if len(value) else math.nan
+        for value in values
+    ]
     residuals = tuple(
-        Residual(f"{data.name} {direction}", "1", data.coefficients(direction) - means[k], scatter[k], role)
+        Residual(
+            f"{data.name} {direction}",
+            "1",
+            data.coefficients(direction) - means[k],
+            scatter[k],
+            role,
+        )
         for data, role in data_with_roles
         for k, direction in enumerate(_DIRECTIONS)
         if len(values[k]) and len(data.coefficients(direction))
     )
     samples = sum(len(value) for value in values)
     held = {"mass_kg": pulls.mass, "spring_n_per_m": pulls.stiffness}
-    return FitEstimate(tuple(parameters), correlation, residuals, (), samples, float(samples), 1.0, held)
+    return FitEstimate(
+        tuple(parameters),
+        correlation,
+        residuals,
+        (),
+        samples,
+        float(samples),
+        1.0,
+        held,
+    )
 
 
-def _parameter(k: int, values: np.ndarray, mean: float, variance: float, error: float) -> Parameter:
+def _parameter(
+    k: int, values: np.ndarray, mean: float, variance: float, error: float
+) -> Parameter:
     from scipy import stats
 
     if not len(values):  # one alone is refused
@@ -169,11 +221,13 @@ def _parameter(k: int, values: np.ndarray, mean: float, variance: float, error: 
     if error >= UNIDENTIFIABLE_ERROR * mean:
         why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of freedom, as if exactly
-    # known.
+    # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of
+    # freedom, as if exactly known.
     freedom = (len(values) - 1) * (error**2 / variance) ** 2 if variance > 0 else np.inf
     half_width = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
-    verdict: Verdict = "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
+    verdict: Verdict = (
+        "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
+    )
     low, high = max(mean - half_width, 0.0), mean + half_width
     return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), low, high)
 
@@ -205,38 +259,63 @@ def read_pull_table(path: StrPath) -> Pulls:
     """Read a table of pulls.
 
     Raises:
-        InputError: the file does not exist, a column is missing or has a wrong unit, or a cell is invalid.
+        InputError: the file does not exist, a column is missing or has a wrong unit, or
+            a cell is invalid.
     """
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
     columns = {column.name: column for column in table.columns}
     for column in table.columns:
         if column.number:
-            raise table.error(column, f"{column.text}: these columns have no numbers; {PULL_COLUMNS}")
+            raise table.error(
+                column, f"{column.text}: these columns have no numbers; {PULL_COLUMNS}"
+            )
     if not columns.keys() & set(_DIRECTIONS):
-        raise table.file.error(f"neither 'along' nor 'across'; a table of pulls has {PULL_COLUMNS}", 1)
+        raise table.file.error(
+            f"neither 'along' nor 'across'; a table of pulls has {PULL_COLUMNS}", 1
+        )
     for name in _CONSTANTS[:2]:
         if name not in columns:
-            raise table.file.error(f"no column '{name}'; a table of pulls has {PULL_COLUMNS}", 1)
+            raise table.file.error(
+                f"no column '{name}'; a table of pulls has {PULL_COLUMNS}", 1
+            )
     rows, _ = table.read(table.columns)
-    values = {column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)}
+    values = {
+        column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)
+    }
     along, across = (
-        _deformations(table, columns[name], values[name]) if name in columns else [] for name in _DIRECTIONS
+        _deformations(table, columns[name], values[name]) if name in columns else []
+        for name in _DIRECTIONS
     )
     stiffness, mass, stiffness_error, mass_error = (
-        _constant(table, columns[name], values[name]) if name in columns else 0.0 for name in _CONSTANTS
+        _constant(table, columns[name], values[name]) if name in columns else 0.0
+        for name in _CONSTANTS
     )
     file = table.file
-    return Pulls(along, across, stiffness, mass, stiffness_error, mass_error, file.name, file.sha256)
+    return Pulls(
+        along,
+        across,
+        stiffness,
+        mass,
+        stiffness_error,
+        mass_error,
+        file.name,
+        file.sha256,
+    )
 
 
-def _deformations(table: CsvTable, column: CsvColumn, values: np.ndarray) -> list[float]:
+def _deformations(
+    table: CsvTable, column: CsvColumn, values: np.ndarray
+) -> list[float]:
     """Return the deformations in a column, m, without empty cells."""
     wrong = np.flatnonzero((values < 0) | (values > _MAX_DEFORMATION_M))
     if wrong.size:
         row = int(wrong[0])
         message = f"{column.text}: {values[row] / column.factor:g} is not allowed"
-        allowed = f"a deformation of 0 to {_MAX_DEFORMATION_M / column.factor:g} {column.unit or 'm'}"
+        allowed = (
+            f"a deformation of 0 to {_MAX_DEFORMATION_M / column.factor:g}"
+            f" {column.unit or 'm'}"
+        )
         raise table.error(column, f"{message}; {allowed}", row)
     return [float(value) for value in values if np.isfinite(value)]
 
@@ -250,7 +329,10 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
     different = rows[values[rows] != first]
     if different.size:
         row = int(different[0])
-        message = f"{values[row]:g} here and {first:g} above; a file is for one spring and one mass"
+        message = (
+            f"{values[row]:g} here and {first:g} above; a file is for one spring and"
+            " one mass"
+        )
         raise table.error(column, f"{column.text}: {message}", row)
     return first
 
@@ -297,11 +379,12 @@ class CoastingTest:
         name: name of the data.
         sha256: SHA-256 of the data.
         time: time from the first used sample, shape (samples,), s.
-        position: path of the centre of mass along and across the heading, from the first sample, (samples,
-            2), m.
+        position: path of the centre of mass along and across the heading, from the
+            first sample, (samples, 2), m.
         velocity: first guess of the initial velocity, along and across, m/s.
         span: begin and end of the used samples on the recording's clock, s.
-        bends: mean recorded bends, shape (segments,), rad; None if bends are not recorded.
+        bends: mean recorded bends, shape (segments,), rad; None if bends are not
+            recorded.
     """
 
     name: str
@@ -321,28 +404,39 @@ class CoastingTest:
         Args:
             trajectory: recording or simulation.
             name: name of the data.
-            start: time from which the robot is not touched, s; None: the time of its largest speed.
+            start: time from which the robot is not touched, s; None: the time of its
+                largest speed.
 
         Raises:
             InputError: the test is too short or too slow, or the robot turns.
         """
         time, com = trajectory.time, trajectory.com
         if len(time) < _MIN_SAMPLES:
-            raise InputError(f"{name}: {len(time)} samples; {_MIN_SAMPLES} or more are needed")
+            raise InputError(
+                f"{name}: {len(time)} samples; {_MIN_SAMPLES} or more are needed"
+            )
         speed = np.hypot(*moving_slope(time, com).T)
-        first = int(np.argmax(speed)) if start is None else int(np.searchsorted(time, start))
+        first = (
+            int(np.argmax(speed))
+            if start is None
+            else int(np.searchsorted(time, start))
+        )
         time, com = time[first:], com[first:]
         if len(time) < _MIN_SAMPLES:
-            raise InputError(f"{name}: {len(time)} samples after the push; {_MIN_SAMPLES} or more are needed")
+            raise InputError(
+                f"{name}: {len(time)} samples after the push; {_MIN_SAMPLES} or more"
+                " are needed"
+            )
         if speed[first] < _MIN_SPEED_M_S:
             raise InputError(
-                f"{name}: the largest speed is {speed[first]:.2g} m/s; {_MIN_SPEED_M_S:g} m/s is needed"
+                f"{name}: the largest speed is {speed[first]:.2g} m/s;"
+                f" {_MIN_SPEED_M_S:g} m/s is needed"
             )
         heading = trajectory["heading"][first:]
         if np.ptp(heading) > _MAX_TURN_RAD:
             raise InputError(
-                f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts; {_MAX_TURN_RAD:g} rad is "
-                "allowed: push it straight along or across"
+                f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts;"
+                f" {_MAX_TURN_RAD:g} rad is allowed: push it straight along or across"
             )
         trend = np.polynomial.Polynomial.fit(time, heading, _HEADING_DEGREE)(time)
         middle = (trend[1:] + trend[:-1]) / 2
@@ -350,9 +444,24 @@ class CoastingTest:
         path = np.concatenate([[0.0], np.cumsum(steps)])
         position = np.stack([path.real, path.imag], axis=1)
         guess = moving_slope(time, position)[0]
-        velocity, span = (float(guess[0]), float(guess[1])), (float(time[0]), float(time[-1]))
-        bends = trajectory.stack("bend")[first:].mean(axis=0) if trajectory.has("bend_1") else None
-        return cls(name, trajectory_hash(trajectory), time - time[0], position, velocity, span, bends)
+        velocity, span = (
+            (float(guess[0]), float(guess[1])),
+            (float(time[0]), float(time[-1])),
+        )
+        bends = (
+            trajectory.stack("bend")[first:].mean(axis=0)
+            if trajectory.has("bend_1")
+            else None
+        )
+        return cls(
+            name,
+            trajectory_hash(trajectory),
+            time - time[0],
+            position,
+            velocity,
+            span,
+            bends,
+        )
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -372,19 +481,24 @@ def fit_coasting(
 
     Args:
         runs: coasting tests; in both directions to determine both coefficients.
-        spec: robot, whose wheels and masses determine the effect of the wheels' rotational inertia.
-        validation: coasting tests for validation; only their initial velocities are fitted.
+        spec: robot, whose wheels and masses determine the effect of the wheels'
+            rotational inertia.
+        validation: coasting tests for validation; only their initial velocities are
+            fitted.
         law: friction law, one of `robot.friction.LAWS` except "viscous".
-        wheel_inertia: whether the wheels have rotational inertia, as in the robot and the twin; skids and the
-            wheels of the analytical plant have none.
+        wheel_inertia: whether the wheels have rotational inertia, as in the robot and
+            the twin; skids and the wheels of the analytical plant have none.
         watch: progress callback, see `least_squares`.
 
     Raises:
-        InputError: there is no run, the law is unknown, or a validation run is also fitted.
+        InputError: there is no run, the law is unknown, or a validation run is also
+            fitted.
     """
     allowed = [name for name in LAWS if name != "viscous"]
     if law not in allowed:
-        raise InputError(f"friction law '{law}' is not allowed here; allowed: {', '.join(allowed)}")
+        raise InputError(
+            f"friction law '{law}' is not allowed here; allowed: {', '.join(allowed)}"
+        )
     assign_roles("coasting tests", runs, validation)
     share = spin_share(spec) if wheel_inertia else 0.0
     model = _CoastingModel(spec, law, share)
@@ -414,7 +528,9 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
     """Return ε (module docstring) of bodies with bends of shape (..., segments), shape (...), rad."""
     weights = spec.mass.array() / spec.mass.total
     number = np.arange(len(weights))
-    headings = np.concatenate([np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1)
+    headings = np.concatenate(
+        [np.zeros_like(bends[..., :1]), np.cumsum(bends, axis=-1)], axis=-1
+    )
     smallest = np.full(bends.shape[:-1], np.inf)
     # A line with the least sum of absolute deviations passes through two of its points.
     for i, j in itertools.combinations(number, 2):
@@ -433,10 +549,18 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
     low = min(fit.low for fit in fits if fit.low is not None)
     high = max(fit.high for fit in fits if fit.high is not None)
     verdict, why, value = parameter.verdict, parameter.why, parameter.value or 0.0
-    if verdict == "identified" and max(value - low, high - value) > _MAX_HALF_WIDTH * value:
-        verdict, why = "weakly identified", f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
+    if (
+        verdict == "identified"
+        and max(value - low, high - value) > _MAX_HALF_WIDTH * value
+    ):
+        verdict, why = (
+            "weakly identified",
+            f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %",
+        )
     error = (high - low) / 2 / _STDS_IN_HALF_WIDTH
-    return replace(parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why)
+    return replace(
+        parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why
+    )
 
 
 @dataclass(frozen=True)
@@ -447,7 +571,8 @@ class _CoastingModel:
         spec: robot.
         law: friction law.
         share: s of `floor.slide`.
-        mu_n: friction coefficient for the slip of a bent body across its wheels; None: the fitted μ_n.
+        mu_n: friction coefficient for the slip of a bent body across its wheels; None:
+            the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -455,12 +580,15 @@ class _CoastingModel:
     share: float
     mu_n: float | None = None
 
-    def fit(self, runs: Sequence[CoastingTest], side: float, watch: Watch | None) -> FitEstimate:
+    def fit(
+        self, runs: Sequence[CoastingTest], side: float, watch: Watch | None
+    ) -> FitEstimate:
         """Fit the coefficients.
 
         Args:
             runs: coasting tests.
-            side: −1 or 1 for the lower or the upper end of the interval of ε; 0 for the best estimate of ε.
+            side: −1 or 1 for the lower or the upper end of the interval of ε; 0 for the
+                best estimate of ε.
             watch: see `fit_coasting`.
         """
         angles = [self._misalignment(run, side) for run in runs]
@@ -474,7 +602,9 @@ class _CoastingModel:
 
         motions = [unknown for k, run in enumerate(runs) for unknown in _motion(run, k)]
         unknowns = [*free_parameters(self.spec, _NAMES), *motions]
-        return least_squares(residuals, unknowns, held={"spin_share": self.share}, watch=watch)
+        return least_squares(
+            residuals, unknowns, held={"spin_share": self.share}, watch=watch
+        )
 
     def _misalignment(self, run: CoastingTest, side: float) -> float:
         """Return ε of a run; `side` has the meaning of `fit`."""
@@ -492,9 +622,13 @@ class _CoastingModel:
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
         slip_law = getattr(friction, self.law)
-        along, across, *_ = slip_law(1.0, angle, 1.0, mu_t, self.mu_n or mu_n, _SHARP_SLIP)
+        along, across, *_ = slip_law(
+            1.0, angle, 1.0, mu_t, self.mu_n or mu_n, _SHARP_SLIP
+        )
         drag = -along - angle * across
-        path = slide(velocity, run.time, law=self.law, mu_t=drag, mu_n=mu_n, share=self.share)
+        path = slide(
+            velocity, run.time, law=self.law, mu_t=drag, mu_n=mu_n, share=self.share
+        )
         turned = path @ [1.0, 1.0j] * np.exp(1j * values.get(f"roll_{k}", 0.0))
         difference = run.position - np.stack([turned.real, turned.imag], axis=1)
         return [
@@ -502,7 +636,9 @@ class _CoastingModel:
             for direction, column in zip(_DIRECTIONS, difference.T, strict=True)
         ]
 
-    def validation_residuals(self, run: CoastingTest, fitted: Mapping[str, float]) -> Sequence[Residual]:
+    def validation_residuals(
+        self, run: CoastingTest, fitted: Mapping[str, float]
+    ) -> Sequence[Residual]:
         """Return the residuals of a run with fitted coefficients; only its motion is fitted."""
         angle, motion = self._misalignment(run, 0.0), _motion(run, 0)
 
@@ -527,14 +663,30 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
     limit = _MAX_ROLL_ANGLE_RAD / 2
     angle = min(max(float(moved[1] / moved[0]), -limit), limit) if rolls else 0.0
-    turned = (late - run.position[: max(1, few // 4)].mean(axis=0)) @ [1.0, 1.0j] * np.exp(-1j * angle)
+    turned = (
+        (late - run.position[: max(1, few // 4)].mean(axis=0))
+        @ [1.0, 1.0j]
+        * np.exp(-1j * angle)
+    )
     travel = abs(turned.real), abs(turned.imag)
     unknowns = [
-        FreeParameter(f"{direction}_{k}", "m/s", guess, guess - 2.0, guess + 2.0, 1.0, nuisance=True)
-        for direction, guess, distance in zip(_DIRECTIONS, run.velocity, travel, strict=True)
+        FreeParameter(
+            f"{direction}_{k}",
+            "m/s",
+            guess,
+            guess - 2.0,
+            guess + 2.0,
+            1.0,
+            nuisance=True,
+        )
+        for direction, guess, distance in zip(
+            _DIRECTIONS, run.velocity, travel, strict=True
+        )
         if distance > _MIN_TRAVEL * _NOISE_M
     ]
     if rolls:
         bound = _MAX_ROLL_ANGLE_RAD
-        unknowns.append(FreeParameter(f"roll_{k}", "rad", angle, -bound, bound, 1.0, nuisance=True))
+        unknowns.append(
+            FreeParameter(f"roll_{k}", "rad", angle, -bound, bound, 1.0, nuisance=True)
+        )
     return unknowns

@@ -1,24 +1,26 @@
 r"""Motion of a body that hangs on one bent segment, after it is released.
 
-One end of a segment is clamped so that the segment hangs straight down. A body of mass m and moment of
-inertia J about its centre is at the other end. With the bend q and the chord L(q) of `robot.geometry` at the
-angle q/2, Lagrange's equation is
+One end of a segment is clamped so that the segment hangs straight down. A body of mass
+m and moment of inertia J about its centre is at the other end. With the bend q and the
+chord L(q) of `robot.geometry` at the angle q/2, Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
-The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the rest bend without
-pressure. A real material still recovers slowly from having been held, so b contains decaying exponentials.
+The bend law φ(x) of `pneumatics.chambers` turns the pressures into a bend, and b is the
+rest bend without pressure. A real material still recovers slowly from having been held,
+so b contains decaying exponentials.
 
-**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant temperature, the absolute
-pressure P and the amount n = P V, and leaks at the rate λ to the ambient pressure p₀:
+**Air.** Open chambers have φ = 0. The air of a closed chamber has a constant
+temperature, the absolute pressure P and the amount n = P V, and leaks at the rate λ to
+the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
-**Material.** A material is viscous (damping time T) and may have Maxwell branches with the moments e_i:
-ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are spread over two decades about the ringing period have a
-nearly constant loss factor.
+**Material.** A material is viscous (damping time T) and may have Maxwell branches with
+the moments e_i: ė_i = g_i ḋ − e_i/τ_i. Five branches whose τ are spread over two
+decades about the ringing period have a nearly constant loss factor.
 """
 
 from __future__ import annotations
@@ -32,7 +34,11 @@ from scipy.optimize import brentq, newton
 from srs_twin.compute.arrays import Array
 from srs_twin.compute.compiled import allocating, kernel_only
 from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, volume
-from srs_twin.robot.geometry import chord_derivatives, chord_from_half_angle, half_angle_terms
+from srs_twin.robot.geometry import (
+    chord_derivatives,
+    chord_from_half_angle,
+    half_angle_terms,
+)
 from srs_twin.robot.spec import GRAVITY
 
 _half_angle_terms = kernel_only(half_angle_terms)
@@ -148,13 +154,15 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
     Args:
         time: ascending times, shape (samples,), s.
-        start: bend (rad), its rate (rad/s), amounts of air P V in the + and − chamber (J) and moments of the
-            branches (N·m) at the first time, shape (4 + branches,).
+        start: bend (rad), its rate (rad/s), amounts of air P V in the + and − chamber
+            (J) and moments of the branches (N·m) at the first time, shape (4 +
+            branches,).
         rest: rest bend b without pressure at the times, shape (samples,), rad.
         frequency: approximate ringing frequency, rad/s, from which the steps follow.
         material: a `Material`.
         segment: a `HangingSegment`.
-        branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of the branches, shape (branches, 2).
+        branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of the branches,
+            shape (branches, 2).
     """
     result = np.empty(len(time))
     state, trial = start.copy(), start.copy()
@@ -169,7 +177,15 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
             trial[:] = state
             for stage in range(4):
                 since = (j + 0.5 * ((stage + 1) // 2)) * h
-                _slopes(trial, rest[k] + rise * since, rise, material, segment, branches, slopes)
+                _slopes(
+                    trial,
+                    rest[k] + rise * since,
+                    rise,
+                    material,
+                    segment,
+                    branches,
+                    slopes,
+                )
                 total += slopes * (2.0 if stage in (1, 2) else 1.0)
                 trial[:] = state + slopes * (h if stage == 2 else h / 2)
             state += total * (h / 6)
@@ -199,7 +215,11 @@ class Ringing(NamedTuple):
 
 
 def ringing(
-    segment: HangingSegment, material: Material, rest: float, air: Array, branches: Array = NO_BRANCHES
+    segment: HangingSegment,
+    material: Material,
+    rest: float,
+    air: Array,
+    branches: Array = NO_BRANCHES,
 ) -> Ringing:
     r"""Return the small oscillation about the bend at which the segment hangs.
 
@@ -208,14 +228,16 @@ def ringing(
     $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
        r = \varphi'(x)\,G\,P\,\frac{A}{V}, $$
 
-    and the ringing is the complex root of M s² + K(s) + w = 0 with the slope w of the weight. The loss factor
-    is Im K/Re K at the frequency of that root. Branches add g s τ/(1 + s τ) to the material.
+    and the ringing is the complex root of M s² + K(s) + w = 0 with the slope w of the
+    weight. The loss factor is Im K/Re K at the frequency of that root. Branches add g s
+    τ/(1 + s τ) to the material.
 
     Args:
         segment: hanging segment.
         material: material and leak.
         rest: rest bend b, rad.
-        air: amounts of enclosed air, + before −, shape (2,), J; not used with open valves.
+        air: amounts of enclosed air, + before −, shape (2,), J; not used with open
+            valves.
         branches: Maxwell branches, see `swing`.
     """
     k, damping_time, leak = material
@@ -238,17 +260,25 @@ def ringing(
     chord, slope, _ = chord_derivatives(hang, segment.length, segment.gap)
     inertia = segment.mass * (slope**2 + chord**2 / 4) + segment.inertia
     step = _SMALL_BEND_RAD
-    stiffening = -(weight_moment(segment, hang + step) - weight_moment(segment, hang - step)) / (2 * step)
+    stiffening = -(
+        weight_moment(segment, hang + step) - weight_moment(segment, hang - step)
+    ) / (2 * step)
     share = air_bend(hang or step)[1]
 
     def stiffness(s: complex) -> complex:
-        branched: complex = sum(strength * s * tau / (1 + s * tau) for strength, tau in branches)
+        branched: complex = sum(
+            strength * s * tau / (1 + s * tau) for strength, tau in branches
+        )
         return (k * (1 + s * damping_time) + branched) * (1 + share * s / (s + leak))
 
     undamped = math.sqrt((stiffness(1j / _SHORTEST_S).real + stiffening) / inertia)
     guess = 1j * undamped
     guess -= stiffness(guess).imag / (2 * inertia * undamped)
-    root = newton(lambda s: (inertia * s * s + stiffness(s) + stiffening) / inertia, guess, maxiter=100)
+    root = newton(
+        lambda s: (inertia * s * s + stiffness(s) + stiffening) / inertia,
+        guess,
+        maxiter=100,
+    )
     pulsation = max(abs(complex(root).imag), _SLOWEST_RAD_S)
     total = stiffness(1j * pulsation)
     return Ringing(pulsation / (2 * math.pi), total.imag / total.real, k * share)
@@ -274,7 +304,8 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
     Args:
         material: viscous material.
         pulsation: frequency of equal stiffness and loss, rad/s.
-        rate: rate of the bend at the start, after a quarter of a swing from a long hold, rad/s.
+        rate: rate of the bend at the start, after a quarter of a swing from a long
+            hold, rad/s.
     """
     x = _BRANCH_RATIOS
     storage, loss = x**2 / (1 + x**2), x / (1 + x**2)
@@ -285,4 +316,6 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
     relaxed = material.stiffness - strength * storage.sum()
     moments = -strength * rate / pulsation * loss * (1 + x * np.exp(-math.pi / (2 * x)))
     branches = np.stack([np.full(len(x), strength), x / pulsation], axis=1)
-    return Branches(Material(relaxed, viscous / relaxed, material.leak), branches, moments)
+    return Branches(
+        Material(relaxed, viscous / relaxed, material.leak), branches, moments
+    )

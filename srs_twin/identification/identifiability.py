@@ -1,17 +1,17 @@
 r"""Identifiability of the parameters of a fit, and the accuracy of their values.
 
-Let J be the Jacobian of the weighted residuals by the coordinates z of `parameters`, s_k its singular values
-with directions v_k, and E the difference between two Jacobians with steps h and 2h, an estimate of the error
-of J. A direction is *unidentifiable* if the effect of moving along it is within the
-error of the derivatives:
+Let J be the Jacobian of the weighted residuals by the coordinates z of `parameters`,
+s_k its singular values with directions v_k, and E the difference between two Jacobians
+with steps h and 2h, an estimate of the error of J. A direction is *unidentifiable* if
+the effect of moving along it is within the error of the derivatives:
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
-The other directions have the standard error σ/s_k. A parameter is not identifiable if more than a tenth of it
-lies in the unidentifiable directions, or if its standard error in z is 1 or more (a factor e in either
-direction), as the data then add little to its bounds. Up to a standard error of 0.1 it is identified, in
-between weakly identified. A smaller component in an unidentifiable direction adds the variance within the
-bounds.
+The other directions have the standard error σ/s_k. A parameter is not identifiable if
+more than a tenth of it lies in the unidentifiable directions, or if its standard error
+in z is 1 or more (a factor e in either direction), as the data then add little to its
+bounds. Up to a standard error of 0.1 it is identified, in between weakly identified. A
+smaller component in an unidentifiable direction adds the variance within the bounds.
 """
 
 from __future__ import annotations
@@ -69,13 +69,23 @@ class Identifiability:
 
     def is_unidentifiable(self, i: int) -> bool:
         """Return whether parameter i is not identifiable."""
-        return bool(self.share[i] > MAX_UNIDENTIFIABLE_SHARE or self.errors[i] >= UNIDENTIFIABLE_ERROR)
+        return bool(
+            self.share[i] > MAX_UNIDENTIFIABLE_SHARE
+            or self.errors[i] >= UNIDENTIFIABLE_ERROR
+        )
 
     def describe(self, i: int) -> str:
         """Return the reason why parameter i is not identifiable."""
         rows = [row for row in self.directions if abs(row[i]) > _MIN_COMPONENT]
-        components = [(name, k, abs(row[k])) for row in rows for k, name in enumerate(self.names) if k != i]
-        others = sorted({name for name, _, component in components if component > _MIN_COMPONENT})
+        components = [
+            (name, k, abs(row[k]))
+            for row in rows
+            for k, name in enumerate(self.names)
+            if k != i
+        ]
+        others = sorted(
+            {name for name, _, component in components if component > _MIN_COMPONENT}
+        )
         if not rows:
             return f"its standard error in z is {self.errors[i]:.2g}, 1 or more"
         if not others:
@@ -87,22 +97,33 @@ class Identifiability:
         """Unidentifiable directions as name → component, the largest component positive."""
         rows = []
         for row in self.directions:
-            components = zip(self.names, row * np.sign(row[np.argmax(np.abs(row))]), strict=True)
+            components = zip(
+                self.names, row * np.sign(row[np.argmax(np.abs(row))]), strict=True
+            )
             rows.append(
-                {name: round(float(value), 3) for name, value in components if abs(value) > _MIN_COMPONENT}
+                {
+                    name: round(float(value), 3)
+                    for name, value in components
+                    if abs(value) > _MIN_COMPONENT
+                }
             )
         return tuple(rows)
 
 
 def identifiability(
-    jacobian: np.ndarray, error: np.ndarray, noise: float, widths: np.ndarray, names: Iterable[str]
+    jacobian: np.ndarray,
+    error: np.ndarray,
+    noise: float,
+    widths: np.ndarray,
+    names: Iterable[str],
 ) -> Identifiability:
     """Return the identifiability of parameters from a Jacobian (module docstring).
 
     Args:
         jacobian: J, shape (samples, n).
         error: E, same shape.
-        noise: σ of a weighted residual, multiplied by the square root of the correlation time.
+        noise: σ of a weighted residual, multiplied by the square root of the
+            correlation time.
         widths: distance between the bounds of each parameter in z, shape (n,).
         names: names of the parameters, n.
     """
@@ -113,7 +134,8 @@ def identifiability(
     )
     determined, unidentifiable = directions[~undetermined], directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without data the prior remains: uniform between the bounds, with the variance width²/12.
+    # Without data the prior remains: uniform between the bounds, with the variance
+    # width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     share = np.linalg.norm(unidentifiable, axis=0)
@@ -148,7 +170,11 @@ class Accuracy:
 
     def parameter(self, i: int) -> Parameter:
         """Return parameter i with verdict and interval."""
-        unknown, z, index = self.unknowns[i], float(self.z[i]), int(np.searchsorted(self.inside, i))
+        unknown, z, index = (
+            self.unknowns[i],
+            float(self.z[i]),
+            int(np.searchsorted(self.inside, i)),
+        )
         lost = ""
         if i not in self.inside:
             lost = _describe_bound(unknown, z)
@@ -160,19 +186,27 @@ class Accuracy:
         verdict, why = self._verdict(error, self.spread[i])
         if 2 * self.bias[i] ** 2 > error**2:
             true = unknown.value(z - self.bias[i])
-            model_error = f"mostly model error: a fit to the reference with {true:.4g} gives this value"
+            model_error = (
+                f"mostly model error: a fit to the reference with {true:.4g} gives this"
+                " value"
+            )
             why = "; ".join(filter(None, (why, model_error)))
         if not self.explained:
             verdict, why = "cannot tell", f"{MISFIT_MESSAGE}: {_SPREAD_ONLY}"
         half = self.quantile * error
         low, high = unknown.value(z - half), unknown.value(z + half)
         std = unknown.slope(value) * error
-        return Parameter(unknown.name, unknown.unit, verdict, value, std, low, high, why)
+        return Parameter(
+            unknown.name, unknown.unit, verdict, value, std, low, high, why
+        )
 
     def _verdict(self, error: float, spread: float) -> tuple[Verdict, str]:
         """Return the verdict on a parameter with a value, and its reason."""
         if spread > max(IDENTIFIED_ERROR, 2 * self.quantile * error):
-            return "weakly identified", "another start gives a different value with an equally good fit"
+            return (
+                "weakly identified",
+                "another start gives a different value with an equally good fit",
+            )
         if not self.converged:
             return "weakly identified", "the search did not converge"
         if error > IDENTIFIED_ERROR:
@@ -188,6 +222,9 @@ class Accuracy:
 
 def _describe_bound(parameter: FreeParameter, z: float) -> str:
     """Return the reason why a parameter whose search ended at a bound has no value."""
-    lower = z - parameter.coordinate(parameter.low) < parameter.coordinate(parameter.high) - z
+    lower = (
+        z - parameter.coordinate(parameter.low)
+        < parameter.coordinate(parameter.high) - z
+    )
     bound, side = (parameter.low, "lower") if lower else (parameter.high, "upper")
     return f"the best fit is at the {side} bound, {bound:g} {parameter.unit}, or beyond"

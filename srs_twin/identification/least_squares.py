@@ -1,33 +1,35 @@
 r"""Weighted nonlinear least squares, with confidence intervals and identifiability of the parameters.
 
-**Search.** SciPy's trust-region method minimises the sum of squared weighted residuals within bounds, in the
-coordinates z of `parameters`. The Jacobian uses central differences, which keeps the number of model runs
-small. For a model with kinks the search is repeated with a coarse step from its end point. An optional first
-stage uses only residuals that vary monotonically over a large range of the parameters. For a crawling robot
-these are the bends: path and heading are informative only within a few per cent, because with larger errors
-the simulated robot turns in another direction. The search is deterministic; further starts are drawn with a
-fixed seed.
+**Search.** SciPy's trust-region method minimises the sum of squared weighted residuals
+within bounds, in the coordinates z of `parameters`. The Jacobian uses central
+differences, which keeps the number of model runs small. For a model with kinks the
+search is repeated with a coarse step from its end point. An optional first stage uses
+only residuals that vary monotonically over a large range of the parameters. For a
+crawling robot these are the bends: path and heading are informative only within a few
+per cent, because with larger errors the simulated robot turns in another direction. The
+search is deterministic; further starts are drawn with a fixed seed.
 
-**Intervals.** With S the sum at the estimate, n samples equivalent to n/τ independent ones
-(`correlation_time`) and p parameters, the covariance is
+**Intervals.** With S the sum at the estimate, n samples equivalent to n/τ independent
+ones (`correlation_time`) and p parameters, the covariance is
 
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}, $$
 
-and intervals use Student's t with n/τ − p degrees of freedom in z, so intervals of logarithms are asymmetric.
-This is exact for parameters whose effect is slower than the correlation of the residuals, and overestimates
-the error of others.
+and intervals use Student's t with n/τ − p degrees of freedom in z, so intervals of
+logarithms are asymmetric. This is exact for parameters whose effect is slower than the
+correlation of the residuals, and overestimates the error of others.
 
-**Model error.** Errors of the model bias the estimate, and residuals need not show it. A better model, the
-*reference*, reveals the bias: the search is applied to data that the reference simulates with values z₀, and
-b(z₀) is the difference between its result and z₀ (indirect inference: Gouriéroux, Monfort and Renault 1993,
-Journal of Applied Econometrics 8). The relevant bias is that at the unknown true values. With
-b₁ = b(z), the iteration b_{k+1} = b(z − b_k) approaches it, and the covariance becomes
+**Model error.** Errors of the model bias the estimate, and residuals need not show it.
+A better model, the *reference*, reveals the bias: the search is applied to data that
+the reference simulates with values z₀, and b(z₀) is the difference between its result
+and z₀ (indirect inference: Gouriéroux, Monfort and Renault 1993, Journal of Applied
+Econometrics 8). The relevant bias is that at the unknown true values. With b₁ = b(z),
+the iteration b_{k+1} = b(z − b_k) approaches it, and the covariance becomes
 
 $$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top ; $$
 
-the last term is the uncertainty of b. The iteration ends when no element of b changes by more than the
-standard error of its parameter (from C), or after five searches. The estimate itself is not corrected: it
-remains the best fit.
+the last term is the uncertainty of b. The iteration ends when no element of b changes
+by more than the standard error of its parameter (from C), or after five searches. The
+estimate itself is not corrected: it remains the best fit.
 """
 
 from __future__ import annotations
@@ -63,7 +65,8 @@ _START_RANGE = 1.5
 """Range in z about the first start from which further starts are drawn."""
 
 _MIN_START_DISTANCE = 0.7
-"""Smallest distance in z between two starts; closer ones converge to the same minimum."""
+"""Smallest distance in z between two starts; closer ones converge to the same minimum.
+"""
 
 _CANDIDATES_PER_START = 12
 """Number of points drawn for each further start, of which the best is used."""
@@ -84,17 +87,17 @@ class SearchOptions:
 
     Attributes:
         step: step of the differences, in z; larger for models that are not smooth.
-        coarse_step: larger step with which a finished search is repeated, for models with kinks; with
-            `first_stage` the step of that stage, without repetition.
-        tolerance: relative change of the sum of squares, or of z, that ends the search; None: derived from
-            `step`.
-        first_stage: filter for residuals that vary monotonically over a large range of the parameters. The
-            search uses only these first, then all.
-        identifiability_step: step for the Jacobian of the identifiability, used if the data leave a larger
-            uncertainty than `step`; None: `step`.
+        coarse_step: larger step with which a finished search is repeated, for models
+            with kinks; with `first_stage` the step of that stage, without repetition.
+        tolerance: relative change of the sum of squares, or of z, that ends the search;
+            None: derived from `step`.
+        first_stage: filter for residuals that vary monotonically over a large range of
+            the parameters. The search uses only these first, then all.
+        identifiability_step: step for the Jacobian of the identifiability, used if the
+            data leave a larger uncertainty than `step`; None: `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
-        max_runs: largest number of model runs; then the search returns its best point as not converged.
-            None: unlimited.
+        max_runs: largest number of model runs; then the search returns its best point
+            as not converged. None: unlimited.
     """
 
     step: float = 1e-4
@@ -108,7 +111,11 @@ class SearchOptions:
     @property
     def effective_tolerance(self) -> float:
         """Tolerance after defaults."""
-        return max(1e-12, 1e-3 * self.step**2) if self.tolerance is None else self.tolerance
+        return (
+            max(1e-12, 1e-3 * self.step**2)
+            if self.tolerance is None
+            else self.tolerance
+        )
 
 
 @dataclass(frozen=True)
@@ -144,18 +151,26 @@ class Search:
             raise InputError("a fit needs at least one free parameter; name one")
         self.low = np.array([unknown.coordinate(unknown.low) for unknown in unknowns])
         self.high = np.array([unknown.coordinate(unknown.high) for unknown in unknowns])
-        self.start = np.array([unknown.coordinate(unknown.start) for unknown in unknowns])
+        self.start = np.array(
+            [unknown.coordinate(unknown.start) for unknown in unknowns]
+        )
         weighted = self.weighted(self.start)
         if len(weighted) <= len(unknowns):
             raise InputError(
-                f"{len(weighted)} samples cannot determine {len(unknowns)} parameters; more data are needed"
+                f"{len(weighted)} samples cannot determine {len(unknowns)} parameters;"
+                " more data are needed"
             )
         if not np.isfinite(weighted).all():
-            raise InputError("residuals are not finite at the start of the search; check the data")
+            raise InputError(
+                "residuals are not finite at the start of the search; check the data"
+            )
 
     def values(self, z: Array) -> dict[str, float]:
         """Return the parameter values at z, by name."""
-        return {unknown.name: unknown.value(float(at)) for unknown, at in zip(self.unknowns, z, strict=True)}
+        return {
+            unknown.name: unknown.value(float(at))
+            for unknown, at in zip(self.unknowns, z, strict=True)
+        }
 
     def residuals(self, z: Array) -> tuple[Residual, ...]:
         """Return all residuals at z; runs the model."""
@@ -174,7 +189,11 @@ class Search:
         self._record_run(z, weighted)
         if self._is_searching and self._best.converged:
             raise _SearchStoppedError
-        return weighted if only is None else _weighted([residual for residual in fitted if only(residual)])
+        return (
+            weighted
+            if only is None
+            else _weighted([residual for residual in fitted if only(residual)])
+        )
 
     def _record_run(self, z: Array, weighted: Array) -> None:
         """Count a model run, keep the best point, and report the progress."""
@@ -194,7 +213,10 @@ class Search:
         for i in range(len(z)):
             up, down = z.copy(), z.copy()
             up[i], down[i] = min(z[i] + h, self.high[i]), max(z[i] - h, self.low[i])
-            columns.append((self.weighted(up, only) - self.weighted(down, only)) / (up[i] - down[i]))
+            columns.append(
+                (self.weighted(up, only) - self.weighted(down, only))
+                / (up[i] - down[i])
+            )
         return np.stack(columns, axis=1)
 
     def jacobian_and_error(self, z: Array, noise: float) -> tuple[Array, Array]:
@@ -206,19 +228,26 @@ class Search:
         """
         step, wide = self._options.step, self._options.identifiability_step
         if wide is not None:
-            smallest = float(np.linalg.svd(self.jacobian(z, wide), compute_uv=False)[-1])
+            smallest = float(
+                np.linalg.svd(self.jacobian(z, wide), compute_uv=False)[-1]
+            )
             step = wide if noise > step * smallest else step
         fine, coarse = self.jacobian(z, step), self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # If the model is not smooth, both Jacobians are equally accurate; half their difference is the error
-        # of their mean.
+        # If the model is not smooth, both Jacobians are equally accurate; half their
+        # difference is the error of their mean.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: Array, refit: Refit) -> Array:
         """Return the bias b(z): the result of a search in simulated data minus z, shape (n,)."""
         values = refit(self.values(z))
-        return np.array([unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]) - z
+        return (
+            np.array(
+                [unknown.coordinate(values[unknown.name]) for unknown in self.unknowns]
+            )
+            - z
+        )
 
     def run(self, start: Array) -> SearchResult:
         """Search from a start, with the first stage if there is one; if stopped, return the best point."""
@@ -228,7 +257,9 @@ class Search:
         try:
             if options.first_stage is None:
                 return self._minimize_with_kinks(start)
-            first = self._minimize(start, options.coarse_step or options.step, options.first_stage)
+            first = self._minimize(
+                start, options.coarse_step or options.step, options.first_stage
+            )
             return self._minimize(first.z, options.step)
         except _SearchStoppedError:
             return self._best
@@ -252,11 +283,13 @@ class Search:
                 break
         return end
 
-    def _minimize(self, start: Array, step: float, only: ResidualFilter | None = None) -> SearchResult:
+    def _minimize(
+        self, start: Array, step: float, only: ResidualFilter | None = None
+    ) -> SearchResult:
         from scipy import optimize  # the import takes 0.5 s, so only fits pay for it
 
-        # Add one observation per parameter at its start, so that parameters without effect on the filtered
-        # residuals stay there.
+        # Add one observation per parameter at its start, so that parameters without
+        # effect on the filtered residuals stay there.
         prior = np.zeros((0, len(start))) if only is None else np.eye(len(start))
         result = optimize.least_squares(
             lambda z: np.concatenate([self.weighted(z, only), prior @ (z - start)]),
@@ -284,12 +317,16 @@ def select_starts(search: Search, count: int) -> list[Array]:
     """Return the first start and the best of many points drawn about it, at a minimum distance."""
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
-    candidates = [np.clip(search.start + shift, search.low, search.high) for shift in shifts]
+    candidates = [
+        np.clip(search.start + shift, search.low, search.high) for shift in shifts
+    ]
     candidates.sort(key=search.start_cost)
     starts = [search.start]
     for z in candidates:
         distances = [np.linalg.norm(z - start) for start in starts]
-        if len(starts) < count and all(distance > _MIN_START_DISTANCE for distance in distances):
+        if len(starts) < count and all(
+            distance > _MIN_START_DISTANCE for distance in distances
+        ):
             starts.append(z)
     return starts
 
@@ -315,20 +352,22 @@ def least_squares(
     """Fit parameters to data (module docstring).
 
     Args:
-        residuals: residuals of all data as a function of the parameter values; their number and lengths must
-            not change. Residuals with another role than "fit" are evaluated only at the end.
+        residuals: residuals of all data as a function of the parameter values; their
+            number and lengths must not change. Residuals with another role than "fit"
+            are evaluated only at the end.
         unknowns: free parameters.
         options: settings of the search; default: those of a smooth model.
-        starts: number of searches; the first from the parameters' own starts, the others from the best of
-            many points drawn about them.
+        starts: number of searches; the first from the parameters' own starts, the
+            others from the best of many points drawn about them.
         held: values that the estimates depend on, to be stored in the result.
         watch: progress callback.
         validation: residuals that are evaluated only at the end, for slow models.
-        refit: fit of data from a reference, for the model error; used if the model explains the data.
+        refit: fit of data from a reference, for the model error; used if the model
+            explains the data.
 
     Raises:
-        InputError: there is no parameter, there are fewer samples than parameters, or residuals are not
-            finite at the start.
+        InputError: there is no parameter, there are fewer samples than parameters, or
+            residuals are not finite at the start.
     """
     search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
     ends = [search.run(start) for start in select_starts(search, starts)]
@@ -336,11 +375,17 @@ def least_squares(
     estimate = _estimate(search, best, ends, held or {}, refit)
     if validation is None:
         return estimate
-    return replace(estimate, residuals=(*estimate.residuals, *validation(search.values(best.z))))
+    return replace(
+        estimate, residuals=(*estimate.residuals, *validation(search.values(best.z)))
+    )
 
 
 def _estimate(
-    search: Search, best: SearchResult, ends: Sequence[SearchResult], held: Values, refit: Refit | None
+    search: Search,
+    best: SearchResult,
+    ends: Sequence[SearchResult],
+    held: Values,
+    refit: Refit | None,
 ) -> FitEstimate:
     """Return the values of the best search with their accuracy."""
     from scipy import stats
@@ -349,11 +394,16 @@ def _estimate(
     residuals = search.residuals(z)
     samples, independent, freedom = _count_samples(residuals, len(unknowns))
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
-    noise, scale = float(np.sqrt(variance * samples / independent)), float(np.sqrt(variance))
+    noise, scale = (
+        float(np.sqrt(variance * samples / independent)),
+        float(np.sqrt(variance)),
+    )
     jacobian, error = search.jacobian_and_error(z, noise)
     # A parameter without effect may end anywhere, so a bound at its end means nothing.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
-    at_bound = has_effect & ((z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE))
+    at_bound = has_effect & (
+        (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
+    )
     inside = np.flatnonzero(~at_bound)
     widths = (search.high - search.low)[inside]
     names = [unknowns[i].name for i in inside]
@@ -368,25 +418,42 @@ def _estimate(
     limit = stats.chi2.ppf(LEVEL, len(unknowns)) * variance * samples / independent
     spread = _spread_of_minima(best, ends, limit)
     quantile = float(stats.t.ppf(0.5 + LEVEL / 2, freedom))
-    accuracy = Accuracy(unknowns, z, best.converged, inside, known, bias, spread, quantile, explained)
+    accuracy = Accuracy(
+        unknowns, z, best.converged, inside, known, bias, spread, quantile, explained
+    )
     kept = [i for i, unknown in enumerate(unknowns) if not unknown.nuisance]
     parameters = tuple(accuracy.parameter(i) for i in kept)
     correlation = correlation_matrix(accuracy.covariance(kept), parameters)
     counts = (samples, float(independent))
     return FitEstimate(
-        parameters, correlation, residuals, known.cancels, *counts, scale, held, best.converged
+        parameters,
+        correlation,
+        residuals,
+        known.cancels,
+        *counts,
+        scale,
+        held,
+        best.converged,
     )
 
 
-def _count_samples(residuals: Sequence[Residual], unknowns: int) -> tuple[int, float, float]:
+def _count_samples(
+    residuals: Sequence[Residual], unknowns: int
+) -> tuple[int, float, float]:
     """Return the number of fitted samples, of independent ones, and of degrees of freedom."""
-    fitted = [residual.values / residual.scale for residual in residuals if residual.role == "fit"]
+    fitted = [
+        residual.values / residual.scale
+        for residual in residuals
+        if residual.role == "fit"
+    ]
     samples = sum(len(values) for values in fitted)
     independent = samples / correlation_time(fitted, unknowns)
     return samples, independent, max(independent - unknowns, 1.0)
 
 
-def _iterate_bias(search: Search, z: Array, refit: Refit, errors: Array) -> tuple[Array, Array]:
+def _iterate_bias(
+    search: Search, z: Array, refit: Refit, errors: Array
+) -> tuple[Array, Array]:
     """Return the bias of an estimate and its change in the last iteration, shape (n,) each.
 
     Args:
@@ -397,7 +464,10 @@ def _iterate_bias(search: Search, z: Array, refit: Refit, errors: Array) -> tupl
     """
     bias, change = search.bias(z, refit), np.full(len(z), np.inf)
     for _ in range(_MAX_REFITS - 1):
-        before, bias = bias, search.bias(np.clip(z - bias, search.low, search.high), refit)
+        before, bias = (
+            bias,
+            search.bias(np.clip(z - bias, search.low, search.high), refit),
+        )
         change = bias - before
         if (np.abs(change) <= errors).all():
             break
@@ -408,7 +478,9 @@ _MAX_REFITS = 5
 """Largest number of fits to data of the reference; the bias of gait fits converges within three to five."""
 
 
-def _spread_of_minima(best: SearchResult, ends: Sequence[SearchResult], limit: float) -> Array:
+def _spread_of_minima(
+    best: SearchResult, ends: Sequence[SearchResult], limit: float
+) -> Array:
     """Return the largest distance in z, per parameter, to a minimum that fits as well as the best.
 
     Args:

@@ -1,9 +1,10 @@
 """Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
-Either plant is driven by the recorded valve states. Its motion is compared with the measured one by
-period-averaged speed and yaw rate (`averages`), by path, heading and bends over time (`shapes`), or by both.
-Masses affect the motion only through their ratios, and stiffness and damping only relative to the masses.
-With prescribed bends (`complete`) the stiffness has no effect. Such parameters are reported as not
+Either plant is driven by the recorded valve states. Its motion is compared with the
+measured one by period-averaged speed and yaw rate (`averages`), by path, heading and
+bends over time (`shapes`), or by both. Masses affect the motion only through their
+ratios, and stiffness and damping only relative to the masses. With prescribed bends
+(`complete`) the stiffness has no effect. Such parameters are reported as not
 identifiable.
 """
 
@@ -21,9 +22,22 @@ from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.control.base import Controller
 from srs_twin.control.replay import Replay
 from srs_twin.errors import DivergedError, InputError, UnknownNameError
-from srs_twin.identification.estimate import IDENTIFIED_ERROR, FitEstimate, Parameter, Residual, Role, Verdict
+from srs_twin.identification.estimate import (
+    IDENTIFIED_ERROR,
+    FitEstimate,
+    Parameter,
+    Residual,
+    Role,
+    Verdict,
+)
 from srs_twin.identification.fit_file import DataSet, assign_roles, trajectory_hash
-from srs_twin.identification.least_squares import LEVEL, Search, SearchOptions, Watch, least_squares
+from srs_twin.identification.least_squares import (
+    LEVEL,
+    Search,
+    SearchOptions,
+    Watch,
+    least_squares,
+)
 from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
@@ -45,7 +59,9 @@ def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
     trajectory = recording.trajectory
     if recording.only_bends:
         raise InputError(f"{name}: {NO_MARKERS}")
-    controller = Replay(recording.commands(name), trajectory.metadata.get("gait_frequency_hz"))
+    controller = Replay(
+        recording.commands(name), trajectory.metadata.get("gait_frequency_hz")
+    )
     logged = recording.pressures()
     chambers = logged and partial(_recorded_pressures, *logged, supply_pa)
     return GaitRun(trajectory, controller, supply_pa, name, chambers)
@@ -68,23 +84,27 @@ def measured_length(
 ) -> Parameter | None:
     r"""Return the rigid gap or segment length from markers; None if they do not determine it.
 
-    The pitch is the sum of rigid gap and segment length of a straight segment. Each follows from the pitch
-    and the other one in the robot file. With the arc lengths ℓ that the markers give for the gap g of the
-    file,
+    The pitch is the sum of rigid gap and segment length of a straight segment. Each
+    follows from the pitch and the other one in the robot file. With the arc lengths ℓ
+    that the markers give for the gap g of the file,
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
-    b contains the elongation of segments and the effect of a wrong g, which vanishes if the recordings are
-    read with the measured gap. The standard error includes the scatter over segments, whose markers are
-    placed differently, and the noise of the two outermost markers.
+    b contains the elongation of segments and the effect of a wrong g, which vanishes if
+    the recordings are read with the measured gap. The standard error includes the
+    scatter over segments, whose markers are placed differently, and the noise of the
+    two outermost markers.
 
     Args:
         recordings: recordings, some or all with markers.
         spec: robot with which they were read.
-        names: requested parameters; with both lengths nothing is measured, as markers show only their sum.
+        names: requested parameters; with both lengths nothing is measured, as markers
+            show only their sum.
     """
     requested = [name for name in names if name in MEASURED_LENGTHS]
-    marked = [recording for recording in recordings if recording.summary.markers is not None]
+    marked = [
+        recording for recording in recordings if recording.summary.markers is not None
+    ]
     if len(requested) != 1 or not marked:
         return None
     from scipy import stats
@@ -92,20 +112,31 @@ def measured_length(
     parameter, count = free_parameters(spec, requested)[0], spec.segments
     straight_lengths = np.empty((len(marked), count))
     for row, recording in zip(straight_lengths, marked, strict=True):
-        bends, lengths = recording.trajectory.stack("bend"), recording.trajectory.stack("length")
-        row[:] = [np.polyfit(q**2, length, 1)[1] for q, length in zip(bends.T, lengths.T, strict=True)]
+        bends, lengths = (
+            recording.trajectory.stack("bend"),
+            recording.trajectory.stack("length"),
+        )
+        row[:] = [
+            np.polyfit(q**2, length, 1)[1]
+            for q, length in zip(bends.T, lengths.T, strict=True)
+        ]
     means = straight_lengths.mean(axis=0)
     value = parameter.start + float(means.mean()) - spec.geometry.segment_length
-    noise = max(r.summary.markers.noise_m for r in marked if r.summary.markers is not None)
+    noise = max(
+        r.summary.markers.noise_m for r in marked if r.summary.markers is not None
+    )
     scatter = float(means.std(ddof=1)) if count > 1 else 0.0
     error = math.hypot(scatter / math.sqrt(count), math.sqrt(2) * noise / count)
     half_width = float(stats.t.ppf(0.5 + LEVEL / 2, max(count - 1, 1))) * error
     value, low, high = (
-        parameter.value(parameter.coordinate(v)) for v in (value, value - half_width, value + half_width)
+        parameter.value(parameter.coordinate(v))
+        for v in (value, value - half_width, value + half_width)
     )
     is_identified = error <= IDENTIFIED_ERROR * parameter.slope(value)
     verdict: Verdict = "identified" if is_identified else "weakly identified"
-    return Parameter(parameter.name, parameter.unit, verdict, value, error, low, high, FROM_MARKERS)
+    return Parameter(
+        parameter.name, parameter.unit, verdict, value, error, low, high, FROM_MARKERS
+    )
 
 
 PLANTS = ("analytical", "twin")
@@ -131,13 +162,20 @@ MAX_TWIN_RUNS = 150
 """Largest number of simulations of all recordings with the twin in one search."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s at a time unit of 1 (`robot.scale`)
-"""Settings of an analytical plant in a fit. The tolerance of the friction is a tenth of the default, because
-with the default the step control dominates the differences between runs."""
+"""Settings of an analytical plant in a fit.
 
-_COMPLIANT_STEPS = _CLOSE_STEPS | {"timestep": 0.0005, "slip_speed": 0.001}  # s, m/s at a time unit of 1
-"""Settings of `compliant` in a fit, which has a fixed time step. With the default (2 ms, 0.25 mm/s) the sum
-of squares has many local minima a few standard errors apart, and derivatives contain this ripple. The slip
-speed is that of the twin."""
+The tolerance of the friction is a tenth of the default, because with the default the
+step control dominates the differences between runs."""
+
+_COMPLIANT_STEPS = _CLOSE_STEPS | {
+    "timestep": 0.0005,
+    "slip_speed": 0.001,
+}  # s, m/s at a time unit of 1
+"""Settings of `compliant` in a fit, which has a fixed time step.
+
+With the default (2 ms, 0.25 mm/s) the sum of squares has many local minima a few
+standard errors apart, and derivatives contain this ripple. The slip speed is that of
+the twin."""
 
 _DIVERGED_RESIDUAL = 1e3
 """Residual of all samples of a run that diverges; large, so that the search avoids such values."""
@@ -155,7 +193,8 @@ class GaitRun:
         controller: controller that replays the recorded valve states.
         supply_pa: gauge pressure of the supply, Pa.
         name: name of the data.
-        chambers: pneumatic model for a robot, if pressures were recorded instead of valves; else None.
+        chambers: pneumatic model for a robot, if pressures were recorded instead of
+            valves; else None.
     """
 
     trajectory: Trajectory
@@ -166,7 +205,9 @@ class GaitRun:
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
-        return DataSet(self.name, trajectory_hash(self.trajectory), role, len(self.trajectory))
+        return DataSet(
+            self.name, trajectory_hash(self.trajectory), role, len(self.trajectory)
+        )
 
 
 @dataclass(frozen=True)
@@ -175,8 +216,8 @@ class PlantModel:
 
     Attributes:
         plant: "analytical" or "twin".
-        settings: settings of the plant, such as model="compliant", friction="wheel"; they replace the finer
-            steps that fits use for the analytical plant.
+        settings: settings of the plant, such as model="compliant", friction="wheel";
+            they replace the finer steps that fits use for the analytical plant.
     """
 
     plant: str = "analytical"
@@ -189,10 +230,11 @@ class PlantModel:
     def search_options(self, against: str) -> SearchOptions:
         """Return the settings of a search with this plant.
 
-        The twin's motion is smooth down to 1e-3 in z. Its path and heading are monotonic in the parameters
-        only within 1e-2, but its bends are monotonic within 1, so the first stage uses the bends.
-        Identifiability is judged over the few per cent that the data leave undetermined. `compliant` has
-        finer kinks than the twin, and all its signals are monotonic.
+        The twin's motion is smooth down to 1e-3 in z. Its path and heading are
+        monotonic in the parameters only within 1e-2, but its bends are monotonic within
+        1, so the first stage uses the bends. Identifiability is judged over the few per
+        cent that the data leave undetermined. `compliant` has finer kinks than the
+        twin, and all its signals are monotonic.
         """
         if self.plant == "twin":
             uses_shapes = against != "averages"
@@ -200,7 +242,11 @@ class PlantModel:
                 step=3e-3,
                 coarse_step=3e-2,
                 tolerance=3e-4,
-                first_stage=(lambda residual: " bend_" in residual.name) if uses_shapes else None,
+                first_stage=(
+                    (lambda residual: " bend_" in residual.name)
+                    if uses_shapes
+                    else None
+                ),
                 identifiability_step=3e-2,
                 target_rms=1e-2,
                 max_runs=MAX_TWIN_RUNS,
@@ -215,16 +261,24 @@ class PlantModel:
             )
         return SearchOptions(_STEP, _COARSE_STEP)
 
-    def build(self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None) -> Plant:
+    def build(
+        self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None
+    ) -> Plant:
         """Return the plant of a robot, optionally with given chambers."""
-        settings = self.settings if chambers is None else {**self.settings, "pneumatics": chambers}
+        settings = (
+            self.settings
+            if chambers is None
+            else {**self.settings, "pneumatics": chambers}
+        )
         if self.plant == "twin":
             from srs_twin.plants.twin.snake import TwinSnake
 
             return TwinSnake(spec, supply_pa=supply_pa, **settings)
         from srs_twin.plants.analytical import AnalyticalSnake
 
-        steps = _COMPLIANT_STEPS if settings.get("model") == "compliant" else _CLOSE_STEPS
+        steps = (
+            _COMPLIANT_STEPS if settings.get("model") == "compliant" else _CLOSE_STEPS
+        )
         steps = {name: value * spec.scale.time for name, value in steps.items()}
         return AnalyticalSnake(spec, supply_pa=supply_pa, **{**steps, **settings})
 
@@ -234,7 +288,9 @@ class PlantModel:
         Raises:
             DivergedError: the simulation diverges.
         """
-        plant = self.build(spec, run.supply_pa, run.chambers(spec) if run.chambers else None)
+        plant = self.build(
+            spec, run.supply_pa, run.chambers(spec) if run.chambers else None
+        )
         span = float(run.trajectory.time[-1] - run.trajectory.time[0])
         duration = math.ceil(span / plant.tick - 1e-9) * plant.tick
         return rollout(plant, run.controller, duration, record_hz=1 / plant.tick)
@@ -262,12 +318,19 @@ class _Comparison:
         """Return a run with its measured signals."""
         return run, signals(run.trajectory, None, self.against, run.name), role
 
-    def simulated(self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]) -> list[_Data]:
+    def simulated(
+        self, data: Sequence[_Data], plant: PlantModel, values: Mapping[str, float]
+    ) -> list[_Data]:
         """Return data of the same runs as simulated by another plant."""
         robot = with_values(self.spec, values)
-        return [self.data(replace(run, trajectory=plant.simulate(run, robot)), role) for run, _, role in data]
+        return [
+            self.data(replace(run, trajectory=plant.simulate(run, robot)), role)
+            for run, _, role in data
+        ]
 
-    def residuals(self, data: Sequence[_Data], values: Mapping[str, float]) -> list[Residual]:
+    def residuals(
+        self, data: Sequence[_Data], values: Mapping[str, float]
+    ) -> list[Residual]:
         """Return the residuals of data for parameters of the robot."""
         robot = with_values(self.spec, values)
         result: list[Residual] = []
@@ -275,17 +338,24 @@ class _Comparison:
             try:
                 simulation = self.model.simulate(run, robot)
                 predicted = signals(simulation, run.trajectory, self.against, run.name)
-                differences = {name: measured[name] - predicted[name] for name in measured}
+                differences = {
+                    name: measured[name] - predicted[name] for name in measured
+                }
             except DivergedError:
                 differences = {
-                    name: np.full_like(signal, _DIVERGED_RESIDUAL) for name, signal in measured.items()
+                    name: np.full_like(signal, _DIVERGED_RESIDUAL)
+                    for name, signal in measured.items()
                 }
             for name, difference in differences.items():
                 scale, unit = NOISE[name if name in NOISE else name.rpartition("_")[0]]
-                bend_error = run.trajectory.columns.get(name.replace("bend", "bend_error"))
+                bend_error = run.trajectory.columns.get(
+                    name.replace("bend", "bend_error")
+                )
                 if "bend" in name and bend_error is not None:
                     scale = max(scale, float(np.sqrt(np.mean(bend_error**2))))
-                result.append(Residual(f"{run.name} {name}", unit, difference, scale, role))
+                result.append(
+                    Residual(f"{run.name} {name}", unit, difference, scale, role)
+                )
         return result
 
 
@@ -306,41 +376,55 @@ def fit_locomotion(
 
     Args:
         runs: measured runs.
-        spec: robot whose values are the start of the search and of the fixed parameters.
+        spec: robot whose values are the start of the search and of the fixed
+            parameters.
         names: names of the free parameters, see `parameters`.
         model: plant with which the robot is simulated; default: the analytical one.
         against: compared signals: "averages", "shapes" or "both".
         validation: runs for validation.
-        starts: number of searches; a single one may end in a local minimum with a large residual. With
-            shapes and the twin one is enough.
+        starts: number of searches; a single one may end in a local minimum with a large
+            residual. With shapes and the twin one is enough.
         watch: progress callback, see `least_squares`.
-        reference: better model of the robot, which reveals the bias due to model errors, see `least_squares`;
-            None: the intervals assume that the model is right.
+        reference: better model of the robot, which reveals the bias due to model
+            errors, see `least_squares`; None: the intervals assume that the model is
+            right.
         known: measured parameters, which are fixed at their values.
 
     Raises:
-        InputError: there is no run, there are too few for the number of parameters, a run has no complete
-            gait period, or a validation run is also fitted.
+        InputError: there is no run, there are too few for the number of parameters, a
+            run has no complete gait period, or a validation run is also fitted.
     """
     if against not in AGAINST:
         raise UnknownNameError("residual", against, AGAINST)
-    values = {parameter.name: parameter.value for parameter in known if parameter.value is not None}
+    values = {
+        parameter.name: parameter.value
+        for parameter in known
+        if parameter.value is not None
+    }
     spec = with_values(spec, values)
     measured = {parameter.name for parameter in known}
     unknowns = free_parameters(spec, [name for name in names if name not in measured])
     comparison = _Comparison(model or PlantModel(), spec, against)
-    data = [comparison.data(run, role) for run, role in assign_roles("gait runs", runs, validation)]
+    data = [
+        comparison.data(run, role)
+        for run, role in assign_roles("gait runs", runs, validation)
+    ]
     fitted = [entry for entry in data if entry[2] == "fit"]
     kept = [entry for entry in data if entry[2] != "fit"]
     if not unknowns and known:
-        return FitEstimate((), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))).with_fixed(known)
+        return FitEstimate(
+            (), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))
+        ).with_fixed(known)
     options = comparison.model.search_options(against)
 
     def refit(values: Mapping[str, float]) -> dict[str, float]:
         assert reference is not None
         simulated = comparison.simulated(fitted, reference, values)
-        search = Search(partial(comparison.residuals, simulated), unknowns, options, None)
-        # Start the search where the fit started, so that both end in the same local minimum.
+        search = Search(
+            partial(comparison.residuals, simulated), unknowns, options, None
+        )
+        # Start the search where the fit started, so that both end in the same local
+        # minimum.
         return search.values(search.run(search.start).z)
 
     estimate = least_squares(
@@ -362,7 +446,8 @@ def signals(
 
     Args:
         trajectory: run.
-        measured: measured run to whose times and pose the run is aligned; None: the run itself is measured.
+        measured: measured run to whose times and pose the run is aligned; None: the run
+            itself is measured.
         against: signals to compare, one of `AGAINST`.
         name: name of the run for messages.
 
@@ -374,17 +459,21 @@ def signals(
         metrics = plant_metrics(trajectory)
         if metrics["com_speed_m_s"] is None:
             raise InputError(
-                f"{name}: no average over gait periods; three complete periods, and gait_frequency_hz in the "
-                "metadata, are needed"
+                f"{name}: no average over gait periods; three complete periods, and"
+                " gait_frequency_hz in the metadata, are needed"
             )
         result["speed"] = np.array([metrics["com_speed_m_s"]])
         result["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])
     if against != "averages":
-        result |= _shapes(trajectory, measured or trajectory, is_aligned=measured is not None)
+        result |= _shapes(
+            trajectory, measured or trajectory, is_aligned=measured is not None
+        )
     return result
 
 
-def _shapes(trajectory: Trajectory, measured: Trajectory, *, is_aligned: bool) -> dict[str, np.ndarray]:
+def _shapes(
+    trajectory: Trajectory, measured: Trajectory, *, is_aligned: bool
+) -> dict[str, np.ndarray]:
     """Return path, heading and bends at equidistant times of a measured run, aligned by a rigid motion."""
     span = measured.time[-1] - measured.time[0]
     count = min(len(measured), int(span * _MAX_RATE_HZ) + 1)
@@ -392,16 +481,27 @@ def _shapes(trajectory: Trajectory, measured: Trajectory, *, is_aligned: bool) -
 
     def resample(run: Trajectory, values: np.ndarray) -> np.ndarray:
         flat = values.reshape(len(run), -1).T
-        return np.stack([np.interp(clock, run.time - run.time[0], column) for column in flat], axis=1)
+        return np.stack(
+            [np.interp(clock, run.time - run.time[0], column) for column in flat],
+            axis=1,
+        )
 
-    path, heading = resample(trajectory, trajectory.com), resample(trajectory, trajectory["heading"])[:, 0]
+    path, heading = (
+        resample(trajectory, trajectory.com),
+        resample(trajectory, trajectory["heading"])[:, 0],
+    )
     if is_aligned:
-        # Align the paths, because a plant starts at the origin: only the shape of the path is compared.
+        # Align the paths, because a plant starts at the origin: only the shape of the
+        # path is compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]
         turn = float((target_heading - heading).mean())
         c, s = math.cos(turn), math.sin(turn)
-        path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + target.mean(axis=0)
+        path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + target.mean(
+            axis=0
+        )
         heading = heading + turn
     shapes = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}
-    return shapes | numbered_columns("bend", resample(trajectory, trajectory.stack("bend")))
+    return shapes | numbered_columns(
+        "bend", resample(trajectory, trajectory.stack("bend"))
+    )

@@ -1,13 +1,15 @@
 """Free parameters: robot parameters that a fit estimates, by their names in a robot file.
 
-A name is `section.key` of a robot file, followed by the number of a connector or segment where the file has
-a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``, ``modules.bias_rad_1``. Values are in the unit that
-the key names. ``mass.connectors_kg`` without a number is the mean; changing it scales all masses, including
-the wheels. ``actuator.bend_rad`` is the bend at the nominal supply pressure; ``modules.sensor_bias_rad`` is
-one value for the sensors of all modules.
+A name is `section.key` of a robot file, followed by the number of a connector or
+segment where the file has a list: ``mass.connectors_kg_5``, ``modules.gain_plus_2``,
+``modules.bias_rad_1``. Values are in the unit that the key names.
+``mass.connectors_kg`` without a number is the mean; changing it scales all masses,
+including the wheels. ``actuator.bend_rad`` is the bend at the nominal supply pressure;
+``modules.sensor_bias_rad`` is one value for the sensors of all modules.
 
-A search does not use the value itself but a coordinate z: ln(value), or value/scale if the value may be 0 or
-negative. One unit of z, a factor e or one scale, is a significant difference.
+A search does not use the value itself but a coordinate z: ln(value), or value/scale if
+the value may be 0 or negative. One unit of z, a factor e or one scale, is a significant
+difference.
 """
 
 from __future__ import annotations
@@ -32,8 +34,10 @@ class FreeParameter:
         start: initial value of the search.
         low: lower bound.
         high: upper bound.
-        scale: significant difference, in the unit; None: the value is positive and z is its logarithm.
-        nuisance: whether the value is not a result, such as the initial velocity of a coasting test.
+        scale: significant difference, in the unit; None: the value is positive and z is
+            its logarithm.
+        nuisance: whether the value is not a result, such as the initial velocity of a
+            coasting test.
     """
 
     name: str
@@ -47,8 +51,8 @@ class FreeParameter:
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:
             raise InputError(
-                f"{self.name}: the start {self.start:g} is not allowed; it must be from {self.low:g} to "
-                f"{self.high:g} {self.unit}"
+                f"{self.name}: the start {self.start:g} is not allowed; it must be from"
+                f" {self.low:g} to {self.high:g} {self.unit}"
             )
 
     def coordinate(self, value: float) -> float:
@@ -91,7 +95,8 @@ def free_parameters(
 
     Raises:
         UnknownNameError: a parameter does not exist.
-        InputError: this robot does not have a parameter, a name is repeated, or a start is out of bounds.
+        InputError: this robot does not have a parameter, a name is repeated, or a start
+            is out of bounds.
     """
     parameters: list[FreeParameter] = []
     for name in names:
@@ -102,14 +107,19 @@ def free_parameters(
         start = (starts or {}).get(name)
         if start is None:
             start = min(max(accessor.get(spec, k), low), accessor.high)
-        parameters.append(FreeParameter(name, accessor.unit, start, low, accessor.high, accessor.scale))
+        parameters.append(
+            FreeParameter(
+                name, accessor.unit, start, low, accessor.high, accessor.scale
+            )
+        )
     return tuple(parameters)
 
 
 def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
     """Return a robot with other parameter values; other names are ignored.
 
-    The result keeps the scale of `spec`: numerical settings must not jump between the candidates of a fit.
+    The result keeps the scale of `spec`: numerical settings must not jump between the
+    candidates of a fit.
 
     Raises:
         InputError: a robot cannot have these values.
@@ -151,7 +161,9 @@ def _key(name: str) -> tuple[str, int]:
     """Return a name with N for its number, and the number counted from 0; 0 if it has none."""
     match = re.fullmatch(r"(.+_)([1-9]\d?)", name, flags=re.ASCII)
     if match is None:
-        return "" if name.endswith("_N") else name, 0  # a name with a literal N is invalid
+        return (
+            "" if name.endswith("_N") else name
+        ), 0  # a name with a literal N is invalid
     return f"{match[1]}N", int(match[2]) - 1
 
 
@@ -163,22 +175,29 @@ def _accessor(name: str) -> tuple[_Accessor, int]:
     """
     key, k = _key(name)
     if key not in _ACCESSORS:
-        raise UnknownNameError("parameter", name, parameter_names(), "docs/identification.md")
+        raise UnknownNameError(
+            "parameter", name, parameter_names(), "docs/identification.md"
+        )
     return _ACCESSORS[key], k
 
 
 def _checked_accessor(spec: RobotSpec, name: str) -> tuple[_Accessor, int]:
     """Return the accessor and index of a parameter that this robot has."""
     accessor, k = _accessor(name)
-    count = {"connector": spec.geometry.connectors, "segment": spec.segments}.get(accessor.numbered or "", 1)
+    count = {"connector": spec.geometry.connectors, "segment": spec.segments}.get(
+        accessor.numbered or "", 1
+    )
     if k >= count:
         raise InputError(
-            f"{name}: {spec.name} has {count} {accessor.numbered}s; give a number from 1 to {count}"
+            f"{name}: {spec.name} has {count} {accessor.numbered}s; give a number from"
+            f" 1 to {count}"
         )
     return accessor, k
 
 
-def _scalar(section: str, attribute: str, unit: str, low: float, high: float, **more: Any) -> _Accessor:
+def _scalar(
+    section: str, attribute: str, unit: str, low: float, high: float, **more: Any
+) -> _Accessor:
     """Return the accessor of a scalar parameter of a section."""
 
     def get(spec: RobotSpec, k: int) -> float:
@@ -191,7 +210,9 @@ def _scalar(section: str, attribute: str, unit: str, low: float, high: float, **
     return _Accessor(unit, low, high, get, put, **more)
 
 
-def _module(attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any) -> _Accessor:
+def _module(
+    attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
+) -> _Accessor:
     """Return the accessor of a parameter of single modules; side 0 is the + chamber."""
 
     def get(spec: RobotSpec, k: int) -> float:
@@ -214,7 +235,9 @@ def _mean_mass(spec: RobotSpec, k: int) -> float:
 def _scale_masses(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     factor = value / _mean_mass(spec, 0)
     masses = tuple(factor * mass for mass in spec.mass.connectors)
-    return replace(spec, mass=replace(spec.mass, connectors=masses, wheel=factor * spec.mass.wheel))
+    return replace(
+        spec, mass=replace(spec.mass, connectors=masses, wheel=factor * spec.mass.wheel)
+    )
 
 
 def _mass(spec: RobotSpec, k: int) -> float:
@@ -237,11 +260,15 @@ def _mean_sensor_bias(spec: RobotSpec, k: int) -> float:
 
 
 def _set_sensor_bias(spec: RobotSpec, value: float, k: int) -> RobotSpec:
-    return replace(spec, variation=replace(spec.modules, sensor_bias=(value,) * spec.segments))
+    return replace(
+        spec, variation=replace(spec.modules, sensor_bias=(value,) * spec.segments)
+    )
 
 
 def _set_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
-    return replace(spec, actuator=replace(spec.actuator, gain=value / spec.supply.nominal))
+    return replace(
+        spec, actuator=replace(spec.actuator, gain=value / spec.supply.nominal)
+    )
 
 
 # The bounds lie within those of robot files, so that every fitted robot can be written.
@@ -252,21 +279,35 @@ _ACCESSORS: dict[str, _Accessor] = {
     "geometry.width_m": _scalar("geometry", "width", "m", 1e-3, 0.5),
     "mass.connectors_kg": _Accessor("kg", 1e-3, 50.0, _mean_mass, _scale_masses),
     "mass.connectors_kg_N": _Accessor(
-        "kg", 1e-3, 50.0, _mass, _set_mass, numbered="connector", lowest_allowed=_lightest
+        "kg",
+        1e-3,
+        50.0,
+        _mass,
+        _set_mass,
+        numbered="connector",
+        lowest_allowed=_lightest,
     ),
     "friction.mu_t": _scalar("friction", "mu_t", "1", 1e-3, 5.0),
     "friction.mu_n": _scalar("friction", "mu_n", "1", 1e-3, 5.0),
     "friction.drag_n": _scalar("friction", "drag", "N", 0.0, 50.0, scale=0.1),
-    "bending.stiffness_nm_per_rad": _scalar("bending", "stiffness", "N*m/rad", 1e-3, 1e3),
+    "bending.stiffness_nm_per_rad": _scalar(
+        "bending", "stiffness", "N*m/rad", 1e-3, 1e3
+    ),
     "bending.damping_time_s": _scalar("bending", "damping_time", "s", 1e-5, 10.0),
     "actuator.tau_fill_s": _scalar("actuator", "tau_fill", "s", 1e-5, 50.0),
     "actuator.tau_vent_s": _scalar("actuator", "tau_vent", "s", 1e-5, 50.0),
     "actuator.tau_mode_s": _scalar("actuator", "tau_mode", "s", 1e-5, 50.0),
     "actuator.bend_rad": _Accessor(
-        "rad", 2e-3, 6.2, lambda spec, k: spec.actuator.gain * spec.supply.nominal, _set_bend
+        "rad",
+        2e-3,
+        6.2,
+        lambda spec, k: spec.actuator.gain * spec.supply.nominal,
+        _set_bend,
     ),
     "actuator.bend_limit_rad": _scalar("actuator", "bend_limit", "rad", 0.1, 6.3),
-    "actuator.onset_share": _scalar("actuator", "onset_share", "1", 0.0, 1.0, scale=0.5),
+    "actuator.onset_share": _scalar(
+        "actuator", "onset_share", "1", 0.0, 1.0, scale=0.5
+    ),
     "actuator.onset_rad": _scalar("actuator", "onset", "rad", 0.02, 6.2),
     "actuator.onset_width_rad": _scalar("actuator", "onset_width", "rad", 0.02, 6.2),
     "modules.gain_plus_N": _module("gain", 0, "1", 0.11, 9.0),
@@ -276,5 +317,7 @@ _ACCESSORS: dict[str, _Accessor] = {
     "modules.tau_vent_plus_N": _module("tau_vent", 0, "1", 0.11, 9.0),
     "modules.tau_vent_minus_N": _module("tau_vent", 1, "1", 0.11, 9.0),
     "modules.bias_rad_N": _module("bias", None, "rad", -0.99, 0.99, scale=0.3),
-    "modules.sensor_bias_rad": _Accessor("rad", -0.99, 0.99, _mean_sensor_bias, _set_sensor_bias, scale=0.3),
+    "modules.sensor_bias_rad": _Accessor(
+        "rad", -0.99, 0.99, _mean_sensor_bias, _set_sensor_bias, scale=0.3
+    ),
 }

@@ -1,24 +1,27 @@
 r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose is a point of the path and the direction of the path there. An arc of curvature κ and length L is the
-motion
+A pose is a point of the path and the direction of the path there. An arc of curvature κ
+and length L is the motion
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
-and P ∘ A is the pose at the end of the arc that starts at P. Arrays of poses have one leading axis.
+and P ∘ A is the pose at the end of the arc that starts at P. Arrays of poses have one
+leading axis.
 
-`SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8). `measure_transient` measures the
-effect of a change of offset relative to the dissertation's assumption of an instant change. At the time t_s
-of the change the path is at the pose P, which is extrapolated from the steady arc before it. After an instant
-change the snake would follow the steady arc of the new offset, P ∘ A(v (t − t_s)). The real path, once
-settled, is
+`SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
+`measure_transient` measures the effect of a change of offset relative to the
+dissertation's assumption of an instant change. At the time t_s of the change the path
+is at the pose P, which is extrapolated from the steady arc before it. After an instant
+change the snake would follow the steady arc of the new offset, P ∘ A(v (t − t_s)). The
+real path, once settled, is
 
 $$ P ∘ D ∘ A(v (t − t_s)) $$
 
-with a constant displacement D, as if the snake had jumped by D at the change and then followed the new arc.
-The path has settled when the turn of every later period equals that of the new offset, within 10 % of the
-difference between the two offsets. Learning continues to vary, so twice the variation between the last
-periods is allowed if that is larger.
+with a constant displacement D, as if the snake had jumped by D at the change and then
+followed the new arc. The path has settled when the turn of every later period equals
+that of the new offset, within 10 % of the difference between the two offsets. Learning
+continues to vary, so twice the variation between the last periods is allowed if that is
+larger.
 """
 
 from __future__ import annotations
@@ -68,7 +71,10 @@ class Poses:
 
     def compose(self, other: Poses) -> Poses:
         """Return self ∘ other, the end of the other motion when it starts at this pose."""
-        return Poses(self.place + np.exp(1j * self.heading) * other.place, self.heading + other.heading)
+        return Poses(
+            self.place + np.exp(1j * self.heading) * other.place,
+            self.heading + other.heading,
+        )
 
     def inverse(self) -> Poses:
         """Return the inverse motion."""
@@ -78,7 +84,9 @@ class Poses:
         """Return the mean of poses that are close to each other."""
         return Poses(np.asarray(self.place.mean()), np.asarray(self.heading.mean()))
 
-    def coordinates(self, points: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
+    def coordinates(
+        self, points: np.ndarray, curvature: float
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the coordinates of points relative to arcs through these poses, as in `planning.swept`.
 
         Args:
@@ -86,23 +94,31 @@ class Poses:
             curvature: curvature of the arcs, 1/m.
 
         Returns:
-            Position along the arc from the pose, and distance to the left of the arc, each (n, points), m.
+            Position along the arc from the pose, and distance to the left of the arc,
+            each (n, points), m.
         """
         relative = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
         relative = relative * np.exp(-1j * self.heading)[..., None]
         u, w = relative.real, relative.imag
         across, down = curvature * u, 1 - curvature * w
         left = (2 * w - curvature * (u**2 + w**2)) / (1 + np.hypot(across, down))
-        along = np.arctan2(across, down) / curvature if abs(curvature) > _STRAIGHT_PER_M else u
+        along = (
+            np.arctan2(across, down) / curvature
+            if abs(curvature) > _STRAIGHT_PER_M
+            else u
+        )
         return along, left
 
 
-def period_averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np.ndarray, Poses]:
+def period_averaged_path(
+    trajectory: Trajectory, window: GaitWindow
+) -> tuple[np.ndarray, Poses]:
     """Return times (s) and poses of the period-averaged path of the centre of mass in a window.
 
-    Each pose is that at the middle of a period, with the direction of the period's chord. The mean over an
-    arc lies inside it, by (1 − sinc(φ/2))/κ for a turn φ per period; this is corrected. Single poses still
-    contain the sway of the body within a period, but means of them over whole periods do not.
+    Each pose is that at the middle of a period, with the direction of the period's
+    chord. The mean over an arc lies inside it, by (1 − sinc(φ/2))/κ for a turn φ per
+    period; this is corrected. Single poses still contain the sway of the body within a
+    period, but means of them over whole periods do not.
 
     Args:
         trajectory: run.
@@ -112,10 +128,17 @@ def period_averaged_path(trajectory: Trajectory, window: GaitWindow) -> tuple[np
         Times and poses, (instants,) each, over K − 1 periods.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
-    turn = float(window.running_mean(trajectory, trajectory["heading"])[1].mean()) * window.period
+    turn = (
+        float(window.running_mean(trajectory, trajectory["heading"])[1].mean())
+        * window.period
+    )
     chord = (velocity[:, 0] + 1j * velocity[:, 1]) * window.period
     half = turn / 2
-    inside = half / 12 if abs(half) < _SMALL_TURN_RAD else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
+    inside = (
+        half / 12
+        if abs(half) < _SMALL_TURN_RAD
+        else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
+    )
     place = mean[:, 0] + 1j * mean[:, 1] - 1j * inside * chord
     times = window.times(window.periods - 1) + window.period / 2
     return times, Poses(place, np.unwrap(np.angle(chord)))
@@ -142,11 +165,14 @@ class SteadyPath:
     behind: float
 
     @classmethod
-    def measure(cls, trajectory: Trajectory, geometry: Geometry, window: GaitWindow) -> SteadyPath:
+    def measure(
+        cls, trajectory: Trajectory, geometry: Geometry, window: GaitWindow
+    ) -> SteadyPath:
         """Measure the steady path over whole periods of a run.
 
-        The body is the band of the robot's width about its centre line, with round ends. The connectors alone
-        are not sufficient, because the band bulges between them.
+        The body is the band of the robot's width about its centre line, with round
+        ends. The connectors alone are not sufficient, because the band bulges between
+        them.
 
         Args:
             trajectory: run.
@@ -160,18 +186,28 @@ class SteadyPath:
         chord, turn = float(chords.mean()), float(turns.mean())
         if not chord >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
             raise InputError(
-                f"the snake moves {1000 * chord:.3g} mm ahead in a gait period, too little for a footprint; "
-                "try another pressure or frequency"
+                f"the snake moves {1000 * chord:.3g} mm ahead in a gait period, too"
+                " little for a footprint; try another pressure or frequency"
             )
         speed = chord / window.period / float(np.sinc(turn / (2 * np.pi)))
         curvature = path_curvature(chord, turn)
         times, poses = period_averaged_path(trajectory, window)
-        begin = poses.compose(Poses.arc(curvature, speed * (window.start - times))).mean()
-        in_window = (trajectory.time >= window.start - 1e-9) & (trajectory.time <= window.end + 1e-9)
-        on_arc = begin.compose(Poses.arc(curvature, speed * (trajectory.time[in_window] - window.start)))
-        along, left = on_arc.coordinates(body_sides(trajectory, geometry)[in_window], curvature)
+        begin = poses.compose(
+            Poses.arc(curvature, speed * (window.start - times))
+        ).mean()
+        in_window = (trajectory.time >= window.start - 1e-9) & (
+            trajectory.time <= window.end + 1e-9
+        )
+        on_arc = begin.compose(
+            Poses.arc(curvature, speed * (trajectory.time[in_window] - window.start))
+        )
+        along, left = on_arc.coordinates(
+            body_sides(trajectory, geometry)[in_window], curvature
+        )
         # Head and tail are discs, as in the twin's collision geometry.
-        ends, offset = on_arc.coordinates(trajectory.position[in_window][:, [0, -1]], curvature)
+        ends, offset = on_arc.coordinates(
+            trajectory.position[in_window][:, [0, -1]], curvature
+        )
         extent = (
             geometry.width / 2 / (1 - curvature * offset)
         )  # half widths of the discs, as angles about the arc's centre
@@ -179,7 +215,9 @@ class SteadyPath:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
         behind = max(-along.min(), (extent - ends).max())
-        return cls(speed, curvature, *map(float, (left.max(), -left.min(), ahead, behind)))
+        return cls(
+            speed, curvature, *map(float, (left.max(), -left.min(), ahead, behind))
+        )
 
 
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
@@ -191,7 +229,9 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
     names = [field.name for field in fields(SteadyPath)]
     is_mean = [name in ("speed", "curvature") for name in names]
     combined = np.where(is_mean, values.mean(axis=0), values.max(axis=0))
-    return SteadyPath(*combined.tolist()), SteadyPath(*(np.ptp(values, axis=0) / 2).tolist())
+    return SteadyPath(*combined.tolist()), SteadyPath(
+        *(np.ptp(values, axis=0) / 2).tolist()
+    )
 
 
 BothPaths = tuple[SteadyPath, SteadyPath]
@@ -202,7 +242,8 @@ SETTLED = 0.1
 """Error of the turn per period, relative to its change, below which a change is complete."""
 
 MAX_UNREST = 0.1
-"""Largest such error at the end of a run; with a larger one the path has not settled."""
+"""Largest such error at the end of a run; with a larger one the path has not settled.
+"""
 
 
 @dataclass(frozen=True)
@@ -221,15 +262,20 @@ class OffsetChange:
 
 
 def measure_transient(
-    trajectory: Trajectory, geometry: Geometry, period: float, change: OffsetChange, paths: BothPaths
+    trajectory: Trajectory,
+    geometry: Geometry,
+    period: float,
+    change: OffsetChange,
+    paths: BothPaths,
 ) -> Transient:
     """Measure one change of offset.
 
-    The part of the body that is still on the arc before the change is excluded, because a planner includes it
-    in that arc.
+    The part of the body that is still on the arc before the change is excluded, because
+    a planner includes it in that arc.
 
     Args:
-        trajectory: run with some periods before the change and some after the path has settled.
+        trajectory: run with some periods before the change and some after the path has
+            settled.
         geometry: geometry of its robot.
         period: gait period, s.
         change: change of offset.
@@ -240,23 +286,40 @@ def measure_transient(
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
-        raise InputError(f"a change of offset needs {STEADY_PERIODS} gait periods before it")
-    settled, (before, after) = _settling_time(trajectory, period, change.time, paths), paths
+        raise InputError(
+            f"a change of offset needs {STEADY_PERIODS} gait periods before it"
+        )
+    settled, (before, after) = (
+        _settling_time(trajectory, period, change.time, paths),
+        paths,
+    )
     end = min(settled + STEADY_PERIODS * period, float(trajectory.time[-1]))
     new = GaitWindow.ending_at(trajectory, period, end, STEADY_PERIODS)
     assert new is not None, "it begins after the change"
     begin = _extrapolate(trajectory, old, change.time, before).mean()
-    jump = begin.inverse().compose(_extrapolate(trajectory, new, change.time, after)).mean()
+    jump = (
+        begin.inverse()
+        .compose(_extrapolate(trajectory, new, change.time, after))
+        .mean()
+    )
 
-    during = (trajectory.time >= change.time - 1e-9) & (trajectory.time <= settled + 1e-9)
+    during = (trajectory.time >= change.time - 1e-9) & (
+        trajectory.time <= settled + 1e-9
+    )
     body = body_sides(trajectory, geometry)[during]
     distance = after.speed * (trajectory.time[during] - change.time)
-    _, left = begin.compose(Poses.arc(after.curvature, distance)).coordinates(body, after.curvature)
-    # Exclude the area that the old arc sweeps up to the change, at most one body length before it.
+    _, left = begin.compose(Poses.arc(after.curvature, distance)).coordinates(
+        body, after.curvature
+    )
+    # Exclude the area that the old arc sweeps up to the change, at most one body length
+    # before it.
     along, offset = begin.coordinates(body, before.curvature)
     swept = (offset <= before.left) & (offset >= -before.right)
     swept &= (along <= before.ahead) & (along >= -before.ahead - before.behind)
-    excess = [np.where(swept, 0.0, out).max() for out in (left - after.left, -left - after.right)]
+    excess = [
+        np.where(swept, 0.0, out).max()
+        for out in (left - after.left, -left - after.right)
+    ]
     left_excess, right_excess = (max(float(distance), 0.0) for distance in excess)
     length, place = after.speed * (settled - change.time), jump.place
     turn = float(np.angle(np.exp(1j * jump.heading)))
@@ -272,7 +335,9 @@ def measure_transient(
     )
 
 
-def _settling_time(trajectory: Trajectory, period: float, time: float, paths: BothPaths) -> float:
+def _settling_time(
+    trajectory: Trajectory, period: float, time: float, paths: BothPaths
+) -> float:
     """Return the time (s) from which the turn of each period is that of the new offset.
 
     Raises:
@@ -283,12 +348,15 @@ def _settling_time(trajectory: Trajectory, period: float, time: float, paths: Bo
     begins = begins[begins <= trajectory.time[-1] - period + 1e-9]
     old, new = (path.curvature * path.speed * period for path in paths)
     error = abs(heading(begins + period) - heading(begins) - new) / abs(new - old)
-    unrest = error[begins >= trajectory.time[-1] - STEADY_PERIODS * period - 1e-9].max(initial=0.0)
+    unrest = error[begins >= trajectory.time[-1] - STEADY_PERIODS * period - 1e-9].max(
+        initial=0.0
+    )
     unsettled = np.flatnonzero(error > max(SETTLED, 2 * unrest))
     first = int(unsettled[-1]) + 1 if len(unsettled) else 0
     if unrest > MAX_UNREST or first >= len(begins):
         raise InputError(
-            f"the path has not settled {(trajectory.time[-1] - time) / period:.3g} gait periods after it"
+            f"the path has not settled {(trajectory.time[-1] - time) / period:.3g} gait"
+            " periods after it"
         )
     return float(begins[first])
 
@@ -296,13 +364,19 @@ def _settling_time(trajectory: Trajectory, period: float, time: float, paths: Bo
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
     """Return one transient for a change at several phases of the gait: largest extents, mean displacement."""
     first = repeats[0]
-    left, right, length = (max(getattr(t, name) for t in repeats) for name in ("left", "right", "length"))
-    dx, dy = (float(np.mean([getattr(t, name) for t in repeats])) for name in ("dx", "dy"))
+    left, right, length = (
+        max(getattr(t, name) for t in repeats) for name in ("left", "right", "length")
+    )
+    dx, dy = (
+        float(np.mean([getattr(t, name) for t in repeats])) for name in ("dx", "dy")
+    )
     turn = float(np.angle(np.mean([np.exp(1j * t.dheading) for t in repeats])))
     return Transient(first.before, first.after, left, right, length, dx, dy, turn)
 
 
-def _extrapolate(trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath) -> Poses:
+def _extrapolate(
+    trajectory: Trajectory, window: GaitWindow, time: float, path: SteadyPath
+) -> Poses:
     """Return the pose of a steady path at a time (s), extrapolated from each pose in a window."""
     times, poses = period_averaged_path(trajectory, window)
     return poses.compose(Poses.arc(path.curvature, path.speed * (time - times)))

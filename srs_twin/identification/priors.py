@@ -1,11 +1,13 @@
 r"""Prior distributions of the uncertain parameters of a robot, with correlations.
 
-A robot file gives the distribution of a number in `Uncertain`. The numbers are functions of standard normal
-variables ζ with the correlations R of the file (a Gaussian copula), by their quantile functions:
+A robot file gives the distribution of a number in `Uncertain`. The numbers are
+functions of standard normal variables ζ with the correlations R of the file (a Gaussian
+copula), by their quantile functions:
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
-with u uniform and independent. Normal and lognormal distributions are truncated at the bounds of robot files.
+with u uniform and independent. Normal and lognormal distributions are truncated at the
+bounds of robot files.
 """
 
 from __future__ import annotations
@@ -53,7 +55,11 @@ class Prior:
 
     def with_measurement(self, value: float, sd: float) -> Prior:
         """Return a normal distribution around a measured value with the standard deviation `sd`."""
-        return replace(self, value=value, uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}))
+        return replace(
+            self,
+            value=value,
+            uncertain=Uncertain.model_validate({"kind": "normal", "sd": sd}),
+        )
 
 
 @dataclass(frozen=True)
@@ -78,9 +84,14 @@ class Priors:
 
         Raises:
             UnknownNameError: a path is not that of an uncertain parameter.
-            InputError: no parameter is uncertain, or the correlations contradict each other.
+            InputError: no parameter is uncertain, or the correlations contradict each
+                other.
         """
-        records = {path: record for path, record in robot.records().items() if record.uncertain is not None}
+        records = {
+            path: record
+            for path, record in robot.records().items()
+            if record.uncertain is not None
+        }
         for path in without:
             if path not in records:
                 raise UnknownNameError("uncertain number", path, records)
@@ -91,11 +102,13 @@ class Priors:
                 bounds = getattr(robot, section).bounds[key]
                 prior = record.uncertain
                 source = (prior.source if prior else None) or record.source
-                parameters.append(Prior(path, record.value, record.unit, prior, bounds, source))  # type: ignore[arg-type]
+                parameters.append(
+                    Prior(path, record.value, record.unit, prior, bounds, source)  # type: ignore[arg-type]
+                )
         if not parameters:
             raise InputError(
-                f"robot {robot.name}: no number is uncertain; add `uncertain:` to its numbers "
-                "(docs/uncertainty.md)"
+                f"robot {robot.name}: no number is uncertain; add `uncertain:` to its"
+                " numbers (docs/uncertainty.md)"
             )
         index = {prior.path: i for i, prior in enumerate(parameters)}
         correlation = np.eye(len(parameters))
@@ -104,7 +117,9 @@ class Priors:
                 i, j = (index[path] for path in pair.of)
                 correlation[i, j] = correlation[j, i] = pair.r
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
-            raise InputError(f"robot {robot.name}: its correlations contradict each other")
+            raise InputError(
+                f"robot {robot.name}: its correlations contradict each other"
+            )
         return cls(tuple(parameters), correlation)
 
     @property
@@ -121,7 +136,10 @@ class Priors:
         """Return the parameters for independent uniform probabilities u, shape (…, d)."""
         inside = np.clip(probabilities, MIN_PROBABILITY, 1 - MIN_PROBABILITY)
         normal = ndtri(inside) @ np.linalg.cholesky(self.correlation).T
-        columns = [prior.quantile(ndtr(normal[..., i])) for i, prior in enumerate(self.parameters)]
+        columns = [
+            prior.quantile(ndtr(normal[..., i]))
+            for i, prior in enumerate(self.parameters)
+        ]
         return np.stack(columns, axis=-1)
 
     def document(self) -> list[dict[str, object]]:
@@ -136,5 +154,7 @@ class Priors:
             }
             for p in self.parameters
         ]
-        correlated = [] if self.independent else [{"correlation": self.correlation.tolist()}]
+        correlated = (
+            [] if self.independent else [{"correlation": self.correlation.tolist()}]
+        )
         return [*rows, *correlated]

@@ -48,16 +48,19 @@ def replay_scenario(
 ) -> Scenario:
     """Return the scenario that drives both plants with the valve states of a recording.
 
-    `srs-twin replay` runs it with `run_scenario`, whose metrics compare each plant with the recording.
+    `srs-twin replay` runs it with `run_scenario`, whose metrics compare each plant with
+    the recording.
 
     Args:
         motion: motion capture, or bends on a bench.
         robot: name or path of the robot.
-        recording: further keys of the section `recording` of a scenario, such as `valves`.
+        recording: further keys of the section `recording` of a scenario, such as
+            `valves`.
         set: values that override fields of the scenario, see `load_scenario`.
         fits: fit files of this robot.
         expect: file of expectations, as in a scenario.
-        bench: whether the robot is clamped at its head on a bench, instead of on the floor.
+        bench: whether the robot is clamped at its head on a bench, instead of on the
+            floor.
         supply_pa: supply pressure, Pa; None: the nominal pressure of the robot.
         plants: plants that run; None: both.
         model: model of the analytical plant.
@@ -93,9 +96,15 @@ def _load_robot(robot: StrPath, fits: Sequence[StrPath]) -> RobotFile:
     return robot_in(Document("--fit", merge_overrides(fits, base=os.fspath(robot))))
 
 
-def _duration(recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]) -> float:
+def _duration(
+    recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[str], object]
+) -> float:
     """Return the duration of the recording in whole ticks, s."""
-    settings = {key: value for key, value in recording.items() if key not in ("motion", "valves")}
+    settings = {
+        key: value
+        for key, value in recording.items()
+        if key not in ("motion", "valves")
+    }
     motion, valves = recording["motion"], recording.get("valves")
     (log,) = logs_of([motion], [valves] if valves else [])
     settings["map"] = read_map(settings.get("map", {}))
@@ -106,7 +115,9 @@ def _duration(recording: Mapping[str, Any], robot: RobotFile, notify: Callable[[
     return round(ticks * TICK_S, 6)
 
 
-def _plants(names: Sequence[str] | None, model: str, law: str | None, bench: bool) -> dict[str, Any]:
+def _plants(
+    names: Sequence[str] | None, model: str, law: str | None, bench: bool
+) -> dict[str, Any]:
     if bench and law is not None:
         raise InputError("--law: remove this option; on a bench there is no floor")
     floor = {} if bench else {"friction": law or "wheel"}

@@ -50,16 +50,18 @@ def replay(
 ) -> None:
     """Drive both plants with the valve states of a recording.
 
-    The output compares each plant with the measured motion. In the output folder, scenario.resolved.yaml is
-    the same replay as a scenario, for `srs-twin run`.
+    The output compares each plant with the measured motion. In the output folder,
+    scenario.resolved.yaml is the same replay as a scenario, for `srs-twin run`.
 
     Options:
         motion: Motion capture, or bends on a bench.
         --robot -r ROBOT: Shipped robot or robot file.
-        --valves LOG: Log of valves or pressures. [default: NAME.valves.csv in the same folder]
+        --valves LOG: Log of valves or pressures. [default: NAME.valves.csv in the same
+            folder]
         --fit FIT: Fit file of this robot (repeatable).
         --expect FILE.yaml: File of expectations, as in a scenario: `expect: …`.
-        --bench: Robot (or single module) on a bench, clamped at its head, instead of on the floor.
+        --bench: Robot (or single module) on a bench, clamped at its head, instead of on
+            the floor.
         --plants LIST: Plants: analytical, twin or analytical,twin.
         --model NAME: Model of the analytical plant.
         --out DIR: Output folder. [default: runs/MOTION]
@@ -75,7 +77,8 @@ def replay(
     scenario = replay_scenario(
         motion,
         robot,
-        recording={key: value for key, value in files.items() if value is not None} | markers.given(),
+        recording={key: value for key, value in files.items() if value is not None}
+        | markers.given(),
         set=changed.changes(),
         fits=fit or (),
         expect=expect,

@@ -1,22 +1,25 @@
 r"""Gains, rest bends and dead zones of free segments from static tables and plateaus of recordings.
 
-**Tables.** Constant pressures and the bends at which free segments come to rest, as a CSV file with
-``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``, ``bend_1_deg``; Pa and rad without a
-unit). A missing pressure is 0; an empty bend was not measured. Gain, rest bend and bend limit can be
-estimated, but no time constants or masses. ``bend_error_1`` is the optional standard error of a bend.
+**Tables.** Constant pressures and the bends at which free segments come to rest, as a
+CSV file with ``pressure_plus_1,pressure_minus_1,bend_1,…`` (``pressure_plus_1_kpa``,
+``bend_1_deg``; Pa and rad without a unit). A missing pressure is 0; an empty bend was
+not measured. Gain, rest bend and bend limit can be estimated, but no time constants or
+masses. ``bend_error_1`` is the optional standard error of a bend.
 
-**Plateaus** of a recording form such a table. A plateau starts where all pressures begin to stay within ±1
-kPa (or ±5 standard deviations of their noise). Its first 5 τ, with τ the largest time constant of the robot,
-its last 50 ms and pressure outliers are discarded. Of the remainder, the first quarter is discarded
-repeatedly, for each segment, until the drift of a line through the bends is less than twice its standard
-error, or less than 0.1 mrad over the frames. Bends and pressures are averaged over the rest. The standard
-error of a mean bend is
+**Plateaus** of a recording form such a table. A plateau starts where all pressures
+begin to stay within ±1 kPa (or ±5 standard deviations of their noise). Its first 5 τ,
+with τ the largest time constant of the robot, its last 50 ms and pressure outliers are
+discarded. Of the remainder, the first quarter is discarded repeatedly, for each
+segment, until the drift of a line through the bends is less than twice its standard
+error, or less than 0.1 mrad over the frames. Bends and pressures are averaged over the
+rest. The standard error of a mean bend is
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
-with s the scatter of n frames about the line, τ_c its `correlation_time`, and e the standard error of one
-frame, if the recording has it (``bend_error_1``). This error is nearly white from frame to frame. A tenth of
-it is assumed to be common to all frames, such as by marker offsets, and is not reduced by averaging.
+with s the scatter of n frames about the line, τ_c its `correlation_time`, and e the
+standard error of one frame, if the recording has it (``bend_error_1``). This error is
+nearly white from frame to frame. A tenth of it is assumed to be common to all frames,
+such as by marker offsets, and is not reduced by averaging.
 """
 
 from __future__ import annotations
@@ -38,7 +41,12 @@ from srs_twin.identification.actuator import (
     log_of,
     measured_bends,
 )
-from srs_twin.identification.estimate import FitEstimate, Residual, Role, correlation_time
+from srs_twin.identification.estimate import (
+    FitEstimate,
+    Residual,
+    Role,
+    correlation_time,
+)
 from srs_twin.identification.fit_file import DataSet, array_hash, assign_roles
 from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import free_parameters, per_segment, with_values
@@ -101,38 +109,69 @@ class StaticTable:
     ) -> StaticTable:
         """Return the plateaus of a recording joined with its log (module docstring).
 
-        With a log of valves, filling chambers have the supply pressure after 5 τ, and venting ones have 0.
-        The pressure of a chamber that holds is unknown, so such times give no plateau.
+        With a log of valves, filling chambers have the supply pressure after 5 τ, and
+        venting ones have 0. The pressure of a chamber that holds is unknown, so such
+        times give no plateau.
 
         Raises:
             InputError: the recording has no log or no plateau.
         """
         trajectory, log = recording.trajectory, log_of(recording, name)
         time, bend = trajectory.time, measured_bends(recording)
-        pressure = np.stack([trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1)
+        pressure = np.stack(
+            [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
+        )
         band = np.maximum(_PLATEAU_BAND_PA, 3 * _noise_scale(log.values))
         if log.kind == "valve":
-            pressure = np.select([pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan)
-        frame_error = trajectory.stack("bend_error") if trajectory.has("bend_error") else np.zeros_like(bend)
-        wait = 5 * max(spec.actuator.tau_fill, spec.actuator.tau_vent, spec.actuator.tau_mode)
+            pressure = np.select(
+                [pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan
+            )
+        frame_error = (
+            trajectory.stack("bend_error")
+            if trajectory.has("bend_error")
+            else np.zeros_like(bend)
+        )
+        wait = 5 * max(
+            spec.actuator.tau_fill, spec.actuator.tau_vent, spec.actuator.tau_mode
+        )
         points, longest = [], 0.0
         for begin, end in _constant_intervals(pressure, band):
             longest = max(longest, float(time[end - 1] - time[begin]))
             frames = _settled_frames(time, pressure, band, begin, end, wait)
             if frames is None:
                 continue
-            signals = (pressure[frames].swapaxes(0, 1), bend[frames].T, frame_error[frames].T)
-            point = np.array([_settled_mean(time[frames], *signal) for signal in zip(*signals, strict=True)])
+            signals = (
+                pressure[frames].swapaxes(0, 1),
+                bend[frames].T,
+                frame_error[frames].T,
+            )
+            point = np.array(
+                [
+                    _settled_mean(time[frames], *signal)
+                    for signal in zip(*signals, strict=True)
+                ]
+            )
             if np.isfinite(point[:, 2]).any():
                 points.append(point)
         if not points:
-            needed = f"{wait:.2g} s (5 times the largest time constant) and {MIN_FRAMES} more frames"
-            message = f"pressures are constant for {longest:.2g} s; {needed}, with settled bends, are needed"
+            needed = (
+                f"{wait:.2g} s (5 times the largest time constant) and {MIN_FRAMES}"
+                " more frames"
+            )
+            message = (
+                f"pressures are constant for {longest:.2g} s; {needed}, with settled"
+                " bends, are needed"
+            )
             if log.kind == "valve" and np.isnan(pressure).any():
-                message += "; the pressure of a chamber that holds (0) is unknown: log pressures"
+                message += (
+                    "; the pressure of a chamber that holds (0) is unknown: log"
+                    " pressures"
+                )
             raise InputError(f"{name}: no plateau: {message}")
         table = np.array(points)
-        return cls(name, array_hash(table), table[..., :2], table[..., 2], table[..., 3])
+        return cls(
+            name, array_hash(table), table[..., :2], table[..., 2], table[..., 3]
+        )
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -140,7 +179,12 @@ class StaticTable:
 
 
 def _settled_frames(
-    time: np.ndarray, pressure: np.ndarray, band: np.ndarray, begin: int, end: int, wait: float
+    time: np.ndarray,
+    pressure: np.ndarray,
+    band: np.ndarray,
+    begin: int,
+    end: int,
+    wait: float,
 ) -> np.ndarray | None:
     """Return the frames of a plateau to average; None if they are too few, or the pressures rise slowly."""
     span = float(time[end - 1] - time[begin])
@@ -148,16 +192,24 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # Discard the end: the next step may already have begun within the band, and clocks may differ a little.
-    frames = begin + np.flatnonzero(is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S))
+    # Discard the end: the next step may already have begun within the band, and clocks
+    # may differ a little.
+    frames = begin + np.flatnonzero(
+        is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
+    )
     if len(frames) < MIN_FRAMES:
         return None
-    # A slow ramp is not a plateau, although it stays within the band while it rises by the band's width.
-    slope = np.polyfit(since[frames - begin], pressure[frames].reshape(len(frames), -1), 1)[0]
+    # A slow ramp is not a plateau, although it stays within the band while it rises by
+    # the band's width.
+    slope = np.polyfit(
+        since[frames - begin], pressure[frames].reshape(len(frames), -1), 1
+    )[0]
     return None if (np.abs(slope) * span > band.ravel()).any() else frames
 
 
-def _constant_intervals(pressure: np.ndarray, band: np.ndarray) -> Iterator[tuple[int, int]]:
+def _constant_intervals(
+    pressure: np.ndarray, band: np.ndarray
+) -> Iterator[tuple[int, int]]:
     """Yield (first frame, last frame + 1) of intervals with all pressures within ±band and none NaN."""
     begin, low, high = 0, pressure[0], pressure[0]
     for k, row in enumerate(pressure[1:], start=1):
@@ -171,9 +223,10 @@ def _constant_intervals(pressure: np.ndarray, band: np.ndarray) -> Iterator[tupl
 def _noise_scale(values: np.ndarray) -> np.ndarray:
     """Return the median magnitude of a log's second differences, 1.65 σ of white noise, shape (…).
 
-    It is the smaller of two estimates, as steps and slow changes of pressure are not noise. A step changes
-    one first difference but two second differences; a ramp changes all first differences but no second one.
-    First differences of white noise are smaller than second differences by √3.
+    It is the smaller of two estimates, as steps and slow changes of pressure are not
+    noise. A step changes one first difference but two second differences; a ramp
+    changes all first differences but no second one. First differences of white noise
+    are smaller than second differences by √3.
 
     Args:
         values: log, shape (rows, …), at least 2 rows.
@@ -195,10 +248,18 @@ def _settled_mean(
         since = time[kept] - time[kept].mean()
         slope, mean = np.polyfit(since, bend[kept], 1)
         residual = bend[kept] - mean - slope * since
-        scatter = math.sqrt(residual @ residual / (len(kept) - 2) * correlation_time([residual], 2))
-        if abs(slope) <= max(2 * scatter / math.sqrt(since @ since), MIN_DRIFT_RAD / np.ptp(since)):
+        scatter = math.sqrt(
+            residual @ residual / (len(kept) - 2) * correlation_time([residual], 2)
+        )
+        if abs(slope) <= max(
+            2 * scatter / math.sqrt(since @ since), MIN_DRIFT_RAD / np.ptp(since)
+        ):
             common_error = math.sqrt(np.mean(frame_error[kept] ** 2)) / 10
-            return [*pressure[kept].mean(axis=0), mean, max(scatter / math.sqrt(len(kept)), common_error)]
+            return [
+                *pressure[kept].mean(axis=0),
+                mean,
+                max(scatter / math.sqrt(len(kept)), common_error),
+            ]
         kept = kept[len(kept) // 4 :]
     return [*pressure.mean(axis=0), math.nan, math.nan]
 
@@ -207,14 +268,19 @@ NamedRecordings = Sequence[tuple[str, Recording]]
 """Names, and recordings joined with their logs."""
 
 
-def plateau_tables(recordings: NamedRecordings, spec: RobotSpec, supply_pa: float) -> list[StaticTable]:
+def plateau_tables(
+    recordings: NamedRecordings, spec: RobotSpec, supply_pa: float
+) -> list[StaticTable]:
     """Return the plateaus of recordings for a fit.
 
     Raises:
-        InputError: see `StaticTable.from_recording`, or a logged and varied pressure has fewer than 3
-            different levels in all recordings.
+        InputError: see `StaticTable.from_recording`, or a logged and varied pressure
+            has fewer than 3 different levels in all recordings.
     """
-    tables = [StaticTable.from_recording(recording, name, spec, supply_pa) for name, recording in recordings]
+    tables = [
+        StaticTable.from_recording(recording, name, spec, supply_pa)
+        for name, recording in recordings
+    ]
     if any(log_of(recording, name).kind == "valve" for name, recording in recordings):
         return tables  # a log of valves gives only two pressures
     merged = merge_tables(tables)
@@ -223,8 +289,8 @@ def plateau_tables(recordings: NamedRecordings, spec: RobotSpec, supply_pa: floa
         levels = levels[np.diff(levels, prepend=-np.inf) > _PLATEAU_BAND_PA]
         if len(levels) == 2:
             raise InputError(
-                f"pressure_{SIDES[k]}_{j + 1}: only 2 different pressures; 3 or more are needed, to "
-                "distinguish a line from a curve"
+                f"pressure_{SIDES[k]}_{j + 1}: only 2 different pressures; 3 or more"
+                " are needed, to distinguish a line from a curve"
             )
     return tables
 
@@ -232,18 +298,29 @@ def plateau_tables(recordings: NamedRecordings, spec: RobotSpec, supply_pa: floa
 def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
     """Return one table with the points of several recordings."""
     names = ("pressure", "bend", "bend_error")
-    arrays = [np.concatenate([getattr(table, name) for table in tables]) for name in names]
-    return StaticTable(", ".join(table.name for table in tables), array_hash(*arrays), *arrays)
+    arrays = [
+        np.concatenate([getattr(table, name) for table in tables]) for name in names
+    ]
+    return StaticTable(
+        ", ".join(table.name for table in tables), array_hash(*arrays), *arrays
+    )
 
 
 def write_static_table(table: StaticTable, path: StrPath) -> None:
     """Write a table as a file for `read_static_table`, at full precision."""
     points, segments = table.bend.shape
     header = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
-    header += [f"{name}_{j + 1}_rad" for name in ("bend", "bend_error") for j in range(segments)]
+    header += [
+        f"{name}_{j + 1}_rad"
+        for name in ("bend", "bend_error")
+        for j in range(segments)
+    ]
     error = np.broadcast_to(table.bend_error, table.bend.shape)
     rows = np.hstack([table.pressure.reshape(points, -1), table.bend, error]).tolist()
-    lines = (",".join("" if math.isnan(value) else repr(value) for value in row) for row in rows)
+    lines = (
+        ",".join("" if math.isnan(value) else repr(value) for value in row)
+        for row in rows
+    )
     write_text(path, "\n".join([",".join(header), *lines, ""]))
 
 
@@ -262,15 +339,17 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     """Read a static table.
 
     Raises:
-        InputError: the file does not exist, has no bends, or has columns of other segments or implausible
-            values.
+        InputError: the file does not exist, has no bends, or has columns of other
+            segments or implausible values.
     """
     names = [*(f"pressure_{side}" for side in SIDES), "bend", "bend_error"]
     units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
     table = read_table(read_file(path), units)
     for column in table.columns:
         if not 1 <= column.number <= spec.segments:
-            raise table.error(column, f"{column.text}: {spec.name} has segments 1 to {spec.segments}")
+            raise table.error(
+                column, f"{column.text}: {spec.name} has segments 1 to {spec.segments}"
+            )
     if not any(column.name == "bend" for column in table.columns):
         example = "pressure_plus_1,pressure_minus_1,bend_1,…"
         raise table.file.error(f"no column 'bend_1'; a static table has {example}", 1)
@@ -282,10 +361,14 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     pressure, bend, error = values[..., :2], values[..., 2], values[..., 3]
     if not (np.abs(pressure) <= _MAX_PRESSURE_PA).all():
         raise table.file.error(
-            f"pressures must be from {-_MAX_PRESSURE_PA:g} to {_MAX_PRESSURE_PA:g} Pa in every row"
+            f"pressures must be from {-_MAX_PRESSURE_PA:g} to {_MAX_PRESSURE_PA:g} Pa"
+            " in every row"
         )
     if not np.isfinite(bend).any() or (np.abs(bend) > _MAX_BEND_RAD).any():
-        raise table.file.error(f"bends must be at most {_MAX_BEND_RAD:.3g} rad; check the unit (bend_1_deg)")
+        raise table.file.error(
+            f"bends must be at most {_MAX_BEND_RAD:.3g} rad; check the unit"
+            " (bend_1_deg)"
+        )
     return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
 
 
@@ -299,14 +382,16 @@ def fit_static(
 ) -> FitEstimate:
     """Estimate gains, rest bends and the bend limit from static tables.
 
-    If a dead zone improves the fit significantly (F-test, 1 %), its parameters are estimated as well: first
-    onset and width with a slope of zero in the zone, then also the missing share of the slope.
+    If a dead zone improves the fit significantly (F-test, 1 %), its parameters are
+    estimated as well: first onset and width with a slope of zero in the zone, then also
+    the missing share of the slope.
 
     Args:
         tables: measured tables; the residual of each point is in the estimate.
-        spec: robot whose values are the start of the search; `actuator.bend_rad` is fixed as in
-            `fit_actuator`.
-        names: free parameters, see `parameters`; default: gains, rest bends, bend limit and a dead zone.
+        spec: robot whose values are the start of the search; `actuator.bend_rad` is
+            fixed as in `fit_actuator`.
+        names: free parameters, see `parameters`; default: gains, rest bends, bend limit
+            and a dead zone.
         validation: tables for validation.
         watch: progress callback, see `least_squares`.
 
@@ -325,7 +410,11 @@ def fit_static(
         def residuals(values: Mapping[str, float]) -> list[Residual]:
             robot, result = with_values(base, values), []
             for table, role in data:
-                difference = table.bend - robot.modules.array("bias") - air_bend(robot, table.pressure)
+                difference = (
+                    table.bend
+                    - robot.modules.array("bias")
+                    - air_bend(robot, table.pressure)
+                )
                 result += bend_residuals(table.name, difference, role, table.bend_error)
             return result
 
@@ -333,10 +422,15 @@ def fit_static(
         held = fixed_values(base, unknowns) | dict(fixed)
         estimate = least_squares(residuals, unknowns, held=held, watch=watch)
         has_limit = _BEND_LIMIT in searched and estimate[_BEND_LIMIT].value is not None
-        if names is not None or not unlimited or _BEND_LIMIT not in searched or has_limit:
+        if (
+            names is not None
+            or not unlimited
+            or _BEND_LIMIT not in searched
+            or has_limit
+        ):
             return estimate
-        # The data do not reach the bend limit. At its upper bound it would still reduce the bends, so fit
-        # without it.
+        # The data do not reach the bend limit. At its upper bound it would still reduce
+        # the bends, so fit without it.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
@@ -345,20 +439,29 @@ def fit_static(
     searched = default if names is None else list(names)
     linear = search(searched, {}, starts)
     points = sum(np.isfinite(table.bend).sum() for table in tables)
-    if names is not None or spec.actuator.onset_share or points <= len(searched) + len(_DEAD_ZONE):
+    if (
+        names is not None
+        or spec.actuator.onset_share
+        or points <= len(searched) + len(_DEAD_ZONE)
+    ):
         return linear
 
     return _fit_dead_zone(search, linear, searched, starts, largest)
 
 
-_StaticSearch = Callable[[Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate]
+_StaticSearch = Callable[
+    [Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate
+]
 """Search of a static fit: names of the free parameters, fixed values, start values."""
 
 
 def _fit_dead_zone(
-    search: _StaticSearch, linear: FitEstimate, searched: Sequence[str], starts: Mapping[str, float],
+    search: _StaticSearch,
+    linear: FitEstimate,
+    searched: Sequence[str],
+    starts: Mapping[str, float],
     largest: float,
-) -> FitEstimate:  # fmt: skip
+) -> FitEstimate:
     """Return the best significant fit with a dead zone, or the one without.
 
     Args:
@@ -369,7 +472,9 @@ def _fit_dead_zone(
         largest: largest measured bend, rad.
     """
 
-    def with_dead_zone(zone_starts: Mapping[str, float], fixed: Mapping[str, float]) -> FitEstimate:
+    def with_dead_zone(
+        zone_starts: Mapping[str, float], fixed: Mapping[str, float]
+    ) -> FitEstimate:
         names = [*searched, *(name for name in _DEAD_ZONE if name not in fixed)]
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
@@ -379,16 +484,23 @@ def _fit_dead_zone(
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
 
-    complete = with_dead_zone({_ONSET: 0.4 * largest, _ONSET_WIDTH: 0.2 * largest}, {_ONSET_SHARE: 1.0})
+    complete = with_dead_zone(
+        {_ONSET: 0.4 * largest, _ONSET_WIDTH: 0.2 * largest}, {_ONSET_SHARE: 1.0}
+    )
     if not _is_significant(complete, linear):
         return linear
     partial = with_dead_zone({_ONSET_SHARE: 0.8} | complete.values, {})
     best = partial if _is_significant(partial, complete) else complete
-    why = f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone {best.rms('fit'):.3g}"
+    why = (
+        f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"
+        f" {best.rms('fit'):.3g}"
+    )
     parameters = (
-        replace(parameter, why="; ".join(filter(None, (why, parameter.why))))
-        if parameter.name == _ONSET
-        else parameter
+        (
+            replace(parameter, why="; ".join(filter(None, (why, parameter.why))))
+            if parameter.name == _ONSET
+            else parameter
+        )
         for parameter in best.parameters
     )
     return replace(best, parameters=tuple(parameters))
@@ -401,4 +513,6 @@ def _is_significant(more: FitEstimate, less: FitEstimate) -> bool:
     added = max(len(more.values) - len(less.values), 1)
     freedom = more.independent - len(more.values)
     ratio = ((less.rms("fit") or 0.0) / max(more.rms("fit") or 0.0, 1e-3)) ** 2 - 1
-    return freedom > 0 and ratio * freedom / added > scipy.stats.f.ppf(0.99, added, freedom)
+    return freedom > 0 and ratio * freedom / added > scipy.stats.f.ppf(
+        0.99, added, freedom
+    )

@@ -1,7 +1,7 @@
 """Checks of arguments against the annotations of public functions, once per call and never per time step.
 
-A wrong type is reported where the user gave it, in the words of the command line. The functions themselves
-check names and ranges.
+A wrong type is reported where the user gave it, in the words of the command line. The
+functions themselves check names and ranges.
 """
 
 from __future__ import annotations
@@ -11,7 +11,16 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import cache, wraps
 from inspect import signature
 from types import UnionType
-from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+from typing import (
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from srs_twin.errors import InputError
 
@@ -45,20 +54,25 @@ def checked(function: Function) -> Function:
     """Return a function that checks the types of its arguments against its annotations.
 
     Raises:
-        InputError: (by the returned function) an argument has another type; the message says what is allowed.
+        InputError: (by the returned function) an argument has another type; the message
+            says what is allowed.
     """
     names = tuple(signature(function).parameters)
     owner = function.__qualname__.removesuffix(".__init__")
 
     @wraps(function)
     def call(*arguments: Any, **keywords: Any) -> Any:
-        check_types(owner, function, dict(zip(names, arguments, strict=False)) | keywords)
+        check_types(
+            owner, function, dict(zip(names, arguments, strict=False)) | keywords
+        )
         return function(*arguments, **keywords)
 
     return cast(Function, call)
 
 
-def check_types(owner: str, annotated: Callable[..., Any], values: Mapping[str, object]) -> None:
+def check_types(
+    owner: str, annotated: Callable[..., Any], values: Mapping[str, object]
+) -> None:
     """Check the types of values against the annotations of a function or class.
 
     Args:
@@ -73,7 +87,9 @@ def check_types(owner: str, annotated: Callable[..., Any], values: Mapping[str, 
     for name, value in values.items():
         if name in kinds and not _accepts(kinds[name], value):
             allowed = _described(kinds[name])
-            raise InputError(f"{owner}: {name} {_shown(value)} is not allowed; it must be {allowed}")
+            raise InputError(
+                f"{owner}: {name} {_shown(value)} is not allowed; it must be {allowed}"
+            )
 
 
 @cache
@@ -104,7 +120,11 @@ def _shown(value: object) -> str:
     if isinstance(value, type):
         return f"the class {value.__name__}"
     kind = type(value)
-    return reprlib.repr(value) if kind.__module__ == "builtins" else f"of type {kind.__name__}"
+    return (
+        reprlib.repr(value)
+        if kind.__module__ == "builtins"
+        else f"of type {kind.__name__}"
+    )
 
 
 def _described(kind: Any) -> str:
@@ -116,4 +136,8 @@ def _described(kind: Any) -> str:
     if origin is Literal:
         return _DESCRIPTIONS["str"]
     words = _DESCRIPTIONS.get(origin.__name__, f"a {origin.__name__}")
-    return f"{words}, each {_described(parts[0])}" if origin in (Iterable, Sequence) else words
+    return (
+        f"{words}, each {_described(parts[0])}"
+        if origin in (Iterable, Sequence)
+        else words
+    )

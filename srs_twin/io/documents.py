@@ -1,8 +1,9 @@
 """YAML documents with the line and column of every value, for error messages.
 
-YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A file is parsed event by event, so
-that limits apply before data are built. Anchors, aliases, tags, directives, merge keys and several
-documents are rejected. PyYAML's own loaders are not suitable: they have no positions and read YAML 1.1.
+YAML 1.2 with the core schema: ``yes`` is text and ``012`` is twelve. A file is parsed
+event by event, so that limits apply before data are built. Anchors, aliases, tags,
+directives, merge keys and several documents are rejected. PyYAML's own loaders are not
+suitable: they have no positions and read YAML 1.1.
 """
 
 from __future__ import annotations
@@ -21,7 +22,14 @@ import yaml
 from yaml.reader import ReaderError
 
 from srs_twin.errors import AbsentPartError, InputError, InputFileError
-from srs_twin.io.files import MAX_BYTES, display_path, escape_unprintable, is_path, place_of, read_text
+from srs_twin.io.files import (
+    MAX_BYTES,
+    display_path,
+    escape_unprintable,
+    is_path,
+    place_of,
+    read_text,
+)
 
 Loc = tuple[str | int, ...]
 """Path of a value in nested data: keys and list indices."""
@@ -35,8 +43,11 @@ MAX_DEPTH = 16
 MAX_NODES = 10_000
 """Largest number of keys and values in a document."""
 
-# Characters to escape on writing: controls, unusual blanks, surrogates and byte order marks.
-_UNUSUAL = re.compile("[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]")
+# Characters to escape on writing: controls, unusual blanks, surrogates and byte order
+# marks.
+_UNUSUAL = re.compile(
+    "[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]"
+)
 
 _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
@@ -47,7 +58,10 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Any]], ...] = (
     (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
     (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
-    (re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"), lambda text: float(text.replace(".", ""))),
+    (
+        re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"),
+        lambda text: float(text.replace(".", "")),
+    ),
 )
 
 
@@ -56,7 +70,8 @@ class Override:
     """Value from the command line or a program that replaces one of a file.
 
     Attributes:
-        label: origin of the value in messages, such as "--set controller.frequency_hz=1.5".
+        label: origin of the value in messages, such as "--set
+            controller.frequency_hz=1.5".
         loc: path of the field.
         value: plain data.
     """
@@ -74,7 +89,9 @@ class Override:
             InputError: the field name is empty.
         """
         if not (loc := parse_path(field)):
-            raise InputError(f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5")
+            raise InputError(
+                f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5"
+            )
         return cls(label, loc, parse_yaml(value, label).data)
 
     @classmethod
@@ -82,7 +99,10 @@ class Override:
         """Return overrides that are given as dotted field → value, or as a list already."""
         if not isinstance(changes, Mapping):
             return changes
-        return [cls(f"set {key}={value!r}", parse_path(key), value) for key, value in changes.items()]
+        return [
+            cls(f"set {key}={value!r}", parse_path(key), value)
+            for key, value in changes.items()
+        ]
 
 
 Overrides = Mapping[str, Any] | Sequence[Override]
@@ -96,12 +116,14 @@ class Document:
     Attributes:
         name: name of the file in messages.
         data: plain dicts, lists, text, numbers, true, false, None.
-        values: path of a value → line and column of its first character; empty for data made in memory.
+        values: path of a value → line and column of its first character; empty for data
+            made in memory.
         keys: path of a value → line and column of its key.
         problems: position and message of each problem.
-        refused: positions of invalid YAML; further problems at these positions are not reported.
-        override_labels: labels of the applied overrides; values of the k-th override have the position
-            (−k, 0).
+        refused: positions of invalid YAML; further problems at these positions are not
+            reported.
+        override_labels: labels of the applied overrides; values of the k-th override
+            have the position (−k, 0).
         folder: folder of the file; None for data made in memory.
         warnings: warnings about the file so far, with their place.
     """
@@ -125,7 +147,9 @@ class Document:
         for k, key in enumerate(override.loc):
             loc = override.loc[: k + 1]
             if isinstance(data, list) and not has_child(data, key):
-                message = f"{format_path(loc)}: there are {len(data)} entries, counted from 0"
+                message = (
+                    f"{format_path(loc)}: there are {len(data)} entries, counted from 0"
+                )
                 self.problems.append((position, message))
                 return
             if not has_child(data, key):
@@ -136,8 +160,13 @@ class Document:
             if isinstance(inner, str):
                 inner = {"base": inner}
             # A number may be written in place of a block with its `value`.
-            elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != ("value",):
-                text = f"{format_path(loc)}: must be a block of keys, not {json.dumps(inner)}"
+            elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != (
+                "value",
+            ):
+                text = (
+                    f"{format_path(loc)}: must be a block of keys, not"
+                    f" {json.dumps(inner)}"
+                )
                 self.problems.append((self.values[loc], text))
             data[key] = data = inner if isinstance(inner, dict | list) else {}
         data[key] = override.value
@@ -153,7 +182,11 @@ class Document:
     def origin(self, loc: Loc) -> str:
         """Return the origin of a value: "set by --set …", or "set in" and the file."""
         line = self.values.get(loc, (0, 0))[0]
-        return f"set by {self.override_labels[-line - 1]}" if line < 0 else f"set in {self.name}"
+        return (
+            f"set by {self.override_labels[-line - 1]}"
+            if line < 0
+            else f"set in {self.name}"
+        )
 
     def get(self, *loc: str | int) -> Any:
         """Return the value at a path, or None if there is none."""
@@ -165,14 +198,21 @@ class Document:
     def locate(self, loc: Loc, kind: str = "") -> None:
         """Replace a path by its place, see `place_of`, or report that nothing is there.
 
-        Paths that an override or a program gives are relative to the current folder and stay as they are.
+        Paths that an override or a program gives are relative to the current folder and
+        stay as they are.
 
         Args:
             loc: path of the value in the data.
-            kind: kind of shipped files whose name may be given instead; empty: a text is always a path.
+            kind: kind of shipped files whose name may be given instead; empty: a text
+                is always a path.
         """
         text, position = self.get(*loc), self.values.get(loc, (0, 0))
-        if self.folder is None or position <= (0, 0) or not isinstance(text, str) or not text:
+        if (
+            self.folder is None
+            or position <= (0, 0)
+            or not isinstance(text, str)
+            or not text
+        ):
             return
         if kind and not is_path(text):
             return
@@ -194,18 +234,27 @@ class Document:
     def user_path(self, prefix: Loc, loc: Loc) -> Loc:
         """Return the path of a merged value in the file that the user wrote.
 
-        A robot override is validated after it is merged into its base. An error in ``stiffness.value`` of the
-        merged robot is an error in ``stiffness`` of the override. A value from the base keeps its path.
+        A robot override is validated after it is merged into its base. An error in
+        ``stiffness.value`` of the merged robot is an error in ``stiffness`` of the
+        override. A value from the base keeps its path.
         """
         existing = self.existing_prefix(prefix + loc)
-        return existing if len(existing) > len(prefix) + 1 or existing == prefix + loc else prefix + loc
+        return (
+            existing
+            if len(existing) > len(prefix) + 1 or existing == prefix + loc
+            else prefix + loc
+        )
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem with the value or key at a path; a missing value has the position of its parent."""
         existing = self.existing_prefix(loc)
-        position = (self.keys if at_key and existing == loc else self.values).get(existing, (0, 0))
+        position = (self.keys if at_key and existing == loc else self.values).get(
+            existing, (0, 0)
+        )
         if position not in self.refused:
-            self.problems.append((position, f"{format_path(loc)}: {message}" if loc else message))
+            self.problems.append(
+                (position, f"{format_path(loc)}: {message}" if loc else message)
+            )
 
     def describe(self, loc: Loc, message: str) -> str:
         """Return a message with the place and the path of a value."""
@@ -238,7 +287,9 @@ class Document:
         """
         lines = list(other_files)
         # The alternatives of a union report equal messages, which are shown only once.
-        for position, message in sorted(dict.fromkeys(self.problems), key=itemgetter(0)):
+        for position, message in sorted(
+            dict.fromkeys(self.problems), key=itemgetter(0)
+        ):
             lines.append(self._placed(position, message))
         if lines:
             raise InputFileError(lines)
@@ -268,11 +319,13 @@ def parse_yaml(text: str, name: str) -> Document:
         name: name of the file in messages.
 
     Raises:
-        InputFileError: a syntax error or a second document, or nesting or data beyond the limits.
+        InputFileError: a syntax error or a second document, or nesting or data beyond
+            the limits.
     """
     with suppress(yaml.YAMLError, ValueError):
         return _Reader(yaml.parse(text, yaml.CSafeLoader), Document(name)).read()
-    # The parser in Python takes eight times as long; its messages name the unexpected text.
+    # The parser in Python takes eight times as long; its messages name the unexpected
+    # text.
     reader = _Reader(yaml.parse(text, yaml.SafeLoader), Document(name))
     try:
         reader.read()
@@ -285,14 +338,20 @@ def parse_yaml(text: str, name: str) -> Document:
         if "'\\t'" in problem:
             problem += "; YAML is indented with spaces, not tabs"
         else:
-            problem += _explain(error.problem or "", text.splitlines()[mark.line : mark.line + 1], mark)
+            problem += _explain(
+                error.problem or "", text.splitlines()[mark.line : mark.line + 1], mark
+            )
         reader.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")
     except ReaderError as error:
         before = text[: error.position]
         line, column = before.count("\n") + 1, error.position - before.rfind("\n")
-        reader.fail((line, column), f"not YAML: unusable character U+{ord(text[error.position]):04X}")
+        reader.fail(
+            (line, column),
+            f"not YAML: unusable character U+{ord(text[error.position]):04X}",
+        )
     except (yaml.YAMLError, ValueError, OverflowError) as error:
-        # ValueError and OverflowError: an escape such as "\\UFFFFFFFF", which is not a character.
+        # ValueError and OverflowError: an escape such as "\\UFFFFFFFF", which is not a
+        # character.
         reader.fail(reader.last, f"not YAML: {error}")
     return reader.document
 
@@ -302,9 +361,15 @@ def _explain(problem: str, lines: list[str], mark: Any) -> str:
     before = "".join(lines)[: mark.column]
     if "mapping values are not allowed" in problem and ": " in before:
         return "; a text with a colon and a blank must be in quotes"
-    if "mapping values" in problem or re.search("<block end>, but found '(<block|-)", problem):
+    if "mapping values" in problem or re.search(
+        "<block end>, but found '(<block|-)", problem
+    ):
         return "; its indent is wrong: keys of one block begin in the same column"
-    return "; a key is followed by a colon and a blank" if "expected ':'" in problem else ""
+    return (
+        "; a key is followed by a colon and a blank"
+        if "expected ':'" in problem
+        else ""
+    )
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:
@@ -333,7 +398,11 @@ def format_path(loc: Loc) -> str:
 
 def parse_path(name: str) -> Loc:
     """Return the path of a dotted field name, such as ``world.obstacles[0].x_m``."""
-    return tuple(int(text) if text.isdigit() else text for text in re.split(r"[.\[\]]+", name) if text)
+    return tuple(
+        int(text) if text.isdigit() else text
+        for text in re.split(r"[.\[\]]+", name)
+        if text
+    )
 
 
 def has_child(value: Any, key: str | int) -> bool:
@@ -373,9 +442,15 @@ class _Reader:
             if isinstance(event, yaml.DocumentStartEvent):
                 documents += 1
                 if documents > 1:
-                    self.fail(self.last, "a second document begins here; a file may contain one")
+                    self.fail(
+                        self.last,
+                        "a second document begins here; a file may contain one",
+                    )
                 if event.version or event.tags:
-                    self._refuse("YAML directives are not allowed; remove the line that begins with %")
+                    self._refuse(
+                        "YAML directives are not allowed; remove the line that begins"
+                        " with %"
+                    )
             elif isinstance(event, yaml.NodeEvent):
                 self.document.data = self._value(event, ())
         return self.document
@@ -389,12 +464,19 @@ class _Reader:
         """Return the value that begins with an event, and record its position."""
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
-        if scalar and event.implicit[0] and not event.value and loc in self.document.keys:
-            # If nothing follows the colon, the mark is behind it or in the next line: use that of the key.
+        if (
+            scalar
+            and event.implicit[0]
+            and not event.value
+            and loc in self.document.keys
+        ):
+            # If nothing follows the colon, the mark is behind it or in the next line:
+            # use that of the key.
             self.last = self.document.keys[loc]
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines; other control characters could change a terminal.
+            # A value may have several lines; other control characters could change a
+            # terminal.
             text = self._text(event, keep="\n\t")
             return _resolve_scalar(text) if event.implicit[0] else text
         if isinstance(event, yaml.AliasEvent):
@@ -420,7 +502,9 @@ class _Reader:
                 self._refuse("merge keys (<<) are not allowed; write the keys out")
             elif key in mapping:
                 line = self.document.keys[key_loc][0]
-                self._refuse(f"{format_path(key_loc)}: given twice; the first is in line {line}")
+                self._refuse(
+                    f"{format_path(key_loc)}: given twice; the first is in line {line}"
+                )
             self.document.keys[key_loc] = self.last
             mapping[key] = self._value(self._next(), key_loc)
         return mapping
@@ -431,10 +515,14 @@ class _Reader:
         if self._nodes > MAX_NODES:
             self.fail(self.last, f"more than {MAX_NODES} keys and values")
         if isinstance(event, yaml.AliasEvent):
-            self._refuse(f"aliases (*{event.anchor}) are not allowed; write the value out")
+            self._refuse(
+                f"aliases (*{event.anchor}) are not allowed; write the value out"
+            )
             return
         if event.anchor is not None:
-            self._refuse(f"anchors (&{event.anchor}) are not allowed; write each value out")
+            self._refuse(
+                f"anchors (&{event.anchor}) are not allowed; write each value out"
+            )
         if event.tag is not None:
             self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
 
@@ -445,7 +533,9 @@ class _Reader:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
             surrogate = "\ud800" <= bad <= "\udfff"
             what = (
-                "half a surrogate pair" if surrogate else f"the control character {escape_unprintable(bad)}"
+                "half a surrogate pair"
+                if surrogate
+                else f"the control character {escape_unprintable(bad)}"
             )
             self._refuse(f"{what} is not allowed in text")
         return text
@@ -461,7 +551,13 @@ class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
 
 
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
-    style = '"' if _UNUSUAL.search(text) else "'" if _resolve_scalar(text) is not text else None
+    style = (
+        '"'
+        if _UNUSUAL.search(text)
+        else "'"
+        if _resolve_scalar(text) is not text
+        else None
+    )
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 
@@ -471,7 +567,9 @@ _Dumper.add_representer(str, _represent_text)
 class _CompactDumper(_Dumper):
     """Writer of lists and dicts that contain only numbers in one line each."""
 
-    def represent_sequence(self, tag: Any, sequence: Any, flow_style: Any = None) -> Any:
+    def represent_sequence(
+        self, tag: Any, sequence: Any, flow_style: Any = None
+    ) -> Any:
         """Represent a list; see PyYAML."""
         return super().represent_sequence(tag, sequence, _is_row(sequence))
 

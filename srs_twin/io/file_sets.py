@@ -1,11 +1,12 @@
 """Atomic replacement of a set of files.
 
-A run writes into a hidden staging folder ``.part-…`` in the folder of its results. When all files are
-written, the folder is locked, the earlier files are moved into ``.part-…/.aside``, and the new files are
-moved into the folder. The first product is the completion mark: it is moved away first and moved in last.
+A run writes into a hidden staging folder ``.part-…`` in the folder of its results. When
+all files are written, the folder is locked, the earlier files are moved into
+``.part-…/.aside``, and the new files are moved into the folder. The first product is
+the completion mark: it is moved away first and moved in last.
 
-A killed process leaves its staging folder, but no lock. The next run in the folder restores the earlier set
-from there, unless all new files were moved in.
+A killed process leaves its staging folder, but no lock. The next run in the folder
+restores the earlier set from there, unless all new files were moved in.
 """
 
 from __future__ import annotations
@@ -37,24 +38,32 @@ _OBSOLETE = ".gone"
 """The same subfolder after a complete replacement."""
 
 _LOCK_TIMEOUT_S = 60.0
-"""Longest wait for a lock, s. A replacement takes milliseconds, so a longer lock belongs to a suspended
-process."""
+"""Longest wait for a lock, s.
+
+A replacement takes milliseconds, so a longer lock belongs to a suspended process."""
 
 # Errors of file systems without folder locks, such as some network drives.
-_LOCKS_UNSUPPORTED = (errno.EBADF, errno.EINVAL, errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+_LOCKS_UNSUPPORTED = (
+    errno.EBADF,
+    errno.EINVAL,
+    errno.ENOLCK,
+    errno.ENOSYS,
+    errno.EOPNOTSUPP,
+)
 
 
 @contextmanager
 def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield an empty folder for a set of files, which replaces the earlier set when the block ends.
 
-    After an error or an interrupt the earlier set is restored. Other files in the folder are kept. If several
-    processes finish at the same time, the set of the last one remains.
+    After an error or an interrupt the earlier set is restored. Other files in the
+    folder are kept. If several processes finish at the same time, the set of the last
+    one remains.
 
     Args:
         folder: folder of the set; created if missing.
-        products: names of all files of the set, or patterns such as ``best/*.yaml``. The first is the
-            completion mark: it exists only in a complete set.
+        products: names of all files of the set, or patterns such as ``best/*.yaml``.
+            The first is the completion mark: it exists only in a complete set.
 
     Raises:
         InputError: the files cannot be written, for example because the disk is full.
@@ -72,8 +81,8 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         if isinstance(error, BlockingIOError):
             reason = "another process holds the folder's lock"
         raise InputError(
-            f"{display_path(folder)}: the run's files cannot be written there ({where}{reason}); "
-            "the files of an earlier run are unchanged"
+            f"{display_path(folder)}: the run's files cannot be written there"
+            f" ({where}{reason}); the files of an earlier run are unchanged"
         ) from error
 
 
@@ -86,7 +95,9 @@ def remove_completion_mark(mark: Path) -> None:
     try:
         mark.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"{display_path(mark)}: cannot be replaced ({error.strerror})") from error
+        raise InputError(
+            f"{display_path(mark)}: cannot be replaced ({error.strerror})"
+        ) from error
 
 
 @contextmanager
@@ -103,7 +114,8 @@ def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
     """Replace the earlier set by the files of a staging folder; restore it after an error.
 
     Raises:
-        InputError: a folder has the name of a product, or the earlier set cannot be restored now.
+        InputError: a folder has the name of a product, or the earlier set cannot be
+            restored now.
         OSError: a file cannot be moved.
     """
     check_not_folders(folder, products)
@@ -119,15 +131,20 @@ def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
             _restore(folder, staging)
         except OSError as error:
             raise InputError(
-                f"{display_path(folder)}: the run's files cannot be written there ({error.strerror}); "
-                f"earlier files are in {display_path(staging)}, and the next run restores them"
+                f"{display_path(folder)}: the run's files cannot be written there"
+                f" ({error.strerror}); earlier files are in {display_path(staging)},"
+                " and the next run restores them"
             ) from error
         raise
 
 
 def _existing_products(folder: Path, products: Iterable[str]) -> list[Path]:
     """Return the products that exist in a folder, relative to it, in the order of `products`."""
-    return [path.relative_to(folder) for pattern in products for path in sorted(folder.glob(pattern))]
+    return [
+        path.relative_to(folder)
+        for pattern in products
+        for path in sorted(folder.glob(pattern))
+    ]
 
 
 def _move(names: Iterable[Path], source: Path, target: Path) -> None:
@@ -144,13 +161,18 @@ def _restore(folder: Path, staging: Path) -> None:
         ValueError: the list of products is damaged.
     """
     mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
-    # If the completion mark exists, either no file was moved away or all new files were moved in.
+    # If the completion mark exists, either no file was moved away or all new files were
+    # moved in.
     if not os.path.lexists(folder / mark):
         if (staging / _SAVED).is_dir():
             for name in _existing_products(folder, others):
                 (folder / name).unlink()
             (staging / _SAVED).rename(staging / _ASIDE)
-        _move(reversed(_existing_products(staging / _ASIDE, (mark, *others))), staging / _ASIDE, folder)
+        _move(
+            reversed(_existing_products(staging / _ASIDE, (mark, *others))),
+            staging / _ASIDE,
+            folder,
+        )
     for subfolder in (_ASIDE, _SAVED):
         shutil.rmtree(staging / subfolder, ignore_errors=True)
 
@@ -159,7 +181,8 @@ def _restore(folder: Path, staging: Path) -> None:
 def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield a new locked staging folder; first clean up after killed processes."""
     with ExitStack() as locks:
-        # The lock prevents other processes from removing the new staging folder as an abandoned one.
+        # The lock prevents other processes from removing the new staging folder as an
+        # abandoned one.
         with _lock(folder):
             _clean_up(folder)
             staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=folder))

@@ -1,6 +1,7 @@
 """Paths of shipped files, text of paths in messages, and atomic writes of single files.
 
-Output folders are checked before a run starts. `file_sets` replaces several files together.
+Output folders are checked before a run starts. `file_sets` replaces several files
+together.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from pathlib import Path
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 
 MAX_BYTES = 64 * 1024
-"""Largest size of a hand-written file, bytes; a larger file is probably the wrong one."""
+"""Largest size of a hand-written file, bytes; a larger file is probably the wrong one.
+"""
 
 StrPath = str | os.PathLike[str]
 """Path as users give it."""
@@ -32,14 +34,16 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# C0, DEL and C1 controls, and surrogates, which represent bytes that are not UTF-8 in Python's file names.
+# C0, DEL and C1 controls, and surrogates, which represent bytes that are not UTF-8 in
+# Python's file names.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    In an installed wheel this is ``srs_twin/_data``, in an editable checkout the checkout itself.
+    In an installed wheel this is ``srs_twin/_data``, in an editable checkout the
+    checkout itself.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -56,9 +60,9 @@ def shipped_names(kind: str) -> list[str]:
     return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 
-_LIST_COMMANDS = {kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")} | {
-    "study": "`srs-twin list studies`"
-}
+_LIST_COMMANDS = {
+    kind: f"`srs-twin list {kind}s`" for kind in ("scenario", "robot", "sweep")
+} | {"study": "`srs-twin list studies`"}
 
 
 def is_path(text: str) -> bool:
@@ -103,8 +107,8 @@ def path_from(folder: Path, name_or_path: str) -> str:
 def find_file(kind: str, name_or_path: StrPath) -> Path:
     """Return the path of a file that is given by its path or by the name of a shipped file.
 
-    A text with a slash or with the suffix .yaml or .yml is a path, relative to the current folder. Any other
-    text is the name of a shipped file.
+    A text with a slash or with the suffix .yaml or .yml is a path, relative to the
+    current folder. Any other text is the name of a shipped file.
 
     Args:
         kind: "robot", "footprint", "scenario", "sweep", "study" or "table".
@@ -123,7 +127,9 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
         raise InputError(f"{text}: a {kind} file ends in {' or '.join(_SUFFIXES)}")
     if os.path.isdir(text):
         require_file(Path(text))
-    raise UnknownNameError(kind, text, names, _LIST_COMMANDS.get(kind) or str(shipped_folder(kind)))
+    raise UnknownNameError(
+        kind, text, names, _LIST_COMMANDS.get(kind) or str(shipped_folder(kind))
+    )
 
 
 def results_name(path: Path) -> str:
@@ -150,17 +156,21 @@ def check_file_name(name: str, source: str) -> str:
 def escape_unprintable(text: str, *, keep: str = "") -> str:
     r"""Return text with escapes for control characters and for bytes that are not UTF-8.
 
-    Terminals interpret control characters: a title with ``\x1b[31m`` would colour the text after it.
+    Terminals interpret control characters: a title with ``\x1b[31m`` would colour the
+    text after it.
 
     Args:
         text: text from any source.
         keep: control characters to keep, such as line ends.
     """
-    return _UNPRINTABLE.sub(lambda match: match[0] if match[0] in keep else _escape(match[0]), text)
+    return _UNPRINTABLE.sub(
+        lambda match: match[0] if match[0] in keep else _escape(match[0]), text
+    )
 
 
 def _escape(character: str) -> str:
-    # Python decodes a byte 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF ("surrogateescape").
+    # Python decodes a byte 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF
+    # ("surrogateescape").
     byte = ord(character) - 0xDC00
     return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(character)[1:-1]
 
@@ -174,7 +184,9 @@ def check_printable(argument: StrPath) -> None:
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
         reason = "not UTF-8" if match[0] >= "\ud800" else "a control character in it"
-        raise InputError(f"{escape_unprintable(text)}: cannot be used ({reason}); rename it")
+        raise InputError(
+            f"{escape_unprintable(text)}: cannot be used ({reason}); rename it"
+        )
 
 
 def display_path(path: Path) -> str:
@@ -199,9 +211,14 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
         with require_file(path).open("rb") as stream:
             raw = stream.read(limit + 1)
     except OSError as error:
-        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(
+            f"{display_path(path)}: cannot be read ({error.strerror})"
+        ) from error
     if len(raw) > limit:
-        raise InputError(f"{display_path(path)}: larger than {limit // 1024} kB, the largest allowed size")
+        raise InputError(
+            f"{display_path(path)}: larger than {limit // 1024} kB, the largest allowed"
+            " size"
+        )
     return decode_text(raw, display_path(path))
 
 
@@ -219,7 +236,9 @@ def decode_text(raw: bytes, name: str) -> str:
         return raw.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
         byte = f"byte {error.start + 1} is 0x{raw[error.start]:02x}"
-        raise InputError(f"{name}: not UTF-8 text ({byte}); save it as UTF-8") from error
+        raise InputError(
+            f"{name}: not UTF-8 text ({byte}); save it as UTF-8"
+        ) from error
 
 
 MAX_NEW_FOLDERS = 100
@@ -235,7 +254,8 @@ def missing_folders(folder: Path) -> list[Path]:
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
-            errno.ENAMETOOLONG, f"{len(missing)} new folders deep; at most {MAX_NEW_FOLDERS} are made"
+            errno.ENAMETOOLONG,
+            f"{len(missing)} new folders deep; at most {MAX_NEW_FOLDERS} are made",
         )
     return missing
 
@@ -277,9 +297,9 @@ def make_folder(folder: Path) -> Iterator[None]:
 def atomic_write(path: StrPath) -> Iterator[Path]:
     """Yield a temporary path that replaces ``path`` when the `with` block ends without an error.
 
-    Missing folders are created. Readers of ``path`` see either the old file or the complete new one. After an
-    error the temporary file and the new folders are removed; the next writer of ``path`` overwrites the
-    temporary file of a killed one.
+    Missing folders are created. Readers of ``path`` see either the old file or the
+    complete new one. After an error the temporary file and the new folders are removed;
+    the next writer of ``path`` overwrites the temporary file of a killed one.
 
     Raises:
         InputError: the file cannot be written.
@@ -290,15 +310,18 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             yield temporary
             temporary.replace(target)
     except OSError as error:
-        raise InputError(f"{display_path(target)}: cannot be written ({error.strerror or error})") from error
+        raise InputError(
+            f"{display_path(target)}: cannot be written ({error.strerror or error})"
+        ) from error
 
 
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
     """Yield the path of a hidden file in the folder of a target; after an error remove the file.
 
-    All writers of a target use the same name, so that the next one overwrites the file of a killed one. The
-    file of a live writer is locked until its process ends; meanwhile other writers use a random name.
+    All writers of a target use the same name, so that the next one overwrites the file
+    of a killed one. The file of a live writer is locked until its process ends;
+    meanwhile other writers use a random name.
     """
     # Keep the suffix at the end, because some writers choose their format by it.
     temporary = target.with_name(f".{target.stem}.part{target.suffix}")
@@ -312,11 +335,14 @@ def _temporary_file(target: Path) -> Iterator[Path]:
         except OSError:  # locked, without support for locks, or not writable
             is_usable = False
         if not is_usable:
-            temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}")
+            temporary = target.with_name(
+                f".{target.stem}.{secrets.token_hex(4)}.part{target.suffix}"
+            )
         try:
             yield temporary
         except BaseException:
-            # Suppress further errors in an unusable folder, which would hide the first one.
+            # Suppress further errors in an unusable folder, which would hide the first
+            # one.
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
@@ -341,9 +367,13 @@ def create_numbered_file(folder: Path, name: str) -> Path:
             path.open("xb").close()
         except FileExistsError:
             if not folder.is_dir():
-                raise InputError(f"{display_path(folder)}: cannot be written (not a folder)") from None
+                raise InputError(
+                    f"{display_path(folder)}: cannot be written (not a folder)"
+                ) from None
         except OSError as error:
-            raise InputError(f"{display_path(path)}: cannot be written ({error.strerror})") from error
+            raise InputError(
+                f"{display_path(path)}: cannot be written ({error.strerror})"
+            ) from error
         else:
             return path
 
@@ -376,7 +406,8 @@ def require_file(
         beside: another place where the file was looked for.
 
     Raises:
-        InputError: the file is missing or not a regular file, or the name is not allowed.
+        InputError: the file is missing or not a regular file, or the name is not
+            allowed.
     """
     check_printable(path)
     try:
@@ -396,7 +427,9 @@ def require_file(
             raise InputError(f"{display_path(path)}: a broken link")
     except OSError as error:
         # The name is too long, or a folder may not be entered.
-        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(
+            f"{display_path(path)}: cannot be read ({error.strerror})"
+        ) from error
     places = dict.fromkeys([beside or path, path])
     siblings = [
         str(path.with_name(found.name))
@@ -405,27 +438,36 @@ def require_file(
         if path.name
     ]
     hint = did_you_mean(str(path), siblings) or did_you_mean(str(path), names) or remedy
-    looked = f" (looked for {' and '.join(map(display_path, places))})" if len(places) > 1 else ""
+    looked = (
+        f" (looked for {' and '.join(map(display_path, places))})"
+        if len(places) > 1
+        else ""
+    )
     raise InputError(f"{display_path(path)}: no such file{looked}{hint}")
 
 
-def check_output_folder(folder: Path, products: Sequence[str] = (), *, option: str = "--out") -> None:
+def check_output_folder(
+    folder: Path, products: Sequence[str] = (), *, option: str = "--out"
+) -> None:
     """Check that files can be written to a folder, which need not exist yet; leave it unchanged.
 
     Args:
         folder: folder for the files.
         products: names of the files.
-        option: command-line option that sets the folder, for the message; empty if there is none.
+        option: command-line option that sets the folder, for the message; empty if
+            there is none.
 
     Raises:
-        InputError: the folder cannot be created or written, or a folder has the name of a file.
+        InputError: the folder cannot be created or written, or a folder has the name of
+            a file.
     """
     check_printable(folder)
     try:
         target = Path(os.path.abspath(folder))
         missing = missing_folders(target)
         present = missing[-1].parent if missing else target
-        # Write a trial file: permission bits do not apply to root and are unreliable on network drives.
+        # Write a trial file: permission bits do not apply to root and are unreliable on
+        # network drives.
         with tempfile.TemporaryDirectory(dir=present) as scratch:
             trial = scratch / target.relative_to(present)
             trial.mkdir(parents=True, exist_ok=True)
@@ -434,7 +476,9 @@ def check_output_folder(folder: Path, products: Sequence[str] = (), *, option: s
     except OSError as error:
         remedy = f"; give another folder with {option}" if option else ""
         reason = error.strerror or str(error)
-        raise InputError(f"{display_path(folder)}: cannot write there ({reason}){remedy}") from error
+        raise InputError(
+            f"{display_path(folder)}: cannot write there ({reason}){remedy}"
+        ) from error
     check_not_folders(folder, products)
 
 
@@ -446,4 +490,6 @@ def check_not_folders(folder: Path, products: Sequence[str]) -> None:
     """
     for product in products:
         if (folder / product).is_dir():
-            raise InputError(f"{display_path(folder / product)}: cannot be replaced (a folder)")
+            raise InputError(
+                f"{display_path(folder / product)}: cannot be replaced (a folder)"
+            )

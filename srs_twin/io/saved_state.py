@@ -1,11 +1,11 @@
 """Saved states of plants and controllers, stored in files without pickles.
 
-A class lists the attributes that change during a run in `state_attributes`; attributes that are `Stateful`
-themselves are saved recursively. Settings of the constructor and of `reset` are not part of a state: they
-must be the same in the object that restores it.
+A class lists the attributes that change during a run in `state_attributes`; attributes
+that are `Stateful` themselves are saved recursively. Settings of the constructor and of
+`reset` are not part of a state: they must be the same in the object that restores it.
 
-A file is a NumPy archive with the arrays, and with a JSON document of all other values. A named tuple or
-dataclass of this package is stored with the name of its class.
+A file is a NumPy archive with the arrays, and with a JSON document of all other values.
+A named tuple or dataclass of this package is stored with the name of its class.
 
 >>> from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 >>> snake = AnalyticalSnake(load_robot("gen2"))
@@ -53,15 +53,20 @@ _PACKAGE = __name__.partition(".")[0] + "."
 
 def names(*attributes: str) -> tuple[str, ...]:
     """Return a tuple of names; deprecated, `state_attributes` is a plain tuple now."""
-    warnings.warn("names() is deprecated: write a tuple of names", DeprecationWarning, stacklevel=2)
+    warnings.warn(
+        "names() is deprecated: write a tuple of names",
+        DeprecationWarning,
+        stacklevel=2,
+    )
     return attributes
 
 
 class DeepCopied:
     """Base class of objects that share no state with their copies.
 
-    `copy.copy` makes a deep copy: a shallow copy would advance the chambers and bodies of the original. A
-    copy or an unpickled object continues with the same bits as the original.
+    `copy.copy` makes a deep copy: a shallow copy would advance the chambers and bodies
+    of the original. A copy or an unpickled object continues with the same bits as the
+    original.
     """
 
     def __copy__(self) -> Self:
@@ -76,8 +81,9 @@ class DeepCopied:
         for name, value in vars(self).items():
             if (kind := _why_not_copyable(value)) is not None:
                 raise InputError(
-                    f"{type(self).__name__} can be neither copied nor pickled, because its attribute "
-                    f"'{name}' is {kind}; use save() and restore() instead"
+                    f"{type(self).__name__} can be neither copied nor pickled, because"
+                    f" its attribute '{name}' is {kind}; use save() and restore()"
+                    " instead"
                 )
         return super().__reduce_ex__(protocol)
 
@@ -85,7 +91,8 @@ class DeepCopied:
 def _why_not_copyable(value: object) -> str | None:
     """Return the reason that a value can be neither copied nor pickled, or None.
 
-    Nested functions are not copyable, because a copy would share the variables of the enclosing function.
+    Nested functions are not copyable, because a copy would share the variables of the
+    enclosing function.
     """
     if isinstance(value, partial):
         return _why_not_copyable(value.func)
@@ -102,8 +109,8 @@ class Stateful(DeepCopied):
     """Base class of objects with a state that can be saved and restored.
 
     Attributes:
-        state_attributes: names of the attributes that change during a run, in addition to those of the base
-            classes.
+        state_attributes: names of the attributes that change during a run, in addition
+            to those of the base classes.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ()
@@ -111,7 +118,10 @@ class Stateful(DeepCopied):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         if "memory" in vars(cls):
-            message = f"{cls.__name__}.memory is now {cls.__name__}.state_attributes, a tuple of names"
+            message = (
+                f"{cls.__name__}.memory is now {cls.__name__}.state_attributes, a tuple"
+                " of names"
+            )
             warnings.warn(message, DeprecationWarning, stacklevel=2)
             cls.state_attributes = vars(cls)["memory"]
 
@@ -128,10 +138,13 @@ class Stateful(DeepCopied):
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
-                f"{type(self).__name__}: the state is incomplete; it has no {', '.join(missing)}"
+                f"{type(self).__name__}: the state is incomplete; it has no"
+                f" {', '.join(missing)}"
             )
         for name in self._state_names():
-            check_kind(f"{type(self).__name__}.{name}", state[name], getattr(self, name, None))
+            check_kind(
+                f"{type(self).__name__}.{name}", state[name], getattr(self, name, None)
+            )
         for name in self._state_names():
             value = getattr(self, name, None)
             if isinstance(value, Stateful):
@@ -147,17 +160,28 @@ class Stateful(DeepCopied):
             label: name of the object in messages.
 
         Raises:
-            InputError: no subclass of `base` has `state_attributes`, or the object was never reset.
+            InputError: no subclass of `base` has `state_attributes`, or the object was
+                never reset.
         """
-        subclasses = [cls for cls in type(self).__mro__ if issubclass(cls, base) and cls is not base]
+        subclasses = [
+            cls
+            for cls in type(self).__mro__
+            if issubclass(cls, base) and cls is not base
+        ]
         if not any("state_attributes" in vars(cls) for cls in subclasses):
-            raise InputError(f"{label} cannot be saved: its class has no `state_attributes`")
+            raise InputError(
+                f"{label} cannot be saved: its class has no `state_attributes`"
+            )
         if not all(hasattr(self, name) for name in self._state_names()):
             raise InputError(f"{label} has no state before its first reset")
 
     @classmethod
     def _state_names(cls) -> tuple[str, ...]:
-        names = (name for base in cls.__mro__ for name in vars(base).get("state_attributes", ()))
+        names = (
+            name
+            for base in cls.__mro__
+            for name in vars(base).get("state_attributes", ())
+        )
         return tuple(dict.fromkeys(names))
 
 
@@ -165,11 +189,15 @@ def check_kind(label: str, saved: object, present: object) -> None:
     """Check that a saved value can replace a present one, if that is an array or has a state of its own.
 
     Raises:
-        InputError: the saved value is no array with as many dimensions, or no nested state.
+        InputError: the saved value is no array with as many dimensions, or no nested
+            state.
     """
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
-            raise InputError(f"{label}: the saved state has no array of {present.ndim} dimensions for it")
+            raise InputError(
+                f"{label}: the saved state has no array of {present.ndim} dimensions"
+                " for it"
+            )
     elif isinstance(present, Stateful) and not isinstance(saved, Mapping):
         raise InputError(f"{label}: the saved state has no nested state for it")
 
@@ -183,8 +211,8 @@ class SavedState:
     """State of a plant or a controller that determines its further evolution; it can be pickled and written.
 
     Attributes:
-        owner: settings of the saved object as JSON values; only an object with equal settings can restore the
-            state.
+        owner: settings of the saved object as JSON values; only an object with equal
+            settings can restore the state.
         content: state attributes, name → value.
         version: version of the format of `content`.
     """
@@ -196,7 +224,9 @@ class SavedState:
     @property
     def of(self) -> Mapping[str, object]:
         """Deprecated name of `owner`."""
-        warnings.warn("SavedState.of is now SavedState.owner", DeprecationWarning, stacklevel=2)
+        warnings.warn(
+            "SavedState.of is now SavedState.owner", DeprecationWarning, stacklevel=2
+        )
         return self.owner
 
     def check(self, label: str, owner: Mapping[str, Any]) -> None:
@@ -210,13 +240,21 @@ class SavedState:
             InputError: the settings differ, or the state has another version.
         """
         _check_version(label, self.version)
-        saved, current = (json.loads(json.dumps(settings)) for settings in (self.owner, owner))
+        saved, current = (
+            json.loads(json.dumps(settings)) for settings in (self.owner, owner)
+        )
         keys = sorted(saved.keys() | current.keys())
         differing = [key for key in keys if saved.get(key) != current.get(key)]
         if differing:
-            listed = [f"{key} {saved.get(key)!r} instead of {current.get(key)!r}" for key in differing[:3]]
+            listed = [
+                f"{key} {saved.get(key)!r} instead of {current.get(key)!r}"
+                for key in differing[:3]
+            ]
             rest = f", and {len(differing) - 3} more" if len(differing) > 3 else ""
-            raise InputError(f"{label}: the saved state has other settings: {', '.join(listed)}{rest}")
+            raise InputError(
+                f"{label}: the saved state has other settings:"
+                f" {', '.join(listed)}{rest}"
+            )
 
     def write(self, path: Path) -> None:
         """Write the state to a file atomically.
@@ -225,7 +263,11 @@ class SavedState:
             InputError: the file cannot be written.
         """
         arrays: dict[str, np.ndarray] = {}
-        document = {"version": self.version, "of": self.owner, "content": _encode(self.content, arrays)}
+        document = {
+            "version": self.version,
+            "of": self.owner,
+            "content": _encode(self.content, arrays),
+        }
         text = np.array(json.dumps(document))
         with atomic_write(path) as temporary, temporary.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, **{_DOCUMENT: text}, **arrays)
@@ -241,7 +283,9 @@ class SavedState:
         try:
             text = str(arrays[_DOCUMENT])
             if len(text) > _MAX_DOCUMENT:
-                raise ValueError(f"{len(text)} characters of settings; the limit is {_MAX_DOCUMENT}")
+                raise ValueError(
+                    f"{len(text)} characters of settings; the limit is {_MAX_DOCUMENT}"
+                )
             document = json.loads(text)
             _check_version(display_path(path), document["version"])
             content = _decode(document["content"], arrays)
@@ -250,14 +294,21 @@ class SavedState:
             return SavedState(document["of"], content, document["version"])
         except (InputError, MemoryError):
             raise
-        except Exception as error:  # classes raise many kinds of errors if their values are wrong
+        except (
+            Exception
+        ) as error:  # classes raise many kinds of errors if their values are wrong
             reason = f"{type(error).__name__}: {error}"
-            raise InputError(f"{display_path(path)}: not a saved state ({reason})") from error
+            raise InputError(
+                f"{display_path(path)}: not a saved state ({reason})"
+            ) from error
 
 
 def _check_version(label: str, version: object) -> None:
     if version != VERSION:
-        raise InputError(f"{label}: saved state of version {version}; this program reads version {VERSION}")
+        raise InputError(
+            f"{label}: saved state of version {version}; this program reads version"
+            f" {VERSION}"
+        )
 
 
 def short_digest(*values: object) -> str:
@@ -279,9 +330,16 @@ def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
         attributes = {field.name: getattr(value, field.name) for field in fields(value)}
         return {"@": _class_name(type(value)), "parts": _encode(attributes, arrays)}
     if isinstance(value, Mapping):
-        return {"@": "dict", "items": [[str(key), _encode(item, arrays)] for key, item in value.items()]}
+        return {
+            "@": "dict",
+            "items": [[str(key), _encode(item, arrays)] for key, item in value.items()],
+        }
     if isinstance(value, tuple | list | deque):
-        kind = _class_name(type(value)) if hasattr(value, "_fields") else type(value).__name__
+        kind = (
+            _class_name(type(value))
+            if hasattr(value, "_fields")
+            else type(value).__name__
+        )
         return {"@": kind, "items": [_encode(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -315,8 +373,14 @@ def _class_name(kind: type) -> str:
 def _find_class(name: str) -> type:
     """Return a dataclass, named tuple or enum of this package by name; other classes could run code."""
     module, _, kind = name.partition(":")
-    cls = getattr(importlib.import_module(module), kind) if module.startswith(_PACKAGE) else None
-    is_record = isinstance(cls, type) and (issubclass(cls, Enum) or hasattr(cls, "_fields"))
+    cls = (
+        getattr(importlib.import_module(module), kind)
+        if module.startswith(_PACKAGE)
+        else None
+    )
+    is_record = isinstance(cls, type) and (
+        issubclass(cls, Enum) or hasattr(cls, "_fields")
+    )
     if not (is_record or is_dataclass(cls)):
         raise ValueError(f"{name} is not a data class of this program")
     return cast(type, cls)

@@ -1,13 +1,15 @@
 """Strict readers of untrusted JSON, Parquet and NumPy files, with limits on size and depth.
 
-JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not JSON, reads ``1e999``
-as infinity, keeps the last of two equal keys, and exhausts its stack on deep nesting.
+JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not
+JSON, reads ``1e999`` as infinity, keeps the last of two equal keys, and exhausts its
+stack on deep nesting.
 
-Parquet: a file of 200 kB can contain a hundred million rows, so sizes in the footer are checked before data
-are read. Pages are verified against their checksums if the writer stored them, as this package does.
+Parquet: a file of 200 kB can contain a hundred million rows, so sizes in the footer are
+checked before data are read. Pages are verified against their checksums if the writer
+stored them, as this package does.
 
-NumPy: an archive can unpack to a thousand times its size, and the header of an array can declare any size,
-which `numpy.load` allocates.
+NumPy: an archive can unpack to a thousand times its size, and the header of an array
+can declare any size, which `numpy.load` allocates.
 """
 
 from __future__ import annotations
@@ -45,13 +47,16 @@ def read_json(path: Path) -> Any:
     """Read a JSON file.
 
     Raises:
-        InputError: the file is missing, not a regular file, not readable, too large, or not JSON.
+        InputError: the file is missing, not a regular file, not readable, too large, or
+            not JSON.
     """
     try:
         with require_file(path, suffix=".json").open("rb") as stream:
             raw = stream.read(MAX_JSON_BYTES + 1)
     except OSError as error:
-        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(
+            f"{display_path(path)}: cannot be read ({error.strerror})"
+        ) from error
     if len(raw) > MAX_JSON_BYTES:
         raise InputError(f"{display_path(path)}: larger than {MAX_JSON_BYTES >> 20} MB")
     return parse_json(decode_text(raw, display_path(path)), display_path(path))
@@ -65,11 +70,16 @@ def parse_json(text: str, name: str) -> Any:
         name: name of the file in messages.
 
     Raises:
-        InputError: invalid JSON, nesting beyond the limit, a number out of range, or a repeated key.
+        InputError: invalid JSON, nesting beyond the limit, a number out of range, or a
+            repeated key.
     """
     try:
         data = json.loads(
-            text, parse_constant=_refuse, parse_float=_number, parse_int=_integer, object_pairs_hook=_object
+            text,
+            parse_constant=_refuse,
+            parse_float=_number,
+            parse_int=_integer,
+            object_pairs_hook=_object,
         )
     except json.JSONDecodeError as error:
         place = f"{name}:{error.lineno}:{error.colno}"
@@ -94,7 +104,8 @@ def _number(text: str) -> float:
 
 
 def _integer(text: str) -> int | float:
-    # Python rejects integers with thousands of digits; shorter ones may still be too large for a float.
+    # Python rejects integers with thousands of digits; shorter ones may still be too
+    # large for a float.
     return int(text) if len(text) < 19 else _number(text)
 
 
@@ -152,12 +163,14 @@ def read_table(
 
     Args:
         path: a path or a file-like object.
-        kind: expected kind of file for messages, such as "a trajectory written by srs-twin".
-        check: raises TypeError or ValueError for another schema, before any data are read.
+        kind: expected kind of file for messages, such as "a trajectory written by
+            srs-twin".
+        check: raises TypeError or ValueError for another schema, before any data are
+            read.
 
     Raises:
-        InputError: the file is missing, not a regular file, not Parquet, damaged, or larger than a limit; the
-            message names the damaged column.
+        InputError: the file is missing, not a regular file, not Parquet, damaged, or
+            larger than a limit; the message names the damaged column.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -177,11 +190,19 @@ def read_table(
             _check_bounds(file)
             check(file.schema_arrow)
             table = _read(file)
-            # The table's schema comes from the second copy in the footer, which may differ in a damaged file.
+            # The table's schema comes from the second copy in the footer, which may
+            # differ in a damaged file.
             check(table.schema)
             return table
     # MemoryError: raised by Arrow for a page whose declared size is impossible.
-    except (pa.ArrowException, OSError, KeyError, TypeError, ValueError, MemoryError) as error:
+    except (
+        pa.ArrowException,
+        OSError,
+        KeyError,
+        TypeError,
+        ValueError,
+        MemoryError,
+    ) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: not {kind} ({reason})") from error
 
@@ -196,7 +217,10 @@ def _check_size(path: Path) -> None:
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
         footer = int.from_bytes(file.read(4), "little")
-    for name, value, limit in (("file", size, MAX_FILE_BYTES), ("footer", footer, MAX_FOOTER_BYTES)):
+    for name, value, limit in (
+        ("file", size, MAX_FILE_BYTES),
+        ("footer", footer, MAX_FOOTER_BYTES),
+    ):
         if value > limit:
             raise ValueError(f"a {name} of {value} bytes; the limit is {limit}")
 
@@ -208,7 +232,9 @@ def _check_bounds(file: Any) -> None:
         ValueError: a size is above its limit, or two columns have one name.
     """
     footer = file.metadata
-    declared_bytes = sum(footer.row_group(i).total_byte_size for i in range(footer.num_row_groups))
+    declared_bytes = sum(
+        footer.row_group(i).total_byte_size for i in range(footer.num_row_groups)
+    )
     for name, value, limit in (
         ("columns", footer.num_columns, MAX_COLUMNS),
         ("column chunks", footer.num_columns * footer.num_row_groups, MAX_CHUNKS),
@@ -217,7 +243,9 @@ def _check_bounds(file: Any) -> None:
     ):
         if not 0 <= value <= limit:
             raise ValueError(f"{value} {name}; the limit is {limit}")
-    duplicates = [name for name, count in Counter(file.schema_arrow.names).items() if count > 1]
+    duplicates = [
+        name for name, count in Counter(file.schema_arrow.names).items() if count > 1
+    ]
     if duplicates:
         raise ValueError(f"column {duplicates[0]}: given twice")
 
@@ -231,7 +259,8 @@ def _read(file: Any) -> pyarrow.Table:
     import pyarrow as pa
 
     try:
-        # Unpack one column at a time in one thread, which limits the memory if declared page sizes are false.
+        # Unpack one column at a time in one thread, which limits the memory if declared
+        # page sizes are false.
         table = file.read(use_threads=False)
         table.validate()
     except (pa.ArrowException, OSError) as error:
@@ -253,29 +282,43 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
         what: kind of file in messages, such as "policy file".
 
     Raises:
-        InputError: the file is missing, not readable, damaged or too large, or contains objects.
+        InputError: the file is missing, not readable, damaged or too large, or contains
+            objects.
     """
     try:
         with require_file(path, suffix=".npz").open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            # The directory of an archive can be as large as the file, and is read at once.
+            # The directory of an archive can be as large as the file, and is read at
+            # once.
             if size > MAX_ARCHIVE_BYTES:
                 raise ValueError(f"{size} bytes; the limit is {MAX_ARCHIVE_BYTES}")
             with zipfile.ZipFile(file) as archive:
                 members = archive.infolist()
                 unpacked = sum(member.file_size for member in members)
                 if unpacked > MAX_ARCHIVE_BYTES:
-                    raise ValueError(f"{unpacked} bytes unpacked; the limit is {MAX_ARCHIVE_BYTES}")
+                    raise ValueError(
+                        f"{unpacked} bytes unpacked; the limit is {MAX_ARCHIVE_BYTES}"
+                    )
                 if any(member.compress_type not in _PACKING for member in members):
                     raise ValueError("packed by another method than that of NumPy")
                 return {
-                    member.filename.removesuffix(".npy"): _parse_array(archive.read(member))
+                    member.filename.removesuffix(".npy"): _parse_array(
+                        archive.read(member)
+                    )
                     for member in members
                 }
     except OSError as error:
-        raise InputError(f"{display_path(path)}: cannot be read: {error.strerror or error}") from error
+        raise InputError(
+            f"{display_path(path)}: cannot be read: {error.strerror or error}"
+        ) from error
     # zipfile raises RuntimeError for an encrypted member.
-    except (ValueError, RuntimeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (
+        ValueError,
+        RuntimeError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         raise InputError(f"{display_path(path)}: not a {what} ({error})") from error
 
 
@@ -292,12 +335,16 @@ def _parse_array(raw: bytes) -> np.ndarray:
     try:
         version = np.lib.format.read_magic(stream)
         read_header = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
         )
         shape, _, kind = read_header(stream)
     # The header is parsed as Python, which raises many kinds of errors.
     except Exception as error:
-        raise ValueError(f"the header of an array is damaged: {type(error).__name__}") from error
+        raise ValueError(
+            f"the header of an array is damaged: {type(error).__name__}"
+        ) from error
     stored = len(raw) - stream.tell()
     is_possible = all(0 <= length <= len(raw) for length in shape)
     if not is_possible or math.prod(shape) * kind.itemsize != stored:

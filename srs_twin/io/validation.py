@@ -17,7 +17,14 @@ from typing import Any, ClassVar, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from srs_twin.errors import MAX_LISTED_NAMES, did_you_mean, format_names
-from srs_twin.io.documents import Document, Loc, child, format_path, has_child, load_yaml
+from srs_twin.io.documents import (
+    Document,
+    Loc,
+    child,
+    format_path,
+    has_child,
+    load_yaml,
+)
 
 Schema = Mapping[str, Any]
 """JSON schema."""
@@ -28,10 +35,15 @@ _LIST_HINT = "`srs-twin schema`"
 # Units in which a wrong prefix (mm for m, Pa for kPa) is a common mistake.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
-_WITH_UNIT = re.compile(r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE)
+_WITH_UNIT = re.compile(
+    r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE
+)
 _ANY = object()
 RETIRED_KINDS = {
-    "compliant_gait": "it was retired, because none of its reactions helps (docs/contact.md#yielding-gaits)",
+    "compliant_gait": (
+        "it was retired, because none of its reactions helps"
+        " (docs/contact.md#yielding-gaits)"
+    ),
     "ompl": "it was retired (`benchmarks/rrt_connect.py` keeps it); use best_first",
 }
 """Kind of a block in earlier versions → why it was removed, or what to use instead."""
@@ -57,10 +69,13 @@ def _module_docstrings(module: str) -> dict[str, dict[str, str]]:
 def attribute_docstrings(cls: type[StrictModel]) -> dict[str, str]:
     """Return the attribute docstrings of a model and of its base classes: key → text in one line.
 
-    The source is parsed on demand, because pydantic's `use_attribute_docstrings` takes 0.2 s at every import.
+    The source is parsed on demand, because pydantic's `use_attribute_docstrings` takes
+    0.2 s at every import.
     """
     texts: dict[str, str] = {}
-    for base in reversed([base for base in cls.__mro__ if issubclass(base, StrictModel)]):
+    for base in reversed(
+        [base for base in cls.__mro__ if issubclass(base, StrictModel)]
+    ):
         texts |= _module_docstrings(base.__module__).get(base.__name__, {})
     return texts
 
@@ -74,17 +89,23 @@ def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
 class StrictModel(BaseModel):
     """Base class of all models of files: no type conversions, no unknown keys, only finite numbers.
 
-    The docstring of a key is its description in JSON schemas. A model with constraints between its keys has a
-    method `contradictions()`, which yields path and message of each violation.
+    The docstring of a key is its description in JSON schemas. A model with constraints
+    between its keys has a method `contradictions()`, which yields path and message of
+    each violation.
 
     Attributes:
-        elsewhere: paths of keys that users expect in this block → correct keys, for messages.
+        elsewhere: paths of keys that users expect in this block → correct keys, for
+            messages.
     """
 
     elsewhere: ClassVar[dict[str, str]] = {}
 
     model_config = ConfigDict(
-        strict=True, extra="forbid", allow_inf_nan=False, frozen=True, json_schema_extra=_add_descriptions
+        strict=True,
+        extra="forbid",
+        allow_inf_nan=False,
+        frozen=True,
+        json_schema_extra=_add_descriptions,
     )
 
 
@@ -94,7 +115,8 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
     Args:
         model: a subclass of `StrictModel`.
         path: path of the file.
-        paths: keys of the file that name other files → kind of shipped files, see `Document.locate`.
+        paths: keys of the file that name other files → kind of shipped files, see
+            `Document.locate`.
 
     Raises:
         InputError: the file cannot be read.
@@ -109,7 +131,9 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
     return file
 
 
-def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc = ()) -> Model | None:
+def validate(
+    model: type[Model], document: Document, data: Any, *, prefix: Loc = ()
+) -> Model | None:
     """Return plain data as a model, or None after reporting all problems to the document.
 
     Args:
@@ -123,8 +147,8 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
     except ValidationError as error:
         schema, elsewhere = _schema_of(model), getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
-            # The path may not exist in the data: a missing key, or a default that is invalid together with
-            # the given keys.
+            # The path may not exist in the data: a missing key, or a default that is
+            # invalid together with the given keys.
             loc = _existing_path(item["loc"], data)
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
@@ -132,12 +156,17 @@ def validate(model: type[Model], document: Document, data: Any, *, prefix: Loc =
             absent = _is_absent(item, schema, loc, data)
             loc = (*loc, item["loc"][-1]) if absent else loc
             message = _message(item, schema, loc, data)
-            if item["type"] == "extra_forbidden" and (path := format_path(loc)) in elsewhere:
+            if (
+                item["type"] == "extra_forbidden"
+                and (path := format_path(loc)) in elsewhere
+            ):
                 message = f"unknown key; did you mean {elsewhere[path]}?"
             user_loc = prefix + loc if absent else document.user_path(prefix, loc)
             document.report(user_loc, message, at_key=item["type"] == "extra_forbidden")
         return None
-    contradictions = list(file.contradictions()) if hasattr(file, "contradictions") else []
+    contradictions = (
+        list(file.contradictions()) if hasattr(file, "contradictions") else []
+    )
     for loc, message in contradictions:
         document.report(document.user_path(prefix, loc), message)
     return None if contradictions else file
@@ -157,7 +186,9 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
         root: complete schema with the definitions.
         brief: give the number of choices instead of a long list.
     """
-    texts = [_describe_option(option, root, brief) for option in _alternatives(schema, root)]
+    texts = [
+        _describe_option(option, root, brief) for option in _alternatives(schema, root)
+    ]
     if sum(text.startswith(_BLOCK) for text in texts) > 2:
         texts = [_BLOCK if text.startswith(_BLOCK) else text for text in texts]
     return " or ".join(dict.fromkeys(filter(None, texts)))
@@ -168,18 +199,24 @@ def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
     context, block = item["ctx"], item["input"]
     key = context["discriminator"].strip("'")
     if not isinstance(block, Mapping):
-        document.report(loc, f"must be a block of keys with {key}, not {_describe_value(block)}")
+        document.report(
+            loc, f"must be a block of keys with {key}, not {_describe_value(block)}"
+        )
     elif not has_child(block, key):
         document.report((*loc, key), "missing; it selects the kind of this block")
     else:
-        names = [name.strip("'") for name in context.get("expected_tags", "").split(", ")]
+        names = [
+            name.strip("'") for name in context.get("expected_tags", "").split(", ")
+        ]
         value = child(block, key)
         close = ""
         if isinstance(value, str):
             retired = RETIRED_KINDS.get(value)
             close = f": {retired}" if retired else did_you_mean(value, names)
         document.report(
-            (*loc, key), f"must be one of {format_names(names)}, not {_describe_value(value)}{close}"
+            (*loc, key),
+            f"must be one of {format_names(names)}, not"
+            f" {_describe_value(value)}{close}",
         )
 
 
@@ -191,33 +228,63 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
         if str(loc[-1]).isdigit():
             return "unknown key; write a decimal point, not a comma"
         listed = ", ".join(keys[:MAX_LISTED_NAMES])
-        more = f", … ({_LIST_HINT} lists all {len(keys)})" if len(keys) > MAX_LISTED_NAMES else ""
+        more = (
+            f", … ({_LIST_HINT} lists all {len(keys)})"
+            if len(keys) > MAX_LISTED_NAMES
+            else ""
+        )
         return f"unknown key{close or f'; allowed: {listed}{more}'}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
     options = list(_schemas_at(schema, loc, data))
-    words = " or ".join(dict.fromkeys(describe_schema(option, schema, brief=True) for option in options))
+    words = " or ".join(
+        dict.fromkeys(describe_schema(option, schema, brief=True) for option in options)
+    )
     if kind == "missing":
         return f"missing; it must be {words}" if words else "missing"
-    value, flat = item["input"], [inner for option in options for inner in _alternatives(option, schema)]
+    value, flat = (
+        item["input"],
+        [inner for option in options for inner in _alternatives(option, schema)],
+    )
     choices = [choice for option in options for choice in _choices(option, schema)]
-    close = did_you_mean(value, choices) if isinstance(value, str) and len(choices) > 1 else ""
-    if isinstance(value, str) and _WITH_UNIT.fullmatch(value) and any("minimum" in option for option in flat):
+    close = (
+        did_you_mean(value, choices)
+        if isinstance(value, str) and len(choices) > 1
+        else ""
+    )
+    if (
+        isinstance(value, str)
+        and _WITH_UNIT.fullmatch(value)
+        and any("minimum" in option for option in flat)
+    ):
         close = "; write the number without a unit, which the key names"
-    return f"must be {words}, not {_describe_value(value)}{close or _suggest_unit(value, loc, flat)}"
+    return (
+        f"must be {words}, not"
+        f" {_describe_value(value)}{close or _suggest_unit(value, loc, flat)}"
+    )
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
     """Return '; did you mean 48.3?' for a number that would be allowed after a common change of unit."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < abs(value) < 1e300:
+    if (
+        isinstance(value, bool)
+        or not isinstance(value, int | float)
+        or not 0 < abs(value) < 1e300
+    ):
         return ""
     # The key of a record, not its `value`, has the unit.
-    key = next((key for key in reversed(loc) if isinstance(key, str) and key != "value"), "")
-    factors = [1e-3, 1e3] * key.endswith(_SCALED_SUFFIXES) + [math.pi / 180] * key.endswith("_rad")
+    key = next(
+        (key for key in reversed(loc) if isinstance(key, str) and key != "value"), ""
+    )
+    factors = [1e-3, 1e3] * key.endswith(_SCALED_SUFFIXES) + [
+        math.pi / 180
+    ] * key.endswith("_rad")
     for option in options:
         low, high = option.get("minimum"), option.get("maximum")
         if low is not None and high is not None and not low <= value <= high:
-            fitting = [factor * value for factor in factors if low < factor * value < high]
+            fitting = [
+                factor * value for factor in factors if low < factor * value < high
+            ]
             return f"; did you mean {fitting[0]:.4g}?" if fitting else ""
     return ""
 
@@ -235,8 +302,12 @@ def _existing_path(loc: Loc, data: object) -> Loc:
 def _is_absent(item: Any, schema: Schema, loc: Loc, data: Any) -> bool:
     """Return whether the file lacks the problem's key, because it is missing or has its default."""
     last = item["loc"][-1] if item["loc"] else None
-    known = item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
-    return item["type"] == "missing" or (known and last in _allowed_keys(schema, loc, data))
+    known = (
+        item["type"] == "value_error" and isinstance(last, str) and loc[-1:] != (last,)
+    )
+    return item["type"] == "missing" or (
+        known and last in _allowed_keys(schema, loc, data)
+    )
 
 
 def _describe_value(value: Any) -> str:
@@ -249,7 +320,9 @@ def _describe_value(value: Any) -> str:
         return f"text {value!r}" if len(value) <= 40 else f"text {value[:40]!r}…"
     if isinstance(value, dict):
         return "a block of keys"
-    return f"a list of {len(value)}" if isinstance(value, list) else _format_number(value)
+    return (
+        f"a list of {len(value)}" if isinstance(value, list) else _format_number(value)
+    )
 
 
 def _format_number(value: float) -> str:
@@ -258,7 +331,9 @@ def _format_number(value: float) -> str:
         return "NaN"
     if abs(value) > 1e300:
         return "infinity"
-    return str(int(value)) if value == int(value) and abs(value) < 1e15 else f"{value:g}"
+    return (
+        str(int(value)) if value == int(value) and abs(value) < 1e15 else f"{value:g}"
+    )
 
 
 def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
@@ -267,14 +342,23 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
         return (
             names[0]
             if len(names) == 1
-            else f"one of {format_names(names, _LIST_HINT) if brief else ', '.join(names)}"
+            else (
+                "one of"
+                f" {format_names(names, _LIST_HINT) if brief else ', '.join(names)}"
+            )
         )
     kind = schema.get("type")
     if kind in ("number", "integer"):
-        return ("a whole number" if kind == "integer" else "a number") + _describe_range(schema)
+        return (
+            "a whole number" if kind == "integer" else "a number"
+        ) + _describe_range(schema)
     if kind == "array":
         inner = describe_schema(schema.get("items", {}), root, brief=brief)
-        count = f" of {schema['minItems']}" if schema.get("minItems") == schema.get("maxItems", -1) else ""
+        count = (
+            f" of {schema['minItems']}"
+            if schema.get("minItems") == schema.get("maxItems", -1)
+            else ""
+        )
         return f"a list{count} (each {inner})" if inner else f"a list{count}"
     if kind == "object":
         keys = ", ".join(schema.get("properties", {}))
@@ -296,17 +380,22 @@ def _choices(schema: Schema, root: Schema) -> list[Any]:
     """Return the constants that a schema allows."""
     choices = []
     for option in _alternatives(schema, root):
-        choices += [option["const"]] if "const" in option else list(option.get("enum", ()))
+        choices += (
+            [option["const"]] if "const" in option else list(option.get("enum", ()))
+        )
     return choices
 
 
-def _alternatives(schema: Schema, root: Schema, data: object = _ANY) -> Iterator[Schema]:
+def _alternatives(
+    schema: Schema, root: Schema, data: object = _ANY
+) -> Iterator[Schema]:
     """Yield the alternatives of a schema, with references resolved and nested unions flattened.
 
     Args:
         schema: schema of one value.
         root: complete schema with the definitions.
-        data: value, whose discriminator selects one of a union; by default all are yielded.
+        data: value, whose discriminator selects one of a union; by default all are
+            yielded.
     """
     while "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rsplit("/", 1)[1]]
@@ -315,8 +404,12 @@ def _alternatives(schema: Schema, root: Schema, data: object = _ANY) -> Iterator
         yield schema
         return
     key = None if data is _ANY else schema.get("discriminator", {}).get("propertyName")
-    for option in (flat for member in inner for flat in _alternatives(member, root, data)):
-        if key is None or option.get("properties", {}).get(key, {}).get("const") == child(data, key):
+    for option in (
+        flat for member in inner for flat in _alternatives(member, root, data)
+    ):
+        if key is None or option.get("properties", {}).get(key, {}).get(
+            "const"
+        ) == child(data, key):
             yield option
 
 
@@ -328,7 +421,9 @@ def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
         for schema in schemas:
             for option in _alternatives(schema, root, data):
                 if isinstance(key, str):
-                    inner = option.get("properties", {}).get(key, option.get("additionalProperties"))
+                    inner = option.get("properties", {}).get(
+                        key, option.get("additionalProperties")
+                    )
                 else:
                     inner = option.get("items")
                 inner_schemas += [inner] if isinstance(inner, Mapping) else []
@@ -341,5 +436,10 @@ def _allowed_keys(root: Schema, loc: Loc, data: Any) -> list[str]:
     schemas = list(_schemas_at(root, loc, data))
     for key in loc:
         data = child(data, key)
-    found = (key for s in schemas for o in _alternatives(s, root, data) for key in o.get("properties", {}))
+    found = (
+        key
+        for s in schemas
+        for o in _alternatives(s, root, data)
+        for key in o.get("properties", {})
+    )
     return list(dict.fromkeys(found))

@@ -1,22 +1,24 @@
 r"""SupplyFilter and LeakDetector: supply pressure and leaks from the air that filling chambers take in.
 
-From the opening of the valve of a chamber on, measured pressures and the bend of its segment satisfy
+From the opening of the valve of a chamber on, measured pressures and the bend of its
+segment satisfy
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
-with the flow of an orifice (`pneumatics/flow.py`) and the capacity K of a nominal chamber. The factor c and
-the apparent loss λ₀ of an intact chamber are estimated over many strokes (linear regression with forgetting),
-and so is the scatter between strokes. A leak λ is then visible within one stroke. First-order chambers
-satisfy such a balance as well, with other c and λ₀.
+with the flow of an orifice (`pneumatics/flow.py`) and the capacity K of a nominal
+chamber. The factor c and the apparent loss λ₀ of an intact chamber are estimated over
+many strokes (linear regression with forgetting), and so is the scatter between strokes.
+A leak λ is then visible within one stroke. First-order chambers satisfy such a balance
+as well, with other c and λ₀.
 
-All chambers share one supply. Its gauge pressure S is a random walk. The air that chamber i has taken in
-since its valve opened exceeds the expected amount by r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the
-chambers:
+All chambers share one supply. Its gauge pressure S is a random walk. The air that
+chamber i has taken in since its valve opened exceeds the expected amount by r_i = h_i
+(S − Ŝ) + v_i. A Kalman filter combines the chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-The weights w of Student's t distribution limit the effect of a chamber that leaks or is stuck. A large change
-is followed at once if most filling chambers agree.
+The weights w of Student's t distribution limit the effect of a chamber that leaks or is
+stuck. A large change is followed at once if most filling chambers agree.
 """
 
 from __future__ import annotations
@@ -85,12 +87,19 @@ class SupplyFilter(Stateful):
 
     def predict(self, dt: float) -> None:
         """Advance by a time step (s)."""
-        self.variance = min(self.variance + (WALK * self.nominal) ** 2 * dt, (LARGEST_SD * self.nominal) ** 2)
+        self.variance = min(
+            self.variance + (WALK * self.nominal) ** 2 * dt,
+            (LARGEST_SD * self.nominal) ** 2,
+        )
 
     def update(
-        self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray, weight: np.ndarray,
+        self,
+        residual: np.ndarray,
+        response: np.ndarray,
+        sd: np.ndarray,
+        weight: np.ndarray,
         repeats: float = 1.0,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Correct by filling chambers.
 
         Args:
@@ -98,7 +107,8 @@ class SupplyFilter(Stateful):
             response: h.
             sd: of v.
             weight: of each chamber, 0 to 1.
-            repeats: number of measurements with the information of one independent measurement.
+            repeats: number of measurements with the information of one independent
+                measurement.
         """
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
@@ -108,17 +118,27 @@ class SupplyFilter(Stateful):
         change = 0.0
         if len(residual) >= _AGREE:
             change = float(np.median(residual / response))
-            chance = np.pi / 2 / len(residual) * float(np.median(variance / response**2))
+            chance = (
+                np.pi / 2 / len(residual) * float(np.median(variance / response**2))
+            )
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                repeats = 1.0  # earlier messages of the strokes did not contain the change
+                repeats = (
+                    1.0  # earlier messages of the strokes did not contain the change
+                )
         expected = variance + response**2 * self.variance
-        robust = (_SUPPLY_TAILS + 1) / (_SUPPLY_TAILS + (residual - response * change) ** 2 / expected)
-        information = weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
+        robust = (_SUPPLY_TAILS + 1) / (
+            _SUPPLY_TAILS + (residual - response * change) ** 2 / expected
+        )
+        information = (
+            weight[there] * np.minimum(robust, 1.0) * response / variance / repeats
+        )
         self.variance = 1 / (1 / self.variance + float(information @ response))
         self._set(self.pressure + self.variance * float(information @ residual))
 
-    def follow_sudden_change(self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray) -> bool:
+    def follow_sudden_change(
+        self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray
+    ) -> bool:
         """Follow a sudden change that most chambers show; return whether there was one.
 
         Args:
@@ -128,7 +148,10 @@ class SupplyFilter(Stateful):
         """
         if len(residual) < _AGREE:
             return False
-        change, deviation = float(np.median(residual / response)), float(np.median(residual / sd))
+        change, deviation = (
+            float(np.median(residual / response)),
+            float(np.median(residual / sd)),
+        )
         if abs(change) < SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
             return False
         self.variance = max(self.variance, (change / 4) ** 2)
@@ -152,8 +175,10 @@ class SupplyFilter(Stateful):
 
 
 FLOW_SD = 0.3
-"""Prior standard deviation of c. A chamber that fills half as fast as in the robot file must not seem to leak
-before its first strokes are learnt."""
+"""Prior standard deviation of c.
+
+A chamber that fills half as fast as in the robot file must not seem to leak before its
+first strokes are learnt."""
 LOSS_SD = 0.3
 """Prior standard deviation of λ₀, 1/s."""
 FORGETTING = 0.95
@@ -187,7 +212,9 @@ TAILS = 12.0
 
 
 _volume = np.vectorize(volume, otypes=[float, float])
-_flow = np.vectorize(lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float])
+_flow = np.vectorize(
+    lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
+)
 
 
 class LeakDetector(Stateful):
@@ -195,26 +222,48 @@ class LeakDetector(Stateful):
 
     Attributes:
         fit: c and λ₀ (1/s), shape (segments, 2, 2).
-        scatter: variance between strokes, share of the squared inflow, shape (segments, 2).
+        scatter: variance between strokes, share of the squared inflow, shape (segments,
+            2).
         learnt: number of strokes learnt from, shape (segments, 2).
     """
 
     state_attributes = (
-        "fit", "scatter", "learnt", "_information", "_pending", "_time", "_begun", "_reached", "_rates",
-        "_sums", "_supply", "_supply_sd", "_log_likelihood",
-    )  # fmt: skip
+        "fit",
+        "scatter",
+        "learnt",
+        "_information",
+        "_pending",
+        "_time",
+        "_begun",
+        "_reached",
+        "_rates",
+        "_sums",
+        "_supply",
+        "_supply_sd",
+        "_log_likelihood",
+    )
 
-    def __init__(self, spec: RobotSpec, *, supply_pa: float, variants: Sequence[tuple[float, float]]) -> None:
+    def __init__(
+        self,
+        spec: RobotSpec,
+        *,
+        supply_pa: float,
+        variants: Sequence[tuple[float, float]],
+    ) -> None:
         """Begin with the values of the robot file.
 
         Args:
             spec: the robot.
             supply_pa: gauge, Pa.
-            variants: possible faults of a chamber as leak (1/s) and share of the supply pressure, 0 without
-                any inflow; the first variant has no fault.
+            variants: possible faults of a chamber as leak (1/s) and share of the supply
+                pressure, 0 without any inflow; the first variant has no fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
-        self._chamber, self._nominal, self._unit = spec.chamber, supply_pa, capacity * supply_pa
+        self._chamber, self._nominal, self._unit = (
+            spec.chamber,
+            supply_pa,
+            capacity * supply_pa,
+        )
         self._conductance = conductance * REFERENCE_PA / self._unit
         self._leaks, self._shares = np.array(variants, dtype=float).T
         shape, count = (spec.segments, 2), len(variants)
@@ -223,15 +272,20 @@ class LeakDetector(Stateful):
         # Inverse covariance of the fit.
         self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
         self._information = np.tile(self._prior, (*shape, 1, 1))
-        # Most informative message of the stroke: integrals of inflow and outflow, residual and weight; and
-        # the contribution of the stroke to the scatter.
+        # Most informative message of the stroke: integrals of inflow and outflow,
+        # residual and weight; and the contribution of the stroke to the scatter.
         self._pending = np.zeros((*shape, 5))
         # Time of the last pressure of the stroke; NaN without one.
         self._time = np.full(shape, np.nan)
-        # Amount and its standard deviation, at the start of the stroke and at the last pressure.
+        # Amount and its standard deviation, at the start of the stroke and at the last
+        # pressure.
         self._begun, self._reached = np.zeros((*shape, 2)), np.zeros((*shape, 2))
-        # Gauge pressure, inflow of each variant, derivative of the inflow by the supply pressure; integrals.
-        self._rates, self._sums = np.zeros((*shape, count + 2)), np.zeros((*shape, count + 2))
+        # Gauge pressure, inflow of each variant, derivative of the inflow by the supply
+        # pressure; integrals.
+        self._rates, self._sums = (
+            np.zeros((*shape, count + 2)),
+            np.zeros((*shape, count + 2)),
+        )
         # Supply pressure at the start of the stroke and at the last pressure.
         self._supply, self._supply_sd = np.zeros((*shape, 2)), 0.0
         self._log_likelihood = np.zeros((*shape, count))
@@ -253,17 +307,30 @@ class LeakDetector(Stateful):
             filled: as in `update`.
 
         Returns:
-            Excess of air over the expected amount (NaN where it is unknown), its derivative by the supply
-            pressure (1/Pa) and its variance, shape (segments, 2).
+            Excess of air over the expected amount (NaN where it is unknown), its
+            derivative by the supply pressure (1/Pa) and its variance, shape (segments,
+            2).
         """
-        used = self._continues(time, pressure, filled) & (self._sums[..., 1] > LEAST_INFLOW)
+        used = self._continues(time, pressure, filled) & (
+            self._sums[..., 1] > LEAST_INFLOW
+        )
         residual, variance, _ = (values[..., 0] for values in self._residual())
-        return np.where(used, residual, np.nan), self.fit[..., 0] * self._sums[..., -1], variance
+        return (
+            np.where(used, residual, np.nan),
+            self.fit[..., 0] * self._sums[..., -1],
+            variance,
+        )
 
     def update(
-        self, time: float, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray, filled: np.ndarray,
-        sound: np.ndarray, supply: tuple[float, float],
-    ) -> np.ndarray:  # fmt: skip
+        self,
+        time: float,
+        pressure: np.ndarray,
+        bend: np.ndarray,
+        bend_sd: np.ndarray,
+        filled: np.ndarray,
+        sound: np.ndarray,
+        supply: tuple[float, float],
+    ) -> np.ndarray:
         """Update with measured pressures.
 
         Args:
@@ -271,23 +338,30 @@ class LeakDetector(Stateful):
             pressure: gauge, shape (segments, 2), Pa, NaN where they are missing.
             bend: of each segment, rad.
             bend_sd: standard deviation of the bend, rad.
-            filled: time for which each chamber has been filled, shape (segments, 2), s; 0 while it vents.
+            filled: time for which each chamber has been filled, shape (segments, 2), s;
+                0 while it vents.
             sound: probability of no fault of each segment.
             supply: supply pressure (gauge, Pa) and its standard deviation.
 
         Returns:
-            Changes of the log-likelihoods of the variants, shape (segments, 2, variants).
+            Changes of the log-likelihoods of the variants, shape (segments, 2,
+            variants).
         """
         seen, continues = ~np.isnan(pressure), self._continues(time, pressure, filled)
         change = np.where(continues, supply[0] - self._supply[..., 1], 0.0)
-        # Correct the inflow of the stroke for the change of the estimated supply pressure.
-        self._sums[..., 1:-1] += np.where(self._shares == 1.0, (self._sums[..., -1] * change)[..., None], 0.0)
+        # Correct the inflow of the stroke for the change of the estimated supply
+        # pressure.
+        self._sums[..., 1:-1] += np.where(
+            self._shares == 1.0, (self._sums[..., -1] * change)[..., None], 0.0
+        )
         self._supply[seen, 1], self._supply_sd = supply
-        # A lost command may have closed the valve before the last message. Therefore a message is used only
-        # after the next one confirms that the valve is open.
+        # A lost command may have closed the valve before the last message. Therefore a
+        # message is used only after the next one confirms that the valve is open.
         used = continues & (self._sums[..., 1] > LEAST_INFLOW)
         self._accumulate(used)
-        added = np.where(used[..., None], self._log_likelihoods() - self._log_likelihood, 0.0)
+        added = np.where(
+            used[..., None], self._log_likelihoods() - self._log_likelihood, 0.0
+        )
         self._log_likelihood += added
         ended = seen & ~continues
         self._learn(ended & (self._pending[..., 3] > 0.0) & (sound > SOUND)[:, None])
@@ -295,21 +369,34 @@ class LeakDetector(Stateful):
         self._advance(time, seen & (filled > 0.0), pressure, bend, bend_sd, supply)
         return added
 
-    def _continues(self, time: float, pressure: np.ndarray, filled: np.ndarray) -> np.ndarray:
+    def _continues(
+        self, time: float, pressure: np.ndarray, filled: np.ndarray
+    ) -> np.ndarray:
         """Return whether the valve of a chamber has been open since the last pressure."""
         since = time - self._time
-        opened: np.ndarray = ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
+        opened: np.ndarray = (
+            ~np.isnan(pressure) & (since < LONGEST_GAP_S) & (filled > since - 1e-6)
+        )
         return opened
 
     def _advance(
-        self, time: float, filling: np.ndarray, pressure: np.ndarray, bend: np.ndarray, bend_sd: np.ndarray,
+        self,
+        time: float,
+        filling: np.ndarray,
+        pressure: np.ndarray,
+        bend: np.ndarray,
+        bend_sd: np.ndarray,
         supply: tuple[float, float],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Integrate to the pressures of filling chambers."""
         chamber, inside = self._chamber, np.nan_to_num(pressure) + AMBIENT_PA
-        size, growth = _volume(chamber.dead_volume, chamber.displacement, bend[:, None], [0, 1])
+        size, growth = _volume(
+            chamber.dead_volume, chamber.displacement, bend[:, None], [0, 1]
+        )
         held = inside / self._unit
-        reached = np.stack([held * size, held * np.abs(growth) * bend_sd[:, None]], axis=-1)
+        reached = np.stack(
+            [held * size, held * np.abs(growth) * bend_sd[:, None]], axis=-1
+        )
         self._reached[filling] = reached[filling]
         line, sd = supply[0], max(supply[1], 1.0)
         lines = np.append(self._shares * line, [line + sd, line - sd])
@@ -340,16 +427,25 @@ class LeakDetector(Stateful):
         learnt = ((row @ np.linalg.inv(self._information)) * row).sum(axis=-1)
         read = self._reached[..., 1] ** 2 + self._begun[..., 1] ** 2 + AMOUNT_SD**2
         # The time at which the supply pressure changed within the stroke is unknown.
-        changed = (self._supply[..., 1] - self._supply[..., 0]) ** 2 + self._supply_sd**2
+        changed = (
+            self._supply[..., 1] - self._supply[..., 0]
+        ) ** 2 + self._supply_sd**2
         read += changed * (self.fit[..., 0] * self._sums[..., -1]) ** 2
-        return residual, learnt + read[..., None] + self.scatter[..., None] * inflow**2, learnt
+        return (
+            residual,
+            learnt + read[..., None] + self.scatter[..., None] * inflow**2,
+            learnt,
+        )
 
     def _log_likelihoods(self) -> np.ndarray:
         """Return the log-likelihoods of the variants, shape (segments, 2, variants)."""
         residual, variance, _ = self._residual()
         variance += (LEAK_RATE_SD * self._leaks * self._sums[..., :1]) ** 2
         variance += (self._shares < 1.0) * (WEAK_INFLOW_SD * self._sums[..., 1:-1]) ** 2
-        return np.asarray(-np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2 - np.log(variance) / 2)
+        return np.asarray(
+            -np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2
+            - np.log(variance) / 2
+        )
 
     def _accumulate(self, used: np.ndarray) -> None:
         """Note the most informative message of each stroke; it is learnt from if the stroke is sound."""
@@ -358,20 +454,32 @@ class LeakDetector(Stateful):
         # Errors are common to the messages of a stroke, so only one message counts.
         weight = 1 / (variance - learnt)
         better = used & (weight * inflow**2 > pending[..., 3] * pending[..., 0] ** 2)
-        pending[better, :4] = np.stack([inflow, -self._sums[..., 0], residual, weight], axis=-1)[better]
-        # A single outlier must not increase the scatter by more than a residual at the limit.
+        pending[better, :4] = np.stack(
+            [inflow, -self._sums[..., 0], residual, weight], axis=-1
+        )[better]
+        # A single outlier must not increase the scatter by more than a residual at the
+        # limit.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
         pending[used, 4] = excess[used] / inflow[used] ** 2
 
     def _learn(self, chambers: np.ndarray) -> None:
         """Update c, λ₀ and the scatter of some chambers with a stroke without a fault."""
-        row, residual, weight, excess = np.split(self._pending[chambers], [2, 3, 4], axis=-1)
+        row, residual, weight, excess = np.split(
+            self._pending[chambers], [2, 3, 4], axis=-1
+        )
         learnt = np.minimum(self.learnt[chambers] + 1, MOST_STROKES)
-        # Residuals of the first strokes include the error of the initial supply pressure.
+        # Residuals of the first strokes include the error of the initial supply
+        # pressure.
         share = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
-        scatter = np.maximum(self.scatter[chambers] + share * excess[:, 0], LEAST_SCATTER**2)
+        scatter = np.maximum(
+            self.scatter[chambers] + share * excess[:, 0], LEAST_SCATTER**2
+        )
         self.learnt[chambers], self.scatter[chambers] = learnt, scatter
-        information = FORGETTING * self._information[chambers] + (1 - FORGETTING) * self._prior
+        information = (
+            FORGETTING * self._information[chambers] + (1 - FORGETTING) * self._prior
+        )
         information += weight[..., None] * row[:, :, None] * row[:, None, :]
         self._information[chambers] = information
-        self.fit[chambers] += np.linalg.solve(information, (weight * residual * row)[..., None])[..., 0]
+        self.fit[chambers] += np.linalg.solve(
+            information, (weight * residual * row)[..., None]
+        )[..., 0]

@@ -1,9 +1,9 @@
 r"""SenderClock and ReorderBuffer: clocks of the senders, and messages in the order of their times.
 
-For a message sent at time s of the sender's clock and received at time a of ours, a − s is the offset of the
-clocks plus the transport delay, which is not negative. The minimum over the last seconds is the estimated
-offset; the excess of a message over it is its jitter. Quartz clocks drift by about 5·10⁻⁵, half a millisecond
-in ten seconds.
+For a message sent at time s of the sender's clock and received at time a of ours, a − s
+is the offset of the clocks plus the transport delay, which is not negative. The minimum
+over the last seconds is the estimated offset; the excess of a message over it is its
+jitter. Quartz clocks drift by about 5·10⁻⁵, half a millisecond in ten seconds.
 """
 
 from __future__ import annotations
@@ -44,10 +44,11 @@ _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
 class SenderClock:
     """The clock of one sender.
 
-    Messages whose delays agree with the offset within `AGREEMENT_S` confirm it. Others may be single wrong
-    stamps. The offset follows a lower delay after `CONFIRMING` successive messages, and a higher one after
-    `CONFIRMING_S` without any message that agrees. A sender whose clock was set back and a transport that
-    became slower look the same, so the age of its messages is then uncertain by the difference.
+    Messages whose delays agree with the offset within `AGREEMENT_S` confirm it. Others
+    may be single wrong stamps. The offset follows a lower delay after `CONFIRMING`
+    successive messages, and a higher one after `CONFIRMING_S` without any message that
+    agrees. A sender whose clock was set back and a transport that became slower look
+    the same, so the age of its messages is then uncertain by the difference.
 
     Attributes:
         offset: our clock minus the sender's clock, including the minimum delay, s.
@@ -64,7 +65,8 @@ class SenderClock:
         self._seen: deque[tuple[float, float]] = deque(maxlen=KEPT)
         # Candidates for the minimum in the window, the smallest first.
         self._least: deque[tuple[float, float]] = deque()
-        # Arrivals and delays of successive messages that are earlier, or later, than the offset allows.
+        # Arrivals and delays of successive messages that are earlier, or later, than
+        # the offset allows.
         self._early: deque[tuple[float, float]] = deque(maxlen=CONFIRMING)
         self._late: deque[tuple[float, float]] = deque(maxlen=KEPT)
 
@@ -72,8 +74,8 @@ class SenderClock:
         """Add the times of a message (s).
 
         Returns:
-            Its sending time on our clock, s; None if its time is off by more than `STEP_S` and no other
-            messages confirm it.
+            Its sending time on our clock, s; None if its time is off by more than
+            `STEP_S` and no other messages confirm it.
         """
         delay = arrived - sent
         excess = delay - self.offset
@@ -90,7 +92,9 @@ class SenderClock:
             else:
                 self._late.append((arrived, delay))
                 silent = arrived - self._agreed >= CONFIRMING_S
-                self._follow(self._late, confirmed=silent and len(self._late) >= CONFIRMING)
+                self._follow(
+                    self._late, confirmed=silent and len(self._late) >= CONFIRMING
+                )
             if excess <= STEP_S:
                 self._accept(arrived, delay)
         if abs(delay - self.offset) > STEP_S:
@@ -127,7 +131,8 @@ class SenderClock:
         self._least.append((arrived, delay))
         while self._least[0][0] < self._seen[0][0]:
             self._least.popleft()
-        # The smallest delay in the window is closest to the true offset, as transport only adds delay.
+        # The smallest delay in the window is closest to the true offset, as transport
+        # only adds delay.
         self.offset = self._least[0][1]
 
     def delay_quantile(self, share: float) -> float:
@@ -147,10 +152,13 @@ class ReorderBuffer:
     """Buffer that sorts the messages of all senders by their sending times on our clock.
 
     Attributes:
-        clocks: clocks by sender; the sender of commands and the robot have different clocks.
-        hold: time for which messages are held, s; it grows with the jitter up to `MOST_HOLD_S`.
-        counts: number of messages by source, kind and result: "taken", "duplicate", "late" after a newer one
-            was used, or "off its clock", with a time that differs from the clock by more than `STEP_S`.
+        clocks: clocks by sender; the sender of commands and the robot have different
+            clocks.
+        hold: time for which messages are held, s; it grows with the jitter up to
+            `MOST_HOLD_S`.
+        counts: number of messages by source, kind and result: "taken", "duplicate",
+            "late" after a newer one was used, or "off its clock", with a time that
+            differs from the clock by more than `STEP_S`.
     """
 
     def __init__(self, hold_s: float = 0.03) -> None:
@@ -165,14 +173,24 @@ class ReorderBuffer:
 
     def push(self, message: Message) -> None:
         """Add a message."""
-        sender = f"{message.source}, {message.kind}" if message.kind == COMMAND else message.source
+        sender = (
+            f"{message.source}, {message.kind}"
+            if message.kind == COMMAND
+            else message.source
+        )
         clock = self.clocks.setdefault(sender, SenderClock())
         jumps = clock.jumps
         time = clock.update(message.sent, message.arrived)
         if clock.jumps > jumps:
             # The stamps of a clock that was set back repeat.
-            self._known = {key: sent for key, sent in self._known.items() if key[0] != message.source}
-        known = self._known.setdefault((message.source, message.kind), deque(maxlen=200))
+            self._known = {
+                key: sent
+                for key, sent in self._known.items()
+                if key[0] != message.source
+            }
+        known = self._known.setdefault(
+            (message.source, message.kind), deque(maxlen=200)
+        )
         if message.sent in known:
             self.counts[message.source, message.kind, "duplicate"] += 1
             return
@@ -185,7 +203,10 @@ class ReorderBuffer:
             self.counts[message.source, message.kind, "late"] += 1
             return
         self.counts[message.source, message.kind, "taken"] += 1
-        heapq.heappush(self._waiting, (time, _RANKS.get(message.kind, 2), next(self._number), message))
+        heapq.heappush(
+            self._waiting,
+            (time, _RANKS.get(message.kind, 2), next(self._number), message),
+        )
 
     @property
     def waits(self) -> bool:
@@ -194,13 +215,19 @@ class ReorderBuffer:
 
     def waiting(self, kind: str) -> list[tuple[float, Message]]:
         """Return the held messages of a kind with their times on our clock (s), unordered."""
-        return [(time, message) for time, _, _, message in self._waiting if message.kind == kind]
+        return [
+            (time, message)
+            for time, _, _, message in self._waiting
+            if message.kind == kind
+        ]
 
     def pop_until(self, now: float) -> list[tuple[float, Message]]:
         """Return the messages that are due at `now` (our clock, s), with their times on our clock."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
-            longest = max(clock.delay_quantile(_IN_TIME) for clock in self.clocks.values())
+            longest = max(
+                clock.delay_quantile(_IN_TIME) for clock in self.clocks.values()
+            )
             self.hold = min(max(self._least, longest), max(self._least, MOST_HOLD_S))
         until, due = now - self.hold, []
         while self._waiting and self._waiting[0][0] <= until:

@@ -32,7 +32,11 @@ def are_states(values: np.ndarray) -> bool:
 
 def duty(values: np.ndarray) -> np.ndarray:
     """Return the fraction of time in which each valve fills, from valve states or duties."""
-    return np.asarray((values + 1) / 2) if are_states(values) else np.clip(values, 0.0, 1.0)
+    return (
+        np.asarray((values + 1) / 2)
+        if are_states(values)
+        else np.clip(values, 0.0, 1.0)
+    )
 
 
 class CommandHistory:
@@ -48,15 +52,18 @@ class CommandHistory:
         """Add a command, or the valve states that the robot reports; either message may be lost.
 
         Returns:
-            Change of the duty, shape (segments, 2), and the interval in which it happened (s), if commands
-            before this one were lost; otherwise None.
+            Change of the duty, shape (segments, 2), and the interval in which it
+            happened (s), if commands before this one were lost; otherwise None.
         """
         if message.kind == COMMAND:
             self._carrier = not are_states(message.values)
-        elif self._carrier:  # the states at one time do not determine the duty of a carrier
+        elif (
+            self._carrier
+        ):  # the states at one time do not determine the duty of a carrier
             return None
         if message.kind == VALVES:
-            # The shortest interval between reports is the robot's tick; longer ones are due to losses.
+            # The shortest interval between reports is the robot's tick; longer ones are
+            # due to losses.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -64,7 +71,9 @@ class CommandHistory:
         new = duty(message.values)
         k = bisect.bisect(self._times, start)
         gap, change = start - self._times[k - 1], np.abs(new - self._duties[k - 1])
-        lost = len(self._times) > 2 and gap > _GAP_FACTOR * np.median(np.diff(self._times))
+        lost = len(self._times) > 2 and gap > _GAP_FACTOR * np.median(
+            np.diff(self._times)
+        )
         self._times.insert(k, start)
         self._duties.insert(k, new)
         return (change, gap) if lost else None
@@ -75,7 +84,9 @@ class CommandHistory:
             self._times.popleft()
             self._duties.popleft()
 
-    def at(self, times: np.ndarray, waiting: Iterable[tuple[float, Message]] = ()) -> np.ndarray:
+    def at(
+        self, times: np.ndarray, waiting: Iterable[tuple[float, Message]] = ()
+    ) -> np.ndarray:
         """Return the duties at given times.
 
         Args:
@@ -125,7 +136,11 @@ class CommandPeriod:
     def commands(self, slots: int) -> np.ndarray:
         """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
         past, lag = np.array(self._duties), self.period()
-        return past[-lag:][np.arange(slots) % lag] if lag else np.repeat(past[-1:], slots, axis=0)
+        return (
+            past[-lag:][np.arange(slots) % lag]
+            if lag
+            else np.repeat(past[-1:], slots, axis=0)
+        )
 
     def period(self) -> int:
         """Return the period of the commands in slots, 0 without one."""

@@ -4,27 +4,29 @@ A segment bends by the free bend of its pressures and by the external moment M_j
 
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
-In a steady gait all terms repeat with the period of the commands. The observer learns the mean of q_j and φ_j
-in each phase of the period, so that module spread, sensor offsets and the moments of the floor cancel. The
-deviation
+In a steady gait all terms repeat with the period of the commands. The observer learns
+the mean of q_j and φ_j in each phase of the period, so that module spread, sensor
+offsets and the moments of the floor cancel. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
-is the moment of a contact over k. The pressures are measured, so a drift of the supply and the air that a
-contact compresses in closed chambers are not mistaken for a contact.
+is the moment of a contact over k. The pressures are measured, so a drift of the supply
+and the air that a contact compresses in closed chambers are not mistaken for a contact.
 
-**Detection.** At the beginning of a contact its moments are proportional to the force F. For each place on a
-grid, F is the weighted least-squares fit over a window; the score of a place is F over its standard
-deviation. A contact is detected if the largest score exceeds a threshold.
+**Detection.** At the beginning of a contact its moments are proportional to the force
+F. For each place on a grid, F is the weighted least-squares fit over a window; the
+score of a place is F over its standard deviation. A contact is detected if the largest
+score exceeds a threshold.
 
-**Estimate.** A force comparable to the friction of the floor pushes the snake aside and turns it, which
-changes the friction and adds inertia. `PushedBody` predicts this motion for hypotheses about place, force and
-time of the first touch. The estimate is the posterior mean of the force at the most probable place. The
-variance is that of the noise, multiplied by the mean square of the residuals of the best hypothesis, which
+**Estimate.** A force comparable to the friction of the floor pushes the snake aside and
+turns it, which changes the friction and adds inertia. `PushedBody` predicts this motion
+for hypotheses about place, force and time of the first touch. The estimate is the
+posterior mean of the force at the most probable place. The variance is that of the
+noise, multiplied by the mean square of the residuals of the best hypothesis, which
 contain the errors of the model. Learning stops while the score is high.
 
-A force along the body is not observable, two simultaneous contacts appear as one, and the force is assumed
-constant during a contact.
+A force along the body is not observable, two simultaneous contacts appear as one, and
+the force is assumed constant during a contact.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-# All times are for a robot with a time unit of 1 (`robot.scale`), and multiplied by that of the robot.
+# All times are for a robot with a time unit of 1 (`robot.scale`), and multiplied by
+# that of the robot.
 WINDOW_S = 0.3
 """Duration of the window of the score; contacts of at least this duration must be detected, s."""
 SETTLING_S = 2.0
@@ -52,19 +55,27 @@ THRESHOLD = 6.0
 """Score above which a contact is detected; benchmarks/contact_estimate.py, robots with seeds from 1000."""
 COVERAGE = 0.9
 """Nominal probability of the intervals of force and place."""
-_LEARNING_SCORE = 4.0  # score above which the means are kept and hypotheses are compared
+_LEARNING_SCORE = (
+    4.0  # score above which the means are kept and hypotheses are compared
+)
 _MEMORY = 20  # periods over which the means are taken
-_RESOLUTION = 1e-12  # smallest variance of a deviation, for readings without noise, rad²
+_RESOLUTION = (
+    1e-12  # smallest variance of a deviation, for readings without noise, rad²
+)
 _SAME_COMMAND = 0.1  # largest change of a duty within the same gait
 _STATIONS_PER_SEGMENT = 8
 _FILTER_S = 0.09  # time constant that removes the oscillation of the segments from deviations and predictions
 _ONSET_S = 0.3  # longest time from the first touch to the start of the comparison
 _ONSET_STEP_S = 0.06  # between neighbouring hypotheses
-_LEAST_FORCE = 0.25  # smallest force of a hypothesis, multiple of the largest floor friction
+_LEAST_FORCE = (
+    0.25  # smallest force of a hypothesis, multiple of the largest floor friction
+)
 _FORCE_RATIO = 1.3  # between neighbouring forces
 _POWERS = np.arange(12)
 _PRUNED = 25.0  # cost over the smallest one, in variances, above which a hypothesis is dropped
-_CORRELATION = 2.0  # factor on the variance of the model error for its correlation in time
+_CORRELATION = (
+    2.0  # factor on the variance of the model error for its correlation in time
+)
 
 
 @dataclass(frozen=True)
@@ -76,7 +87,8 @@ class ContactEstimate:
         score: largest force of a window over its standard deviation by sensor noise.
         force: normal force, positive to the left of the body, N; NaN without a contact.
         force_interval: interval of the force with the probability `COVERAGE`, N.
-        place: distance behind the first connector along the body, m; NaN without a contact.
+        place: distance behind the first connector along the body, m; NaN without a
+            contact.
         place_interval: interval of the place with the same probability, m.
     """
 
@@ -97,7 +109,8 @@ class Hypotheses:
         force: N, shape (hypotheses,).
         velocity: velocities of `PushedBody`, shape (hypotheses, 3).
         bend: filtered prediction of the deviation, shape (hypotheses, segments), rad.
-        cost: sum of squared residuals over the variance of the noise, shape (hypotheses,).
+        cost: sum of squared residuals over the variance of the noise, shape
+            (hypotheses,).
         compared: number of samples in the cost.
     """
 
@@ -112,13 +125,20 @@ class Hypotheses:
     def none(cls, segments: int) -> Hypotheses:
         """Return an empty set of hypotheses."""
         return cls(
-            np.zeros(0, dtype=int), np.zeros(0), np.zeros((0, 3)), np.zeros((0, segments)), np.zeros(0)
+            np.zeros(0, dtype=int),
+            np.zeros(0),
+            np.zeros((0, 3)),
+            np.zeros((0, segments)),
+            np.zeros(0),
         )
 
     def joined(self, other: Hypotheses) -> Hypotheses:
         """Return these hypotheses and other ones."""
         names = "station", "force", "velocity", "bend", "cost"
-        arrays = {name: np.concatenate([getattr(self, name), getattr(other, name)]) for name in names}
+        arrays = {
+            name: np.concatenate([getattr(self, name), getattr(other, name)])
+            for name in names
+        }
         return Hypotheses(**arrays, compared=self.compared)
 
     def inflation(self, independent: float) -> float:
@@ -133,9 +153,13 @@ class Hypotheses:
         """Return the hypotheses whose cost exceeds the smallest one by at most `limit`."""
         kept = self.cost <= self.cost.min() + limit
         return Hypotheses(
-            self.station[kept], self.force[kept], self.velocity[kept], self.bend[kept], self.cost[kept],
+            self.station[kept],
+            self.force[kept],
+            self.velocity[kept],
+            self.bend[kept],
+            self.cost[kept],
             self.compared,
-        )  # fmt: skip
+        )
 
 
 class ContactObserver(Stateful):
@@ -146,9 +170,19 @@ class ContactObserver(Stateful):
     """
 
     state_attributes = (
-        "period", "_samples", "_changed", "_bins", "_sums", "_count", "_variance", "_window", "_shape",
-        "_filtered", "_recent", "_hypotheses",
-    )  # fmt: skip
+        "period",
+        "_samples",
+        "_changed",
+        "_bins",
+        "_sums",
+        "_count",
+        "_variance",
+        "_window",
+        "_shape",
+        "_filtered",
+        "_recent",
+        "_hypotheses",
+    )
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
         """Create the observer, without learnt means.
@@ -165,14 +199,17 @@ class ContactObserver(Stateful):
             raise InputError("contact estimates need a robot with two or more segments")
         self._spec, self._sample = spec, sample_s
         g, in_samples = spec.geometry, spec.scale.time / sample_s
-        self.stations = np.linspace(0.0, g.body_length, _STATIONS_PER_SEGMENT * spec.segments + 1)
+        self.stations = np.linspace(
+            0.0, g.body_length, _STATIONS_PER_SEGMENT * spec.segments + 1
+        )
         self._length = max(round(WINDOW_S * in_samples), 1)
         self._settled = round(SETTLING_S * in_samples)
         self._learnt = round((SETTLING_S + LEARNING_S) * in_samples)
         self._past = max(round(_ONSET_S * in_samples), 1)
         self._onset_step = max(round(_ONSET_STEP_S * in_samples), 1)
         self._gain = 1 - math.exp(-1 / (_FILTER_S * in_samples))
-        # The filter divides the variance of white noise, and the number of independent values, by (2 - g)/g.
+        # The filter divides the variance of white noise, and the number of independent
+        # values, by (2 - g)/g.
         self._independent = spec.segments * self._gain / (2 - self._gain)
         # Largest friction of the floor on the whole robot, N.
         self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
@@ -183,10 +220,14 @@ class ContactObserver(Stateful):
         n = self._spec.segments
         self.period, self._samples, self._count, self._changed = period, 0, 0, 0
         self._bins = np.zeros(max(period, 1), dtype=int)
-        self._sums = np.zeros((max(period, 1), 4, n))  # means of bend, free bend and both commands
+        self._sums = np.zeros(
+            (max(period, 1), 4, n)
+        )  # means of bend, free bend and both commands
         self._variance, self._filtered = np.zeros(n), np.zeros(n)
         self._window: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=self._length)
-        self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)  # filtered deviations
+        self._recent: deque[np.ndarray | None] = deque(
+            maxlen=self._past + 1
+        )  # filtered deviations
         self._shape = np.zeros((0, n))  # mean bends when learning ended
         self._body: tuple[np.ndarray, PushedBody, np.ndarray] | None = None
         self._hypotheses: Hypotheses | None = None
@@ -198,7 +239,9 @@ class ContactObserver(Stateful):
             self._compare(None)
         self._samples += max(samples - self._past - 1, 0)
 
-    def update(self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray) -> ContactEstimate | None:
+    def update(
+        self, command: np.ndarray, pressure: np.ndarray, sensed: np.ndarray
+    ) -> ContactEstimate | None:
         """Add one sample; return the estimate, or None while the observer learns.
 
         Args:
@@ -227,7 +270,11 @@ class ContactObserver(Stateful):
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
         # Samples may be missing, but the scatter of those that are there must be known.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
-        estimate = self._estimate(sample, k) if learnt and self._samples >= self._learnt else None
+        estimate = (
+            self._estimate(sample, k)
+            if learnt and self._samples >= self._learnt
+            else None
+        )
         if estimate is None or estimate.score < _LEARNING_SCORE:
             self._learn(sample, k)
         return estimate if len(self._window) == self._length else None
@@ -237,10 +284,14 @@ class ContactObserver(Stateful):
         mean, known = self._sums[k], self._bins[k]
         if known:
             # The mean of few samples is uncertain, too.
-            error = (sample[0] - mean[0] - sample[1] + mean[1]) * math.sqrt(known / (known + 1))
+            error = (sample[0] - mean[0] - sample[1] + mean[1]) * math.sqrt(
+                known / (known + 1)
+            )
             self._count += 1
             weight = 1 / min(self._count, self._learnt - self._settled)
-            self._variance = self._variance + (error**2 + _RESOLUTION - self._variance) * weight
+            self._variance = (
+                self._variance + (error**2 + _RESOLUTION - self._variance) * weight
+            )
         self._bins[k] = min(known + 1, _MEMORY)
         mean += (sample - mean) / self._bins[k]
 
@@ -253,9 +304,18 @@ class ContactObserver(Stateful):
             station, patterns = np.tile(np.arange(len(self.stations)), 2), []
             force = np.repeat([self._friction, -self._friction], len(self.stations))
             for k in range(self.period):
-                moment = body.step(k, np.tile(body.free_velocity[k - 1], (len(force), 1)), force, station)[1]
-                per_force = (moment - body.free_moment[k]) / (force[:, None] * self._spec.bending.stiffness)
-                patterns.append(per_force.reshape(2, len(self.stations), -1).mean(axis=0))
+                moment = body.step(
+                    k,
+                    np.tile(body.free_velocity[k - 1], (len(force), 1)),
+                    force,
+                    station,
+                )[1]
+                per_force = (moment - body.free_moment[k]) / (
+                    force[:, None] * self._spec.bending.stiffness
+                )
+                patterns.append(
+                    per_force.reshape(2, len(self.stations), -1).mean(axis=0)
+                )
             self._body = self._shape, body, np.array(patterns)
         return self._body[1:]
 
@@ -265,50 +325,78 @@ class ContactObserver(Stateful):
         pattern = self._pushed_body()[1][k]
         weighted = pattern * share**2 / self._variance
         self._window.append((weighted @ error, (weighted * pattern).sum(axis=1)))
-        moment, information = (np.sum(values, axis=0) for values in zip(*self._window, strict=True))
+        moment, information = (
+            np.sum(values, axis=0) for values in zip(*self._window, strict=True)
+        )
         score = float(np.abs(moment / np.sqrt(information)).max())
         self._filtered = self._filtered + self._gain * (error - self._filtered)
         if score < _LEARNING_SCORE:
             self._hypotheses = None
         self._compare(self._filtered)
-        if score >= _LEARNING_SCORE and self._hypotheses is None and len(self._recent) > self._past:
+        if (
+            score >= _LEARNING_SCORE
+            and self._hypotheses is None
+            and len(self._recent) > self._past
+        ):
             self._start()
         touched = score > THRESHOLD and self._hypotheses is not None
-        return self._contact(score) if touched else ContactEstimate(touched=False, score=score)
+        return (
+            self._contact(score)
+            if touched
+            else ContactEstimate(touched=False, score=score)
+        )
 
     def _compare(self, filtered: np.ndarray | None) -> None:
         """Compare the hypotheses with the filtered deviation of a sample, None if it is missing."""
         self._recent.append(filtered)
         if self._hypotheses is not None:
-            self._hypotheses = self._compared(self._hypotheses, self._samples - 1, filtered)
+            self._hypotheses = self._compared(
+                self._hypotheses, self._samples - 1, filtered
+            )
 
     def _start(self) -> None:
         """Compare hypotheses with contact from each possible onset on with the recent samples."""
-        first, size = self._samples - len(self._recent), self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS
-        grid = np.meshgrid(np.arange(len(self.stations)), np.concatenate([size, -size]), indexing="ij")
+        first, size = (
+            self._samples - len(self._recent),
+            self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS,
+        )
+        grid = np.meshgrid(
+            np.arange(len(self.stations)), np.concatenate([size, -size]), indexing="ij"
+        )
         station, force = (values.ravel() for values in grid)
         nothing = np.zeros((len(force), self._spec.segments))
         now, cost_before = Hypotheses.none(self._spec.segments), 0.0
         for i, filtered in enumerate(self._recent):
             if i % self._onset_step == 0:
-                start = self._pushed_body()[0].free_velocity[(first + i - 1) % self.period]
-                velocity, cost = np.tile(start, (len(force), 1)), np.full(len(force), cost_before)
+                start = self._pushed_body()[0].free_velocity[
+                    (first + i - 1) % self.period
+                ]
+                velocity, cost = (
+                    np.tile(start, (len(force), 1)),
+                    np.full(len(force), cost_before),
+                )
                 now = now.joined(Hypotheses(station, force, velocity, nothing, cost))
             if filtered is not None:
                 cost_before += float((filtered**2 / self._variance).sum())
             now = self._compared(now, first + i, filtered)
         self._hypotheses = now
 
-    def _compared(self, now: Hypotheses, i: int, filtered: np.ndarray | None) -> Hypotheses:
+    def _compared(
+        self, now: Hypotheses, i: int, filtered: np.ndarray | None
+    ) -> Hypotheses:
         """Return the hypotheses after sample i."""
         body = self._pushed_body()[0]
         velocity, moment = body.step(i, now.velocity, now.force, now.station)
         if filtered is None:
             return replace(now, velocity=velocity)
-        bend = (moment - body.free_moment[i % self.period]) / self._spec.bending.stiffness
+        bend = (
+            moment - body.free_moment[i % self.period]
+        ) / self._spec.bending.stiffness
         bend = now.bend + self._gain * (bend - now.bend)
         cost = now.cost + ((filtered - bend) ** 2 / self._variance).sum(axis=1)
-        later = replace(now, velocity=velocity, bend=bend, cost=cost, compared=now.compared + 1)
+        later = replace(
+            now, velocity=velocity, bend=bend, cost=cost, compared=now.compared + 1
+        )
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
     def _contact(self, score: float) -> ContactEstimate:

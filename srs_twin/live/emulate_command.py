@@ -10,7 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from srs_twin.cli.console import handle_signals, say
-from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, RobotArgument, option, print_json
+from srs_twin.cli.options import (
+    JsonOption,
+    PressureOption,
+    QuietOption,
+    RobotArgument,
+    option,
+    print_json,
+)
 from srs_twin.errors import InputError
 
 if TYPE_CHECKING:
@@ -24,7 +31,12 @@ _LONGEST_NAME = 200
 
 
 def broker_link(
-    robot: str, segments: int, address: str, user: str | None, ca: Path | None, **settings: Any
+    robot: str,
+    segments: int,
+    address: str,
+    user: str | None,
+    ca: Path | None,
+    **settings: Any,
 ) -> MqttLink:
     """Return the connection to a robot's topics at the broker that the options select.
 
@@ -43,8 +55,8 @@ def broker_link(
 
     if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
         raise InputError(
-            f"--name {robot[:80]!r} cannot be part of a topic: it has /, + or #, or more than "
-            f"{_LONGEST_NAME} characters"
+            f"--name {robot[:80]!r} cannot be part of a topic: it has /, + or #, or"
+            f" more than {_LONGEST_NAME} characters"
         )
     host, port = links.address(address, links.PORT)
     login = links.Login(user, os.environ.get(PASSWORD), ca)
@@ -81,19 +93,23 @@ def emulate(
 ) -> None:
     """Emulate a robot over MQTT and NatNet.
 
-    A twin with varying modules, compressible flow in the chambers, sensor noise and faults obeys commands and
-    publishes bends, pressures, valve states and poses in real time. docs/live.md describes the messages. The
-    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    A twin with varying modules, compressible flow in the chambers, sensor noise and
+    faults obeys commands and publishes bends, pressures, valve states and poses in real
+    time. docs/live.md describes the messages. The environment variable
+    SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
         mqtt: MQTT broker.
-        natnet: Local address on which NatNet frames are served. [default: no motion capture]
+        natnet: Local address on which NatNet frames are served. [default: no motion
+            capture]
         name: Robot's name in topics. [default: ROBOT]
         seed: Random seed of modules, noise, and loss and delay of messages.
-        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8, leak:3-=fast@2; repeatable.
+        fault: Fault and its time, e.g. stuck_valve:2+@5, dead_sensor:1@8,
+            leak:3-=fast@2; repeatable.
         spread: Standard deviation of the modules' gains.
         noise: Standard deviation of bend readings, rad.
-        chambers: orifice (compressible flow) or lag (first order). [default: orifice; spatial robots: lag]
+        chambers: orifice (compressible flow) or lag (first order). [default: orifice;
+            spatial robots: lag]
         start: Initial pose, m and rad, e.g. --start=0.2,-0.1,0.5.
         loss: Fraction of messages that are lost.
         jitter: Largest delay of a message, s.
@@ -106,26 +122,46 @@ def emulate(
     from srs_twin.live.messages import COMMAND
 
     emulated = EmulatedRobot(
-        robot, seed=seed, faults=fault or (), gain_spread=spread, noise_rad=noise, pneumatics=chambers,
-        supply_kpa=pressure, start=_pose(start),
-    )  # fmt: skip
+        robot,
+        seed=seed,
+        faults=fault or (),
+        gain_spread=spread,
+        noise_rad=noise,
+        pneumatics=chambers,
+        supply_kpa=pressure,
+        start=_pose(start),
+    )
     known, over = name or Path(robot).stem, interruption()
-    settings = {"speaks": known, "kinds": (COMMAND,), "chambers": emulated.spatial_chambers}
+    settings = {
+        "speaks": known,
+        "kinds": (COMMAND,),
+        "chambers": emulated.spatial_chambers,
+    }
     with broker_link(known, emulated.segments, mqtt, user, ca, **settings) as link:
-        capture = None if natnet is None else _motion_capture(natnet, emulated.segments + 1)
+        capture = (
+            None if natnet is None else _motion_capture(natnet, emulated.segments + 1)
+        )
         if not quiet:
             seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")
         result = run(
-            emulated, link, capture, transport=Transport(loss, jitter, seed), stop=over.is_set,
-            duration=math.inf if duration is None else duration, tells_supply=tell_supply,
-        )  # fmt: skip
+            emulated,
+            link,
+            capture,
+            transport=Transport(loss, jitter, seed),
+            stop=over.is_set,
+            duration=math.inf if duration is None else duration,
+            tells_supply=tell_supply,
+        )
         if capture is not None:
             capture.close()
     if as_json:
         print_json(result)
     elif not quiet:
-        say(f"{result['ticks']:.0f} ticks of {emulated.tick:g} s, {result['late']:.0f} of them late")
+        say(
+            f"{result['ticks']:.0f} ticks of {emulated.tick:g} s, {result['late']:.0f}"
+            " of them late"
+        )
 
 
 def _motion_capture(given: str, connectors: int) -> NatNetServer:
@@ -139,7 +175,9 @@ def _motion_capture(given: str, connectors: int) -> NatNetServer:
     from srs_twin.live.optitrack import NatNetServer
 
     host, port = address(given, natnet.COMMAND_PORT)
-    return NatNetServer({i: f"connector_{i}" for i in range(1, connectors + 1)}, host=host, port=port)
+    return NatNetServer(
+        {i: f"connector_{i}" for i in range(1, connectors + 1)}, host=host, port=port
+    )
 
 
 def _pose(text: str) -> tuple[float, float, float]:
@@ -153,5 +191,8 @@ def _pose(text: str) -> tuple[float, float, float]:
     except ValueError:
         x = y = heading = math.nan
     if not math.isfinite(x + y + heading):
-        raise InputError(f"--start '{text}' is no place such as 0.2,-0.1,0.5: x and y in m, heading in rad")
+        raise InputError(
+            f"--start '{text}' is no place such as 0.2,-0.1,0.5: x and y in m, heading"
+            " in rad"
+        )
     return x, y, heading

@@ -1,9 +1,10 @@
 """Emulator: a simulated robot with the interfaces of a real one.
 
-The simulated robot is a twin with momentary loads, compressible flow in the chambers, random modules and
-faults at given times. It receives commands from a broker and publishes bends, pressures and valve states in
-real time. A NatNet server sends the poses of the connectors. Like the firmware of a robot, it vents all
-chambers 0.2 s after the last command.
+The simulated robot is a twin with momentary loads, compressible flow in the chambers,
+random modules and faults at given times. It receives commands from a broker and
+publishes bends, pressures and valve states in real time. A NatNet server sends the
+poses of the connectors. Like the firmware of a robot, it vents all chambers 0.2 s after
+the last command.
 """
 
 from __future__ import annotations
@@ -99,13 +100,23 @@ class Fault:
             raise UnknownNameError(f"way of {kind}", how, ways)
         if (side is not None) != (of == "chamber") or (number is not None) != bool(of):
             needed = f"is of one {of}" if of else "is of the whole robot"
-            example = f"{kind}:2+@5" if of == "chamber" else f"{kind}:2@5" if of else f"{kind}@5"
+            example = (
+                f"{kind}:2+@5"
+                if of == "chamber"
+                else f"{kind}:2@5"
+                if of
+                else f"{kind}@5"
+            )
             raise InputError(f"{text!r}: {kind} {needed}; {example} would be one")
         most = segments + (of == "connector")
         if number is not None and not 1 <= int(number) <= most:
-            raise InputError(f"{text!r}: there is no {of} {number}; the robot has {most}")
+            raise InputError(
+                f"{text!r}: there is no {of} {number}; the robot has {most}"
+            )
         variant = ways[how] if how is not None else next(iter(ways.values()))
-        return cls(kind, int(number or 0), _SIDES.get(side or "", 0), variant, float(since))
+        return cls(
+            kind, int(number or 0), _SIDES.get(side or "", 0), variant, float(since)
+        )
 
 
 class EmulatedRobot:
@@ -118,15 +129,24 @@ class EmulatedRobot:
         supply_pa: nominal supply pressure, gauge, Pa.
         supply_now_pa: current supply pressure, gauge, Pa.
         valves: valve states of the last tick; a stuck valve keeps its state.
-        spatial_chambers: number of chambers per segment of a spatial robot, 0 for a planar one.
+        spatial_chambers: number of chambers per segment of a spatial robot, 0 for a
+            planar one.
     """
 
     def __init__(
-        self, robot: str, *, seed: int = 0, faults: Sequence[str] = (), gain_spread: float = 0.1,
-        noise_rad: float = 0.02, tick: float = 0.02, pneumatics: str | None = None,
-        supply_kpa: float | None = None, start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        self,
+        robot: str,
+        *,
+        seed: int = 0,
+        faults: Sequence[str] = (),
+        gain_spread: float = 0.1,
+        noise_rad: float = 0.02,
+        tick: float = 0.02,
+        pneumatics: str | None = None,
+        supply_kpa: float | None = None,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         changes: Mapping[str, Any] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Build the simulation.
 
         Args:
@@ -136,8 +156,8 @@ class EmulatedRobot:
             gain_spread: standard deviation of the modules' gains.
             noise_rad: standard deviation of bend readings, rad.
             tick: s.
-            pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or "lag" for a spatial
-                robot, which has no other.
+            pneumatics: model of the chambers, "orifice" or "lag"; None: "orifice", or
+                "lag" for a spatial robot, which has no other.
             supply_kpa: supply pressure, gauge; None: the nominal one.
             start: initial pose: x, y (m), heading (rad).
             changes: changed fields of the robot file, as in `robot` of a scenario.
@@ -152,12 +172,19 @@ class EmulatedRobot:
         asked = parse_scenario(
             {
                 "robot": {"base": robot, "modules": modules, **changes},
-                "duration_s": 1.0, "seed": seed, "controller": {"kind": "gait", "frequency_hz": 1.0},
-                **({} if supply_kpa is None else {"supply": {"pressure_kpa": supply_kpa}}),
-                "pneumatics": {"kind": pneumatics}, "plants": {"twin": {"tick_s": tick}},
+                "duration_s": 1.0,
+                "seed": seed,
+                "controller": {"kind": "gait", "frequency_hz": 1.0},
+                **(
+                    {}
+                    if supply_kpa is None
+                    else {"supply": {"pressure_kpa": supply_kpa}}
+                ),
+                "pneumatics": {"kind": pneumatics},
+                "plants": {"twin": {"tick_s": tick}},
             },
             name="emulate",
-        )  # fmt: skip
+        )
         self.twin = asked.build_plant("twin")
         assert isinstance(self.twin, TwinSnake)
         self._air = self.twin.pneumatics
@@ -172,15 +199,28 @@ class EmulatedRobot:
         self._share = self._left = 1.0
         self._air.stuck = tuple(
             StuckValve(fault.number, fault.side, int(fault.how), fault.since)
-            for fault in self.faults if fault.kind == "stuck_valve"
-        )  # fmt: skip
-        if not isinstance(self._air, OrificePneumatics) and any(e.kind == "leak" for e in self.faults):
-            raise InputError(f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice' ones do")
-        self._pending = [fault for fault in self.faults if fault.kind in ("leak", "starved")]
+            for fault in self.faults
+            if fault.kind == "stuck_valve"
+        )
+        if not isinstance(self._air, OrificePneumatics) and any(
+            e.kind == "leak" for e in self.faults
+        ):
+            raise InputError(
+                f"chambers of pneumatics {pneumatics!r} do not begin to leak; 'orifice'"
+                " ones do"
+            )
+        self._pending = [
+            fault for fault in self.faults if fault.kind in ("leak", "starved")
+        ]
         self._pulses = PulseWidthModulator(
-            CARRIER_HZ, tick, spec.segments, aligned=True, allow_long_ticks=True, scale=spec.scale,
+            CARRIER_HZ,
+            tick,
+            spec.segments,
+            aligned=True,
+            allow_long_ticks=True,
+            scale=spec.scale,
             chambers=spec.chambers,
-        )  # fmt: skip
+        )
         self.valves = np.full((spec.segments, spec.chambers), -1, dtype=np.int8)
         self.state = self.twin.reset(pose=start, seed=seed)
         self._frozen = np.full(self.state.bend.shape, np.nan)
@@ -195,7 +235,11 @@ class EmulatedRobot:
             else:
                 self._left = fault.how
                 self.regulate(self._share)
-        wanted = np.full(self.valves.shape, -1.0) if command is None else np.asarray(command, dtype=float)
+        wanted = (
+            np.full(self.valves.shape, -1.0)
+            if command is None
+            else np.asarray(command, dtype=float)
+        )
         pulses = self._pulses.step(duty(wanted))
         obeyed = wanted.astype(np.int8) if are_states(wanted) else pulses
         self.valves = obeyed[-1] if obeyed.ndim == 3 else obeyed
@@ -211,13 +255,17 @@ class EmulatedRobot:
     def bends(self) -> np.ndarray:
         """Return the bend readings, rad; NaN without a reading."""
         time = float(self.state.time)
-        readings = self.state.bend + self._noise * self._rng.normal(size=self.state.bend.shape)
+        readings = self.state.bend + self._noise * self._rng.normal(
+            size=self.state.bend.shape
+        )
         for fault in self.faults:
             if fault.since > time:
                 continue
             j = fault.number - 1
             if fault.kind == "dead_sensor":
-                self._frozen[j] = np.where(np.isnan(self._frozen[j]), readings[j], self._frozen[j])
+                self._frozen[j] = np.where(
+                    np.isnan(self._frozen[j]), readings[j], self._frozen[j]
+                )
                 readings[j] = math.nan if fault.how else self._frozen[j]
             elif fault.kind == "drifting_sensor":
                 readings[j] += fault.how * _DRIFT_RAD_PER_S * (time - fault.since)
@@ -226,7 +274,9 @@ class EmulatedRobot:
     def bodies(self) -> dict[int, RigidBody]:
         """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
         time, bodies = float(self.state.time), {}
-        lost = {e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time}
+        lost = {
+            e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time
+        }
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
@@ -236,7 +286,10 @@ class EmulatedRobot:
                 w, a, b, c = map(float, self.state.orientation[i])
                 turn = a, c, -b, w
             else:
-                height, half = _HEIGHT_M, (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2
+                height, half = (
+                    _HEIGHT_M,
+                    (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2,
+                )
                 turn = 0.0, math.sin(half), 0.0, math.cos(half)
             place = float(x) + dx, height, -(float(y) + dy)
             bodies[i + 1] = RigidBody(place, turn, tracked=i + 1 not in lost)
@@ -263,14 +316,23 @@ class Transport:
             jitter: largest delay, uniformly distributed, s.
             seed: random seed.
         """
-        self._loss, self._jitter, self._rng = loss, jitter, np.random.default_rng((seed, 0xA1))
+        self._loss, self._jitter, self._rng = (
+            loss,
+            jitter,
+            np.random.default_rng((seed, 0xA1)),
+        )
         self._waiting: list[tuple[float, int, partial[None]]] = []
         self._number = itertools.count()
 
-    def add(self, due: float, send: Callable[..., None], *values: object, **named: object) -> None:
+    def add(
+        self, due: float, send: Callable[..., None], *values: object, **named: object
+    ) -> None:
         """Add a call of `send` at a time of our clock (s)."""
         if self._rng.random() >= self._loss:
-            delayed, call = due + self._rng.random() * self._jitter, partial(send, *values, **named)
+            delayed, call = (
+                due + self._rng.random() * self._jitter,
+                partial(send, *values, **named),
+            )
             heapq.heappush(self._waiting, (delayed, next(self._number), call))
 
     def send_until(self, due: float) -> None:
@@ -299,7 +361,8 @@ def emulate(
         robot: the simulated robot.
         link: connection to its topics, which also delivers commands.
         capture: server of motion capture; None: no motion capture.
-        transport: loss and delay of messages; None: messages are neither lost nor delayed.
+        transport: loss and delay of messages; None: messages are neither lost nor
+            delayed.
         duration: s.
         stop: called in every tick; returns whether the run ends.
         tells_supply: whether the supply pressure is published.
@@ -320,7 +383,11 @@ def emulate(
             done += 1
             # The state is that at the end of the tick, so it is published then.
             due = begun + done * tick
-            messages = {BENDS: robot.bends(), PRESSURES: state.pressure, VALVES: robot.valves}
+            messages = {
+                BENDS: robot.bends(),
+                PRESSURES: state.pressure,
+                VALVES: robot.valves,
+            }
             if tells_supply:
                 messages[SUPPLY] = np.array(robot.supply_now_pa)
             for kind, values in messages.items():

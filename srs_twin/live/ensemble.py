@@ -1,16 +1,19 @@
 """EnsembleFilter: ensemble Kalman filter for pose, bends and pressures.
 
-Each member has a pose, velocities, bends and chamber pressures, gains and biases of its modules, and a
-disturbance of each bend: the error of the model, a first-order Gauss–Markov process. Chambers and bodies
-follow the `compliant` model (`member_dynamics`), and the pose follows the bends (`odometry`). Gains and
-biases are drawn from the estimate of the fault detector, because a small ensemble contains spurious
-correlations.
+Each member has a pose, velocities, bends and chamber pressures, gains and biases of its
+modules, and a disturbance of each bend: the error of the model, a first-order
+Gauss–Markov process. Chambers and bodies follow the `compliant` model
+(`member_dynamics`), and the pose follows the bends (`odometry`). Gains and biases are
+drawn from the estimate of the fault detector, because a small ensemble contains
+spurious correlations.
 
-Measurements correct all members, one measurement after another, by the ensemble square root filter (Whitaker
-and Hamill 2002):
+Measurements correct all members, one measurement after another, by the ensemble square
+root filter (Whitaker and Hamill 2002):
 
-- Localisation: a bend or pressure sensor corrects its own segment; motion capture corrects all states.
-- Outliers: a measurement with an innovation above four standard deviations gets a larger noise.
+- Localisation: a bend or pressure sensor corrects its own segment; motion capture
+  corrects all states.
+- Outliers: a measurement with an innovation above four standard deviations gets a
+  larger noise.
 - The noise of frames of motion capture is estimated (Desroziers and others 2005).
 """
 
@@ -36,8 +39,10 @@ _OUTLIER = 4.0
 _NOISE_FRAMES = 10
 """Number of frames over which their noise is averaged."""
 _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
-"""Lower limit of the estimated noise of frames, as a fraction of the assumed noise. The errors of the arcs
-that the model assumes are nearly constant in time, so innovations underestimate the noise of headings."""
+"""Lower limit of the estimated noise of frames, as a fraction of the assumed noise.
+
+The errors of the arcs that the model assumes are nearly constant in time, so
+innovations underestimate the noise of headings."""
 _LARGEST_NOISE = 10.0
 """Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
@@ -58,10 +63,10 @@ class ModelError:
     Attributes:
         disturbance: standard deviation of the bends, rad.
         disturbance_s: time constant of the disturbance, s.
-        pressure: initial random walk of the pressures, share of the supply pressure per square root of a
-            second.
-        position: random walk of the position, m per square root of a second; that of the heading is this
-            value divided by half of the robot's length.
+        pressure: initial random walk of the pressures, share of the supply pressure per
+            square root of a second.
+        position: random walk of the position, m per square root of a second; that of
+            the heading is this value divided by half of the robot's length.
     """
 
     disturbance: float = 0.05
@@ -77,7 +82,8 @@ class MeasurementNoise:
     Attributes:
         bend: standard deviation of a bend sensor, rad.
         pressure: standard deviation of a pressure sensor, Pa.
-        place: standard deviation of the position of a connector, m, including the model's arc errors.
+        place: standard deviation of the position of a connector, m, including the
+            model's arc errors.
         heading: standard deviation of the heading of a connector, rad.
     """
 
@@ -93,8 +99,9 @@ class EnsembleFilter:
     Attributes:
         spec: the robot, from its file.
         members: states, one row per member.
-        columns: columns by name: x, y, heading, motion (forward, lateral, yaw rate, bend rates), bend,
-            pressure, lagged (pressures that the free bends have followed), disturbance, gain, bias.
+        columns: columns by name: x, y, heading, motion (forward, lateral, yaw rate,
+            bend rates), bend, pressure, lagged (pressures that the free bends have
+            followed), disturbance, gain, bias.
         rates: learnt corrections of the pressure rates.
         odometry: motion of the body due to the change of its bends.
         placed: whether motion capture has determined the position.
@@ -103,7 +110,12 @@ class EnsembleFilter:
     placed: bool
 
     def __init__(
-        self, spec: RobotSpec, *, members: int = 32, seed: int = 0, error: ModelError = ModelError()
+        self,
+        spec: RobotSpec,
+        *,
+        members: int = 32,
+        seed: int = 0,
+        error: ModelError = ModelError(),
     ) -> None:
         """Create members at rest, with empty chambers, at an unknown position.
 
@@ -117,12 +129,21 @@ class EnsembleFilter:
         self._rng = np.random.default_rng((seed, 0xE5))
         n = self._segments = spec.segments
         sizes = {
-            "x": 1, "y": 1, "heading": 1, "motion": 3 + n, "bend": n, "pressure": 2 * n, "lagged": 2 * n,
-            "disturbance": n, "gain": 2 * n, "bias": n,
-        }  # fmt: skip
+            "x": 1,
+            "y": 1,
+            "heading": 1,
+            "motion": 3 + n,
+            "bend": n,
+            "pressure": 2 * n,
+            "lagged": 2 * n,
+            "disturbance": n,
+            "gain": 2 * n,
+            "bias": n,
+        }
         ends = np.cumsum([0, *sizes.values()])
         self.columns: Mapping[str, slice] = {
-            name: slice(int(a), int(b)) for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)
+            name: slice(int(a), int(b))
+            for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)
         }
         self._dynamics = MemberDynamics(spec)
         self.members = np.zeros((members, int(ends[-1])))
@@ -130,7 +151,9 @@ class EnsembleFilter:
         self._modules = np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3))
         self._masks = self._localisation()
         self.rates = PressureRates(n, spec.supply.nominal, error.pressure)
-        self._frame_noise: dict[str, float] = {name: getattr(self.noise, name) for name in _LEAST_NOISE}
+        self._frame_noise: dict[str, float] = {
+            name: getattr(self.noise, name) for name in _LEAST_NOISE
+        }
         connection = LocalConnection(spec, self._dynamics.mass)
         self.odometry = Odometry(connection, self._of("bend"), self._rng)
         self._restart()
@@ -149,7 +172,9 @@ class EnsembleFilter:
             sd: standard deviations, same shape.
         """
         self._modules = mean, sd
-        self._of("gain")[:] = mean[:, :2].ravel() + sd[:, :2].ravel() * self._draws["gain"]
+        self._of("gain")[:] = (
+            mean[:, :2].ravel() + sd[:, :2].ravel() * self._draws["gain"]
+        )
         self._of("bias")[:] = mean[:, 2] + sd[:, 2] * self._draws["bias"]
 
     def predict(self, valves: ValveInput, dt: float, step: float = STEP_S) -> None:
@@ -163,7 +188,9 @@ class EnsembleFilter:
         error, disturbance = self.error, self._of("disturbance")
         decay = math.exp(-dt / error.disturbance_s)
         disturbance *= decay
-        disturbance += error.disturbance * math.sqrt(1 - decay**2) * self._random("disturbance")
+        disturbance += (
+            error.disturbance * math.sqrt(1 - decay**2) * self._random("disturbance")
+        )
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
@@ -178,20 +205,28 @@ class EnsembleFilter:
             Innovations over their standard deviations, NaN where readings are missing.
         """
         variances = np.full(self._segments, self.noise.bend**2)
-        return self._correct(self._of("bend").copy(), readings, variances, self._masks["bend"])
+        return self._correct(
+            self._of("bend").copy(), readings, variances, self._masks["bend"]
+        )
 
     def update_pressures(self, pressure: np.ndarray) -> np.ndarray:
         """Correct by gauge pressures, shape (segments, 2), Pa; return innovations like `update_bends`."""
         predicted = self._of("pressure").copy()
-        # Learn before the correction, which would hide the error of the predicted rates.
-        self.rates.update(pressure - predicted.mean(axis=0).reshape(-1, 2), self.noise.pressure)
+        # Learn before the correction, which would hide the error of the predicted
+        # rates.
+        self.rates.update(
+            pressure - predicted.mean(axis=0).reshape(-1, 2), self.noise.pressure
+        )
         variances = np.full(predicted.shape[1], self.noise.pressure**2)
-        return self._correct(predicted, pressure.ravel(), variances, self._masks["pressure"])
+        return self._correct(
+            predicted, pressure.ravel(), variances, self._masks["pressure"]
+        )
 
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
         """Correct by poses of connectors: x, y (m), heading (rad), shape (connectors, 3), NaN if unseen.
 
-        The first frame, and the first one after someone moved the robot, initialise the poses of the members.
+        The first frame, and the first one after someone moved the robot, initialise the
+        poses of the members.
 
         Returns:
             Innovations over their standard deviations, shape (3 connectors,).
@@ -204,12 +239,18 @@ class EnsembleFilter:
         predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
         # Measured headings may differ from the estimate by whole turns.
-        poses = np.column_stack([poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))])
+        poses = np.column_stack(
+            [poses[:, :2], poses[:, 2] - 2 * np.pi * np.round(turn / (2 * np.pi))]
+        )
         before = poses - predicted.mean(axis=0)
         noise = self._frame_noise
-        variances = np.tile(np.square([noise["place"], noise["place"], noise["heading"]]), len(poses))
+        variances = np.tile(
+            np.square([noise["place"], noise["place"], noise["heading"]]), len(poses)
+        )
         predicted = predicted.reshape(len(self.members), -1)
-        innovation = self._correct(predicted, poses.ravel(), variances, self._masks["pose"], correlated=True)
+        innovation = self._correct(
+            predicted, poses.ravel(), variances, self._masks["pose"], correlated=True
+        )
         moved = False
         if not np.isnan(innovation).all():
             after = poses - self.poses().mean(axis=0)
@@ -257,9 +298,13 @@ class EnsembleFilter:
         other = copy.copy(self)
         kept = self.members[:members]
         other.members = kept.copy()
-        if len(kept) < len(self.members):  # a small sample: restore mean and standard deviation of all
+        if len(kept) < len(
+            self.members
+        ):  # a small sample: restore mean and standard deviation of all
             scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
-            other.members[:] = self.members.mean(axis=0) + scale * (kept - kept.mean(axis=0))
+            other.members[:] = self.members.mean(axis=0) + scale * (
+                kept - kept.mean(axis=0)
+            )
         other._draws = {name: draws[:members] for name, draws in self._draws.items()}
         other.rates = copy.deepcopy(self.rates)
         bend = self.columns["bend"]
@@ -275,7 +320,8 @@ class EnsembleFilter:
             dt: duration of each, s.
 
         Returns:
-            x, y (m) and heading (rad) at the end of each interval, shape (intervals, members, 3).
+            x, y (m) and heading (rad) at the end of each interval, shape (intervals,
+            members, 3).
         """
         poses = []
         for valves in inputs:
@@ -298,7 +344,8 @@ class EnsembleFilter:
         bend, pressure = np.zeros((n, width)), np.zeros((2 * n, width))
         first = {name: columns.start for name, columns in self.columns.items()}
         for j in range(n):
-            # A pressure error since the last message has also changed the bend, so both are corrected.
+            # A pressure error since the last message has also changed the bend, so both
+            # are corrected.
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
             bend[j, own] = pressure[np.ix_([2 * j, 2 * j + 1], own)] = 1.0
             for k in (2 * j, 2 * j + 1):
@@ -307,14 +354,26 @@ class EnsembleFilter:
         pose = np.zeros(width)
         for name in ("x", "y", "heading", "bend", "disturbance"):
             pose[self.columns[name]] = 1.0
-        return {"bend": bend, "pressure": pressure, "pose": np.tile(pose, (3 * (n + 1), 1))}
+        return {
+            "bend": bend,
+            "pressure": pressure,
+            "pose": np.tile(pose, (3 * (n + 1), 1)),
+        }
 
     def _correct(
-        self, predicted: np.ndarray, measured: np.ndarray, variances: np.ndarray, masks: np.ndarray,
-        *, correlated: bool = False,
-    ) -> np.ndarray:  # fmt: skip
-        normalised = correct(self.members, predicted, measured, variances, masks, correlated)
-        # A swinging body can enlarge a chamber, so its pressure may be below ambient, but not below vacuum.
+        self,
+        predicted: np.ndarray,
+        measured: np.ndarray,
+        variances: np.ndarray,
+        masks: np.ndarray,
+        *,
+        correlated: bool = False,
+    ) -> np.ndarray:
+        normalised = correct(
+            self.members, predicted, measured, variances, masks, correlated
+        )
+        # A swinging body can enlarge a chamber, so its pressure may be below ambient,
+        # but not below vacuum.
         pressure = self._of("pressure")
         np.maximum(pressure, -AMBIENT_PA, out=pressure)
         return np.asarray(normalised)
@@ -324,11 +383,13 @@ class EnsembleFilter:
         if np.isnan(before * after).all():
             return
         usual, variance = getattr(self.noise, name), self._frame_noise[name] ** 2
-        # The expected product of the residuals is the noise variance if the filter is consistent. The limits
-        # keep a single frame from changing the estimate by much.
+        # The expected product of the residuals is the noise variance if the filter is
+        # consistent. The limits keep a single frame from changing the estimate by much.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
         estimate = math.sqrt(variance + (product - variance) / _NOISE_FRAMES)
-        self._frame_noise[name] = min(max(estimate, _LEAST_NOISE[name] * usual), _LARGEST_NOISE * usual)
+        self._frame_noise[name] = min(
+            max(estimate, _LEAST_NOISE[name] * usual), _LARGEST_NOISE * usual
+        )
 
     def _place(self, poses: np.ndarray) -> None:
         """Initialise the poses of the members from the visible connectors, with random deviations."""
@@ -339,26 +400,40 @@ class EnsembleFilter:
         turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
         # All members turn to the same side, even if the angles are close to ±π.
         heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
-        self.members[:, :2] += (poses[seen, :2] - self.poses()[:, seen, :2]).mean(axis=1)
+        self.members[:, :2] += (poses[seen, :2] - self.poses()[:, seen, :2]).mean(
+            axis=1
+        )
         draws = self._rng.normal(size=(len(self.members), 3))
         place = _PLACE_FACTOR * noise.place
-        self.members[:, _POSE] += draws * [place, place, _HEADING_FACTOR * noise.heading]
+        self.members[:, _POSE] += draws * [
+            place,
+            place,
+            _HEADING_FACTOR * noise.heading,
+        ]
         self.placed = True
 
     def _run(self, valves: ValveInput, dt: float, step: float) -> None:
         """Advance chambers and bodies."""
         shape = len(self.members), self._segments, 2
         pressure, lagged, gain = (
-            self._of(name).reshape(shape).copy() for name in ("pressure", "lagged", "gain")
+            self._of(name).reshape(shape).copy()
+            for name in ("pressure", "lagged", "gain")
         )
         noise = self._random("pressure").reshape(shape)
         air = pressure, lagged
-        linear, speed, h = self._dynamics.drive(valves, dt, step, air, gain, self.rates, noise)
+        linear, speed, h = self._dynamics.drive(
+            valves, dt, step, air, gain, self.rates, noise
+        )
         for name, values in (("pressure", pressure), ("lagged", lagged)):
             self._of(name)[:] = values.reshape(len(self.members), -1)
-        bias, velocity = self._of("bias") + self._of("disturbance"), self._of("motion").copy()
+        bias, velocity = (
+            self._of("bias") + self._of("disturbance"),
+            self._of("motion").copy(),
+        )
         pose, bend = self.members[:, _POSE], self._of("bend")
-        bend[:], valid = self._dynamics.bend(pose, bend, velocity, (linear, speed), bias, h)
+        bend[:], valid = self._dynamics.bend(
+            pose, bend, velocity, (linear, speed), bias, h
+        )
         self._of("motion")[:] = velocity
         if not valid.any():
             self._restart()
@@ -371,7 +446,9 @@ class EnsembleFilter:
     def _restart(self) -> None:
         """Set the members to rest, at an unknown position."""
         self.members[:] = 0.0
-        self._of("disturbance")[:] = self.error.disturbance * self._random("disturbance")
+        self._of("disturbance")[:] = self.error.disturbance * self._random(
+            "disturbance"
+        )
         self.set_modules(*self._modules)
         self._of("bend")[:] = self._of("bias")
         self.placed = False
@@ -383,7 +460,8 @@ def correct(members, predicted, measured, variances, masks, correlated):  # type
 
     Args:
         members: in place, shape (members, columns).
-        predicted: measurements predicted by each member, in place, shape (members, measurements).
+        predicted: measurements predicted by each member, in place, shape (members,
+            measurements).
         measured: measurements, NaN where they are missing.
         variances: of their noise.
         masks: localisation of each measurement, 0 to 1, shape (measurements, columns).
@@ -404,7 +482,8 @@ def correct(members, predicted, measured, variances, masks, correlated):  # type
         normalised[k] = innovation / math.sqrt(spread + variances[k])
         noise = max(variances[k], (innovation / _OUTLIER) ** 2 - spread)
         total = spread + noise
-        # Share of the gain that reduces the deviations of the members (square root filter).
+        # Share of the gain that reduces the deviations of the members (square root
+        # filter).
         reduction = 1 / (1 + math.sqrt(noise / total))
         for column in range(width):
             if masks[k, column] == 0.0:
@@ -414,20 +493,33 @@ def correct(members, predicted, measured, variances, masks, correlated):  # type
                 middle += members[m, column] / count
             covariance = own = 0.0
             for m in range(count):
-                covariance += (predicted[m, k] - mean) * (members[m, column] - middle) / (count - 1)
+                covariance += (
+                    (predicted[m, k] - mean)
+                    * (members[m, column] - middle)
+                    / (count - 1)
+                )
                 own += (members[m, column] - middle) ** 2 / (count - 1)
-            # Squared sample correlations are too large on average; this is the part beyond chance.
+            # Squared sample correlations are too large on average; this is the part
+            # beyond chance.
             square = covariance**2 / max(own * spread, 1e-300)
-            significant = max(1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0)
+            significant = max(
+                1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0
+            )
             gain = masks[k, column] * significant * covariance / total
             for m in range(count):
-                members[m, column] += gain * (innovation - reduction * (predicted[m, k] - mean))
+                members[m, column] += gain * (
+                    innovation - reduction * (predicted[m, k] - mean)
+                )
         if correlated:
             for later in range(k + 1, measured.shape[0]):
                 covariance = 0.0
                 for m in range(count):
-                    covariance += (predicted[m, k] - mean) * predicted[m, later] / (count - 1)
+                    covariance += (
+                        (predicted[m, k] - mean) * predicted[m, later] / (count - 1)
+                    )
                 gain = covariance / total
                 for m in range(count):
-                    predicted[m, later] += gain * (innovation - reduction * (predicted[m, k] - mean))
+                    predicted[m, later] += gain * (
+                        innovation - reduction * (predicted[m, k] - mean)
+                    )
     return normalised

@@ -21,18 +21,22 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: time of the estimate, our clock, s. The state is predicted from the last used message to this
-            time.
+        time: time of the estimate, our clock, s. The state is predicted from the last
+            used message to this time.
         bend: bend of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
         pose: x, y (m) of the centre of mass, mean heading (rad).
         pose_sd: standard deviation of the pose.
-        velocity: velocity of the centre of mass in the world frame, m/s, and yaw rate, rad/s.
+        velocity: velocity of the centre of mass in the world frame, m/s, and yaw rate,
+            rad/s.
         connectors: x, y (m), heading (rad), shape (connectors, 3).
-        parameters: values and standard deviations of "gain", of each chamber as a multiple of that in the
-            robot file, and "bias_rad", the bend of each module without pressure.
-        faults: detected faults as (part, fault, probability); part is a segment, "supply" or a connector.
-        off: RMS innovation of the last measurements of each kind, in standard deviations.
+        parameters: values and standard deviations of "gain", of each chamber as a
+            multiple of that in the robot file, and "bias_rad", the bend of each module
+            without pressure.
+        faults: detected faults as (part, fault, probability); part is a segment,
+            "supply" or a connector.
+        off: RMS innovation of the last measurements of each kind, in standard
+            deviations.
         lost: reason why the position is unknown; empty if it is known.
     """
 
@@ -57,12 +61,25 @@ class Estimate:
         """
         n, still = len(self.connectors), np.zeros_like(self.bend)
         return SnakeState(
-            time=np.float64(time), com=self.pose[:2], com_velocity=self.velocity[:2], heading=self.pose[2],
-            position=self.connectors[:, :2], theta=self.connectors[:, 2], bend=self.bend, bend_rate=still,
-            pressure=pressure, valves=np.zeros_like(pressure, dtype=np.int8), sensed=self.bend,
-            contact_force=np.zeros((n, 2)), obstacle_force=np.zeros((n, 2)), torque=still,
-            work=np.float64(0.0), internal_loss=np.float64(0.0), air=np.float64(0.0), qpos=np.empty(0),
-        )  # fmt: skip
+            time=np.float64(time),
+            com=self.pose[:2],
+            com_velocity=self.velocity[:2],
+            heading=self.pose[2],
+            position=self.connectors[:, :2],
+            theta=self.connectors[:, 2],
+            bend=self.bend,
+            bend_rate=still,
+            pressure=pressure,
+            valves=np.zeros_like(pressure, dtype=np.int8),
+            sensed=self.bend,
+            contact_force=np.zeros((n, 2)),
+            obstacle_force=np.zeros((n, 2)),
+            torque=still,
+            work=np.float64(0.0),
+            internal_loss=np.float64(0.0),
+            air=np.float64(0.0),
+            qpos=np.empty(0),
+        )
 
 
 _MEMORY = 8
@@ -88,7 +105,8 @@ class Prediction:
         heading: mean heading at the start, rad.
         time: our clock, s, shape (times,).
         pose: x, y (m), mean heading (rad), shape (times, 3).
-        pose_sd: standard deviations along and across the initial heading (m) and of the heading (rad).
+        pose_sd: standard deviations along and across the initial heading (m) and of the
+            heading (rad).
     """
 
     begun: float
@@ -99,7 +117,11 @@ class Prediction:
 
     def error(self, poses: np.ndarray) -> np.ndarray:
         """Return poses less the predicted ones, along and across the initial heading, shape (times, 3)."""
-        c, s, (x, y, turn) = math.cos(self.heading), math.sin(self.heading), (poses - self.pose).T
+        c, s, (x, y, turn) = (
+            math.cos(self.heading),
+            math.sin(self.heading),
+            (poses - self.pose).T,
+        )
         return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
     def contains(self, poses: np.ndarray) -> np.ndarray:
@@ -123,12 +145,22 @@ class PredictionCalibration:
         self._path.append((time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
-            times, poses = (np.array(values) for values in zip(*self._path, strict=True))
+            times, poses = (
+                np.array(values) for values in zip(*self._path, strict=True)
+            )
             if times[0] > past.begun:
                 continue
-            error = past.error(np.column_stack([np.interp(past.time, times, column) for column in poses.T]))
+            error = past.error(
+                np.column_stack(
+                    [np.interp(past.time, times, column) for column in poses.T]
+                )
+            )
             if len(self._error) != len(error):
-                self._error, self._stated, self._count = np.zeros_like(error), np.zeros_like(error), 0
+                self._error, self._stated, self._count = (
+                    np.zeros_like(error),
+                    np.zeros_like(error),
+                    0,
+                )
             self._count += 1
             weight = max(1 / _MEMORY, 1 / self._count)
             self._error = self._error + weight * (error**2 - self._error)
@@ -149,20 +181,25 @@ class PredictionCalibration:
 class IntervalCalibration:
     r"""Scale of the standard deviations of states that are predicted from the last message to the present.
 
-    A prediction for a time is compared with the estimate after the measurements of that time. The factor
-    s of each group of values adapts until 95 % of the later estimates are inside the interval:
+    A prediction for a time is compared with the estimate after the measurements of that
+    time. The factor s of each group of values adapts until 95 % of the later estimates
+    are inside the interval:
 
     $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
-    The errors have heavy tails, because lost commands are not in the prediction. A scale that is fitted to
-    their mean square would be too large or too small, depending on the message rate.
+    The errors have heavy tails, because lost commands are not in the prediction. A
+    scale that is fitted to their mean square would be too large or too small, depending
+    on the message rate.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
         """Begin with a scale of 1; `groups` are the numbers of values with a common scale."""
         self._starts, self._counts = np.cumsum([0, *groups[:-1]]), np.array(groups)
-        self._square, self._compared = np.ones(len(groups)), np.full(len(groups), -np.inf)
+        self._square, self._compared = (
+            np.ones(len(groups)),
+            np.full(len(groups), -np.inf),
+        )
         self._open: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=200)
 
     @property
@@ -174,7 +211,9 @@ class IntervalCalibration:
         """Add a prediction for a time (s), with standard deviations before scaling."""
         self._open.append((time, value, sd))
 
-    def update(self, time: float, value: np.ndarray, sd: np.ndarray, measured: Sequence[bool]) -> None:
+    def update(
+        self, time: float, value: np.ndarray, sd: np.ndarray, measured: Sequence[bool]
+    ) -> None:
         """Compare the predictions for a time (s) with the estimate after its measurements.
 
         Args:
@@ -187,21 +226,28 @@ class IntervalCalibration:
             self._open.popleft()
         if len(self._open) < 2 or not self._open[0][0] <= time:
             return
-        (begun, first, first_sd), (ended, second, second_sd) = self._open[0], self._open[1]
+        (begun, first, first_sd), (ended, second, second_sd) = (
+            self._open[0],
+            self._open[1],
+        )
         weight = (time - begun) / (ended - begun)
         predicted = first + weight * (second - first)
         limit = 1.96 * self.scale * (first_sd + weight * (second_sd - first_sd))
         outside = (predicted - value) ** 2 + sd**2 > limit**2
         share = np.add.reduceat(outside.astype(float), self._starts) / self._counts
-        dt = np.where(measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0)
+        dt = np.where(
+            measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0
+        )
         self._compared = np.where(measured, time, self._compared)
         square = self._square * np.exp(_ADAPTATION_RATE * dt * (share - 0.05))
         self._square = np.clip(square, _LEAST_SQUARE, _LARGEST_SQUARE)
 
 
 _NEEDED = {BENDS, PRESSURES, VALVES}
-"""Kinds of messages of one sample. A robot that does not report its valves gets no estimate, because lost
-commands would look like contacts."""
+"""Kinds of messages of one sample.
+
+A robot that does not report its valves gets no estimate, because lost commands would
+look like contacts."""
 
 _STEADY_S = 0.5
 """Time without a change after which a period is used, s."""
@@ -211,7 +257,8 @@ class LiveContact:
     """Contact estimate of a robot whose commands are periodic, by the contact observer of the core.
 
     Attributes:
-        estimate: the latest one; None while the observer learns, or without the needed messages.
+        estimate: the latest one; None while the observer learns, or without the needed
+            messages.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -228,11 +275,14 @@ class LiveContact:
             messages: messages of one sending time.
             commands: commands of the last seconds, which determine the period.
         """
-        found = {message.kind: message for message in messages if message.kind in _NEEDED}
+        found = {
+            message.kind: message for message in messages if message.kind in _NEEDED
+        }
         if found.keys() != _NEEDED:
             return
         self._update_period(commands.period())
-        # The robot's clock numbers the samples, so that lost messages do not shift the phase.
+        # The robot's clock numbers the samples, so that lost messages do not shift the
+        # phase.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
             self._observer.skip(sample - self._sample - 1)
@@ -244,7 +294,8 @@ class LiveContact:
     def _update_period(self, period: int) -> None:
         """Use a period of the commands that has been the same for half a second; 0 is unknown.
 
-        Until enough commands are known for the true period, a similar shorter one is found.
+        Until enough commands are known for the true period, a similar shorter one is
+        found.
         """
         if not period:
             return

@@ -6,17 +6,20 @@ $A^\pm = G a^\pm$ (rad), where $a^\pm$ is the pressure after the lag τ₂. Bend
 
 $$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n', $$
 
-with the constant bias b and gains g± of the module, the disturbance d (load, inertia and model error; a
-first-order Gauss–Markov process), and the offset s and scale error e of the sensor. Under one hypothesis the
-offset drifts quickly. Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in
-e q, and the filters are mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
+with the constant bias b and gains g± of the module, the disturbance d (load, inertia
+and model error; a first-order Gauss–Markov process), and the offset s and scale error e
+of the sensor. Under one hypothesis the offset drifts quickly. Each hypothesis has a
+Kalman filter for the state (b, g⁺, g⁻, d, s, e), linearised in e q, and the filters are
+mixed as by Blom and Bar-Shalom (1988). Faults are rare and permanent.
 
-While a segment has no fault, the detector learns the deviations of the pressures from the first-order law
-(`pressure_table`). Leaks are detected from balances of air (`air_balance`).
+While a segment has no fault, the detector learns the deviations of the pressures from
+the first-order law (`pressure_table`). Leaks are detected from balances of air
+(`air_balance`).
 
-All pressures are relative to the estimated supply pressure (`air_balance`), so a droop of the supply is not a
-fault. A sudden loss makes all segments weak, or seem to leak, at once; the estimate is then corrected.
-`starved` is reported below `STARVED_BELOW` of the nominal pressure.
+All pressures are relative to the estimated supply pressure (`air_balance`), so a droop
+of the supply is not a fault. A sudden loss makes all segments weak, or seem to leak, at
+once; the estimate is then corrected. `starved` is reported below `STARVED_BELOW` of the
+nominal pressure.
 """
 
 from __future__ import annotations
@@ -100,7 +103,9 @@ _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
 """Largest difference of successive readings of a frozen sensor, share of the noise."""
-_SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)).any(axis=1)
+_SUPPLY_EXPLAINS = (SUPPLY_SHARES < 1.0) | np.isin(
+    CHAMBERS, (Chamber.LEAKS, Chamber.VENTS)
+).any(axis=1)
 """Hypotheses with which filling chambers have a lower pressure, as with a lower supply pressure."""
 
 
@@ -148,10 +153,15 @@ class FaultDetector(Stateful):
             supply_pa: nominal supply pressure, gauge, Pa.
         """
         self._spec, actuator = spec, spec.actuator
-        self._fill, self._vent, self._tau = actuator.tau_fill, actuator.tau_vent, actuator.tau_mode
+        self._fill, self._vent, self._tau = (
+            actuator.tau_fill,
+            actuator.tau_vent,
+            actuator.tau_mode,
+        )
         count, kinds = spec.segments, len(HYPOTHESES)
         self.supply, self._gain = SupplyFilter(supply_pa), chamber_gains(spec)
-        # The pressures of a robot that already moves, or that restarted, are unknown at first.
+        # The pressures of a robot that already moves, or that restarted, are unknown at
+        # first.
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
@@ -163,13 +173,18 @@ class FaultDetector(Stateful):
         self._obeys = np.isin(CHAMBERS, (Chamber.OBEYS, Chamber.LEAKS))
         inflows = [(h.inflow(h.plus), h.inflow(h.minus)) for h in HYPOTHESES]
         variants = list(dict.fromkeys(inflow for pair in inflows for inflow in pair))
-        self._variant = np.array([[variants.index(inflow) for inflow in pair] for pair in inflows])
+        self._variant = np.array(
+            [[variants.index(inflow) for inflow in pair] for pair in inflows]
+        )
         self.leaks = LeakDetector(spec, supply_pa=supply_pa, variants=variants)
-        sd = np.array([_BIAS_SD_RAD, _GAIN_SD, _GAIN_SD, self._load, _OFFSET_SD_RAD, _SCALE_SD])
+        sd = np.array(
+            [_BIAS_SD_RAD, _GAIN_SD, _GAIN_SD, self._load, _OFFSET_SD_RAD, _SCALE_SD]
+        )
         self._covariance = np.tile(np.diag(sd**2), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # Median ratio of measured to expected pressures of filling chambers; NaN without measured pressures.
+        # Median ratio of measured to expected pressures of filling chambers; NaN
+        # without measured pressures.
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0
@@ -202,7 +217,9 @@ class FaultDetector(Stateful):
             dt: interval in which the valves switched, s.
         """
         self.leaks.drop(switched > 0)
-        change = self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-dt / self._fill))
+        change = (
+            self._largest * switched.sum(axis=1) / 2 * (1 - math.exp(-dt / self._fill))
+        )
         self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
@@ -223,7 +240,9 @@ class FaultDetector(Stateful):
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         rows = np.zeros_like(mean)
         rows[:, _State.OFFSET], rows[:, _State.SCALE] = 1.0, np.nan_to_num(bends)
-        variance = np.einsum("sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows)
+        variance = np.einsum(
+            "sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows
+        )
         return bends, np.sqrt(variance)
 
     def parameters(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -235,7 +254,8 @@ class FaultDetector(Stateful):
         """Advance by a step.
 
         Args:
-            duty: share of time in which each valve fills, as commanded, shape (segments, 2).
+            duty: share of time in which each valve fills, as commanded, shape
+                (segments, 2).
             dt: s.
         """
         self.time += dt
@@ -246,17 +266,26 @@ class FaultDetector(Stateful):
         self._advance_chambers(duty, dt)
 
     def update(
-        self, readings: np.ndarray | None = None, markers: np.ndarray | None = None,
-        pressures: np.ndarray | None = None, *, dt: float = 0.02, heading_noise_scale: float = 1.0,
-    ) -> None:  # fmt: skip
+        self,
+        readings: np.ndarray | None = None,
+        markers: np.ndarray | None = None,
+        pressures: np.ndarray | None = None,
+        *,
+        dt: float = 0.02,
+        heading_noise_scale: float = 1.0,
+    ) -> None:
         """Update with measurements of the current time.
 
         Args:
-            readings: bends of the sensors, shape (segments,), rad, NaN without a reading; None: no message.
-            markers: bends from markers, rad, NaN where they are missing; None: no frame.
-            pressures: gauge, shape (segments, 2), Pa, NaN where they are missing; None: no message.
+            readings: bends of the sensors, shape (segments,), rad, NaN without a
+                reading; None: no message.
+            markers: bends from markers, rad, NaN where they are missing; None: no
+                frame.
+            pressures: gauge, shape (segments, 2), Pa, NaN where they are missing; None:
+                no message.
             dt: interval since the previous pressures, s.
-            heading_noise_scale: ratio of the heading noise of motion capture to the assumed one.
+            heading_noise_scale: ratio of the heading noise of motion capture to the
+                assumed one.
         """
         if self.time < self._settling_s:
             return
@@ -283,8 +312,12 @@ class FaultDetector(Stateful):
             pressures = np.asarray(pressures, dtype=float)
             log_likelihood += self._pressure_log_likelihood(pressures, dt)
             log_likelihood += self._leak_log_likelihood(pressures, rows)
-        weight = self.probability * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
-        self.probability = np.maximum(weight / weight.sum(axis=1, keepdims=True), _LEAST_PROBABILITY)
+        weight = self.probability * np.exp(
+            log_likelihood - log_likelihood.max(axis=1, keepdims=True)
+        )
+        self.probability = np.maximum(
+            weight / weight.sum(axis=1, keepdims=True), _LEAST_PROBABILITY
+        )
         self._judge_supply()
         self.naming.update(self.time, self.probability)
 
@@ -300,8 +333,12 @@ class FaultDetector(Stateful):
         duty = valve_duty(duty[:, None], CHAMBERS)
         leak = np.where(CHAMBERS == Chamber.LEAKS, LEAK_RATES[:, None], 0.0)
         supply = self.supply.pressure * SUPPLY_SHARES[:, None]
-        relaxation = relaxation_of(duty / self._fill, (1 - duty) / self._vent, supply, leak)
-        self._delayed = followed(self._delayed, self._pressure, relaxation, self._tau, dt)
+        relaxation = relaxation_of(
+            duty / self._fill, (1 - duty) / self._vent, supply, leak
+        )
+        self._delayed = followed(
+            self._delayed, self._pressure, relaxation, self._tau, dt
+        )
         self._pressure = relaxed(self._pressure, *relaxation, dt)
 
     def _bend_share(self, drive: np.ndarray) -> np.ndarray:
@@ -313,8 +350,8 @@ class FaultDetector(Stateful):
 
     def _mix(self, dt: float) -> None:
         """Mix the hypotheses by their transition probabilities, then predict their states."""
-        # Faults do not heal. Transitions between faults remain possible, because a fault may first look like
-        # another one.
+        # Faults do not heal. Transitions between faults remain possible, because a
+        # fault may first look like another one.
         transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
@@ -323,7 +360,9 @@ class FaultDetector(Stateful):
         walks = _BIAS_WALK, _GAIN_WALK, _OFFSET_WALK, _DRIFT_WALK
         bias, gain, offset, drift = (walk * math.sqrt(dt) for walk in walks)
         load = self._load * math.sqrt(1 - decay[_State.LOAD] ** 2)
-        noise = np.tile(np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1))
+        noise = np.tile(
+            np.diag([bias, gain, gain, load, offset, 0.0]) ** 2, (len(HYPOTHESES), 1, 1)
+        )
         noise[SENSORS == Sensor.DRIFTS, _State.OFFSET, _State.OFFSET] = drift**2
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
@@ -338,7 +377,9 @@ class FaultDetector(Stateful):
         self._delayed = np.einsum("sij,sik->sjk", share, self._delayed)
         self.probability = predicted
 
-    def _correct(self, rows: np.ndarray, measured: np.ndarray, noise: float, used: np.ndarray) -> np.ndarray:
+    def _correct(
+        self, rows: np.ndarray, measured: np.ndarray, noise: float, used: np.ndarray
+    ) -> np.ndarray:
         """Correct the Kalman filters of all hypotheses by one measurement per segment.
 
         Args:
@@ -354,43 +395,66 @@ class FaultDetector(Stateful):
         gain = np.einsum("smkl,sml->smk", self._covariance, rows)
         variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
         predicted = np.einsum("smk,smk->sm", rows, self.mean)
-        innovation = np.where(available, np.nan_to_num(measured)[:, None] - predicted, 0.0)
+        innovation = np.where(
+            available, np.nan_to_num(measured)[:, None] - predicted, 0.0
+        )
         weight = np.where(available[..., None], gain / variance[..., None], 0.0)
         self.mean = self.mean + weight * innovation[..., None]
         self._covariance = self._covariance - weight[..., :, None] * gain[..., None, :]
-        # Model errors have heavy tails under every hypothesis, so a Gaussian density would detect false
-        # faults.
-        log = _log_student(innovation**2 / variance) - np.log(variance * 2 * math.pi) / 2
+        # Model errors have heavy tails under every hypothesis, so a Gaussian density
+        # would detect false faults.
+        log = (
+            _log_student(innovation**2 / variance) - np.log(variance * 2 * math.pi) / 2
+        )
         return np.where(available, log, 0.0)
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
         """Return log-likelihoods of missing readings (silent sensor) and equal ones (frozen sensor)."""
-        log_likelihood, lost = np.zeros(self.probability.shape), np.isnan(readings)[:, None]
+        log_likelihood, lost = (
+            np.zeros(self.probability.shape),
+            np.isnan(readings)[:, None],
+        )
         silent, frozen = SENSORS == Sensor.SILENT, SENSORS == Sensor.FROZEN
-        log_likelihood[:, ~silent] = np.where(lost, math.log(_LOSS), math.log(1 - _LOSS))
-        log_likelihood[:, silent] = np.where(lost, math.log(0.999), math.log(1e-3 / (2 * math.pi)))
+        log_likelihood[:, ~silent] = np.where(
+            lost, math.log(_LOSS), math.log(1 - _LOSS)
+        )
+        log_likelihood[:, silent] = np.where(
+            lost, math.log(0.999), math.log(1e-3 / (2 * math.pi))
+        )
         narrow = _NOISE_RAD * _FROZEN_NOISE
         change = np.nan_to_num(readings - self._last, nan=10.0)[:, None]
-        density = -0.5 * (change / narrow) ** 2 - math.log(narrow * math.sqrt(2 * math.pi))
+        density = -0.5 * (change / narrow) ** 2 - math.log(
+            narrow * math.sqrt(2 * math.pi)
+        )
         log_likelihood[:, frozen] += np.where(lost, 0.0, np.maximum(density, -50.0))
         return log_likelihood
 
     def _pressure_log_likelihood(self, pressures: np.ndarray, dt: float) -> np.ndarray:
         """Return log-likelihoods of pressures, reduced for the correlation of successive residuals."""
-        usual, sd = self._levels.read()  # mean and standard deviation of the pressure residuals
+        usual, sd = (
+            self._levels.read()
+        )  # mean and standard deviation of the pressure residuals
         self._update_supply(pressures, usual, sd + _LEAST_PRESSURE_SD)
-        residual = np.nan_to_num((pressures[:, None] - self._pressure) / self.supply.pressure)
+        residual = np.nan_to_num(
+            (pressures[:, None] - self._pressure) / self.supply.pressure
+        )
         # Residuals are learnt only from valves that obey commands.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         # With enough strokes, the balance of air replaces this evidence for leaks.
-        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (CHAMBERS == Chamber.LEAKS)
+        balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None] & (
+            CHAMBERS == Chamber.LEAKS
+        )
         log = np.where(balanced, log.max(axis=1, keepdims=True), log)
-        self._levels.update(residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9))
+        self._levels.update(
+            residual[:, 0], ~np.isnan(pressures) & (self.probability[:, :1] > 0.9)
+        )
         return np.asarray(log.sum(axis=-1) * min(dt / _PRESSURE_TIME_S, 1.0))
 
-    def _update_supply(self, pressures: np.ndarray, usual: np.ndarray, sd: np.ndarray) -> None:
+    def _update_supply(
+        self, pressures: np.ndarray, usual: np.ndarray, sd: np.ndarray
+    ) -> None:
         """Correct the supply pressure by chambers that fill as commanded."""
         before = self.supply.pressure
         response = self._pressure[:, 0] / before + usual
@@ -400,26 +464,34 @@ class FaultDetector(Stateful):
         residual = pressures - before * response
         settled = (filled > _SETTLED_S) & ~np.isnan(pressures) & (obeys > 0.5)
         if settled.sum() * 2 >= len(pressures):
-            self._level = float(np.median(pressures[settled] / (before * response[settled])))
-        if self.supply.follow_sudden_change(residual[settled], response[settled], before * sd[settled]):
+            self._level = float(
+                np.median(pressures[settled] / (before * response[settled]))
+            )
+        if self.supply.follow_sudden_change(
+            residual[settled], response[settled], before * sd[settled]
+        ):
             self.leaks.drop(np.ones(pressures.shape, dtype=bool))
             self._adopt_supply(before)
             return
-        # At first the balances are unknown, and the pressures of filled chambers are used instead.
+        # At first the balances are unknown, and the pressures of filled chambers are
+        # used instead.
         balanced = self.leaks.learnt >= 1
         excess, slope, variance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
-            np.where(balanced, excess, residual), np.where(balanced, slope, response),
-            np.where(balanced, np.sqrt(variance), before * sd), np.where(balanced | settled, obeys, 0.0),
+            np.where(balanced, excess, residual),
+            np.where(balanced, slope, response),
+            np.where(balanced, np.sqrt(variance), before * sd),
+            np.where(balanced | settled, obeys, 0.0),
             MESSAGES_PER_INDEPENDENT,
-        )  # fmt: skip
+        )
         self._adopt_supply(before)
 
     def _adopt_supply(self, before: float) -> None:
         """Adapt all hypotheses to a supply pressure that was `before` (Pa)."""
         self._rescale(before)
         if before - self.supply.pressure > SUDDEN * self.supply.nominal:
-            # Until the loss was noticed, chambers with a low pressure seemed to leak or not to fill.
+            # Until the loss was noticed, chambers with a low pressure seemed to leak or
+            # not to fill.
             likely = np.where(_SUPPLY_EXPLAINS, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
@@ -434,9 +506,13 @@ class FaultDetector(Stateful):
         weak = SUPPLY_SHARES < 1.0
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
         share = SUPPLY_SHARES[kind] if math.isnan(self._level) else self._level
-        # Several leaks at once are a failure of the supply if the pressures are low as well.
+        # Several leaks at once are a failure of the supply if the pressures are low as
+        # well.
         common = weak if math.isnan(self._level) else weak | (LEAK_RATES > 0.0)
-        if share < _FAILED_BELOW and (self.probability[:, common].sum(axis=1) > 0.5).mean() > 0.5:
+        if (
+            share < _FAILED_BELOW
+            and (self.probability[:, common].sum(axis=1) > 0.5).mean() > 0.5
+        ):
             before = self.supply.pressure
             self.supply.jump(share)
             self._rescale(before)
@@ -445,11 +521,14 @@ class FaultDetector(Stateful):
         if self.time < START_S:
             return
         if self.naming.starved:
-            # A segment with a low supply seems to leak; without this correction the fault would remain after
-            # recovery.
+            # A segment with a low supply seems to leak; without this correction the
+            # fault would remain after recovery.
             common = weak | (LEAK_RATES > 0.0)
-            self._attribute_to_supply(common, np.where(common, self.probability, 0.0).argmax(axis=1))
-        # Without pressures only the hypotheses of a weak supply change the estimate, so its sd never falls.
+            self._attribute_to_supply(
+                common, np.where(common, self.probability, 0.0).argmax(axis=1)
+            )
+        # Without pressures only the hypotheses of a weak supply change the estimate, so
+        # its sd never falls.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
         if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
             self.naming.pairs[0, 0] = WEAK
@@ -461,7 +540,8 @@ class FaultDetector(Stateful):
 
         Args:
             common: whether the supply explains a hypothesis.
-            kind: hypothesis of each segment from which the state is taken, if it is likely.
+            kind: hypothesis of each segment from which the state is taken, if it is
+                likely.
         """
         moved = self.probability[:, common].sum(axis=1)
         segments = np.flatnonzero(moved > 0.5)
@@ -470,16 +550,25 @@ class FaultDetector(Stateful):
         self.probability[:, 0] += moved
         self.probability[:, common] = _LEAST_PROBABILITY
 
-    def _leak_log_likelihood(self, pressures: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    def _leak_log_likelihood(
+        self, pressures: np.ndarray, rows: np.ndarray
+    ) -> np.ndarray:
         """Return log-likelihoods of the inflow of filling chambers."""
         bends = np.einsum("smk,smk->sm", rows, self.mean)
         bend = (self.probability * bends).sum(axis=1)
         variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
-        sd = np.sqrt((self.probability * (variance + (bends - bend[:, None]) ** 2)).sum(axis=1))
+        sd = np.sqrt(
+            (self.probability * (variance + (bends - bend[:, None]) ** 2)).sum(axis=1)
+        )
         log_likelihood = self.leaks.update(
-            self.time, pressures, bend, sd, self._levels.ages.filled_s, self.probability[:, 0],
+            self.time,
+            pressures,
+            bend,
+            sd,
+            self._levels.ages.filled_s,
+            self.probability[:, 0],
             (self.supply.pressure, self.supply.sd),
-        )  # fmt: skip
+        )
         return np.asarray(log_likelihood[:, np.arange(2), self._variant].sum(axis=-1))
 
 

@@ -52,7 +52,10 @@ class Hypothesis(NamedTuple):
 
     def inflow(self, chamber: Chamber) -> tuple[float, float]:
         """Return leak (1/s) and share of the supply pressure of a chamber, given its behaviour."""
-        return self.leak if chamber == Chamber.LEAKS else 0.0, 0.0 if chamber == Chamber.VENTS else self.weak
+        return (
+            self.leak if chamber == Chamber.LEAKS else 0.0,
+            0.0 if chamber == Chamber.VENTS else self.weak,
+        )
 
 
 HYPOTHESES = (
@@ -71,7 +74,10 @@ HYPOTHESES = (
 
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
 """Names of the hypotheses; several severities of a fault have the same name."""
-HAS_NAME = np.array([[hypothesis.name == name for name in NAMES] for hypothesis in HYPOTHESES], dtype=float)
+HAS_NAME = np.array(
+    [[hypothesis.name == name for name in NAMES] for hypothesis in HYPOTHESES],
+    dtype=float,
+)
 """1 where a hypothesis (row) has a name (column)."""
 WEAK = NAMES.index("weak")
 LEAK = np.array([name.startswith("leak") for name in NAMES])
@@ -86,7 +92,9 @@ SUPPLY_SHARES = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
     """Return the duty of the valves (share of time in which they fill), given the chambers' behaviour."""
-    return np.where(chambers == Chamber.FILLS, 1.0, np.where(chambers == Chamber.VENTS, 0.0, duty))
+    return np.where(
+        chambers == Chamber.FILLS, 1.0, np.where(chambers == Chamber.VENTS, 0.0, duty)
+    )
 
 
 _THRESHOLD = 0.97
@@ -109,8 +117,8 @@ class FaultNaming(Stateful):
     """Detected faults of the segments and the supply.
 
     Attributes:
-        pairs: indices into `NAMES` of one or two faults, −1 for none, shape (segments + 1, 2); row 0 is the
-            supply.
+        pairs: indices into `NAMES` of one or two faults, −1 for none, shape (segments +
+            1, 2); row 0 is the supply.
     """
 
     state_attributes = ("pairs", "_since", "_either_since")
@@ -118,16 +126,23 @@ class FaultNaming(Stateful):
     def __init__(self, segments: int) -> None:
         """Begin without a fault."""
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
-        # Times since which each fault, and each indistinguishable pair of faults, has been above its
-        # threshold.
+        # Times since which each fault, and each indistinguishable pair of faults, has
+        # been above its threshold.
         self._since = np.full((segments, len(NAMES)), np.inf)
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 
     @property
     def named(self) -> dict[int, str]:
         """Names of the faults by segment, from 1; 0 is the supply."""
-        names = {j: [NAMES[m] for m in pair if m >= 0] for j, pair in enumerate(self.pairs.tolist())}
-        return {j: " or ".join(texts) if j else STARVED for j, texts in names.items() if texts}
+        names = {
+            j: [NAMES[m] for m in pair if m >= 0]
+            for j, pair in enumerate(self.pairs.tolist())
+        }
+        return {
+            j: " or ".join(texts) if j else STARVED
+            for j, texts in names.items()
+            if texts
+        }
 
     @property
     def starved(self) -> bool:
@@ -163,7 +178,8 @@ class FaultNaming(Stateful):
             self._since[:] = self._either_since[:] = np.inf
             return
         likely = probability @ HAS_NAME
-        # Segments seldom fail together: if several are suspect, they may have a common cause.
+        # Segments seldom fail together: if several are suspect, they may have a common
+        # cause.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, _LEAK_THRESHOLD, _THRESHOLD)
@@ -174,15 +190,25 @@ class FaultNaming(Stateful):
             likely[:, WEAK] = weak * np.minimum(2 * other_weak, 1.0)
             likely /= likely.sum(axis=1, keepdims=True)
         starved = self.starved
-        self._since = np.where(likely > threshold, np.minimum(self._since, time), np.inf)
+        self._since = np.where(
+            likely > threshold, np.minimum(self._since, time), np.inf
+        )
         for j, m in np.argwhere(time - self._since >= patience):
             # Later evidence may decide between the two faults of a detected pair.
-            if m and (pairs[j + 1, 0] < 0 or m in pairs[j + 1]) and not (m == WEAK or starved):
+            if (
+                m
+                and (pairs[j + 1, 0] < 0 or m in pairs[j + 1])
+                and not (m == WEAK or starved)
+            ):
                 pairs[j + 1] = m, -1
         for k, pair in enumerate(INDISTINGUISHABLE):
             above = likely[:, pair].sum(axis=1) > _THRESHOLD
-            self._either_since[:, k] = np.where(above, np.minimum(self._either_since[:, k], time), np.inf)
-            for j in np.flatnonzero(time - self._either_since[:, k] >= patience[:, 0]) + 1:
+            self._either_since[:, k] = np.where(
+                above, np.minimum(self._either_since[:, k], time), np.inf
+            )
+            for j in (
+                np.flatnonzero(time - self._either_since[:, k] >= patience[:, 0]) + 1
+            ):
                 if pairs[j, 0] < 0 and not starved:
                     pairs[j] = pair
         sound = np.append(False, likely[:, 0] > _THRESHOLD)

@@ -39,7 +39,8 @@ _NOT_IN_ORDER = "a record whose time does not follow that of the one before"
 _FULL_S = 0.01
 """Interval at which a full queue is checked again, s."""
 _MOST_HEAD = 100_000
-"""Number of motion capture frames that are buffered before the robot's first message."""
+"""Number of motion capture frames that are buffered before the robot's first message.
+"""
 
 
 class Journal:
@@ -48,7 +49,8 @@ class Journal:
     If the journal cannot be written, it ends with a reason, and the session continues.
 
     Attributes:
-        trouble: path and reason of the error that ended the journal; empty without an error.
+        trouble: path and reason of the error that ended the journal; empty without an
+            error.
     """
 
     def __init__(self, path: Path) -> None:
@@ -60,14 +62,21 @@ class Journal:
         try:
             from mcap.writer import CompressionType, Writer
         except ImportError as error:
-            raise InputError("journals need mcap: pip install 'srs-twin[live]'") from error
+            raise InputError(
+                "journals need mcap: pip install 'srs-twin[live]'"
+            ) from error
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb")
         except OSError as error:
-            raise InputError(f"{display_path(path)}: cannot be written: {error.strerror}") from error
-        # Without chunks, so that a killed process loses only what came after the last `flush`.
-        self._writer = Writer(self._file, use_chunking=False, compression=CompressionType.NONE)
+            raise InputError(
+                f"{display_path(path)}: cannot be written: {error.strerror}"
+            ) from error
+        # Without chunks, so that a killed process loses only what came after the last
+        # `flush`.
+        self._writer = Writer(
+            self._file, use_chunking=False, compression=CompressionType.NONE
+        )
         self._writer.start(profile="", library="srs_twin")
         self._path, self.trouble = path, ""
         self._channels: dict[tuple[str, str], int] = {}
@@ -95,22 +104,38 @@ class Journal:
         try:
             step()
         except (OSError, OverflowError, ValueError, struct.error) as error:
-            reason = error.strerror if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
-            self.trouble = f"{display_path(self._path)}: ends early, it cannot be written ({reason})"
+            reason = (
+                error.strerror
+                if isinstance(error, OSError)
+                else f"{type(error).__name__}: {error}"
+            )
+            self.trouble = (
+                f"{display_path(self._path)}: ends early, it cannot be written"
+                f" ({reason})"
+            )
 
     def _write(self, message: Message) -> None:
         key = message.source, message.kind
         if key not in self._channels:
-            # One channel per source and kind, so that other tools can plot them separately.
+            # One channel per source and kind, so that other tools can plot them
+            # separately.
             self._channels[key] = self._writer.register_channel(
-                topic=topic(message.source, message.kind), message_encoding="json", schema_id=self._schema
+                topic=topic(message.source, message.kind),
+                message_encoding="json",
+                schema_id=self._schema,
             )
         text = message.names[0] if message.kind in (STATUS, CONTROL) else message.values
-        data = _poses(message) if message.kind == POSES else encode(message.kind, message.sent, text)
+        data = (
+            _poses(message)
+            if message.kind == POSES
+            else encode(message.kind, message.sent, text)
+        )
         self._writer.add_message(
-            channel_id=self._channels[key], data=data, log_time=_nanoseconds(message.arrived),
+            channel_id=self._channels[key],
+            data=data,
+            log_time=_nanoseconds(message.arrived),
             publish_time=_nanoseconds(message.sent),
-        )  # fmt: skip
+        )
 
     def __enter__(self) -> Journal:
         return self
@@ -125,21 +150,26 @@ def _nanoseconds(time: float) -> int:
 
 
 def _poses(message: Message) -> bytes:
-    return strict_json({"t": message.sent, "names": message.names, "poses": message.values.tolist()})
+    return strict_json(
+        {"t": message.sent, "names": message.names, "poses": message.values.tolist()}
+    )
 
 
 def journal_messages(
-    path: Path, robot: str, segments: int, refuse: Callable[[BadMessageError], None] | None = None,
+    path: Path,
+    robot: str,
+    segments: int,
+    refuse: Callable[[BadMessageError], None] | None = None,
     others: set[str] | None = None,
-) -> Iterator[Message]:  # fmt: skip
+) -> Iterator[Message]:
     """Yield the messages of a robot and of motion capture in the order of arrival, up to a damaged record.
 
     Args:
         path: path of the journal.
         robot: name of the robot.
         segments: number of segments of the robot.
-        refuse: called with the error of each record that is not a valid message; None: such records are
-            skipped.
+        refuse: called with the error of each record that is not a valid message; None:
+            such records are skipped.
         others: set to which the names of other robots in the journal are added.
 
     Raises:
@@ -161,12 +191,18 @@ def journal_messages(
                 others.add(topic.name.split("/")[1])
 
 
-def _records(whole: memoryview, skip: Callable[[BadMessageError], None]) -> Iterator[Any]:
+def _records(
+    whole: memoryview, skip: Callable[[BadMessageError], None]
+) -> Iterator[Any]:
     """Yield the records of a file up to its end or to the first damaged record."""
     try:
         yield from stream_messages(whole)
     except Exception as error:  # a damaged file raises errors of many kinds
-        skip(BadMessageError(f"the file is cut off or damaged there: {type(error).__name__}"))
+        skip(
+            BadMessageError(
+                f"the file is cut off or damaged there: {type(error).__name__}"
+            )
+        )
 
 
 def opened_journal(path: Path) -> IO[bytes]:
@@ -181,12 +217,16 @@ def opened_journal(path: Path) -> IO[bytes]:
             file.seek(0)
             return file
     except OSError as error:
-        raise InputError(f"{display_path(path)}: cannot be read ({error.strerror})") from error
+        raise InputError(
+            f"{display_path(path)}: cannot be read ({error.strerror})"
+        ) from error
     file.close()
     raise InputError(f"{display_path(path)}: not an MCAP file")
 
 
-def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) -> Message | None:
+def _message(
+    topic: str, log_time: int, data: bytes, robot: str, segments: int
+) -> Message | None:
     """Return the message of a record; None for a message of another robot.
 
     Raises:
@@ -199,7 +239,10 @@ def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) 
             raise ValueError("a topic of another program")
         if kind == POSES:
             said = json.loads(data)
-            poses, sent = np.array(said["poses"], dtype=float).reshape(-1, 4), float(said["t"])
+            poses, sent = (
+                np.array(said["poses"], dtype=float).reshape(-1, 4),
+                float(said["t"]),
+            )
             names = tuple(map(str, said["names"]))
             places = all(map(is_place, np.nan_to_num(poses, nan=0.0)))
             if len(names) != len(poses) or not abs(sent) <= LATEST_S or not places:
@@ -212,14 +255,18 @@ def _message(topic: str, log_time: int, data: bytes, robot: str, segments: int) 
     return decode(kind, data, source=source, arrived=arrived, segments=segments)
 
 
-def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], None]) -> Iterator[Message]:
+def in_order(
+    messages: Iterable[Message], refuse: Callable[[BadMessageError], None]
+) -> Iterator[Message]:
     """Yield messages with increasing times of arrival; refuse all other messages.
 
-    A jump in time by more than `LONGEST_GAP_S` is accepted as a pause only if the next message confirms it.
+    A jump in time by more than `LONGEST_GAP_S` is accepted as a pause only if the next
+    message confirms it.
     """
     last, odd = math.nan, None
     for message in messages:
-        # `odd` is the last message with a jump in time, which waits for its confirmation.
+        # `odd` is the last message with a jump in time, which waits for its
+        # confirmation.
         if odd is not None and abs(message.arrived - odd.arrived) <= LONGEST_GAP_S:
             if math.isnan(last) or odd.arrived > last:
                 yield odd
@@ -240,7 +287,9 @@ def in_order(messages: Iterable[Message], refuse: Callable[[BadMessageError], No
 class McapLink(Link):
     """Link that plays a journal at any speed as if its messages arrived now."""
 
-    def __init__(self, path: Path, robot: str, segments: int, *, speed: float = 1.0) -> None:
+    def __init__(
+        self, path: Path, robot: str, segments: int, *, speed: float = 1.0
+    ) -> None:
         """Start the playback.
 
         Args:
@@ -250,7 +299,8 @@ class McapLink(Link):
             speed: playback speed as a multiple of real time; infinite: without waiting.
 
         Raises:
-            InputError: the file does not exist, is not MCAP, or has no message of the robot.
+            InputError: the file does not exist, is not MCAP, or has no message of the
+                robot.
         """
         super().__init__()
         self._speed, self._over = speed, threading.Event()
@@ -263,7 +313,8 @@ class McapLink(Link):
     def clock(self) -> float:
         """Return the current time in the recording, s; NaN before the first message.
 
-        The time is never later than that of the next message, even if the playback is too slow.
+        The time is never later than that of the next message, even if the playback is
+        too slow.
         """
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
@@ -274,7 +325,9 @@ class McapLink(Link):
             InputError: the journal has no message of the robot.
         """
         others: set[str] = set()
-        messages = in_order(journal_messages(path, robot, segments, self._refuse, others), self._refuse)
+        messages = in_order(
+            journal_messages(path, robot, segments, self._refuse, others), self._refuse
+        )
         head: list[Message] = []
         for message in messages:
             head.append(message)
@@ -282,8 +335,15 @@ class McapLink(Link):
                 break
         if head and (head[-1].source == robot or not others):
             return itertools.chain(head, messages)
-        bad = [f"{count} × {what.removeprefix('bad: ')}" for what, count in self.counts.items()]
-        instead = f"; it has messages of {format_names(sorted(others))} (--name)" if others else ""
+        bad = [
+            f"{count} × {what.removeprefix('bad: ')}"
+            for what, count in self.counts.items()
+        ]
+        instead = (
+            f"; it has messages of {format_names(sorted(others))} (--name)"
+            if others
+            else ""
+        )
         refused = f"; not readable: {', '.join(bad[:3])}" if bad else ""
         what = f"no message of '{robot}'" if others or bad else "no message at all"
         raise InputError(f"{display_path(path)}: holds {what}{instead}{refused}")
@@ -292,12 +352,18 @@ class McapLink(Link):
         try:
             for message in self._messages:
                 self._next = message.arrived
-                ahead = message.arrived - self._first - (clock() - self._begun) * self._speed
+                ahead = (
+                    message.arrived
+                    - self._first
+                    - (clock() - self._begun) * self._speed
+                )
                 if not ahead <= LONGEST_GAP_S:  # also NaN, at first
                     self._first, self._begun = message.arrived, clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
-                while self._queue.full():  # messages are used more slowly than they are played
+                while (
+                    self._queue.full()
+                ):  # messages are used more slowly than they are played
                     if self._over.wait(_FULL_S):
                         return
                 self._take(message)

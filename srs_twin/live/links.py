@@ -1,8 +1,8 @@
 """Links: connections to brokers, motion capture and journals; MqttLink; keys of the terminal.
 
-Each link receives in its own thread, which records the time of arrival; `received` returns the messages since
-its last call. A link connects to the given address only, reconnects after a loss, and counts the messages
-that it could not read.
+Each link receives in its own thread, which records the time of arrival; `received`
+returns the messages since its last call. A link connects to the given address only,
+reconnects after a loss, and counts the messages that it could not read.
 """
 
 from __future__ import annotations
@@ -98,7 +98,11 @@ class Link(ABC):
 
     def _refuse(self, error: Exception) -> None:
         """Count a refused message by its reason; for unexpected errors the reason is the error's name."""
-        reason = str(error)[:80] if isinstance(error, BadMessageError) else type(error).__name__
+        reason = (
+            str(error)[:80]
+            if isinstance(error, BadMessageError)
+            else type(error).__name__
+        )
         name = f"bad: {reason}"
         if name not in self.counts and len(self.counts) >= _MOST_REASONS:
             name = "bad: for other reasons"
@@ -126,10 +130,12 @@ def address(given: str, port: int) -> tuple[str, int]:
         InputError: the text has another form.
     """
     host, colon, number = given.partition(":")
-    if not _is_host(host) or (colon and not (re.fullmatch("[0-9]{1,5}", number) and 0 < int(number) < 65536)):
+    if not _is_host(host) or (
+        colon and not (re.fullmatch("[0-9]{1,5}", number) and 0 < int(number) < 65536)
+    ):
         raise InputError(
-            f"{given[:80]!r} is no address; HOST or HOST:PORT is, such as {LOOPBACK}:{port}: a name or an "
-            "IPv4 address, and a port from 1 to 65535"
+            f"{given[:80]!r} is no address; HOST or HOST:PORT is, such as"
+            f" {LOOPBACK}:{port}: a name or an IPv4 address, and a port from 1 to 65535"
         )
     return host, int(number or port)
 
@@ -141,7 +147,9 @@ def _is_host(name: str) -> bool:
     except UnicodeError:
         return False
     labels = name.removesuffix(".").split(".")
-    return len(encoded) <= _LONGEST_HOST and all(_LABEL.fullmatch(label) for label in labels)
+    return len(encoded) <= _LONGEST_HOST and all(
+        _LABEL.fullmatch(label) for label in labels
+    )
 
 
 def resolved(host: str) -> str:
@@ -186,9 +194,17 @@ class MqttLink(Link):
     """
 
     def __init__(
-        self, robot: str, segments: int, host: str = LOOPBACK, port: int = PORT, *,
-        kinds: Iterable[str] = KINDS, login: Login = Login(), speaks: str | None = None, chambers: int = 0,
-    ) -> None:  # fmt: skip
+        self,
+        robot: str,
+        segments: int,
+        host: str = LOOPBACK,
+        port: int = PORT,
+        *,
+        kinds: Iterable[str] = KINDS,
+        login: Login = Login(),
+        speaks: str | None = None,
+        chambers: int = 0,
+    ) -> None:
         """Connect and subscribe.
 
         Args:
@@ -198,8 +214,10 @@ class MqttLink(Link):
             port: of the broker.
             kinds: of messages to receive.
             login: login at the broker.
-            speaks: robot whose `status` becomes `LOST` if this connection breaks; None: no status.
-            chambers: number of chambers per segment of a spatial robot; 0: the robot is planar.
+            speaks: robot whose `status` becomes `LOST` if this connection breaks; None:
+                no status.
+            chambers: number of chambers per segment of a spatial robot; 0: the robot is
+                planar.
 
         Raises:
             InputError: paho-mqtt is not installed, or no broker answers or admits us.
@@ -209,7 +227,9 @@ class MqttLink(Link):
             from paho.mqtt import client as mqtt
             from paho.mqtt.enums import CallbackAPIVersion
         except ImportError as error:
-            raise InputError("MQTT needs paho-mqtt: pip install 'srs-twin[live]'") from error
+            raise InputError(
+                "MQTT needs paho-mqtt: pip install 'srs-twin[live]'"
+            ) from error
         self._robot, self._topics = robot, {topic(robot, k): k for k in kinds}
         self._shape = {"segments": segments, "chambers": chambers}
         self.connected, self._answered, self._why = False, threading.Event(), ""
@@ -225,15 +245,26 @@ class MqttLink(Link):
             client.will_set(topic(speaks, STATUS), encode(STATUS, 0.0, LOST))
         try:
             client.connect(host, port, keepalive=5)
-        except (OSError, ValueError) as error:  # ValueError: a name that no host can have
+        except (
+            OSError,
+            ValueError,
+        ) as error:  # ValueError: a name that no host can have
             raise InputError(f"no broker answers at {host}:{port}: {error}") from error
         client.loop_start()
         if not self._answered.wait(_ANSWER_S) or not self.connected:
             self.close()
-            raise InputError(f"the broker at {host}:{port} does not admit us: {self._why or 'no answer'}")
+            raise InputError(
+                f"the broker at {host}:{port} does not admit us:"
+                f" {self._why or 'no answer'}"
+            )
 
     def send(
-        self, kind: str, values: np.ndarray | str, *, at: float | None = None, wait_s: float = 0.0
+        self,
+        kind: str,
+        values: np.ndarray | str,
+        *,
+        at: float | None = None,
+        wait_s: float = 0.0,
     ) -> None:
         """Send a message; nothing is kept for a broker that is away.
 
@@ -244,14 +275,20 @@ class MqttLink(Link):
             wait_s: longest time to wait until it has left, s.
         """
         time = clock() if at is None else at
-        sent = self._client.publish(topic(self._robot, kind), encode(kind, time, values))
+        sent = self._client.publish(
+            topic(self._robot, kind), encode(kind, time, values)
+        )
         if wait_s:
-            with suppress(RuntimeError, ValueError):  # not connected, or the queue is full
+            with suppress(
+                RuntimeError, ValueError
+            ):  # not connected, or the queue is full
                 sent.wait_for_publish(wait_s)
 
     def send_contact(self, contact: ContactEstimate) -> None:
         """Send a contact estimate."""
-        self._client.publish(topic(self._robot, CONTACT), encode_contact(clock(), contact))
+        self._client.publish(
+            topic(self._robot, CONTACT), encode_contact(clock(), contact)
+        )
 
     def close(self) -> None:
         """See `Link.close`."""
@@ -259,12 +296,18 @@ class MqttLink(Link):
         self._client.loop_stop()
 
     def _on_connect(
-        self, client: Any, _data: object, _flags: object, reason: Any, _properties: object
+        self,
+        client: Any,
+        _data: object,
+        _flags: object,
+        reason: Any,
+        _properties: object,
     ) -> None:
         self.connected, self._why = not reason.is_failure, str(reason)
         if self.connected:
             self.counts["connected"] += 1
-            # Else small messages wait for the acknowledgement of the one before, up to 40 ms.
+            # Else small messages wait for the acknowledgement of the one before, up to
+            # 40 ms.
             with suppress(OSError, AttributeError):  # a connection that is gone again
                 client.socket().setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if self._topics:
@@ -280,8 +323,18 @@ class MqttLink(Link):
             kind = self._topics.get(message.topic, "")
             if message.retain and kind != STATUS:
                 raise BadMessageError("retained by the broker from earlier")
-            self._take(decode(kind, message.payload, source=self._robot, arrived=arrived, **self._shape))
-        except Exception as error:  # the edge of the client's thread: no message may end it
+            self._take(
+                decode(
+                    kind,
+                    message.payload,
+                    source=self._robot,
+                    arrived=arrived,
+                    **self._shape,
+                )
+            )
+        except (
+            Exception
+        ) as error:  # the edge of the client's thread: no message may end it
             self._refuse(error)
 
 
@@ -296,8 +349,8 @@ def _trust(client: mqtt.Client, ca: Path) -> None:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{display_path(ca)}: not a certificate in PEM form; --ca needs that of the authority that "
-            "signed the broker's"
+            f"{display_path(ca)}: not a certificate in PEM form; --ca needs that of the"
+            " authority that signed the broker's"
         ) from error
 
 
@@ -308,14 +361,19 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
     """Yield a function that returns the control words typed since its last call, of `WORDS`.
 
-    Lines need no Enter meanwhile, and the terminal is restored afterwards. Without a terminal, and in the
-    background, no key is read.
+    Lines need no Enter meanwhile, and the terminal is restored afterwards. Without a
+    terminal, and in the background, no key is read.
 
     Args:
         terminal: default standard input.
     """
     stream = sys.stdin if terminal is None else terminal
-    if stream is None or stream.closed or not stream.isatty() or not _in_foreground(stream.fileno()):
+    if (
+        stream is None
+        or stream.closed
+        or not stream.isatty()
+        or not _in_foreground(stream.fileno())
+    ):
         yield list
         return
     handle = stream.fileno()
@@ -327,7 +385,9 @@ def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[st
             return []
         with suppress(OSError):  # the terminal was closed
             return [
-                KEYS[key] for key in os.read(handle, 1024).decode("ascii", "replace").lower() if key in KEYS
+                KEYS[key]
+                for key in os.read(handle, 1024).decode("ascii", "replace").lower()
+                if key in KEYS
             ]
         return []
 

@@ -32,10 +32,11 @@ class ValveInput(NamedTuple):
     """Input of the chambers, including detected faults.
 
     Attributes:
-        duty: fraction of time in which each valve fills, in slots of equal duration, shape (slots, segments,
-            2).
+        duty: fraction of time in which each valve fills, in slots of equal duration,
+            shape (slots, segments, 2).
         supply: supply pressure of each segment, gauge, Pa.
-        leak: relative rate at which each chamber loses pressure, 1/s, shape (segments, 2).
+        leak: relative rate at which each chamber loses pressure, 1/s, shape (segments,
+            2).
     """
 
     duty: np.ndarray
@@ -50,8 +51,9 @@ class MemberDynamics:
 
     $$ q_{f,j} = b_j + \varphi(G\,(g_j^+ \hat p_j^+ - g_j^- \hat p_j^-)) + d_j , $$
 
-    where p̂ follows the pressures with the time constant τ₂. The pressures obey the first-order law of
-    `pneumatics.lag`, corrected by the learnt rates of `pressure_table`.
+    where p̂ follows the pressures with the time constant τ₂. The pressures obey the
+    first-order law of `pneumatics.lag`, corrected by the learnt rates of
+    `pressure_table`.
 
     Attributes:
         mass: mass of each connector with its share of the segments, kg.
@@ -60,59 +62,88 @@ class MemberDynamics:
     def __init__(self, spec: RobotSpec) -> None:
         """Prepare the model of a robot."""
         self._spec, g, mu = spec, spec.geometry, spec.friction
-        solid = BodyParameters.of(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap)
+        solid = BodyParameters.of(
+            spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap
+        )
         lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
         unit = spec.scale.time
         floor = floor_friction(
-            "wheel", g.half_track, mu.mu_t, mu.mu_n, _SLIP_SPEED * unit, lean, drag=drag, unit=unit
+            "wheel",
+            g.half_track,
+            mu.mu_t,
+            mu.mu_n,
+            _SLIP_SPEED * unit,
+            lean,
+            drag=drag,
+            unit=unit,
         )
         self.mass: np.ndarray = solid.mass
-        self._model = CompliantModel.of(solid, spec.bending.stiffness, spec.bending.damping, floor)
+        self._model = CompliantModel.of(
+            solid, spec.bending.stiffness, spec.bending.damping, floor
+        )
 
     def drive(
-        self, valves: ValveInput, dt: float, step: float, air: tuple[np.ndarray, np.ndarray],
-        gain: np.ndarray, rates: PressureRates, noise: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, float]:  # fmt: skip
+        self,
+        valves: ValveInput,
+        dt: float,
+        step: float,
+        air: tuple[np.ndarray, np.ndarray],
+        gain: np.ndarray,
+        rates: PressureRates,
+        noise: np.ndarray,
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """Advance the pressures.
 
         Args:
             valves: input of the chambers.
             dt: duration, s.
             step: longest time step, s.
-            air: pressures p and lagged pressures p̂, in place, shapes (members, segments, 2), Pa.
+            air: pressures p and lagged pressures p̂, in place, shapes (members,
+                segments, 2), Pa.
             gain: gains of the chambers, same shape.
             rates: learnt rates of the pressures.
             noise: standard normal numbers, same shape.
 
         Returns:
-            Linear bends (rad) and their rates (rad/s) at the start and at the two stages of each step, shapes
-            (1 + 2 steps, members, segments), and the time step, s.
+            Linear bends (rad) and their rates (rad/s) at the start and at the two
+            stages of each step, shapes (1 + 2 steps, members, segments), and the time
+            step, s.
         """
         actuator, slots = self._spec.actuator, len(valves.duty)
         steps = math.ceil(dt / slots / step - 1e-6)
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         signed, (pressure, lagged) = actuator.gain * gain * [1.0, -1.0], air
-        # Interpolate the random walk of the pressures over the steps, so that it also acts on the bends.
+        # Interpolate the random walk of the pressures over the steps, so that it also
+        # acts on the bends.
         noise = noise / math.sqrt(dt)
         traces, lags = [pressure[None].copy()], [lagged[None].copy()]
         for duty in valves.duty:
             index = rates.advance(duty, dt / slots)
             change = rates.rate[index] + noise * np.sqrt(rates.wander[index])
             fill, vent = duty / actuator.tau_fill, (1 - duty) / actuator.tau_vent
-            rate, end = relaxation_of(fill, vent, valves.supply[:, None], valves.leak, change)
+            rate, end = relaxation_of(
+                fill, vent, valves.supply[:, None], valves.leak, change
+            )
             start, after = (traces[-1][-1], lags[-1][-1]), stages[:, None, None, None]
             traces.append(relaxed(start[0], rate, end, after))
-            lags.append(followed(start[1], start[0], (rate, end), actuator.tau_mode, after))
+            lags.append(
+                followed(start[1], start[0], (rate, end), actuator.tau_mode, after)
+            )
         whole, behind = np.concatenate(traces), np.concatenate(lags)
         pressure[:], lagged[:] = whole[-1], behind[-1]
         linear, pull = (signed * behind).sum(axis=-1), (signed * whole).sum(axis=-1)
         return linear, (pull - linear) / actuator.tau_mode, h
 
     def bend(
-        self, pose: np.ndarray, bend: np.ndarray, velocity: np.ndarray,
-        drive: tuple[np.ndarray, np.ndarray], bias: np.ndarray, h: float,
-    ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+        self,
+        pose: np.ndarray,
+        bend: np.ndarray,
+        velocity: np.ndarray,
+        drive: tuple[np.ndarray, np.ndarray],
+        bias: np.ndarray,
+        h: float,
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Advance the bodies.
 
         Args:
@@ -133,10 +164,13 @@ class MemberDynamics:
         bends[:] = bend
         work = WorkArrays.of(n + 1, states.shape[1])
         _set_momenta(states, velocity, self._model, work)
-        free = _free_bends(*map(np.ascontiguousarray, drive), bias, bend_law(self._spec))
+        free = _free_bends(
+            *map(np.ascontiguousarray, drive), bias, bend_law(self._spec)
+        )
         steps = np.full(len(drive[0]) // 2, h)
         complete = _advance(states, velocity, steps, free, self._model, work)
-        # A diverged member would also distort the ensemble mean, so it is reported as invalid.
+        # A diverged member would also distort the ensemble mean, so it is reported as
+        # invalid.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 
@@ -152,12 +186,18 @@ def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
         law: a `BendLaw`.
     """
     times, members, segments = linear.shape
-    bends, rates = np.empty((members, times, segments)), np.empty((members, times, segments))
+    bends, rates = (
+        np.empty((members, times, segments)),
+        np.empty((members, times, segments)),
+    )
     for m in range(members):
         for t in range(times):
             for j in range(segments):
                 free, slope, _ = apply_bend_law(linear[t, m, j], law)
-                bends[m, t, j], rates[m, t, j] = bias[m, j] + free, slope * speed[t, m, j]
+                bends[m, t, j], rates[m, t, j] = (
+                    bias[m, j] + free,
+                    slope * speed[t, m, j],
+                )
     return bends, rates
 
 
@@ -170,7 +210,9 @@ def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-u
     seen = np.empty((0, states.shape[1])), np.empty((0, velocities.shape[1]))
     for m in range(states.shape[0]):
         now = states[m], velocities[m]
-        done = compliant_kernels.advance(now, steps, (bends[m], rates[m]), marks, model, seen, work)
+        done = compliant_kernels.advance(
+            now, steps, (bends[m], rates[m]), marks, model, seen, work
+        )
         complete[m] = done == steps.shape[0]
     return complete
 
@@ -178,12 +220,19 @@ def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-u
 @compiled
 def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-def]
     """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
-    segments, ahead, momentum = work.bend.shape[0], compliant_kernels.BENDS, work.momentum
+    segments, ahead, momentum = (
+        work.bend.shape[0],
+        compliant_kernels.BENDS,
+        work.momentum,
+    )
     moment = work.bend  # any numbers: the moments of the air do not change the momenta
     for m in range(states.shape[0]):
         state, u = states[m], velocities[m]
         c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
-        state[kernels.STATE_VX], state[kernels.STATE_VY] = c * u[0] - s * u[1], s * u[0] + c * u[1]
+        state[kernels.STATE_VX], state[kernels.STATE_VY] = (
+            c * u[0] - s * u[1],
+            s * u[0] + c * u[1],
+        )
         bend = state[ahead : ahead + segments]
         compliant_kernels.balance(bend, u, moment, 0.0, model, model.floor, work)
         state[kernels.MOMENT] = momentum[2]

@@ -1,8 +1,8 @@
 """NatNet packets of motion capture, as Motive sends them over UDP: reading, and writing for the emulator.
 
-Versions 2.6 to 4.2 are read, 4.1 is written. Rigid bodies are read; other lists are skipped, from
-version 4.1 on by their stated length. Lengths are in m. The axes are those of Motive; `turned` rotates them
-to z up.
+Versions 2.6 to 4.2 are read, 4.1 is written. Rigid bodies are read; other lists are
+skipped, from version 4.1 on by their stated length. Lengths are in m. The axes are
+those of Motive; `turned` rotates them to z up.
 """
 
 from __future__ import annotations
@@ -20,7 +20,18 @@ from srs_twin.live.messages import LATEST_S, BadMessageError
 
 COMMAND_PORT = 1510
 _DATA_PORT = 1511
-VERSIONS = ((2, 6), (2, 7), (2, 9), (2, 10), (2, 11), (3, 0), (3, 1), (4, 0), (4, 1), (4, 2))
+VERSIONS = (
+    (2, 6),
+    (2, 7),
+    (2, 9),
+    (2, 10),
+    (2, 11),
+    (3, 0),
+    (3, 1),
+    (4, 0),
+    (4, 1),
+    (4, 2),
+)
 _MOST = 10_000  # of anything in a frame
 _TRACKED = 0x01
 _NAME = 256
@@ -99,7 +110,9 @@ class _Reader:
         """Read the number of entries."""
         (count,) = self.read("i")
         if not 0 <= count <= _MOST:
-            raise BadMessageError(f"a list with a negative number of entries, or more than {_MOST}")
+            raise BadMessageError(
+                f"a list with a negative number of entries, or more than {_MOST}"
+            )
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
@@ -156,7 +169,9 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
     packet.at = _NAME + 4
     major, minor, _, _ = packet.read("4B")
     if not VERSIONS[0] <= (major, minor) < (VERSIONS[-1][0] + 1, 0):
-        first, last = (".".join(map(str, version)) for version in (VERSIONS[0], VERSIONS[-1]))
+        first, last = (
+            ".".join(map(str, version)) for version in (VERSIONS[0], VERSIONS[-1])
+        )
         raise BadMessageError(f"NatNet of another version than {first} to {last}")
     # Servers before 3.0 do not state their multicast group.
     if (major, minor) < (3, 0) or len(content) - packet.at < 15:
@@ -167,8 +182,13 @@ def read_server(content: bytes) -> tuple[Version, tuple[str, int] | None]:
 
 def write_server() -> bytes:
     """Return a server's answer to `Packet.CONNECT`: its name and version, without a multicast group."""
-    content = b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*_WRITTEN, 0, 0])
-    return closed(Packet.SERVER_INFO, content + struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0))
+    content = (
+        b"srs_twin".ljust(_NAME, b"\0") + bytes([1, 0, 0, 0]) + bytes([*_WRITTEN, 0, 0])
+    )
+    return closed(
+        Packet.SERVER_INFO,
+        content + struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0),
+    )
 
 
 def read_models(content: bytes, version: Version) -> dict[int, str]:
@@ -236,7 +256,9 @@ def read_frame(content: bytes, version: Version) -> Frame:
     return Frame(number, time, bodies)
 
 
-def _skip(packet: _Reader, version: Version, read_one: Callable[[_Reader, Version], object]) -> None:
+def _skip(
+    packet: _Reader, version: Version, read_one: Callable[[_Reader, Version], object]
+) -> None:
     """Skip a list: to its stated end, or entry by entry."""
     count, end = packet.listed(version)
     if end is None:
@@ -264,7 +286,11 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
     error, params = packet.read("fH")
     place, turn = tuple(rest[:3]), tuple(rest[3:])
     # The flag alone does not suffice: some senders send zeros for an unknown rotation.
-    tracked = bool(params & _TRACKED) and is_place(place) and unit_quaternion(turn) is not None
+    tracked = (
+        bool(params & _TRACKED)
+        and is_place(place)
+        and unit_quaternion(turn) is not None
+    )
     return number, RigidBody(place, turn, error, tracked)
 
 
@@ -275,7 +301,9 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    raise BadMessageError("an asset without its length")  # from 4.1 on lists have theirs
+    raise BadMessageError(
+        "an asset without its length"
+    )  # from 4.1 on lists have theirs
 
 
 def _labelled(packet: _Reader, version: Version) -> None:
@@ -306,12 +334,24 @@ def write_frame(frame: Frame) -> bytes:
         return struct.pack("<ii", len(entries), len(content)) + content
 
     bodies = (
-        struct.pack("<i7ffH", key, *body.place, *body.turn, body.error, _TRACKED if body.tracked else 0)
+        struct.pack(
+            "<i7ffH",
+            key,
+            *body.place,
+            *body.turn,
+            body.error,
+            _TRACKED if body.tracked else 0,
+        )
         for key, body in frame.bodies.items()
     )
-    # Marker sets, unlabelled markers, bodies; then skeletons, assets, labelled markers, plates and devices.
-    content = struct.pack("<i", frame.number) + 2 * listed() + listed(*bodies) + 5 * listed()
-    return closed(Packet.FRAME, content + struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0]))
+    # Marker sets, unlabelled markers, bodies; then skeletons, assets, labelled markers,
+    # plates and devices.
+    content = (
+        struct.pack("<i", frame.number) + 2 * listed() + listed(*bodies) + 5 * listed()
+    )
+    return closed(
+        Packet.FRAME, content + struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0])
+    )
 
 
 def is_place(place: Sequence[float]) -> bool:
@@ -322,7 +362,8 @@ def is_place(place: Sequence[float]) -> bool:
 def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
     """Return a quaternion scaled to length 1; None if its length differs from 1 by more than a tenth.
 
-    None is also returned for NaN, and for the zeros that some senders use for an unknown rotation.
+    None is also returned for NaN, and for the zeros that some senders use for an
+    unknown rotation.
     """
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
@@ -344,7 +385,9 @@ def turned(body: RigidBody, up: str) -> np.ndarray:
         return np.full(4, math.nan)
     x, y, z = body.place
     i, j, k, w = turn
-    ahead = np.array([1 - 2 * (j * j + k * k), 2 * (i * j + k * w), 2 * (i * k - j * w)])
+    ahead = np.array(
+        [1 - 2 * (j * j + k * k), 2 * (i * j + k * w), 2 * (i * k - j * w)]
+    )
     if up == "y":
         (x, y, z), ahead = (x, -z, y), ahead[[0, 2, 1]] * [1, -1, 1]
     return np.array([x, y, z, math.atan2(ahead[1], ahead[0])])

@@ -1,14 +1,15 @@
 r"""LocalConnection and Odometry: motion of a body on wheels by the change of its bends.
 
-If inertia is negligible, a body moves by its change of shape only, at any pace (Kelly and Murray 1995):
+If inertia is negligible, a body moves by its change of shape only, at any pace (Kelly
+and Murray 1995):
 
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
-where ξ is the forward and lateral velocity and the yaw rate. A_w minimises the friction of wheels whose
-friction is proportional to speed. W is the difference of the robot: for example, a gait that turns is slower
-than a straight one to either side, which needs cubic terms. Regularised least squares fits W to successive
-frames of motion capture.
+where ξ is the forward and lateral velocity and the yaw rate. A_w minimises the friction
+of wheels whose friction is proportional to speed. W is the difference of the robot: for
+example, a gait that turns is slower than a straight one to either side, which needs
+cubic terms. Regularised least squares fits W to successive frames of motion capture.
 """
 
 from __future__ import annotations
@@ -52,11 +53,19 @@ class LocalConnection(Stateful):
     """Local connection of one robot.
 
     Attributes:
-        weights: W, one row per product of a feature and the change of a bend; columns forward, lateral (m)
-            and turning (rad).
+        weights: W, one row per product of a feature and the change of a bend; columns
+            forward, lateral (m) and turning (rad).
     """
 
-    state_attributes = ("weights", "_gram", "_sums", "_noise", "_scatter", "_frames", "_block")
+    state_attributes = (
+        "weights",
+        "_gram",
+        "_sums",
+        "_noise",
+        "_scatter",
+        "_frames",
+        "_block",
+    )
 
     def __init__(self, spec: RobotSpec, mass: Array) -> None:
         """Begin with W = 0.
@@ -67,7 +76,10 @@ class LocalConnection(Stateful):
         """
         n = spec.segments
         self._spec, self._mass = spec, mass
-        self._powers = [np.array(list(combinations_with_replacement(range(n), power))) for power in (1, 2, 3)]
+        self._powers = [
+            np.array(list(combinations_with_replacement(range(n), power)))
+            for power in (1, 2, 3)
+        ]
         count = n * (1 + sum(map(len, self._powers)))
         self.weights: Array = np.zeros((count, 3))
         self._gram, self._sums = np.zeros((count, count)), np.zeros((count, 3))
@@ -91,19 +103,29 @@ class LocalConnection(Stateful):
         """Return A: forward, lateral (m/rad), turning (rad/rad), shape (3, segments)."""
         features = self._features(bends)
         learnt = self.weights.reshape(len(features), self._spec.segments, 3)
-        matrix: Array = self.kinematic_matrix(bends) + np.einsum("k,kjc->cj", features, learnt)
+        matrix: Array = self.kinematic_matrix(bends) + np.einsum(
+            "k,kjc->cj", features, learnt
+        )
         return matrix
 
     def kinematic_matrix(self, bends: Array) -> Array:
         """Return A_w, as `matrix`."""
         g, mu, n = self._spec.geometry, self._spec.friction, self._spec.segments
         shapes = body_shape(
-            bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1), self._mass, g.segment_length, g.rigid_gap
+            bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1),
+            self._mass,
+            g.segment_length,
+            g.rigid_gap,
         )
         place, moves = shapes[0], (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
         heading = relative_headings(bends)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-        directions = np.stack([math.sqrt(mu.mu_t) * ahead, math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0]])
+        directions = np.stack(
+            [
+                math.sqrt(mu.mu_t) * ahead,
+                math.sqrt(mu.mu_n) * ahead[:, ::-1] * [-1.0, 1.0],
+            ]
+        )
         turns = np.stack([-place[:, 1], place[:, 0]], axis=-1)
         body = np.concatenate(
             [directions, np.sum(directions * turns, axis=-1, keepdims=True)], axis=-1
@@ -120,9 +142,13 @@ class LocalConnection(Stateful):
         """
         spread = _ERROR_INFLATION * features @ self._root
         sd = math.sqrt(self._scatter[2]) * float(np.linalg.norm(spread))
-        least, most = np.multiply(_MODEL_ERROR_RANGE, np.linalg.norm(features[: self._spec.segments]))
+        least, most = np.multiply(
+            _MODEL_ERROR_RANGE, np.linalg.norm(features[: self._spec.segments])
+        )
         factor = min(max(sd, least), most) / max(sd, 1e-12)
-        return np.asarray(factor * np.sqrt(self._scatter) * np.einsum("f,rfc->rc", spread, draws))
+        return np.asarray(
+            factor * np.sqrt(self._scatter) * np.einsum("f,rfc->rc", spread, draws)
+        )
 
     def learn(self, features: Array, residual: Array) -> None:
         """Learn from a displacement between frames (m, m, rad) less A_w dq."""
@@ -136,7 +162,8 @@ class LocalConnection(Stateful):
         self._frames += 1
         if self._frames % _BLOCK:
             return
-        # The noise of one frame cancels with the next one, so the scatter is that of sums over a block.
+        # The noise of one frame cancels with the next one, so the scatter is that of
+        # sums over a block.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)
@@ -156,7 +183,9 @@ class LocalConnection(Stateful):
 
     def _features(self, bends: Array) -> Array:
         bends = np.tanh(bends / _SATURATION_RAD)
-        return np.concatenate([[1.0], *(bends[index].prod(axis=1) for index in self._powers)])
+        return np.concatenate(
+            [[1.0], *(bends[index].prod(axis=1) for index in self._powers)]
+        )
 
 
 _LONGEST_FRAME_INTERVAL_S = 0.2
@@ -166,17 +195,19 @@ _LONGEST_FRAME_INTERVAL_S = 0.2
 class Odometry:
     """Motion of bodies by the local connection, which is fitted to frames of motion capture.
 
-    All members move by the change of the mean bends, plus a random displacement from the uncertainty of the
-    connection. The bends of single members fluctuate and would turn the bodies at random; so would model
-    errors between two corrections. Therefore the motion is integrated along a straight line between corrected
-    mean bends.
+    All members move by the change of the mean bends, plus a random displacement from
+    the uncertainty of the connection. The bends of single members fluctuate and would
+    turn the bodies at random; so would model errors between two corrections. Therefore
+    the motion is integrated along a straight line between corrected mean bends.
 
     Attributes:
         connection: local connection of the robot.
         twist: forward and lateral velocity (m/s) and yaw rate (rad/s) of the last step.
     """
 
-    def __init__(self, connection: LocalConnection, bends: Array, rng: np.random.Generator) -> None:
+    def __init__(
+        self, connection: LocalConnection, bends: Array, rng: np.random.Generator
+    ) -> None:
         """Create an odometry at the bends of the members, shape (members, segments), rad."""
         self.connection, self.twist = connection, np.zeros(3)
         self._features = np.zeros(len(connection.weights))
@@ -206,7 +237,8 @@ class Odometry:
         change = bends - self._bends if self._forecasting else after - before
         step = change @ self.connection.matrix((before + after) / 2).T
         step = step + self.connection.sample_model_error(features, self._draws)
-        # The heading in the middle of the step makes the integration second-order accurate.
+        # The heading in the middle of the step makes the integration second-order
+        # accurate.
         heading = pose[:, 2] + step[:, 2] / 2
         c, s, x, y = np.cos(heading), np.sin(heading), step[:, 0], step[:, 1]
         pose += np.column_stack([c * x - s * y, s * x + c * y, step[:, 2]])
@@ -228,7 +260,8 @@ class Odometry:
             x, y, turn = poses.mean(axis=0) - pose
             c, s = math.cos(pose[2]), math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
-            # Add the learnt part again, because the fit concerns the whole motion since the last frame.
+            # Add the learnt part again, because the fit concerns the whole motion since
+            # the last frame.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)

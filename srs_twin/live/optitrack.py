@@ -33,7 +33,10 @@ class _UdpLink(Link):
         self._sockets, self._over = list(sockets), threading.Event()
         for own in self._sockets:
             own.settimeout(_LISTENS_S)
-        self._threads = [threading.Thread(target=self._listen, args=(s,), daemon=True) for s in self._sockets]
+        self._threads = [
+            threading.Thread(target=self._listen, args=(s,), daemon=True)
+            for s in self._sockets
+        ]
 
     def _start(self) -> None:
         # An answer to the first thread may add another thread during this loop.
@@ -67,7 +70,9 @@ class _UdpLink(Link):
         """Send requests that are due; called before each wait for a packet."""
 
     @abstractmethod
-    def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
+    def _packet(
+        self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
+    ) -> None:
         """Process a packet."""
 
     def close(self) -> None:
@@ -97,7 +102,9 @@ class FrameNumbers:
                 counts["frames lost"] += number - newest - 1
             self._missing.update(range(newest + 1, number))
             self._newest = number
-            self._missing = {missing for missing in self._missing if missing > number - _WINDOW}
+            self._missing = {
+                missing for missing in self._missing if missing > number - _WINDOW
+            }
         elif number in self._missing:
             self._missing.remove(number)
             counts["frames lost"] -= 1
@@ -115,7 +122,12 @@ class NatNetLink(_UdpLink):
     """
 
     def __init__(
-        self, host: str = LOOPBACK, port: int = natnet.COMMAND_PORT, *, local: str = LOOPBACK, up: str = "y"
+        self,
+        host: str = LOOPBACK,
+        port: int = natnet.COMMAND_PORT,
+        *,
+        local: str = LOOPBACK,
+        up: str = "y",
     ) -> None:
         """Request frames from a server, repeatedly until it answers.
 
@@ -126,7 +138,8 @@ class NatNetLink(_UdpLink):
             up: upward axis of the frames, "y" or "z".
 
         Raises:
-            InputError: the server's name is unknown, or this machine does not have the address.
+            InputError: the server's name is unknown, or this machine does not have the
+                address.
         """
         # Packets carry the sender's numeric address.
         host, local = resolved(host), resolved(local)
@@ -155,7 +168,9 @@ class NatNetLink(_UdpLink):
         # A restarted server has forgotten its clients and must be asked again.
         asked = [content] if silent else [(natnet.Packet.KEEPALIVE, b"\0")]
         if self.version is not None and (
-            not self.names or self._unknown or now - self._asked_names > _ASKS_NAMES_EVERY_S
+            not self.names
+            or self._unknown
+            or now - self._asked_names > _ASKS_NAMES_EVERY_S
         ):
             self._asked_names = now
             asked.append((natnet.Packet.REQUEST_MODELDEF, b""))
@@ -163,9 +178,13 @@ class NatNetLink(_UdpLink):
             with contextlib.suppress(OSError):
                 self._sockets[0].sendto(natnet.closed(kind, text), self._server)
 
-    def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
+    def _packet(
+        self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
+    ) -> None:
         # The server sends frames and answers from different ports.
-        if sender[0] != self._server[0] or (kind != natnet.Packet.FRAME and sender != self._server):
+        if sender[0] != self._server[0] or (
+            kind != natnet.Packet.FRAME and sender != self._server
+        ):
             raise BadMessageError("a packet from elsewhere")
         if kind == natnet.Packet.SERVER_INFO:
             version, group = natnet.read_server(content)
@@ -175,7 +194,9 @@ class NatNetLink(_UdpLink):
                 try:
                     self._join(*group)
                 except (OSError, OverflowError) as error:
-                    raise BadMessageError("a multicast group that cannot be joined") from error
+                    raise BadMessageError(
+                        "a multicast group that cannot be joined"
+                    ) from error
             if first:
                 self._asked = 0.0
         elif self.version is None:
@@ -190,13 +211,24 @@ class NatNetLink(_UdpLink):
             seen = {key: body for key, body in frame.bodies.items() if body.tracked}
             values = [natnet.turned(body, self._up) for body in seen.values()]
             names = tuple(self.names.get(key, str(key)) for key in seen)
-            self._take(Message(POSES, "natnet", frame.time, arrived, np.array(values).reshape(-1, 4), names))
+            self._take(
+                Message(
+                    POSES,
+                    "natnet",
+                    frame.time,
+                    arrived,
+                    np.array(values).reshape(-1, 4),
+                    names,
+                )
+            )
         else:
             raise BadMessageError("a packet of a kind that is not used here")
 
     def _count(self, frame: natnet.Frame) -> None:
         """Count a frame and its unusable bodies; note whether a body has no name."""
-        self._unknown |= bool(self.names) and not frame.bodies.keys() <= self.names.keys()
+        self._unknown |= (
+            bool(self.names) and not frame.bodies.keys() <= self.names.keys()
+        )
         self._numbers.count(frame.number, self.counts)
         useless = sum(
             natnet.unit_quaternion(body.turn) is None or not natnet.is_place(body.place)
@@ -228,7 +260,9 @@ class NatNetLink(_UdpLink):
             earlier.close()
         self._group = group, port
         self._sockets.append(own)
-        self._threads.append(threading.Thread(target=self._listen, args=(own,), daemon=True))
+        self._threads.append(
+            threading.Thread(target=self._listen, args=(own,), daemon=True)
+        )
         self._threads[-1].start()
 
 
@@ -239,7 +273,9 @@ class NatNetServer(_UdpLink):
         port: its command port.
     """
 
-    def __init__(self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0) -> None:
+    def __init__(
+        self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0
+    ) -> None:
         """Start to listen.
 
         Args:
@@ -264,14 +300,19 @@ class NatNetServer(_UdpLink):
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
         """Send a frame (time of our clock, s)."""
-        packet, now = natnet.write_frame(natnet.Frame(self._number, time, bodies)), clock()
+        packet, now = (
+            natnet.write_frame(natnet.Frame(self._number, time, bodies)),
+            clock(),
+        )
         self._number += 1
         for client, heard in list(self._clients.items()):
             if now - heard < 10 * _ASKS_EVERY_S:
                 with contextlib.suppress(OSError):
                     self._sockets[0].sendto(packet, client)
 
-    def _packet(self, kind: int, content: bytes, sender: tuple[str, int], arrived: float) -> None:
+    def _packet(
+        self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
+    ) -> None:
         self._clients[sender] = arrived
         answers: dict[int, bytes] = {
             natnet.Packet.CONNECT: natnet.write_server(),

@@ -1,7 +1,7 @@
 """PressureTable: pressure residuals of a first-order chamber model, by the time since a valve switched.
 
-A chamber with compressible flow deviates from its first-order model in the same way in each stroke. The
-tables are indexed by chamber, valve state and the age of that state.
+A chamber with compressible flow deviates from its first-order model in the same way in
+each stroke. The tables are indexed by chamber, valve state and the age of that state.
 """
 
 from __future__ import annotations
@@ -26,8 +26,16 @@ class ValveAges(Stateful):
 
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Begin with vented chambers; tables have a number of bins of a width (s)."""
-        self.filling, self.age, self._dt = np.zeros((segments, 2), dtype=int), np.zeros((segments, 2)), 0.0
-        self._chambers, self._bins, self._width_s = np.indices((segments, 2)), bins, width_s
+        self.filling, self.age, self._dt = (
+            np.zeros((segments, 2), dtype=int),
+            np.zeros((segments, 2)),
+            0.0,
+        )
+        self._chambers, self._bins, self._width_s = (
+            np.indices((segments, 2)),
+            bins,
+            width_s,
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -41,12 +49,17 @@ class ValveAges(Stateful):
 
     def index(self) -> BinIndex:
         """Return the current bins."""
-        return *self._chambers, self.filling, np.minimum(self.age / self._width_s, self._bins - 1).astype(int)
+        return (
+            *self._chambers,
+            self.filling,
+            np.minimum(self.age / self._width_s, self._bins - 1).astype(int),
+        )
 
     def advance(self, duty: np.ndarray, dt: float) -> None:
         """Advance by a step (s) with a duty of the valves, share of time in which they fill."""
         filling = (duty > 0.5).astype(int)
-        # The age is that at the start of the step, so it grows by the duration of the step before.
+        # The age is that at the start of the step, so it grows by the duration of the
+        # step before.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling, self._dt = filling, dt
 
@@ -76,12 +89,16 @@ class PressureRates:
         Args:
             segments: number of segments.
             supply: nominal supply pressure, gauge, Pa.
-            wander: initial wander, share of the supply pressure per square root of a second.
+            wander: initial wander, share of the supply pressure per square root of a
+                second.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
         self.wander = np.full_like(self.rate, (wander * supply) ** 2)
-        self._least, self._time_in_bin = (self._LEAST_WANDER * supply) ** 2, np.zeros_like(self.rate)
+        self._least, self._time_in_bin = (
+            (self._LEAST_WANDER * supply) ** 2,
+            np.zeros_like(self.rate),
+        )
 
     def advance(self, duty: np.ndarray, dt: float) -> BinIndex:
         """Advance by dt (s) with a duty of the valves, shape (segments, 2); return the bins."""
@@ -100,13 +117,19 @@ class PressureRates:
         times = self._time_in_bin
         since = times.sum(axis=(2, 3), keepdims=True)
         measured = ~np.isnan(innovation)[..., None, None]
-        share = np.where(measured & (since < self._LONGEST_S), times / np.maximum(since, 1e-9), 0.0)
+        share = np.where(
+            measured & (since < self._LONGEST_S), times / np.maximum(since, 1e-9), 0.0
+        )
         known = np.nan_to_num(innovation)[..., None, None]
         # The difference of two pressures contains the noise of both.
         variance = np.maximum(known**2 - 2 * noise**2, 0.0) / np.maximum(since, 1e-9)
-        self.wander = np.maximum(self.wander + share / self._MEMORY * (variance - self.wander), self._least)
+        self.wander = np.maximum(
+            self.wander + share / self._MEMORY * (variance - self.wander), self._least
+        )
         squares = np.maximum((times**2).sum(axis=(2, 3), keepdims=True), 1e-12)
-        self.rate = self.rate + np.where(share > 0, self._GAIN * known * times / squares, 0.0)
+        self.rate = self.rate + np.where(
+            share > 0, self._GAIN * known * times / squares, 0.0
+        )
         # Without a measurement the time accumulates until the next one.
         self._time_in_bin = np.where(measured, 0.0, times)
 

@@ -1,19 +1,21 @@
 r"""Rigid-body motion of a crawling snake that a force pushes, and the moments of the force on the segments.
 
-The bends q(t) are periodic and known. Then the body has three velocities u: that of the centre of mass in the
-frame of the mean heading, and the yaw rate. With the Jacobians J_c(q) of the two wheels of each connector and
-the friction f of the floor (`robot.friction`),
+The bends q(t) are periodic and known. Then the body has three velocities u: that of the
+centre of mass in the frame of the mean heading, and the yaw rate. With the Jacobians
+J_c(q) of the two wheels of each connector and the friction f of the floor
+(`robot.friction`),
 
 $$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
    r_s \times F n, \qquad v_c = J_c u + b_c . $$
 
-I and h are those of `plants.analytical.kernels`. F acts at the distance s behind the first connector, along
-the normal n of the body. A step is linearly implicit in the friction, which is stiff.
+I and h are those of `plants.analytical.kernels`. F acts at the distance s behind the
+first connector, along the normal n of the body. A step is linearly implicit in the
+friction, which is stiff.
 
-**Moments.** The moment on segment j is that of all loads in front of it about the middle of its chord:
-friction, inertia of the connectors, and F itself. A segment that F touches carries the moment of F averaged
-over its arc. The inertia of the bends themselves is not included; it cancels in the difference from the free
-motion.
+**Moments.** The moment on segment j is that of all loads in front of it about the
+middle of its chord: friction, inertia of the connectors, and F itself. A segment that F
+touches carries the moment of F averaged over its arc. The inertia of the bends
+themselves is not included; it cancels in the difference from the free motion.
 """
 
 from __future__ import annotations
@@ -26,8 +28,10 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 SUBSTEP_S = 0.01
-"""Longest time step, s at a time unit of 1. Steps of 4 ms change the median error of an estimated force by
-less than 1 % (docs/contact-forces.md)."""
+"""Longest time step, s at a time unit of 1.
+
+Steps of 4 ms change the median error of an estimated force by less than 1 %
+(docs/contact-forces.md)."""
 SLIP_SPEED_M_S = 0.005
 """Slip speed of the friction law, m/s at a time unit of 1."""
 _SETTLING_S = 3.0
@@ -42,11 +46,15 @@ class PushedBody:
     """Body with periodic bends under a force at one of several stations (module docstring).
 
     Attributes:
-        free_velocity: u without a force at each sample of the period, shape (period, 3), m/s and rad/s.
-        free_moment: moments of friction and inertia without a force, shape (period, segments), N·m.
+        free_velocity: u without a force at each sample of the period, shape (period,
+            3), m/s and rad/s.
+        free_moment: moments of friction and inertia without a force, shape (period,
+            segments), N·m.
     """
 
-    def __init__(self, spec: RobotSpec, bends: np.ndarray, sample_s: float, stations: np.ndarray) -> None:
+    def __init__(
+        self, spec: RobotSpec, bends: np.ndarray, sample_s: float, stations: np.ndarray
+    ) -> None:
         """Prepare the tables of one period and its free motion.
 
         Args:
@@ -61,7 +69,9 @@ class PushedBody:
         period = len(bends)
         count = period * self._steps
         knots = np.arange(period + 1) * sample_s
-        spline = CubicSpline(knots, np.concatenate([bends, bends[:1]]), bc_type="periodic")
+        spline = CubicSpline(
+            knots, np.concatenate([bends, bends[:1]]), bc_type="periodic"
+        )
         q = spline(np.arange(count) * self._h)
         place = body_shape(q, self._mass, g.segment_length, g.rigid_gap)
         angle = relative_headings(q)
@@ -69,9 +79,13 @@ class PushedBody:
         aside = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
         rate, spin = self._rate(place), self._rate(angle)
         self._tabulate_wheels(place, ahead, aside, rate, spin)
-        inertia = (self._mass * (place**2).sum(axis=-1) + spec.yaw_inertia()).sum(axis=-1)
+        inertia = (self._mass * (place**2).sum(axis=-1) + spec.yaw_inertia()).sum(
+            axis=-1
+        )
         self._inertia = inertia, self._rate(inertia)
-        self._relative = (self._mass * _cross(place, rate) + spec.yaw_inertia() * spin).sum(axis=-1)
+        self._relative = (
+            self._mass * _cross(place, rate) + spec.yaw_inertia() * spin
+        ).sum(axis=-1)
         self._tabulate_moments(place, rate, aside, stations)
         self.free_velocity = np.zeros((period, 3))
         self.free_moment = np.zeros((period, spec.segments))
@@ -79,13 +93,23 @@ class PushedBody:
         laps = int(np.ceil(_SETTLING_S * unit / (period * sample_s))) + 1
         for k in range(1, laps * period + 1):
             u, moment = self.step(k, u, none, np.zeros(1, dtype=int))
-            self.free_velocity[k % period], self.free_moment[k % period] = u[0], moment[0]
+            self.free_velocity[k % period], self.free_moment[k % period] = (
+                u[0],
+                moment[0],
+            )
 
     def _rate(self, table: np.ndarray) -> np.ndarray:
-        return np.asarray((np.roll(table, -1, axis=0) - np.roll(table, 1, axis=0)) / (2 * self._h))
+        return np.asarray(
+            (np.roll(table, -1, axis=0) - np.roll(table, 1, axis=0)) / (2 * self._h)
+        )
 
     def _tabulate_wheels(
-        self, place: np.ndarray, ahead: np.ndarray, aside: np.ndarray, rate: np.ndarray, spin: np.ndarray
+        self,
+        place: np.ndarray,
+        ahead: np.ndarray,
+        aside: np.ndarray,
+        rate: np.ndarray,
+        spin: np.ndarray,
     ) -> None:
         """Fill the Jacobian (count, 4N, 3) of the velocities of the wheels along, then across."""
         arm = self._spec.geometry.half_track
@@ -94,15 +118,28 @@ class PushedBody:
             for side in (arm, -arm):
                 turn = _cross(place + side * aside, direction)
                 jacobian.append(np.concatenate([direction, turn[..., None]], axis=-1))
-                drift.append((rate * direction).sum(axis=-1) - (spin * side if direction is ahead else 0.0))
-        self._jacobian, self._drift = np.concatenate(jacobian, axis=1), np.concatenate(drift, axis=1)
+                drift.append(
+                    (rate * direction).sum(axis=-1)
+                    - (spin * side if direction is ahead else 0.0)
+                )
+        self._jacobian, self._drift = (
+            np.concatenate(jacobian, axis=1),
+            np.concatenate(drift, axis=1),
+        )
         along, across = np.split(self._jacobian, 2, axis=1)
         pairs = [(along, along), (along, across), (across, along), (across, across)]
-        products = [np.einsum("gca,gcb->gcab", *pair).reshape(*along.shape[:2], 9) for pair in pairs]
+        products = [
+            np.einsum("gca,gcb->gcab", *pair).reshape(*along.shape[:2], 9)
+            for pair in pairs
+        ]
         self._products = np.concatenate(products, axis=1)
 
     def _tabulate_moments(
-        self, place: np.ndarray, rate: np.ndarray, aside: np.ndarray, stations: np.ndarray
+        self,
+        place: np.ndarray,
+        rate: np.ndarray,
+        aside: np.ndarray,
+        stations: np.ndarray,
     ) -> None:
         """Fill the moments per friction, acceleration and force, at the samples only."""
         spec, g, every = self._spec, self._spec.geometry, slice(None, None, self._steps)
@@ -119,22 +156,36 @@ class PushedBody:
         front = np.arange(n + 1) <= np.arange(n)[:, None]
         arms = front[..., None] * (place[:, None] - middle[:, :, None])
         mass = self._mass[:, None]
-        linear = np.stack([-(arms[..., 1:] * mass).sum((2, 3)), (arms[..., :1] * mass).sum((2, 3))], axis=-1)
-        turn = (self._mass * (arms * place[:, None]).sum(-1) + front * spec.yaw_inertia()).sum(-1)
-        self._on_acceleration = np.concatenate([linear, turn[..., None]], axis=-1).transpose(0, 2, 1)
+        linear = np.stack(
+            [-(arms[..., 1:] * mass).sum((2, 3)), (arms[..., :1] * mass).sum((2, 3))],
+            axis=-1,
+        )
+        turn = (
+            self._mass * (arms * place[:, None]).sum(-1) + front * spec.yaw_inertia()
+        ).sum(-1)
+        self._on_acceleration = np.concatenate(
+            [linear, turn[..., None]], axis=-1
+        ).transpose(0, 2, 1)
         self._on_square = (self._mass * _cross(arms, place[:, None])).sum(-1)
         self._on_rate = 2 * (self._mass * (arms * rate[:, None]).sum(-1)).sum(-1)
-        # A wheel's force has the moment of its Jacobian, moved from the centre of mass to the chord.
-        moved = jacobian[:, :, None, 2] - _cross(middle[:, None], jacobian[:, :, None, :2])
+        # A wheel's force has the moment of its Jacobian, moved from the centre of mass
+        # to the chord.
+        moved = jacobian[:, :, None, 2] - _cross(
+            middle[:, None], jacobian[:, :, None, :2]
+        )
         self._on_friction = np.tile(front.T, (4, 1)) * moved
         self._on_push = np.where(
-            j[:, None] < np.arange(n), _cross(point[:, :, None] - middle[:, None], normal[:, :, None]), 0.0
+            j[:, None] < np.arange(n),
+            _cross(point[:, :, None] - middle[:, None], normal[:, :, None]),
+            0.0,
         )
         # Mean of max(c - s, 0) over the cuts c of the arc.
         begin, end = g.rigid_gap / 2, g.rigid_gap / 2 + g.segment_length
         behind = share[:, 0] * g.pitch
         at = np.clip(behind, begin, end)
-        lever = (end - at) ** 2 / (2 * g.segment_length) + np.maximum(begin - behind, 0.0)
+        lever = (end - at) ** 2 / (2 * g.segment_length) + np.maximum(
+            begin - behind, 0.0
+        )
         self._on_push[:, np.arange(len(stations)), j] += lever
 
     def step(
@@ -155,17 +206,28 @@ class PushedBody:
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
             turned = h * u[:, 2]
-            yaw = (inertia[g - 1] * u[:, 2] + self._relative[g - 1] - self._relative[g]) / inertia[g]
-            u = np.stack([u[:, 0] + turned * u[:, 1], u[:, 1] - turned * u[:, 0], yaw], axis=-1)
+            yaw = (
+                inertia[g - 1] * u[:, 2] + self._relative[g - 1] - self._relative[g]
+            ) / inertia[g]
+            u = np.stack(
+                [u[:, 0] + turned * u[:, 1], u[:, 1] - turned * u[:, 0], yaw], axis=-1
+            )
             push = force[:, None] * self._push[g, station]
             wheels, slope = self._friction(g, u)
             matrix = np.diag([total, total, inertia[g]]) - h * slope
-            u = u + np.linalg.solve(matrix, h * (wheels @ self._jacobian[g] + push)[..., None])[..., 0]
+            u = (
+                u
+                + np.linalg.solve(
+                    matrix, h * (wheels @ self._jacobian[g] + push)[..., None]
+                )[..., 0]
+            )
         wheels, _ = self._friction(g, u)
         load = wheels @ self._jacobian[g] + push
         load[:, 2] -= growth[g] * u[:, 2]
         s, w = g // self._steps, u[:, 2:]
-        moment = wheels @ self._on_friction[s] + force[:, None] * self._on_push[s, station]
+        moment = (
+            wheels @ self._on_friction[s] + force[:, None] * self._on_push[s, station]
+        )
         moment += self._on_square[s] * w**2 - self._on_rate[s] * w
         moment -= load / [total, total, inertia[g]] @ self._on_acceleration[s]
         return u, moment
@@ -178,6 +240,8 @@ class PushedBody:
         load = np.tile(self._mass, 2) * GRAVITY / 2
         mu_t = mu.mu_t + mu.drag / (self._mass.sum() * GRAVITY)
         slip_speed = SLIP_SPEED_M_S * spec.scale.speed
-        t, n, *slopes = law(slip[:, :points], slip[:, points:], load, mu_t, mu.mu_n, slip_speed)
+        t, n, *slopes = law(
+            slip[:, :points], slip[:, points:], load, mu_t, mu.mu_n, slip_speed
+        )
         sum_of_slopes = np.concatenate(slopes, axis=-1) @ self._products[g]
         return np.concatenate([t, n], axis=-1), sum_of_slopes.reshape(-1, 3, 3)

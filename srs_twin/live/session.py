@@ -65,7 +65,11 @@ class EstimateTable:
 
     def add(self, time: float, e: Estimate) -> None:
         """Add an estimate, at a time from the start of the session (s)."""
-        self._rows.append(np.concatenate([[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]))
+        self._rows.append(
+            np.concatenate(
+                [[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]
+            )
+        )
         del self._rows[:-_MOST_ROWS]
 
     def trajectory(self) -> Trajectory:
@@ -74,18 +78,30 @@ class EstimateTable:
         units = {"com_x_sd": "m", "com_y_sd": "m", "heading_sd": "rad"}
         units |= {f"bend_sd_{j}": "rad" for j in segments}
         names = [
-            "time", "com_x", "com_y", "heading", "com_x_sd", "com_y_sd", "heading_sd",
-            *(f"bend_{j}" for j in segments), *(f"bend_sd_{j}" for j in segments), "lost",
-        ]  # fmt: skip
+            "time",
+            "com_x",
+            "com_y",
+            "heading",
+            "com_x_sd",
+            "com_y_sd",
+            "heading_sd",
+            *(f"bend_{j}" for j in segments),
+            *(f"bend_sd_{j}" for j in segments),
+            "lost",
+        ]
         columns = dict(zip(names, np.array(self._rows).T, strict=True))
         return Trajectory(columns, units, metadata={"robot": self._spec.name})
 
 
-def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[str, object]:
+def summary(
+    shadow: Shadow, links: Sequence[Link], e: Estimate | None
+) -> dict[str, object]:
     """Return message counts, clocks and the last estimate as JSON values."""
     counts: Counter[str] = Counter()
     for link in links:
-        counts.update(dict(link.counts))  # a copy, because the link's thread still counts
+        counts.update(
+            dict(link.counts)
+        )  # a copy, because the link's thread still counts
     dropped: Counter[str] = Counter()
     for (_, kind, what), count in shadow.buffer.counts.items():
         if what != "taken":
@@ -100,17 +116,24 @@ def summary(shadow: Shadow, links: Sequence[Link], e: Estimate | None) -> dict[s
         for sender, clock in shadow.buffer.clocks.items()
     }
     found: dict[str, object] = {
-        "robot": shadow.spec.name, "messages": dict(counts), "dropped": dict(dropped), "clocks": clocks,
-    }  # fmt: skip
+        "robot": shadow.spec.name,
+        "messages": dict(counts),
+        "dropped": dict(dropped),
+        "clocks": clocks,
+    }
     if e is not None:
         found["estimate"] = {
-            "lost": e.lost, "pose": e.pose.tolist(), "pose_sd": e.pose_sd.tolist(),
-            "bend_rad": e.bend.tolist(), "bend_sd_rad": e.bend_sd.tolist(), "off": dict(e.off),
+            "lost": e.lost,
+            "pose": e.pose.tolist(),
+            "pose_sd": e.pose_sd.tolist(),
+            "bend_rad": e.bend.tolist(),
+            "bend_sd_rad": e.bend_sd.tolist(),
+            "off": dict(e.off),
             "parameters": {
                 name: {"value": value.tolist(), "sd": sd.tolist()}
                 for name, (value, sd) in e.parameters.items()
             },
-        }  # fmt: skip
+        }
     return found
 
 
@@ -118,24 +141,32 @@ def timing(ticks: Iterable[float], latency: Iterable[float]) -> dict[str, object
     """Return quantiles of tick durations and latencies (s), in ms, and the number of ticks that overran."""
     ticks = list(ticks)
     return {
-        "tick_ms": _quantiles(ticks), "latency_ms": _quantiles(latency),
+        "tick_ms": _quantiles(ticks),
+        "latency_ms": _quantiles(latency),
         "overruns": sum(tick > TICK_S for tick in ticks),
-    }  # fmt: skip
+    }
 
 
-def write_results(folder: Path, found: Mapping[str, object], table: EstimateTable) -> None:
+def write_results(
+    folder: Path, found: Mapping[str, object], table: EstimateTable
+) -> None:
     """Write summary and estimates to a folder."""
     with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
         if len(table):
             table.trajectory().to_parquet(fresh / ESTIMATE)
-        (fresh / SUMMARY).write_text(json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8")
+        (fresh / SUMMARY).write_text(
+            json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8"
+        )
 
 
 def _quantiles(values: Iterable[float]) -> Mapping[str, float | None]:
     durations = np.array(list(values)) * 1e3
     if not len(durations):
         return {"median": None, "p99": None}
-    return {"median": float(np.median(durations)), "p99": float(np.quantile(durations, 0.99))}
+    return {
+        "median": float(np.median(durations)),
+        "p99": float(np.quantile(durations, 0.99)),
+    }
 
 
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
@@ -177,9 +208,18 @@ def warm_up(spec: RobotSpec) -> None:
     for k in range(round(_WARM_UP_S / TICK_S)):
         now = k * TICK_S
         valves = np.full((n, 2), 1.0 if now % (2 * _STROKE_S) < _STROKE_S else -1.0)
-        values = {COMMAND: valves, VALVES: valves, BENDS: np.zeros(n), PRESSURES: np.zeros((n, 2))}
-        messages = [Message(kind, "robot", now, now, value) for kind, value in values.items()]
-        shadow.update(now, [*messages, Message(POSES, "cameras", now, now, rows, names)])
+        values = {
+            COMMAND: valves,
+            VALVES: valves,
+            BENDS: np.zeros(n),
+            PRESSURES: np.zeros((n, 2)),
+        }
+        messages = [
+            Message(kind, "robot", now, now, value) for kind, value in values.items()
+        ]
+        shadow.update(
+            now, [*messages, Message(POSES, "cameras", now, now, rows, names)]
+        )
     shadow.predict()
 
 
@@ -206,7 +246,8 @@ class Session:
         shadow: live twin of the robot.
         estimate: the latest one; None before the robot's first message.
         faults: time of the first detection, s from the start, by part and fault.
-        problems: errors that did not end the session, such as a file that cannot be written.
+        problems: errors that did not end the session, such as a file that cannot be
+            written.
         ticks: durations, s.
         lag: largest age of an estimate at the end of its tick, s.
         latency: times from the arrival of a reading to an estimate with it, s.
@@ -214,10 +255,16 @@ class Session:
     """
 
     def __init__(
-        self, shadow: Shadow, links: Sequence[Link], *, out: Path | None = None,
-        steering: EstimateSteering | None = None, commands: MqttLink | None = None,
-        views: Iterable[View] = (), keys: Keys = tuple,
-    ) -> None:  # fmt: skip
+        self,
+        shadow: Shadow,
+        links: Sequence[Link],
+        *,
+        out: Path | None = None,
+        steering: EstimateSteering | None = None,
+        commands: MqttLink | None = None,
+        views: Iterable[View] = (),
+        keys: Keys = tuple,
+    ) -> None:
         """Restore the state of an earlier session in the folder.
 
         Args:
@@ -230,9 +277,15 @@ class Session:
             keys: returns the control words typed since the last call, of `WORDS`.
 
         Raises:
-            InputError: the folder cannot be written, or holds the state of another robot.
+            InputError: the folder cannot be written, or holds the state of another
+                robot.
         """
-        self.shadow, self._links, self._out, self._steering = shadow, list(links), out, steering
+        self.shadow, self._links, self._out, self._steering = (
+            shadow,
+            list(links),
+            out,
+            steering,
+        )
         self._commands, self._views, self._keys = commands, list(views), keys
         self._journal: Journal | None = None
         self.resumed = out is not None and (out / STATE).exists()
@@ -242,27 +295,36 @@ class Session:
                     shadow.restore(SavedState.read(out / STATE))
                 except InputError as error:
                     raise InputError(
-                        f"{error}; another --out keeps them apart, or remove {display_path(out / STATE)}"
+                        f"{error}; another --out keeps them apart, or remove"
+                        f" {display_path(out / STATE)}"
                     ) from error
             self._journal = Journal(create_numbered_file(out, JOURNALS))
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
         self.problems: list[str] = []
-        self.ticks, self.latency = deque[float](maxlen=_KEPT), deque[float](maxlen=_KEPT)
+        self.ticks, self.latency = (
+            deque[float](maxlen=_KEPT),
+            deque[float](maxlen=_KEPT),
+        )
         self.lag, self.view_s = 0.0, 0.0
         self._table = EstimateTable(shadow.spec)
         self._prediction: Prediction | None = None
         self._start, self._stopped, self._slow = 0.0, False, False
-        self._intervals = {work: Interval(seconds) for work, seconds in INTERVALS_S.items()}
+        self._intervals = {
+            work: Interval(seconds) for work, seconds in INTERVALS_S.items()
+        }
         self._skipped = self._behind = 0.0
         self._uncertain: set[str] = set()
-        # Two threads, so that one slow task, such as a new plan, does not delay the predictions.
+        # Two threads, so that one slow task, such as a new plan, does not delay the
+        # predictions.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
         self._summary: dict[str, object] = {}
 
-    def run(self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False) -> dict[str, object]:
+    def run(
+        self, duration: float = math.inf, stop: Callable[[], bool] = lambda: False
+    ) -> dict[str, object]:
         """Run until the session is stopped, a journal ends, or the steering ends; return the summary.
 
         However the run ends, a steered robot is vented and the files are written.
@@ -278,7 +340,11 @@ class Session:
         clock, start, done = self._links[0].clock, self._start, 0
         if self._steering is not None:
             self._steering.follower.submit = self._pool.submit
-        while not stop() and (tick := time.monotonic()) - self._start < duration and not self._over():
+        while (
+            not stop()
+            and (tick := time.monotonic()) - self._start < duration
+            and not self._over()
+        ):
             self._tick(clock(), tick - self._start)
             self._collect()
             self._submit(tick)
@@ -293,22 +359,31 @@ class Session:
             if left > 0:
                 time.sleep(left)
             elif left < -_RESTART_S:
-                # After a long pause, such as a suspended machine, missed ticks are not made up for.
+                # After a long pause, such as a suspended machine, missed ticks are not
+                # made up for.
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, now: float) -> None:
         """Start periodic work on other threads."""
         intervals = self._intervals
         # While messages are skipped, the processor time is needed for the others.
-        can_predict = self.estimate is not None and self._predicting is None and not self._behind
+        can_predict = (
+            self.estimate is not None and self._predicting is None and not self._behind
+        )
         if can_predict and intervals["predict"].is_over(now):
             self._predicting = self._pool.submit(self.shadow.prediction_task())
         if self._journal is not None and intervals["flush"].is_over(now):
             self._journal.flush()
         is_first = not self.ticks
-        if self._out is not None and self._saving is None and (intervals["save"].is_over(now) or is_first):
+        if (
+            self._out is not None
+            and self._saving is None
+            and (intervals["save"].is_over(now) or is_first)
+        ):
             # The state is collected here; only the file is written on the other thread.
-            self._saving = self._pool.submit(self.shadow.save().write, self._out / STATE)
+            self._saving = self._pool.submit(
+                self.shadow.save().write, self._out / STATE
+            )
 
     def _watch(self) -> None:
         """Warn if the machine is too slow, and end the steering if it stays so."""
@@ -317,33 +392,42 @@ class Session:
         self._behind = self._behind + skipped if skipped else 0.0
         if skipped:
             self._report(
-                "falling behind: the machine is too slow for all messages, so some are skipped, and "
-                "the position is unknown until the next frame of motion capture"
+                "falling behind: the machine is too slow for all messages, so some are"
+                " skipped, and the position is unknown until the next frame of motion"
+                " capture"
             )
-        durations = [self.ticks[-k] for k in range(1, min(len(self.ticks), _WATCHED_TICKS) + 1)]
+        durations = [
+            self.ticks[-k] for k in range(1, min(len(self.ticks), _WATCHED_TICKS) + 1)
+        ]
         slow = float(np.mean(np.array(durations) > TICK_S)) > _MOST_OVERRUNS
         if slow and self._commands is not None and not self._slow:
             self._slow = True
             self._report(
-                f"falling behind: ticks take {1e3 * np.median(durations):.0f} ms instead of "
-                f"{1e3 * TICK_S:.0f}; estimates are up to {self.lag:.2f} s old"
+                f"falling behind: ticks take {1e3 * np.median(durations):.0f} ms"
+                f" instead of {1e3 * TICK_S:.0f}; estimates are up to {self.lag:.2f}"
+                " s old"
             )
-        if self._steering is not None and self._steering.begun and self._behind > TOO_SLOW_S:
+        if (
+            self._steering is not None
+            and self._steering.begun
+            and self._behind > TOO_SLOW_S
+        ):
             self._steering.give_up(TOO_SLOW)
 
     def _report_senders(self) -> None:
         """Warn of interruptions, and of messages whose age cannot be known any more."""
         if self.shadow.interruptions:
             self._report(
-                f"interruption {self.shadow.interruptions}: the robot restarted, or was silent for more than "
-                f"{LOST_AFTER_S:g} s; no fault is detected in the {START_S:g} s after it"
+                f"interruption {self.shadow.interruptions}: the robot restarted, or was"
+                f" silent for more than {LOST_AFTER_S:g} s; no fault is detected in the"
+                f" {START_S:g} s after it"
             )
         for sender, clock in self.shadow.buffer.clocks.items():
             if clock.uncertainty > AGREEMENT_S and sender not in self._uncertain:
                 self._uncertain.add(sender)
                 self._report(
-                    f"{sender}: its clock was set back, or its messages take longer than before; "
-                    f"their age is uncertain by {clock.uncertainty:.1f} s"
+                    f"{sender}: its clock was set back, or its messages take longer"
+                    f" than before; their age is uncertain by {clock.uncertainty:.1f} s"
                 )
 
     def _show(self, estimate: Estimate) -> None:
@@ -364,11 +448,20 @@ class Session:
                 if (failed := self._predicting.exception()) is not None:
                     self._report(f"a forecast failed: {failed!r}")
                 else:
-                    self._prediction = self.shadow.prediction_calibration.widened(self._predicting.result())
+                    self._prediction = self.shadow.prediction_calibration.widened(
+                        self._predicting.result()
+                    )
             self._predicting = None
         if self._saving is not None and self._saving.done():
-            if not self._saving.cancelled() and (error := self._saving.exception()) is not None:
-                self._report(str(error) if isinstance(error, InputError) else f"{STATE}: {error!r}")
+            if (
+                not self._saving.cancelled()
+                and (error := self._saving.exception()) is not None
+            ):
+                self._report(
+                    str(error)
+                    if isinstance(error, InputError)
+                    else f"{STATE}: {error!r}"
+                )
             self._saving = None
         if self._journal is not None and self._journal.trouble:
             self._report(self._journal.trouble)
@@ -390,7 +483,9 @@ class Session:
             return
         messages = [message for link in self._links for message in link.received()]
         if self._commands is not None:  # a journal's control messages are history
-            typed = [message.names[0] for message in messages if message.kind == CONTROL]
+            typed = [
+                message.names[0] for message in messages if message.kind == CONTROL
+            ]
             for word in [*self._keys(), *typed]:
                 self._obey(word)
         if self._journal is not None:
@@ -398,12 +493,17 @@ class Session:
                 self._journal.write(message)
         if self._stopped:
             return
-        # A journal may be played faster than its messages can be used; none of them is skipped.
+        # A journal may be played faster than its messages can be used; none of them is
+        # skipped.
         work_s = math.inf if self._commands is None else _WORK_S
         self.estimate = estimate = self.shadow.update(now, messages, work_s=work_s)
         hold = self.shadow.buffer.hold
         # The estimate uses a message only after the buffer has held it.
-        self.latency.extend(now - message.arrived + hold for message in messages if message.kind == BENDS)
+        self.latency.extend(
+            now - message.arrived + hold
+            for message in messages
+            if message.kind == BENDS
+        )
         if estimate is not None:
             for part, fault, _ in estimate.faults:
                 self.faults.setdefault((part, fault), since)
@@ -421,7 +521,9 @@ class Session:
             if lag > TOO_SLOW_S and self._steering.begun:
                 self._steering.give_up(TOO_SLOW)
             # A command from an old estimate could steer the robot into an obstacle.
-            self._commands.send(COMMAND, self._steering.vented() if lag > STALE_S else command)
+            self._commands.send(
+                COMMAND, self._steering.vented() if lag > STALE_S else command
+            )
 
     def _obey(self, word: str) -> None:
         """Obey a control word, of `WORDS`."""
@@ -442,7 +544,8 @@ class Session:
         with ExitStack() as steps:  # callbacks run in reverse order
             steps.callback(self._write)
             steps.callback(self._close_journal)
-            # Before the journal closes, so that it has every message that the summary counts.
+            # Before the journal closes, so that it has every message that the summary
+            # counts.
             steps.callback(self._summarise, seconds, error)
             steps.callback(self._pool.shutdown, cancel_futures=True)
             steps.callback(self._say_goodbye, error)
@@ -456,18 +559,27 @@ class Session:
     def _close_journal(self) -> None:
         if self._journal is not None:
             # Messages that arrived after the last tick belong to the journal, too.
-            for message in (message for link in self._links for message in link.received()):
+            for message in (
+                message for link in self._links for message in link.received()
+            ):
                 self._journal.write(message)
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:
         document = summary(self.shadow, self._links, self.estimate) | {
-            "seconds": seconds, "resumed": self.resumed,
-            "error": None if error is None else f"{type(error).__name__}: {error}", "problems": [],
-            "faults": [{"part": p, "fault": f, "time_s": at} for (p, f), at in self.faults.items()],
-            **timing(self.ticks, self.latency), "lag_s": self.lag, "skipped_s": self.shadow.skipped,
+            "seconds": seconds,
+            "resumed": self.resumed,
+            "error": None if error is None else f"{type(error).__name__}: {error}",
+            "problems": [],
+            "faults": [
+                {"part": p, "fault": f, "time_s": at}
+                for (p, f), at in self.faults.items()
+            ],
+            **timing(self.ticks, self.latency),
+            "lag_s": self.lag,
+            "skipped_s": self.shadow.skipped,
             "view_share": self.view_s / max(seconds, 1e-9),
-        }  # fmt: skip
+        }
         if self._steering is not None:
             document["following"] = self._steering.summary()
         self._summary = from_json(strict_json(document))

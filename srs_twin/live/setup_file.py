@@ -1,7 +1,7 @@
 """Set-up file of a lab (`srs-twin shadow --setup lab.yaml`): robot, broker, motion capture and limits.
 
-Each key sets an option of `srs-twin shadow`; options on the command line override the file.
-Paths are relative to the folder of the file, or else to the current folder.
+Each key sets an option of `srs-twin shadow`; options on the command line override the
+file. Paths are relative to the folder of the file, or else to the current folder.
 """
 
 from __future__ import annotations
@@ -75,7 +75,8 @@ class SetupFile(Section):
     robot: PathOrName
     """Shipped robot or robot file."""
     name: Annotated[str, Field(min_length=1, max_length=200)] | None = None
-    """Robot's name in topics, srs/NAME/KIND (default: the robot's or its file's name)."""
+    """Robot's name in topics, srs/NAME/KIND (default: the robot's or its file's name).
+    """
     supply_kpa: float | None = quantity(0.0, 1000.0, None)
     """Gauge pressure of the supply (default: the robot's nominal one)."""
     broker: BrokerFile | None = None
@@ -105,7 +106,10 @@ class SetupFile(Section):
             "natnet": capture and capture.address,
             "local": capture and capture.local,
             "up": capture and capture.up,
-            "body": capture and [f"{body}={number}" for body, number in capture.bodies.items()],
+            "body": (
+                capture
+                and [f"{body}={number}" for body, number in capture.bodies.items()]
+            ),
             "duration": self.limits.duration_s,
             "press_on": self.limits.press_on,
         }
@@ -121,7 +125,8 @@ def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
 
     Args:
         path: path of the file.
-        overridden: keys with other values on the command line, whose files need not exist.
+        overridden: keys with other values on the command line, whose files need not
+            exist.
 
     Raises:
         InputError: the file cannot be read.
@@ -133,4 +138,6 @@ def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
 
 def setup_json_schema() -> dict[str, object]:
     """Return a schema (draft 2020-12) that knows every key with its title, description, unit and range."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | SetupFile.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema"
+    } | SetupFile.model_json_schema()

@@ -1,9 +1,10 @@
 """Shadow: live twin of one robot.
 
-Messages in the order of their times (`clocks.ReorderBuffer`) update an ensemble filter (`ensemble`) and a
-fault detector (`fault_detector`). The ensemble uses the detected faults: a stuck valve also fills or vents in
-the model, and readings of a faulty sensor are ignored. The class is independent of the links and of the time
-of day: `update` gets both messages and time.
+Messages in the order of their times (`clocks.ReorderBuffer`) update an ensemble filter
+(`ensemble`) and a fault detector (`fault_detector`). The ensemble uses the detected
+faults: a stuck valve also fills or vents in the model, and readings of a faulty sensor
+are ignored. The class is independent of the links and of the time of day: `update` gets
+both messages and time.
 """
 
 from __future__ import annotations
@@ -38,12 +39,21 @@ from srs_twin.live.fault_hypotheses import (
     valve_duty,
 )
 from srs_twin.live.member_dynamics import STEP_S, ValveInput
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    POSES,
+    PRESSURES,
+    SUPPLY,
+    VALVES,
+    Message,
+)
 from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
-"""Assumed transport delay of the bends, because the minimum delay cannot be observed."""
+"""Assumed transport delay of the bends, because the minimum delay cannot be observed.
+"""
 LOST_AFTER_S = 1.0
 """Time without a message after which the state is unknown."""
 LARGEST_SD_M = 0.05
@@ -84,14 +94,21 @@ class Shadow:
         prediction_calibration: errors of earlier predictions.
         buffer: messages that wait for earlier ones.
         time: time of the filter, our clock, s; NaN before the first message.
-        skipped: duration of the messages that were skipped because the machine was too slow, s.
-        interruptions: number of times that the robot restarted, or was silent for more than `LOST_AFTER_S`.
+        skipped: duration of the messages that were skipped because the machine was too
+            slow, s.
+        interruptions: number of times that the robot restarted, or was silent for more
+            than `LOST_AFTER_S`.
     """
 
     def __init__(
-        self, spec: RobotSpec, *, supply_pa: float | None = None, members: int = 32, seed: int = 0,
+        self,
+        spec: RobotSpec,
+        *,
+        supply_pa: float | None = None,
+        members: int = 32,
+        seed: int = 0,
         frames: Mapping[str, int] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Begin with the values of the robot file.
 
         Args:
@@ -99,11 +116,15 @@ class Shadow:
             supply_pa: nominal supply pressure, gauge, Pa; default that of the robot.
             members: ensemble size.
             seed: random seed.
-            frames: connector (from 1) of each body of the motion capture; default "connector_1" and so on.
+            frames: connector (from 1) of each body of the motion capture; default
+                "connector_1" and so on.
         """
         spec.require_planar("the live twin")
         n = spec.segments
-        self.spec, self._supply = spec, spec.supply.nominal if supply_pa is None else supply_pa
+        self.spec, self._supply = (
+            spec,
+            spec.supply.nominal if supply_pa is None else supply_pa,
+        )
         self.ensemble = EnsembleFilter(spec, members=members, seed=seed)
         self.faults = FaultDetector(spec, supply_pa=self._supply)
         self.ensemble.set_modules(*self.faults.modules())
@@ -123,14 +144,16 @@ class Shadow:
         self.prediction_calibration = PredictionCalibration()
         self._intervals = IntervalCalibration((n, 2, 1))
 
-    def update(self, now: float, messages: Iterable[Message], *, work_s: float = math.inf) -> Estimate | None:
+    def update(
+        self, now: float, messages: Iterable[Message], *, work_s: float = math.inf
+    ) -> Estimate | None:
         """Update with the messages that arrived until now (our clock, s).
 
         Args:
             now: time on our clock, s.
             messages: new messages.
-            work_s: time of the call after which messages wait for the next call. If they would wait for more
-                than `MOST_BEHIND_S`, they are skipped, s.
+            work_s: time of the call after which messages wait for the next call. If
+                they would wait for more than `MOST_BEHIND_S`, they are skipped, s.
 
         Returns:
             Estimate for now; None before the first message of the robot.
@@ -141,7 +164,9 @@ class Shadow:
         self.prediction_calibration.observe(now, estimate.pose)
         return estimate
 
-    def receive(self, now: float, messages: Iterable[Message], *, work_s: float = math.inf) -> bool:
+    def receive(
+        self, now: float, messages: Iterable[Message], *, work_s: float = math.inf
+    ) -> bool:
         """Advance the filters like `update`, without an estimate for now.
 
         Returns:
@@ -150,10 +175,13 @@ class Shadow:
         for message in messages:
             if message.kind in _KINDS:
                 self.buffer.push(message)
-        self._due.extend(timed for timed in self.buffer.pop_until(now) if self._needed(timed[1]))
+        self._due.extend(
+            timed for timed in self.buffer.pop_until(now) if self._needed(timed[1])
+        )
         deadline = monotonic() + work_s
         while self._due and monotonic() < deadline:
-            # Messages of one time are used together, because the order of their corrections matters.
+            # Messages of one time are used together, because the order of their
+            # corrections matters.
             at = self._due[0][0]
             simultaneous = []
             while self._due and self._due[0][0] == at:
@@ -180,18 +208,23 @@ class Shadow:
 
     def prediction_task(self) -> Callable[[], Prediction]:
         """Return a function that computes a prediction on any thread, for `prediction_calibration`."""
-        # All inputs are collected here, because the filter changes while another thread predicts.
+        # All inputs are collected here, because the filter changes while another thread
+        # predicts.
         per_step, slots = round(_PREDICTION_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
         commands = self.command_period.commands(slots)
         fine = np.repeat(commands, _SUBSLOTS, axis=0)
-        inputs = [self._valve_input(duties) for duties in np.split(fine, slots // per_step)]
+        inputs = [
+            self._valve_input(duties) for duties in np.split(fine, slots // per_step)
+        ]
         times = self.time + _PREDICTION_STEP_S * np.arange(1, len(inputs) + 1)
         begun, heading = self.time, float(self.ensemble.mean("heading")[0])
         ensemble = self.ensemble.copy(_PREDICTION_MEMBERS)
 
         def run() -> Prediction:
             poses = ensemble.forecast(inputs, _PREDICTION_STEP_S)
-            return Prediction(begun, heading, times, poses.mean(axis=1), poses.std(axis=1, ddof=1))
+            return Prediction(
+                begun, heading, times, poses.mean(axis=1), poses.std(axis=1, ddof=1)
+            )
 
         return run
 
@@ -221,9 +254,11 @@ class Shadow:
 
     def _identity(self) -> dict[str, object]:
         return {
-            "shadow": short_digest(self.spec), "supply_pa": self._supply, "learns": [*self._saved_parts()],
+            "shadow": short_digest(self.spec),
+            "supply_pa": self._supply,
+            "learns": [*self._saved_parts()],
             "products": len(self.ensemble.odometry.connection.weights),
-        }  # fmt: skip
+        }
 
     def _skip_due(self) -> None:
         """Give up the measurements that wait, and continue at the time of the last one."""
@@ -250,7 +285,8 @@ class Shadow:
             return False
         self._used[message.source] = message.sent
         if message.kind != POSES and abs(interval) > LOST_AFTER_S:
-            # The stamps of a robot that restarts begin anew, and its chambers are empty.
+            # The stamps of a robot that restarts begin anew, and its chambers are
+            # empty.
             self.faults.restart()
             self.interruptions += math.isfinite(interval)
         return True
@@ -279,21 +315,31 @@ class Shadow:
             elif kind == SUPPLY:
                 self.faults.update_supply(float(values))
             else:
-                self.faults.update(pressures=values, dt=min(time - self._heard[PRESSURES], 1.0))
+                self.faults.update(
+                    pressures=values, dt=min(time - self._heard[PRESSURES], 1.0)
+                )
             self._heard[kind] = time
         self.ensemble.set_modules(*self.faults.modules())
-        # The fault detector needs bends before pressures; the ensemble is best corrected by bends last.
+        # The fault detector needs bends before pressures; the ensemble is best
+        # corrected by bends last.
         for message in reversed(measured):
             if message.kind == PRESSURES:
-                self._note_innovation(PRESSURES, self.ensemble.update_pressures(message.values))
+                self._note_innovation(
+                    PRESSURES, self.ensemble.update_pressures(message.values)
+                )
             elif message.kind == BENDS:
                 bends, _ = self.faults.corrected(message.values)
                 readings = np.where(self._working_sensors(), bends, np.nan)
                 self._note_innovation(BENDS, self.ensemble.update_bends(readings))
         self.ensemble.apply_odometry()
         kinds = {message.kind for message in measured}
-        # A frame corrects position and heading; other messages carry no information about them.
-        corrected = [not kinds.isdisjoint((BENDS, PRESSURES)), POSES in kinds, POSES in kinds]
+        # A frame corrects position and heading; other messages carry no information
+        # about them.
+        corrected = [
+            not kinds.isdisjoint((BENDS, PRESSURES)),
+            POSES in kinds,
+            POSES in kinds,
+        ]
         self._intervals.update(time, *_state(self.ensemble), corrected)
 
     def _use_frame(self, message: Message) -> None:
@@ -307,9 +353,13 @@ class Shadow:
         if not seen.any():
             return
         self._missing = np.where(seen, 0, self._missing + 1)
-        self._lost_markers = ~seen & (self._lost_markers | (self._missing >= MISSING_FRAMES))
+        self._lost_markers = ~seen & (
+            self._lost_markers | (self._missing >= MISSING_FRAMES)
+        )
         bends = measured_bend(poses[:-1, 2], poses[1:, 2])
-        self.faults.update(markers=bends, heading_noise_scale=self.ensemble.heading_noise_scale)
+        self.faults.update(
+            markers=bends, heading_noise_scale=self.ensemble.heading_noise_scale
+        )
         self._note_innovation(POSES, self.ensemble.update_poses(poses))
 
     def _note_innovation(self, kind: str, innovation: np.ndarray) -> None:
@@ -321,14 +371,17 @@ class Shadow:
         if time - self.time < _LEAST_STEP_S:
             return
         if time - self.time > LOST_AFTER_S:
-            # Nobody knows how the robot moved in a long pause; the next frame determines its position again.
+            # Nobody knows how the robot moved in a long pause; the next frame
+            # determines its position again.
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
         begun, dt = self.time, (time - self.time) / slots
         steps = math.ceil(dt / STEP_S - 1e-6)
         for k in range(1, slots + 1):
-            duties = self._commands.at(self.time + (np.arange(steps) + 0.5) * dt / steps)
+            duties = self._commands.at(
+                self.time + (np.arange(steps) + 0.5) * dt / steps
+            )
             # The period finder needs equidistant samples; one per slot suffices.
             self.command_period.add(self.time + dt / 2, duties[0])
             self.faults.predict(duties.mean(axis=0), dt)
@@ -356,7 +409,9 @@ class Shadow:
         chambers = CHAMBERS[likely]
         leak = np.where(chambers == Chamber.LEAKS, LEAK_RATES[likely][:, None], 0.0)
         return ValveInput(
-            valve_duty(duties, chambers), np.full(len(likely), self.faults.supply.pressure), leak
+            valve_duty(duties, chambers),
+            np.full(len(likely), self.faults.supply.pressure),
+            leak,
         )
 
     def _working_sensors(self) -> np.ndarray:
@@ -390,10 +445,14 @@ class Shadow:
         sd = sd * self._intervals.scale
         n = len(value) - 3
         pose, pose_sd = value[n:], sd[n:]
-        # Errors of sensors and transport delays are constant, so they do not average out in the ensemble.
+        # Errors of sensors and transport delays are constant, so they do not average
+        # out in the ensemble.
         _, sensor_sd = self.faults.corrected(value[:n])
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
-        (x, y, turn), (c, s) = ensemble.odometry.twist, (math.cos(pose[2]), math.sin(pose[2]))
+        (x, y, turn), (c, s) = (
+            ensemble.odometry.twist,
+            (math.cos(pose[2]), math.sin(pose[2])),
+        )
         return Estimate(
             time=now,
             bend=value[:n],
@@ -412,7 +471,10 @@ class Shadow:
 def _state(ensemble: EnsembleFilter) -> tuple[np.ndarray, np.ndarray]:
     """Return bends, position and heading, and their standard deviations."""
     names = "bend", "x", "y", "heading"
-    mean, sd = (np.concatenate([get(name) for name in names]) for get in (ensemble.mean, ensemble.sd))
+    mean, sd = (
+        np.concatenate([get(name) for name in names])
+        for get in (ensemble.mean, ensemble.sd)
+    )
     return mean, sd
 
 
@@ -427,7 +489,8 @@ def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
         name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
-                f"{pair!r} names no body; BODY=CONNECTOR does, with a connector from 1 to {connectors}"
+                f"{pair!r} names no body; BODY=CONNECTOR does, with a connector from 1"
+                f" to {connectors}"
             )
         frames[name] = int(number)
     return frames

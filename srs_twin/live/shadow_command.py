@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from srs_twin.cli.console import say
-from srs_twin.cli.options import JsonOption, PressureOption, QuietOption, argument, option, print_json
+from srs_twin.cli.options import (
+    JsonOption,
+    PressureOption,
+    QuietOption,
+    argument,
+    option,
+    print_json,
+)
 from srs_twin.errors import InputError
 from srs_twin.live.emulate_command import broker_link, interruption
 
@@ -34,10 +41,12 @@ class LabOptions:
         mqtt: MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
         natnet: NatNet server of the motion capture. [default: none]
         name: Robot's name in topics. [default: ROBOT]
-        body: Body of the motion capture and its connector, repeatable. [default: connector_1=1 …]
+        body: Body of the motion capture and its connector, repeatable. [default:
+            connector_1=1 …]
         local: Address of this machine on which frames arrive.
         up: Upward axis of the frames, y or z.
-        press_on: Continue without any margin to obstacles instead of stopping (docs/live.md#steering).
+        press_on: Continue without any margin to obstacles instead of stopping
+            (docs/live.md#steering).
         duration: Stop after S seconds. [default: run until Ctrl-C]
         user: MQTT user name.
         ca: CA certificate file (PEM); enables TLS.
@@ -66,7 +75,9 @@ class LabOptions:
 
         given = [name for name in context.params if _is_given(context, name)]
         values = load_setup(path, given).options()
-        return replace(self, **{name: values[name] for name in values if name not in given})
+        return replace(
+            self, **{name: values[name] for name in values if name not in given}
+        )
 
     @property
     def topic_name(self) -> str:
@@ -91,13 +102,15 @@ def shadow(
 ) -> None:
     """Run a live twin: estimate, predict and detect faults.
 
-    Receives commands, bends and pressures over MQTT and frames of motion capture over NatNet, or reads all of
-    them from a journal. With --follow it steers the robot by its estimate; the keys p, g, v and s, or the
-    words pause, go, vent and stop on the topic srs/NAME/control, control it. docs/live.md describes the
-    messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
+    Receives commands, bends and pressures over MQTT and frames of motion capture over
+    NatNet, or reads all of them from a journal. With --follow it steers the robot by
+    its estimate; the keys p, g, v and s, or the words pause, go, vent and stop on the
+    topic srs/NAME/control, control it. docs/live.md describes the messages. The
+    environment variable SRS_TWIN_MQTT_PASSWORD contains the password of --user.
 
     Options:
-        setup: Set-up file of the lab (`srs-twin schema setup`); other options override it. [default: none]
+        setup: Set-up file of the lab (`srs-twin schema setup`); other options override
+            it. [default: none]
         mcap: Journal of an earlier session, processed instead of live messages.
         speed: Playback speed of a journal; 2: twice as fast.
         out: Output folder; the learnt state of an earlier session in it is restored.
@@ -113,8 +126,13 @@ def shadow(
     from srs_twin.live.session import KEPT
     from srs_twin.robot.file import load_robot
 
-    if mcap is not None and (lab.mqtt is not None or lab.natnet is not None or follow is not None):
-        raise InputError("--mcap plays what has been; --mqtt, --natnet and --follow are for a running robot")
+    if mcap is not None and (
+        lab.mqtt is not None or lab.natnet is not None or follow is not None
+    ):
+        raise InputError(
+            "--mcap plays what has been; --mqtt, --natnet and --follow are for a"
+            " running robot"
+        )
     if setup is not None:
         lab = lab.with_setup(setup, context)
     if lab.robot is None:
@@ -123,7 +141,9 @@ def shadow(
         require_file(mcap, suffix=".mcap")  # before compiling
     if out is not None:
         check_output_folder(out, KEPT)
-    threadpool_limits(limits=1, user_api="blas")  # several threads wait for each other on a busy machine
+    threadpool_limits(
+        limits=1, user_api="blas"
+    )  # several threads wait for each other on a busy machine
     twin, steering = _twin(load_robot(lab.robot), lab, follow, members, seed)
     over = interruption()
     with ExitStack() as stack:
@@ -132,9 +152,17 @@ def shadow(
         play = None if mcap is None else (mcap, speed)
         session, shown = _session(stack, lab, play, twin, steering, out, (window, web))
         if not quiet:
-            keys = "" if mcap else "; p pauses, v vents, g goes on, s stops" if follow else "; s stops"
+            keys = (
+                ""
+                if mcap
+                else (
+                    "; p pauses, v vents, g goes on, s stops" if follow else "; s stops"
+                )
+            )
             _print_start(lab.topic_name, session.resumed, keys, shown)
-        result = session.run(math.inf if lab.duration is None else lab.duration, over.is_set)
+        result = session.run(
+            math.inf if lab.duration is None else lab.duration, over.is_set
+        )
     if as_json:
         print_json(result)
     elif not quiet:
@@ -142,8 +170,9 @@ def shadow(
     if "estimate" not in result:
         sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(
-            f"nothing was heard of '{lab.topic_name}' in {result['seconds']:.0f} s from {mcap or sources}: "
-            "is it running, under that name, with that number of segments?"
+            f"nothing was heard of '{lab.topic_name}' in {result['seconds']:.0f} s from"
+            f" {mcap or sources}: is it running, under that name, with that number of"
+            " segments?"
         )
 
 
@@ -174,16 +203,23 @@ def _twin(
     supply = None if lab.pressure is None else lab.pressure * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
     steering = (
-        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab.press_on) if follow else None
+        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab.press_on)
+        if follow
+        else None
     )
     warm_up(spec)
     return twin, steering
 
 
 def _session(
-    stack: ExitStack, lab: LabOptions, play: tuple[Path, float] | None, twin: Shadow,
-    steering: EstimateSteering | None, out: Path | None, shows: tuple[bool, bool],
-) -> tuple[Session, str]:  # fmt: skip
+    stack: ExitStack,
+    lab: LabOptions,
+    play: tuple[Path, float] | None,
+    twin: Shadow,
+    steering: EstimateSteering | None,
+    out: Path | None,
+    shows: tuple[bool, bool],
+) -> tuple[Session, str]:
     """Return a session and the address of the live view's page; the stack closes what is opened here.
 
     Args:
@@ -207,24 +243,40 @@ def _session(
     commands: MqttLink | None = None
     keys: Any = tuple
     if play is not None:
-        links.append(stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1])))
+        links.append(
+            stack.enter_context(McapLink(play[0], known, spec.segments, speed=play[1]))
+        )
     else:
         speaks = known if steering else None
-        broker = broker_link(known, spec.segments, lab.mqtt or BROKER, lab.user, lab.ca, speaks=speaks)
+        broker = broker_link(
+            known, spec.segments, lab.mqtt or BROKER, lab.user, lab.ca, speaks=speaks
+        )
         commands = stack.enter_context(broker)
         links.append(commands)
         if lab.natnet is not None:
             host, port = address(lab.natnet, protocol.COMMAND_PORT)
-            links.append(stack.enter_context(NatNetLink(host, port, local=lab.local, up=lab.up)))
+            links.append(
+                stack.enter_context(NatNetLink(host, port, local=lab.local, up=lab.up))
+            )
         keys = stack.enter_context(typed_words())
     views, shown = [], ""
     if window or web or out is not None:
         from srs_twin.viewing.rerun.live import live_view
 
         keep = None if out is None else create_numbered_file(out, RECORDINGS)
-        view, shown = stack.enter_context(live_view(spec, recording=keep, window=window, web=web))
+        view, shown = stack.enter_context(
+            live_view(spec, recording=keep, window=window, web=web)
+        )
         views.append(view)
-    session = Session(twin, links, out=out, steering=steering, commands=commands, views=views, keys=keys)
+    session = Session(
+        twin,
+        links,
+        out=out,
+        steering=steering,
+        commands=commands,
+        views=views,
+        keys=keys,
+    )
     return session, shown
 
 
@@ -238,7 +290,10 @@ def _print_start(name: str, resumed: bool, keys: str, page: str) -> None:
 def _print_result(result: dict[str, Any]) -> None:
     ticks, latency = result["tick_ms"], result["latency_ms"]
     if ticks["median"] is not None:
-        say(f"{result['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below {ticks['p99']:.1f} ms")
+        say(
+            f"{result['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below"
+            f" {ticks['p99']:.1f} ms"
+        )
     if latency["median"] is not None:
         say(f"readings are {latency['median']:.0f} ms old when they are used")
     if "estimate" not in result:
@@ -246,8 +301,10 @@ def _print_result(result: dict[str, Any]) -> None:
     estimate = result["estimate"]
     x, y, heading = estimate["pose"]
     a, b, c = (1.96 * sd for sd in estimate["pose_sd"])
-    say(f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ± {c:.2f} rad"
-        f"{', but ' + estimate['lost'] if estimate['lost'] else ''}")  # fmt: skip
+    say(
+        f"at x {x:.3f} ± {a:.3f} m, y {y:.3f} ± {b:.3f} m, heading {heading:.2f} ±"
+        f" {c:.2f} rad{', but ' + estimate['lost'] if estimate['lost'] else ''}"
+    )
     for fault in result["faults"]:
         say(f"{fault['time_s']:.1f} s: {fault['part']}: {fault['fault']}")
     if "following" in result:

@@ -31,16 +31,18 @@ TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
 """Share of the plan's margin that a new plan needs at least; without such a plan the robot is stopped.
 
-Of the runs that the shipped footprints' margins were measured with (`planning/margins.py`; 100 of each kind,
-3.5 m each), 98 to 100 % left a plan without any margin, so contact is almost certain there. 1 to 19 % left
-half of a margin of 80 mm, 52 to 93 % a quarter of it at some time.
+Of the runs that the shipped footprints' margins were measured with
+(`planning/margins.py`; 100 of each kind, 3.5 m each), 98 to 100 % left a plan without
+any margin, so contact is almost certain there. 1 to 19 % left half of a margin of 80
+mm, 52 to 93 % a quarter of it at some time.
 """
 _LARGEST_SD_M = 0.0125
 """Largest position uncertainty at which steering is allowed: half of the usual margin to obstacles."""
 _UNCERTAIN_S = 0.2
 """Time above `_LARGEST_SD_M` after which the robot is vented.
 
-A late frame of motion capture raises the uncertainty for some ticks. Generation 2 crawls 45 mm in this time.
+A late frame of motion capture raises the uncertainty for some ticks. Generation 2
+crawls 45 mm in this time.
 """
 _SETTLING_S = 1.0
 """Time at the start in which the robot stands and its pose is estimated."""
@@ -58,8 +60,9 @@ _MODEL_FIELDS = {("actuator", "bend_limit"), ("supply", "limit_source")}
 def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
     """Return the fields in which two robots differ, with both values.
 
-    Names, titles and the values of single modules do not count, because the live twin estimates the latter.
-    The bend limit does not count either, because scenarios set it for the models.
+    Names, titles and the values of single modules do not count, because the live twin
+    estimates the latter. The bend limit does not count either, because scenarios set it
+    for the models.
     """
     texts = []
     for field in fields(RobotSpec):
@@ -70,7 +73,8 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
             texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
         for name in (inner.name for inner in fields(first)):
-            # Parameters are compared one by one, so that the message can name the one that differs.
+            # Parameters are compared one by one, so that the message can name the one
+            # that differs.
             a, b = getattr(first, name), getattr(second, name)
             if a != b and (field.name, name) not in _MODEL_FIELDS:
                 texts.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
@@ -84,14 +88,17 @@ def _short(value: object) -> str:
 class EstimateSteering:
     """The follower of a scenario, with the estimate of a live twin as its state.
 
-    A segment with a stuck valve is kept straight, with both chambers filled or both vented, and a new plan is
-    made. The chambers are vented while the estimate is lost, and at the end after a loss of the supply.
+    A segment with a stuck valve is kept straight, with both chambers filled or both
+    vented, and a new plan is made. The chambers are vented while the estimate is lost,
+    and at the end after a loss of the supply.
 
     Attributes:
         follower: follower of the scenario.
     """
 
-    def __init__(self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False) -> None:
+    def __init__(
+        self, scenario: Scenario, shadow: Shadow, tick: float, *, press_on: bool = False
+    ) -> None:
         """Prepare the follower.
 
         Args:
@@ -106,13 +113,14 @@ class EstimateSteering:
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
             raise InputError(
-                f"{scenario.name}: it follows no plan; --follow takes a scenario with controller.kind: follow"
+                f"{scenario.name}: it follows no plan; --follow takes a scenario with"
+                " controller.kind: follow"
             )
         if differ := differences(scenario.robot, shadow.spec):
             more = f" and {len(differ) - 3} more" if len(differ) > 3 else ""
             raise InputError(
-                f"{scenario.name} is for robot '{scenario.robot.name}', not for '{shadow.spec.name}'; "
-                f"they differ in {', '.join(differ[:3])}{more}"
+                f"{scenario.name} is for robot '{scenario.robot.name}', not for"
+                f" '{shadow.spec.name}'; they differ in {', '.join(differ[:3])}{more}"
             )
         controller.least_margin = 0.0 if press_on else LEAST_MARGIN
         self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
@@ -159,9 +167,10 @@ class EstimateSteering:
     def summary(self) -> dict[str, object]:
         """Return ending, duration and events as JSON values."""
         return {
-            "ending": self._given_up or self.follower.ending or STOPPED, "seconds": self._steps * self._tick,
+            "ending": self._given_up or self.follower.ending or STOPPED,
+            "seconds": self._steps * self._tick,
             "events": [{"time_s": time, "event": text} for time, text in self._events],
-        }  # fmt: skip
+        }
 
     def _log(self, text: str) -> None:
         self._events.append((self._steps * self._tick, text))
@@ -195,7 +204,11 @@ class EstimateSteering:
             return self.vented()
         if not self._steps:
             self._begin(estimate, shadow)
-        self._empty_s = self._empty_s + self._tick if shadow.faults.supply.share < _EMPTY_BELOW else 0.0
+        self._empty_s = (
+            self._empty_s + self._tick
+            if shadow.faults.supply.share < _EMPTY_BELOW
+            else 0.0
+        )
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
             return self.vented()
@@ -206,22 +219,31 @@ class EstimateSteering:
         if (stuck != self._stuck).any():
             self._stuck = stuck
             self.follower.renew("fault")
-        valves = self.follower.step(estimate.state(self._steps * self._tick, self._pressure))
+        valves = self.follower.step(
+            estimate.state(self._steps * self._tick, self._pressure)
+        )
         self._steps += 1
-        self._events += [(event.time, f"{event.kind}: {event.text}") for event in self.follower.events()]
-        # The robot has its own carrier, so it gets duties instead of the states within a tick.
+        self._events += [
+            (event.time, f"{event.kind}: {event.text}")
+            for event in self.follower.events()
+        ]
+        # The robot has its own carrier, so it gets duties instead of the states within
+        # a tick.
         duty = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
-        # With equal pressures on both sides, a segment with a stuck valve remains straight.
+        # With equal pressures on both sides, a segment with a stuck valve remains
+        # straight.
         duty[stuck == Chamber.FILLS], duty[stuck == Chamber.VENTS] = 1.0, 0.0
         return 2 * duty - 1 if np.isin(duty, (0.0, 1.0)).all() else duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
         """Prepare the follower; make a new plan if the robot is not at the scenario's initial pose."""
-        # The robot itself adds noise and delays, so the follower must not simulate them. Commands take effect
-        # one tick after the estimate.
+        # The robot itself adds noise and delays, so the follower must not simulate
+        # them. Commands take effect one tick after the estimate.
         follower, lag = self.follower, DELAY_S + self._tick
         camera = Camera(follower.conditions.camera.rate_hz)
-        follower.conditions = replace(follower.conditions, camera=camera, delay=0.0, lag=lag)
+        follower.conditions = replace(
+            follower.conditions, camera=camera, delay=0.0, lag=lag
+        )
         follower.reset(shadow.spec, self._tick, seed=self._seed)
         x, y, heading = estimate.pose
         distance = math.hypot(x - self._start.x, y - self._start.y)

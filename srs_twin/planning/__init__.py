@@ -1,9 +1,10 @@
 """Path planning with footprints, and following of plans (Section 5.2).
 
-`plan(problem)` returns a `Plan`. The planner searches over arcs and Dubins paths (`moves`, `dubins`) with
-exact collision checks of the footprint (`arcs`, `collision`). Trees (`search_kernels`, `search_tree`) grow
-from start and goal (`best_first`). If that does not succeed at once, `infeasibility` tries to prove that no
-path exists, and `guidance` leads a tree around obstacles and through narrow passages. `follower` and
+`plan(problem)` returns a `Plan`. The planner searches over arcs and Dubins paths
+(`moves`, `dubins`) with exact collision checks of the footprint (`arcs`, `collision`).
+Trees (`search_kernels`, `search_tree`) grow from start and goal (`best_first`). If that
+does not succeed at once, `infeasibility` tries to prove that no path exists, and
+`guidance` leads a tree around obstacles and through narrow passages. `follower` and
 `steering` follow a plan by the offset of a gait.
 """
 
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from srs_twin.planning.footprint import Footprint as Footprint
     from srs_twin.planning.footprint_file import load_footprint as load_footprint
     from srs_twin.planning.path import Segment as Segment
-    from srs_twin.planning.problem import Outcome as Outcome, Problem as Problem, Settings as Settings
+    from srs_twin.planning.problem import (
+        Outcome as Outcome,
+        Problem as Problem,
+        Settings as Settings,
+    )
 
 lazy(__name__)

@@ -1,24 +1,27 @@
 r"""Arcs of constant curvature: poses along them, and exact collision checks of the area that the body sweeps.
 
-Path coordinates relative to the middle of an arc of curvature κ: for a point at distance u ahead of the
-middle and w to its left,
+Path coordinates relative to the middle of an arc of curvature κ: for a point at
+distance u ahead of the middle and w to its left,
 
 $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) $$
 
-are the signed distance from the arc, positive to the left, and the position along it. Both formulas stay
-accurate as κ approaches 0. While the centre of mass moves along the arc from -h to h, the body sweeps the
-annular sector |s| ≤ h, -r ≤ n ≤ l (Fig. 52 and 58). The distance of a point from this region is its distance
-in n if |s| ≤ h, otherwise its distance from the nearer end, a straight line of length l + r across the path.
-A circle is free of the region if the distance of its centre is at least its radius.
+are the signed distance from the arc, positive to the left, and the position along it.
+Both formulas stay accurate as κ approaches 0. While the centre of mass moves along the
+arc from -h to h, the body sweeps the annular sector |s| ≤ h, -r ≤ n ≤ l (Fig. 52 and
+58). The distance of a point from this region is its distance in n if |s| ≤ h, otherwise
+its distance from the nearer end, a straight line of length l + r across the path. A
+circle is free of the region if the distance of its centre is at least its radius.
 
-A side of a polygon is cut where it crosses n = l, n = -r (quadratic equations) and s = ±h (linear equations).
-It is free if no midpoint of its pieces is in the region. A polygon that contains the whole region
-is not detected: the regions of a plan are connected and start outside all polygons, so the first region
-inside one would cross a side.
+A side of a polygon is cut where it crosses n = l, n = -r (quadratic equations) and s =
+±h (linear equations). It is free if no midpoint of its pieces is in the region. A
+polygon that contains the whole region is not detected: the regions of a plan are
+connected and start outside all polygons, so the first region inside one would cross a
+side.
 
-Motion primitives are the arcs from a search node to its children. Section 5.2.1: N turns α from -α_max to
-α_max, each over one step of length v Δt. With θ' = θ + α and r = vΔt/α (Eq. 33 with corrected signs, E7),
+Motion primitives are the arcs from a search node to its children. Section 5.2.1: N
+turns α from -α_max to α_max, each over one step of length v Δt. With θ' = θ + α and r =
+vΔt/α (Eq. 33 with corrected signs, E7),
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """
@@ -51,7 +54,11 @@ def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
     half = curvature * length / 2
     # Chord and half turn avoid the cancellation of Eq. 33 for small curvatures.
     chord = length * (np.sin(half) / half if abs(half) > _STRAIGHT else 1.0)
-    return x + chord * np.cos(heading + half), y + chord * np.sin(heading + half), heading + 2 * half
+    return (
+        x + chord * np.cos(heading + half),
+        y + chord * np.sin(heading + half),
+        heading + 2 * half,
+    )
 
 
 @compiled
@@ -62,28 +69,48 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
         pose: x, y and heading of the centre of mass at the start, m and rad.
         curvature: curvature of the arc, 1/m.
         length: length of the arc, m.
-        extent: extent of the body ahead of and behind the centre of mass along the arc, and distances of the
-            footprint's left and right edge from the path, m.
+        extent: extent of the body ahead of and behind the centre of mass along the arc,
+            and distances of the footprint's left and right edge from the path, m.
         grid: obstacles and bounds, see `collision.ObstacleGrid`.
     """
     ahead, behind, left, right = extent
     bounds, origin = grid[2], grid[3]
     h = (length + ahead + behind) / 2 + ROUNDING_MARGIN
-    x, y, heading = arc_end(pose[0], pose[1], pose[2], curvature, (length + ahead - behind) / 2)
+    x, y, heading = arc_end(
+        pose[0], pose[1], pose[2], curvature, (length + ahead - behind) / 2
+    )
     left, right = left + ROUNDING_MARGIN, right + ROUNDING_MARGIN
     # Test a bounding square first: most regions are far from the bounds.
     reach = h + max(left, right)
-    if x - reach < bounds[0] or x + reach > bounds[1] or y - reach < bounds[2] or y + reach > bounds[3]:
+    if (
+        x - reach < bounds[0]
+        or x + reach > bounds[1]
+        or y - reach < bounds[2]
+        or y + reach > bounds[3]
+    ):
         if _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):
             return True
     # A long region is divided, so that each piece overlaps few cells of the grid.
     count = max(1, int(np.ceil(h / max(origin[2], left + right))))
     half_length = h / count
     end = arc_end(0.0, 0.0, 0.0, curvature, half_length)
-    region = curvature, half_length, left, right, end[0], end[1], np.cos(end[2]), np.sin(end[2])
+    region = (
+        curvature,
+        half_length,
+        left,
+        right,
+        end[0],
+        end[1],
+        np.cos(end[2]),
+        np.sin(end[2]),
+    )
     for k in range(count):
-        mid_x, mid_y, mid_heading = arc_end(x, y, heading, curvature, (2 * k + 1) * half_length - h)
-        if _region_collides((mid_x, mid_y, np.cos(mid_heading), np.sin(mid_heading)), region, grid):
+        mid_x, mid_y, mid_heading = arc_end(
+            x, y, heading, curvature, (2 * k + 1) * half_length - h
+        )
+        if _region_collides(
+            (mid_x, mid_y, np.cos(mid_heading), np.sin(mid_heading)), region, grid
+        ):
             return True
     return False
 
@@ -93,8 +120,10 @@ def _region_collides(middle, region, grid):  # type: ignore[no-untyped-def]
     """Return whether a region touches a circle or a polygon side.
 
     Args:
-        middle: x and y of the middle of the arc, m, and cosine and sine of its heading there.
-        region: curvature, h, left and right edge, u and w of the end, cosine and sine of the heading there.
+        middle: x and y of the middle of the arc, m, and cosine and sine of its heading
+            there.
+        region: curvature, h, left and right edge, u and w of the end, cosine and sine
+            of the heading there.
         grid: see `arc_collides`.
     """
     circles, sides, _, origin, cell_ranges, cell_items = grid
@@ -115,23 +144,33 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
     x, y, c, s = middle
     reach = region[1] + max(region[2], region[3])
     if k < circles.shape[0]:
-        dx, dy, radius = circles[k, 0] - x, circles[k, 1] - y, circles[k, 2] + ROUNDING_MARGIN
+        dx, dy, radius = (
+            circles[k, 0] - x,
+            circles[k, 1] - y,
+            circles[k, 2] + ROUNDING_MARGIN,
+        )
         # Test bounding circles first: they are cheap and exclude most items.
         if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
             return False
-        # The region is symmetric about the line across its middle, so u can be taken as positive.
+        # The region is symmetric about the line across its middle, so u can be taken as
+        # positive.
         return _region_distance(abs(c * dx + s * dy), c * dy - s * dx, region) < radius
     k -= circles.shape[0]
     ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
     if _distance_from_origin(ax, ay, bx, by) >= reach:
         return False
-    return _side_crosses(c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, region)
+    return _side_crosses(
+        c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, region
+    )
 
 
 @kernel_only
 def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
     """Return the range of cells (end exclusive) along an axis within `reach` of a position."""
-    first, last = np.floor((position - reach) / cell), np.floor((position + reach) / cell)
+    first, last = (
+        np.floor((position - reach) / cell),
+        np.floor((position + reach) / cell),
+    )
     return np.int64(min(max(first, 0), count)), np.int64(min(max(last + 1, 0), count))
 
 
@@ -207,7 +246,8 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # Add terms of equal sign, which avoids cancellation, and get the other root from the product of both.
+    # Add terms of equal sign, which avoids cancellation, and get the other root from
+    # the product of both.
     q = -(b + np.sqrt(square)) if b >= 0 else -(b - np.sqrt(square))
     return _fraction(q, a), _fraction(c, q)
 
@@ -219,7 +259,11 @@ def _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):  # type: i
         s = h if k == 0 else -h
         if k >= 2:
             turn = (k - 2) * np.pi / 2 - heading
-            s = (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / curvature if curvature != 0 else 2 * h + 1
+            s = (
+                (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / curvature
+                if curvature != 0
+                else 2 * h + 1
+            )
         if abs(s) <= h:
             px, py, direction = arc_end(x, y, heading, curvature, s)
             for n in (left, -right):
@@ -246,12 +290,13 @@ class Primitives:
     def __post_init__(self) -> None:
         if self.count < 3 or self.count % 2 == 0:
             raise InputError(
-                f"{self.count} primitives: the number must be odd and at least 3 (the middle arc is straight)"
+                f"{self.count} primitives: the number must be odd and at least 3 (the"
+                " middle arc is straight)"
             )
         if not (0 < self.turn < math.pi and 0 < self.length < math.inf):
             raise InputError(
-                f"primitives of {self.length:g} m with turns up to {self.turn:g} rad: the length must be "
-                "above 0, the turn above 0 and below pi"
+                f"primitives of {self.length:g} m with turns up to {self.turn:g} rad:"
+                " the length must be above 0, the turn above 0 and below pi"
             )
 
     @cached_property
@@ -261,5 +306,8 @@ class Primitives:
 
     def children(self, pose: Pose) -> list[Pose]:
         """Return the pose at the end of each arc, in the order of `curvatures`."""
-        ends = (arc_end(pose.x, pose.y, pose.heading, float(k), self.length) for k in self.curvatures)
+        ends = (
+            arc_end(pose.x, pose.y, pose.heading, float(k), self.length)
+            for k in self.curvatures
+        )
         return [Pose(float(x), float(y), float(heading)) for x, y, heading in ends]

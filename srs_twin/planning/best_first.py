@@ -1,8 +1,8 @@
 """Default planner: best-first search from both ends at increasing resolution, then shortening of the path.
 
-Cheap searches come first: a tree from the start and, without transients, one from the goal. Proofs of
-infeasibility and a tree with guidance (`guidance`) follow only if these do not succeed at once. The path
-found is shortened by Dubins paths between its poses.
+Cheap searches come first: a tree from the start and, without transients, one from the
+goal. Proofs of infeasibility and a tree with guidance (`guidance`) follow only if these
+do not succeed at once. The path found is shortened by Dubins paths between its poses.
 """
 
 from __future__ import annotations
@@ -24,12 +24,23 @@ from srs_twin.planning.guidance import (
     find_passages,
     grid_heuristic,
 )
-from srs_twin.planning.infeasibility import COARSE, FINE, Resolution, is_disconnected, prove_unreachable
+from srs_twin.planning.infeasibility import (
+    COARSE,
+    FINE,
+    Resolution,
+    is_disconnected,
+    prove_unreachable,
+)
 from srs_twin.planning.moves import MoveSet, make_move_set, shorten_path
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
 from srs_twin.planning.search_kernels import SearchSpec
-from srs_twin.planning.search_tree import SearchTree, goal_poses, make_target, turned_around
+from srs_twin.planning.search_tree import (
+    SearchTree,
+    goal_poses,
+    make_target,
+    turned_around,
+)
 from srs_twin.robot.world import Goal
 
 _CURVATURES = 5
@@ -45,7 +56,8 @@ arc."""
 _GUIDED_WEIGHT = 1.5
 """Weight of the cost-to-go with guidance; large, to find some path quickly even if it is longer."""
 _FIRST_TURN_NODES = 1000
-"""Number of nodes that each tree expands in its first turn; it doubles with every turn."""
+"""Number of nodes that each tree expands in its first turn; it doubles with every turn.
+"""
 _MAX_TURN_NODES = 16_000
 """Largest number of nodes in a turn, so that time limits are checked often enough."""
 
@@ -74,19 +86,29 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
         result = search.search_level(trees, _path_length(best), prove=level == 0)
         if result.path is not None:
             best = search.finish(result.path, trees[0].spec.moves)
-        if result.final or search.is_spent or (best is not None and not settings.improve):
+        if (
+            result.final
+            or search.is_spent
+            or (best is not None and not settings.improve)
+        ):
             break
     spec, expanded = trees[0].spec, settings.nodes - search.nodes
     outcome, reason, cell = Outcome.UNREACHABLE, result.reason, (spec.cell, spec.sector)
-    resolution = f"at cells of {1000 * spec.cell:.3g} mm and {math.degrees(spec.sector):.3g} degrees"
+    resolution = (
+        f"at cells of {1000 * spec.cell:.3g} mm and {math.degrees(spec.sector):.3g}"
+        " degrees"
+    )
     if best is not None:
         outcome, reason = Outcome.FOUND, "a free path"
     elif result.reason and not result.final:
-        reason = f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
+        reason = (
+            f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
+        )
     elif not result.final:
         outcome = Outcome.BUDGET_SPENT
         reason = (
-            f"neither a path nor a proof after {expanded} nodes, {resolution}; give more nodes or seconds"
+            f"neither a path nor a proof after {expanded} nodes, {resolution}; give"
+            " more nodes or seconds"
         )
     # A proof does not depend on the resolution.
     tested = None if best is None and result.final else cell
@@ -118,13 +140,15 @@ class _Search:
     def is_spent(self) -> bool:
         """Whether the nodes or the time are used up."""
         seconds = self.settings.seconds
-        return self.nodes <= 0 or (seconds is not None and time.perf_counter() - self.begun > seconds)
+        return self.nodes <= 0 or (
+            seconds is not None and time.perf_counter() - self.begun > seconds
+        )
 
     def start_trees(self, level: int) -> list[SearchTree]:
         """Return the tree from the start and, for a footprint without transients, the tree from the goal.
 
-        The primitives of the problem, if given, are those of the first level. Each level halves arcs and
-        cells; the third and later ones have more curvatures.
+        The primitives of the problem, if given, are those of the first level. Each
+        level halves arcs and cells; the third and later ones have more curvatures.
         """
         problem, body, factor = self.problem, self.problem.footprint, 2**level
         first = problem.primitives or Primitives(
@@ -135,17 +159,27 @@ class _Search:
         cell, sector = _CELL_SHARE * arcs.length, 2 * math.pi / (_SECTORS * factor)
         target, weight = make_target(problem.goal, body), self.settings.weight
         spec = SearchSpec(
-            make_move_set(arcs, body), target, self.checker.grid, cell, sector, weight,
-            NO_HEURISTIC, NO_PASSAGES,
-        )  # fmt: skip
+            make_move_set(arcs, body),
+            target,
+            self.checker.grid,
+            cell,
+            sector,
+            weight,
+            NO_HEURISTIC,
+            NO_PASSAGES,
+        )
         trees = [SearchTree([problem.start], spec)]
         # Transients depend on the direction of a path.
         if not body.transients:
             end = turned_around(problem.start)
-            home = make_target(Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body)
+            home = make_target(
+                Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body
+            )
             roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
             # Both trees share the obstacles; only the target and the direction differ.
-            backward = spec._replace(moves=make_move_set(arcs, body.backward), target=home)
+            backward = spec._replace(
+                moves=make_move_set(arcs, body.backward), target=home
+            )
             trees.append(SearchTree(roots, backward, backward=True))
         return trees
 
@@ -161,15 +195,20 @@ class _Search:
         """Grid distances and narrow passages, which are the same at all levels."""
         problem, body = self.problem, self.problem.footprint
         margin = 4 / min(body.tightest)
-        heuristic = grid_heuristic(problem.goal, problem.start, problem.world, body.narrowest, margin)
+        heuristic = grid_heuristic(
+            problem.goal, problem.start, problem.world, body.narrowest, margin
+        )
         return heuristic, find_passages(problem.world, body)
 
-    def search_level(self, trees: list[SearchTree], best: float, *, prove: bool) -> _LevelResult:
+    def search_level(
+        self, trees: list[SearchTree], best: float, *, prove: bool
+    ) -> _LevelResult:
         """Search at one resolution.
 
-        The trees take turns with growing numbers of nodes. The tree from the goal rarely finds a path first.
-        But if no arc leads to the goal, it is exhausted at once, while the other tree must first fill all its
-        cells. After the first turn, a guided tree joins; its path may be longer than necessary.
+        The trees take turns with growing numbers of nodes. The tree from the goal
+        rarely finds a path first. But if no arc leads to the goal, it is exhausted at
+        once, while the other tree must first fill all its cells. After the first turn,
+        a guided tree joins; its path may be longer than necessary.
 
         Args:
             trees: trees of the level; the guided tree is appended.
@@ -180,7 +219,8 @@ class _Search:
         for turn in count():
             if self.is_spent:
                 break
-            # Proofs take longer than an easy search, so they are tried only after the first and second turn.
+            # Proofs take longer than an easy search, so they are tried only after the
+            # first and second turn.
             nodes = min(_FIRST_TURN_NODES * 2 ** max(turn - 1, 0), _MAX_TURN_NODES)
             for tree in trees:
                 before = tree.expanded
@@ -189,11 +229,15 @@ class _Search:
                 if arcs is not None:
                     # A backward path is reversed; its left turns become right turns.
                     return _LevelResult(
-                        [(-c, length) for c, length in reversed(arcs)] if tree.backward else arcs
+                        [(-c, length) for c, length in reversed(arcs)]
+                        if tree.backward
+                        else arcs
                     )
                 if tree.exhausted and turn >= len(proofs):
                     end = "back from the goal" if tree.backward else "on from the start"
-                    return _LevelResult(reason=f"no free arc leads {end} to an untested pose")
+                    return _LevelResult(
+                        reason=f"no free arc leads {end} to an untested pose"
+                    )
                 if tree.exhausted or self.is_spent:
                     break
             if turn < len(proofs) and (reason := self.infeasible(proofs[turn])):
@@ -204,19 +248,26 @@ class _Search:
 
     def infeasible(self, resolution: Resolution) -> str:
         """Return the reason why no path exists; empty without a proof at this resolution."""
-        start, goal, body = self.problem.start, self.problem.goal, self.problem.footprint
-        if resolution is COARSE and is_disconnected(start, goal, self.problem.world, body.narrowest):
+        start, goal, body = (
+            self.problem.start,
+            self.problem.goal,
+            self.problem.footprint,
+        )
+        if resolution is COARSE and is_disconnected(
+            start, goal, self.problem.world, body.narrowest
+        ):
             return (
-                "no path of any shape: all passages between start and goal are narrower than "
-                f"{2 * body.narrowest:g} m, the smallest width of the footprint; move obstacles, or plan "
-                "with a narrower footprint"
+                "no path of any shape: all passages between start and goal are"
+                f" narrower than {2 * body.narrowest:g} m, the smallest width of the"
+                " footprint; move obstacles, or plan with a narrower footprint"
             )
         end = prove_unreachable(start, goal, body, self.checker.grid, resolution)
         if not end:
             return ""
         return (
-            f"no path with turns of radius {1 / max(body.tightest):.3g} m or more: the {end} has too little "
-            f"room to turn; reverse the heading of the {end}, or plan with tighter turns"
+            f"no path with turns of radius {1 / max(body.tightest):.3g} m or more: the"
+            f" {end} has too little room to turn; reverse the heading of the {end}, or"
+            " plan with tighter turns"
         )
 
     def finish(self, arcs: ArcSequence, moves: MoveSet) -> tuple[Segment, ...]:
@@ -226,9 +277,13 @@ class _Search:
         if not self.settings.smooth:
             return path
         radius = 1 / min(body.tightest)
-        shorter = path_from_arcs(start, shorten_path(start, arcs, moves, self.checker.grid, radius), body)
+        shorter = path_from_arcs(
+            start, shorten_path(start, arcs, moves, self.checker.grid, radius), body
+        )
         # Merged segments change the transients, so the shortened path is checked again.
-        is_better = _path_length(shorter) < _path_length(path) and self.checker.is_path_free(shorter)
+        is_better = _path_length(shorter) < _path_length(
+            path
+        ) and self.checker.is_path_free(shorter)
         return shorter if is_better else path
 
 

@@ -1,8 +1,8 @@
 """Motion capture of the snake pose, and its mean over one gait period.
 
-Undulation makes the mean heading of the connectors oscillate by some tenths of a radian about the direction
-of travel. A mean over exactly one gait period does not contain this oscillation. It belongs to the middle of
-its period, so it is half a period old.
+Undulation makes the mean heading of the connectors oscillate by some tenths of a radian
+about the direction of travel. A mean over exactly one gait period does not contain this
+oscillation. It belongs to the middle of its period, so it is half a period old.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class Camera:
 
     Attributes:
         rate_hz: frame rate, Hz.
-        position_noise: RMS error of the x and of the y coordinate of the centre of mass, m.
+        position_noise: RMS error of the x and of the y coordinate of the centre of
+            mass, m.
         heading_noise: RMS error of the mean heading, rad.
     """
 
@@ -66,7 +67,9 @@ class CameraFrames(Stateful):
         if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
         # Several frames due in one tick show the same state; only one is returned.
-        self._next_frame = math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
+        self._next_frame = (
+            math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
+        )
         error = self._rng.standard_normal(3)
         noise = self._camera.position_noise
         x, y = state.com
@@ -90,7 +93,8 @@ class PeriodMean(Stateful):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Frame time, and the integrals of x, y and heading from the first frame until then.
+        # Frame time, and the integrals of x, y and heading from the first frame until
+        # then.
         self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
         self.time = 0.0
@@ -121,7 +125,9 @@ class PeriodMean(Stateful):
             # The period begins between two frames: interpolate the integral linearly.
             next_time, next_integral = integrals[1]
             fraction = (period_start - begin) / (next_time - begin)
-            begin_integral = begin_integral + fraction * (next_integral - begin_integral)
+            begin_integral = begin_integral + fraction * (
+                next_integral - begin_integral
+            )
             begin = period_start
         self.complete = self.complete or begin <= period_start + _TIME_ROUNDING
         duration = time - begin

@@ -36,10 +36,14 @@ class ObstacleGrid(NamedTuple):
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
         sides: x, y of both ends of the polygon sides, m, shape (m, 4).
-        bounds: minimum x, maximum x, minimum y, maximum y, m, shape (4,); infinite without bounds.
-        origin: x and y of the grid's lower left corner and the side of its cells, m, shape (3,).
-        cell_ranges: start and end of the items of each cell in `cell_items`, shape (columns, rows, 2).
-        cell_items: numbers of the items that overlap each cell; circles first, then sides, shape (k,).
+        bounds: minimum x, maximum x, minimum y, maximum y, m, shape (4,); infinite
+            without bounds.
+        origin: x and y of the grid's lower left corner and the side of its cells, m,
+            shape (3,).
+        cell_ranges: start and end of the items of each cell in `cell_items`, shape
+            (columns, rows, 2).
+        cell_items: numbers of the items that overlap each cell; circles first, then
+            sides, shape (k,).
     """
 
     circles: np.ndarray
@@ -52,7 +56,9 @@ class ObstacleGrid(NamedTuple):
 
 def obstacle_grid(world: World) -> ObstacleGrid:
     """Return the arrays of a world."""
-    circles = np.array([(c.x, c.y, c.radius) for c in world.obstacles], dtype=float).reshape(-1, 3)
+    circles = np.array(
+        [(c.x, c.y, c.radius) for c in world.obstacles], dtype=float
+    ).reshape(-1, 3)
     # The last side closes the polygon.
     rings = [(*p.corners, p.corners[0]) for p in world.polygons]
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
@@ -62,7 +68,9 @@ def obstacle_grid(world: World) -> ObstacleGrid:
     return ObstacleGrid(circles, lines, limits, *build_grid(circles, lines))
 
 
-def build_grid(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def build_grid(
+    circles: np.ndarray, sides: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return `origin`, `cell_ranges` and `cell_items` of an `ObstacleGrid`.
 
     Args:
@@ -70,23 +78,43 @@ def build_grid(circles: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, np.n
         sides: as in `ObstacleGrid`.
     """
     x, y, radius = circles.T
-    low = np.vstack([np.column_stack([x - radius, y - radius]), np.minimum(sides[:, :2], sides[:, 2:])])
-    high = np.vstack([np.column_stack([x + radius, y + radius]), np.maximum(sides[:, :2], sides[:, 2:])])
+    low = np.vstack(
+        [
+            np.column_stack([x - radius, y - radius]),
+            np.minimum(sides[:, :2], sides[:, 2:]),
+        ]
+    )
+    high = np.vstack(
+        [
+            np.column_stack([x + radius, y + radius]),
+            np.maximum(sides[:, :2], sides[:, 2:]),
+        ]
+    )
     count = len(low)
     if count == 0:
-        return np.array([0.0, 0.0, 1.0]), np.zeros((0, 0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+        return (
+            np.array([0.0, 0.0, 1.0]),
+            np.zeros((0, 0, 2), dtype=np.int64),
+            np.zeros(0, dtype=np.int64),
+        )
     origin, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
     # About four items per cell keep both the lists and the grid small.
-    cell = max(float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS), 1e-9)
+    cell = max(
+        float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS), 1e-9
+    )
     columns, rows = (int(side / cell) + 1 for side in extent)
     begin, end = ((corner - origin) // cell for corner in (low, high))
     items: list[list[int]] = [[] for _ in range(columns * rows)]
-    for k, (west, south, east, north) in enumerate(np.hstack([begin, end]).astype(int).tolist()):
+    for k, (west, south, east, north) in enumerate(
+        np.hstack([begin, end]).astype(int).tolist()
+    ):
         for column in range(west, east + 1):
             for row in range(south, north + 1):
                 items[column * rows + row].append(k)
     ends = np.cumsum([len(cell_list) for cell_list in items])
-    cell_ranges = np.stack([np.r_[0, ends[:-1]], ends], axis=-1).reshape(columns, rows, 2)
+    cell_ranges = np.stack([np.r_[0, ends[:-1]], ends], axis=-1).reshape(
+        columns, rows, 2
+    )
     return (
         np.array([*origin, cell]),
         cell_ranges,
@@ -112,7 +140,11 @@ class Checker:
         return obstacle_grid(self.world)
 
     def is_arc_free(
-        self, pose: Pose, curvature: float, length: float, wider: tuple[float, float] = (0.0, 0.0)
+        self,
+        pose: Pose,
+        curvature: float,
+        length: float,
+        wider: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
         """Return whether the body touches no obstacle and stays within the bounds along an arc.
 
@@ -131,32 +163,49 @@ class Checker:
         """Return whether a path is free, with edges widened by the transients after changes of offset."""
         wider, lasting, none = (0.0, 0.0), 0.0, (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient; overlapping transients combine to the larger values.
+            # A change of offset starts a transient; overlapping transients combine to
+            # the larger values.
             if before is not None:
-                left, right, length = self.footprint.transient(before.offset, segment.offset)
+                left, right, length = self.footprint.transient(
+                    before.offset, segment.offset
+                )
                 old = wider if lasting > 0 else none
-                wider, lasting = (max(left, old[0]), max(right, old[1])), max(length, lasting)
+                wider, lasting = (
+                    (max(left, old[0]), max(right, old[1])),
+                    max(length, lasting),
+                )
             widened = min(lasting, segment.length)
-            if widened > 0 and not self.is_arc_free(segment.start, segment.curvature, widened, wider):
+            if widened > 0 and not self.is_arc_free(
+                segment.start, segment.curvature, widened, wider
+            ):
                 return False
             rest = segment.length - widened
-            if rest > 0 and not self.is_arc_free(segment.pose(widened), segment.curvature, rest):
+            if rest > 0 and not self.is_arc_free(
+                segment.pose(widened), segment.curvature, rest
+            ):
                 return False
             lasting -= widened
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
         """Return the largest width (m) by which both edges may grow, at most `MAX_CLEARANCE_M`."""
-        free, touching = 0.0, MAX_CLEARANCE_M  # bisection between a free and a colliding width
+        free, touching = (
+            0.0,
+            MAX_CLEARANCE_M,
+        )  # bisection between a free and a colliding width
         while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
-            if Checker(self.world, self.footprint.reduced(margin=middle)).is_path_free(segments):
+            if Checker(self.world, self.footprint.reduced(margin=middle)).is_path_free(
+                segments
+            ):
                 free = middle
             else:
                 touching = middle
         return free
 
-    def first_collision(self, pose: Pose, length: float = 0.0, wider: float = 0.0) -> str:
+    def first_collision(
+        self, pose: Pose, length: float = 0.0, wider: float = 0.0
+    ) -> str:
         """Describe an obstacle or bound that a straight path touches; return an empty string without one.
 
         Args:
@@ -168,8 +217,18 @@ class Checker:
         # Test the whole world first; only a collision needs the name of the obstacle.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
-        parts = ((name, Checker(world, self.footprint)) for name, world in _named_obstacles(self.world))
-        return next((name for name, part in parts if not part.is_arc_free(pose, 0.0, length, both)), "")
+        parts = (
+            (name, Checker(world, self.footprint))
+            for name, world in _named_obstacles(self.world)
+        )
+        return next(
+            (
+                name
+                for name, part in parts
+                if not part.is_arc_free(pose, 0.0, length, both)
+            ),
+            "",
+        )
 
 
 def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
@@ -177,10 +236,13 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
     import shapely
 
     shapes: list[tuple[str, shapely.Geometry, float]] = [
-        (f"obstacle {k}", shapely.Point(c.x, c.y), c.radius) for k, c in enumerate(world.obstacles, start=1)
+        (f"obstacle {k}", shapely.Point(c.x, c.y), c.radius)
+        for k, c in enumerate(world.obstacles, start=1)
     ]
     polygons = (shapely.Polygon(polygon.corners) for polygon in world.polygons)
-    return shapes + [(f"polygon {k}", polygon, 0.0) for k, polygon in enumerate(polygons, start=1)]
+    return shapes + [
+        (f"polygon {k}", polygon, 0.0) for k, polygon in enumerate(polygons, start=1)
+    ]
 
 
 def nearest_obstacles(world: World, points: np.ndarray) -> list[str]:
@@ -218,7 +280,10 @@ def obstacle_at(world: World, x: float, y: float) -> str:
     for name, part in _named_obstacles(world):
         if (b := part.bounds) and not (b.x[0] <= x <= b.x[1] and b.y[0] <= y <= b.y[1]):
             return name
-        if any(shapely.distance(point, core) <= radius for _, core, radius in obstacle_shapes(part)):
+        if any(
+            shapely.distance(point, core) <= radius
+            for _, core, radius in obstacle_shapes(part)
+        ):
             return name
     return ""
 
@@ -231,7 +296,9 @@ def _named_obstacles(world: World) -> list[tuple[str, World]]:
         name = f"the bounds (x {west:g} to {east:g} m, y {south:g} to {north:g} m)"
         named.append((name, World(bounds=bounds)))
     for k, circle in enumerate(world.obstacles, start=1):
-        name = f"obstacle {k} (radius {circle.radius:g} m at ({circle.x:g}, {circle.y:g}))"
+        name = (
+            f"obstacle {k} (radius {circle.radius:g} m at ({circle.x:g}, {circle.y:g}))"
+        )
         named.append((name, World((circle,))))
     for k, polygon in enumerate(world.polygons, start=1):
         (x, y), count = polygon.corners[0], len(polygon.corners)

@@ -39,7 +39,8 @@ def plan(
 
     Options:
         --check: Exit with 1 if an expectation of the plan fails or no plan is found.
-        --search: Also write a picture and a recording of the explored and rejected arcs.
+        --search: Also write a picture and a recording of the explored and rejected
+            arcs.
     """
     from srs_twin.cli.table import STATE_LABELS
     from srs_twin.planning.planned import PLAN, plan_scenario
@@ -69,10 +70,18 @@ def plan(
         raise typer.Exit(EXPECTATION_FAILED)
 
 
-def _check_expectations(scenario: Scenario, metrics: Mapping[str, object]) -> list[dict[str, object]]:
+def _check_expectations(
+    scenario: Scenario, metrics: Mapping[str, object]
+) -> list[dict[str, object]]:
     """Return the results of the scenario's expectations of its plan, without duplicates."""
-    expected = {(item.metric, item.allowed): item for item in scenario.expect if item.metric in metrics}
-    return [item.check({"plants": {item.subject: metrics}}) for item in expected.values()]
+    expected = {
+        (item.metric, item.allowed): item
+        for item in scenario.expect
+        if item.metric in metrics
+    }
+    return [
+        item.check({"plants": {item.subject: metrics}}) for item in expected.values()
+    ]
 
 
 def _print_plan(planned: ScenarioPlan) -> None:
@@ -81,15 +90,21 @@ def _print_plan(planned: ScenarioPlan) -> None:
     print(f"{planned.scenario.label}: {result.outcome.value}: {result.reason}")
     if quality is not None:
         print(
-            f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's speeds, "
-            f"{_counted(len(result.segments), 'segment')}, kink {result.kink:.3g} rad"
+            f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's"
+            f" speeds, {_counted(len(result.segments), 'segment')}, kink"
+            f" {result.kink:.3g} rad"
         )
-        edges = "the footprint and margin" if result.touches is None else "the edges that must stay free"
+        edges = (
+            "the footprint and margin"
+            if result.touches is None
+            else "the edges that must stay free"
+        )
         print(_quality_words(quality, edges))
         for touch in result.touches or ():
             print(
-                f"leans on {touch.obstacle} from {touch.begin:.2f} to {touch.end:.2f} m: footprint and "
-                f"margin overlap by {1000 * touch.depth:.0f} mm, estimated mean force {touch.force:.2g} N"
+                f"leans on {touch.obstacle} from {touch.begin:.2f} to {touch.end:.2f}"
+                f" m: footprint and margin overlap by {1000 * touch.depth:.0f} mm,"
+                f" estimated mean force {touch.force:.2g} N"
             )
     print(f"{_counted(result.expanded, 'node')}, {1000 * result.seconds:.1f} ms")
 

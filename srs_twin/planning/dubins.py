@@ -1,18 +1,20 @@
 r"""Dubins paths: shortest forward paths between two poses with a minimum turning radius.
 
-Dubins (1957): with minimum radius r, the shortest path has three pieces, arcs of radius r to the left (L) or
-right (R) and straight lines (S), in one of the six words LSL, LSR, LRL and their mirror images. Below,
-lengths are in units of r and angles are relative to the line between the poses. With distance d and headings
-a and b, the words that begin with L are
+Dubins (1957): with minimum radius r, the shortest path has three pieces, arcs of radius
+r to the left (L) or right (R) and straight lines (S), in one of the six words LSL, LSR,
+LRL and their mirror images. Below, lengths are in units of r and angles are relative to
+the line between the poses. With distance d and headings a and b, the words that begin
+with L are
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
-and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a free arrival heading, the
-shortest path is an arc and a straight line, or two arcs if the end is inside a turning circle (Bui et al.,
-1994).
+and LRL with cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a free
+arrival heading, the shortest path is an arc and a straight line, or two arcs if the end
+is inside a turning circle (Bui et al., 1994).
 
-Own code because the packages for this (`dubins`, wrappers of one C file) are unmaintained and have no wheels.
+Own code because the packages for this (`dubins`, wrappers of one C file) are
+unmaintained and have no wheels.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ _ROUNDING = 1e-9
 """Distances (in radii) and angles (rad) below this are rounding errors."""
 
 
-def shortest_path(start: Pose, x: float, y: float, heading: float | None, radius: float) -> ArcSequence:
+def shortest_path(
+    start: Pose, x: float, y: float, heading: float | None, radius: float
+) -> ArcSequence:
     """Return the three arcs of the shortest path from a pose to a pose or point; lengths may be 0.
 
     Args:
@@ -42,8 +46,12 @@ def shortest_path(start: Pose, x: float, y: float, heading: float | None, radius
         heading: heading at the end, rad; None: any.
         radius: turning radius, m.
     """
-    path = dubins_path(*start, *Pose(x, y, heading or 0.0), heading is None, float(radius))
-    return [(turn / radius, length) for turn, length in zip(path[:3], path[3:], strict=True)]
+    path = dubins_path(
+        *start, *Pose(x, y, heading or 0.0), heading is None, float(radius)
+    )
+    return [
+        (turn / radius, length) for turn, length in zip(path[:3], path[3:], strict=True)
+    ]
 
 
 @compiled
@@ -53,7 +61,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
     Args:
         x, y, heading: pose at the start, m and rad.
         to_x, to_y, to_heading: pose at the end, m and rad.
-        any_heading: whether the heading at the end is free; `to_heading` is ignored then.
+        any_heading: whether the heading at the end is free; `to_heading` is ignored
+            then.
         radius: turning radius, m.
     """
     dx, dy = (to_x - x) / radius, (to_y - y) / radius
@@ -68,10 +77,13 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
     else:
         d, line = np.sqrt(dx * dx + dy * dy), np.arctan2(dy, dx)
         if d < _ROUNDING:
-            # The line between coinciding points has no direction; rounding could add a full turn.
+            # The line between coinciding points has no direction; rounding could add a
+            # full turn.
             d, line = 0.0, heading
         for side in (1.0, -1.0):
-            best = _shortest_to_pose(best, side, d, side * (heading - line), side * (to_heading - line))
+            best = _shortest_to_pose(
+                best, side, d, side * (heading - line), side * (to_heading - line)
+            )
     first, middle, last, t, p, q = best
     return first, middle, last, radius * t, radius * p, radius * q
 
@@ -91,15 +103,26 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # The turning circles coincide: the direction of the straight line is undefined, one arc is the path.
+        # The turning circles coincide: the direction of the straight line is undefined,
+        # one arc is the path.
         square, turn = 0.0, b
-    best = _shorter(best, side, 0.0, side, _wrapped(turn - a), np.sqrt(max(square, 0.0)), _wrapped(b - turn))
+    best = _shorter(
+        best,
+        side,
+        0.0,
+        side,
+        _wrapped(turn - a),
+        np.sqrt(max(square, 0.0)),
+        _wrapped(b - turn),
+    )
     # LSR: an inner tangent, which exists only if the circles do not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
-        best = _shorter(best, side, 0.0, -side, _wrapped(turn - a), p, _wrapped(turn - b))
+        best = _shorter(
+            best, side, 0.0, -side, _wrapped(turn - a), p, _wrapped(turn - b)
+        )
     # LRL: a third circle touches both, which needs close circles.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
@@ -113,13 +136,15 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
     """Return the shortest of `best`, LS and RL (`side` -1: RS and LR) to a point (u, w), in radii.
 
-    u is the distance ahead of the start, w the distance to its left (`side` -1: to its right).
+    u is the distance ahead of the start, w the distance to its left (`side` -1: to its
+    right).
     """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
         return _shorter(best, side, 0.0, 0.0, _wrapped(tangent), np.sqrt(away - 1), 0.0)
-    # The point is inside the left turning circle: turn right about (0, -1), then left on a tangent circle.
+    # The point is inside the left turning circle: turn right about (0, -1), then left
+    # on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):

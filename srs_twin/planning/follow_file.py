@@ -15,7 +15,12 @@ from srs_twin.planning.scenario import PlannerSection, ScenarioPlanner
 from srs_twin.planning.steering import BearingLaw, PathLaw, Steering
 from srs_twin.robot.file import RobotFile
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.controllers import ControllerContext, ControllerSection, GaitFile, LearningFile
+from srs_twin.scenario.controllers import (
+    ControllerContext,
+    ControllerSection,
+    GaitFile,
+    LearningFile,
+)
 from srs_twin.scenario.fields import Contradiction, FileSections, Section, quantity
 
 
@@ -84,7 +89,11 @@ class FollowFile(ControllerSection):
         if file.section("planner") is None:
             yield ("controller",), "kind: follow needs a plan; add planner", False
         if file.start.run is not None:
-            yield ("start", "from"), "a plan begins at one pose; set it by x_m, y_m and heading_rad", True
+            yield (
+                ("start", "from"),
+                "a plan begins at one pose; set it by x_m, y_m and heading_rad",
+                True,
+            )
 
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`; plans on the first call.
@@ -120,7 +129,12 @@ class FollowFile(ControllerSection):
         )
 
     def conditions(
-        self, plant: str, contact: str | None, chambers: str, robot: RobotFile, planner: PlannerSection
+        self,
+        plant: str,
+        contact: str | None,
+        chambers: str,
+        robot: RobotFile,
+        planner: PlannerSection,
     ) -> ConditionsFile:
         """Return the conditions of following, for margins with a probability.
 
@@ -134,7 +148,11 @@ class FollowFile(ControllerSection):
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {
-                **{name: spread.value for name, spread in spreads.items() if spread is not None},
+                **{
+                    name: spread.value
+                    for name, spread in spreads.items()
+                    if spread is not None
+                },
                 "plant": plant,
                 "contact": contact,
                 "chambers": chambers,

@@ -1,9 +1,10 @@
 """Follower: controller that steers a snake along a plan by the offset of a gait (Section 5.2.2).
 
-Signal flow: camera → mean pose over a gait period → prediction (`Predictor`) → steering law (`Steering`) →
-offset, with a command delay → gait or ILC. The follower ends at the goal, or earlier with a reason
-(`ENDINGS`). If the snake deviates too far from its path or its body approaches an obstacle, the follower
-requests a new plan: with the margin of the first plan, or with a part of it if no such plan exists.
+Signal flow: camera → mean pose over a gait period → prediction (`Predictor`) → steering
+law (`Steering`) → offset, with a command delay → gait or ILC. The follower ends at the
+goal, or earlier with a reason (`ENDINGS`). If the snake deviates too far from its path
+or its body approaches an obstacle, the follower requests a new plan: with the margin of
+the first plan, or with a part of it if no such plan exists.
 """
 
 from __future__ import annotations
@@ -56,7 +57,10 @@ _MIN_CHANGE = 1e-3
 _WINDOW_M = 0.3
 """Distance along the path within which the next nearest point is searched, m, because paths may cross."""
 
-_UNKNOWN = Pose(math.nan, math.nan, math.nan), PathPoint(math.nan, math.nan, math.nan, math.nan)
+_UNKNOWN = (
+    Pose(math.nan, math.nan, math.nan),
+    PathPoint(math.nan, math.nan, math.nan, math.nan),
+)
 """Pose and path coordinates before the first frame."""
 
 Replan = Callable[[Pose, float], Plan]
@@ -104,10 +108,10 @@ class Conditions:
         settle: response length ℓ, m.
         stray: cross-track error at which a new plan is requested, m; None: never.
         replans: largest number of new plans.
-        run_up: length of the straight run-up of the first path, m; at its end, the rest is planned again from
-            the actual pose if new plans are possible.
-        lag: additional delay until the frames show the effect of a command, s, for robots with transport
-            delay.
+        run_up: length of the straight run-up of the first path, m; at its end, the rest
+            is planned again from the actual pose if new plans are possible.
+        lag: additional delay until the frames show the effect of a command, s, for
+            robots with transport delay.
     """
 
     camera: Camera
@@ -133,10 +137,13 @@ class Follower(Controller):
         body: footprint of the plan, recorded with the run; None: the same.
         world: world, recorded with the run.
         replan: planner for new plans; None: no new plans.
-        submit: runs the planner in another thread while the snake moves; None: the snake waits.
-        least_margin: smallest fraction of the margin in a new plan. Above 0, the run ends (`no_room`) if no
-            such plan exists, or if the body approaches an obstacle and no new plan is left.
-        leans: whether the body may lean on obstacles, so that approaching one requires no new plan.
+        submit: runs the planner in another thread while the snake moves; None: the
+            snake waits.
+        least_margin: smallest fraction of the margin in a new plan. Above 0, the run
+            ends (`no_room`) if no such plan exists, or if the body approaches an
+            obstacle and no new plan is left.
+        leans: whether the body may lean on obstacles, so that approaching one requires
+            no new plan.
         finished: whether the run has ended.
         ending: key of `ENDINGS`; None before the end.
         plans: time (s) and plan of each plan, the first at 0.
@@ -147,8 +154,27 @@ class Follower(Controller):
 
     kind = "follow"
     state_attributes = (
-        *("gait", "_frames", "_mean", "_predictor", "law", "plans", "ending", "_s", "_position", "_moved_at"),
-        *("_pending", "_commanded", "_tries", "_not_before", "_running_up", "_requested", "_events"),
+        *(
+            "gait",
+            "_frames",
+            "_mean",
+            "_predictor",
+            "law",
+            "plans",
+            "ending",
+            "_s",
+            "_position",
+            "_moved_at",
+        ),
+        *(
+            "_pending",
+            "_commanded",
+            "_tries",
+            "_not_before",
+            "_running_up",
+            "_requested",
+            "_events",
+        ),
     )
 
     gait: Controller
@@ -167,7 +193,10 @@ class Follower(Controller):
 
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
-            raise InputError(f"controller '{self.gait.kind}' has no offset to steer by; use gait or ilc")
+            raise InputError(
+                f"controller '{self.gait.kind}' has no offset to steer by; use gait"
+                " or ilc"
+            )
         self.frequency, self.layouts = self.gait.frequency, self.gait.layouts
         self._low, self._high = self.footprint.offsets[0], self.footprint.offsets[-1]
         self._tightest = self.footprint.curvatures[0], self.footprint.curvatures[-1]
@@ -181,7 +210,10 @@ class Follower(Controller):
         self.gait.reset(spec, tick, seed=seed)
         self._period = period = 1 / self.frequency
         conditions = self.conditions
-        self._frames, self._mean = CameraFrames(conditions.camera, seed), PeriodMean(period)
+        self._frames, self._mean = (
+            CameraFrames(conditions.camera, seed),
+            PeriodMean(period),
+        )
         shows = conditions.delay + conditions.lag
         self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
         # Distance in one gait period below which the snake is stuck.
@@ -193,7 +225,9 @@ class Follower(Controller):
         self._tries, self._not_before = 0, 0.0
         self._requested = ""
         self._coming: tuple[str, Future[Renewal]] | None = None
-        self._running_up = self.conditions.run_up > 0 and self.conditions.stray is not None
+        self._running_up = (
+            self.conditions.run_up > 0 and self.conditions.stray is not None
+        )
         self._events: list[Event] = []
         self.finished, self.ending, self.plans = False, None, []
         body, own = (self.body or self.footprint).at(0.0), self.footprint.at(0.0)
@@ -259,7 +293,11 @@ class Follower(Controller):
                 "law": type(self.law).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
                 "footprint": asdict(self.body or self.footprint),
-                "world": {key: value for key, value in asdict(self.world).items() if key in _PLANNED_IN},
+                "world": {
+                    key: value
+                    for key, value in asdict(self.world).items()
+                    if key in _PLANNED_IN
+                },
                 "goal": goal,
                 "conditions": conditions,
                 "ending": self.ending,
@@ -279,12 +317,19 @@ class Follower(Controller):
         law, later = self.law, time + self.conditions.delay
         # Predict to the time at which the frames show the effect of the command.
         shows = later + self.conditions.lag
-        pose = predictor.predict(mean.time, mean.pose, shows) if law.predicts else mean.pose
+        pose = (
+            predictor.predict(mean.time, mean.pose, shows)
+            if law.predicts
+            else mean.pose
+        )
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
         # Send the limits themselves even after a small change.
-        if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (self._low, self._high):
+        if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
+            self._low,
+            self._high,
+        ):
             if offset != self._commanded:
                 # The command takes effect after the delay.
                 self._pending.append((later, offset))
@@ -295,7 +340,8 @@ class Follower(Controller):
         point = self._locate(here)
         self._s, self._position = max(point.s, 0.0), (here, point)
         moved, goal, stray = self._predictor.moved, self.goal, self.conditions.stray
-        # Distances over whole periods, because a snake moves back and forth within each.
+        # Distances over whole periods, because a snake moves back and forth within
+        # each.
         if moved is None or moved > self._stuck_distance:
             self._moved_at = time
         if time - self._moved_at > STUCK_PERIODS * self._period:
@@ -323,15 +369,25 @@ class Follower(Controller):
         if not self.world.has_obstacles or self._reserve == 0 or self.leans:
             return False
         slope = math.remainder(here.heading - point.heading, 2 * math.pi)
-        piece = min(_HORIZON_M, max(self._path.length - point.s, 1e-3)) / _CHECKED_PIECES
+        piece = (
+            min(_HORIZON_M, max(self._path.length - point.s, 1e-3)) / _CHECKED_PIECES
+        )
         for k in range(_CHECKED_PIECES):
             on = self._path.pose(point.s + k * piece)
-            # Each piece of the expected return is approximated by an arc with the curvature of the path.
-            first, last = (self.law.predict_cross_track(point.n, slope, (k + i) * piece) for i in (0, 1))
+            # Each piece of the expected return is approximated by an arc with the
+            # curvature of the path.
+            first, last = (
+                self.law.predict_cross_track(point.n, slope, (k + i) * piece)
+                for i in (0, 1)
+            )
             heading = on.heading + math.atan2(last - first, piece)
-            x, y = on.x - first * math.sin(on.heading), on.y + first * math.cos(on.heading)
+            x, y = (
+                on.x - first * math.sin(on.heading),
+                on.y + first * math.cos(on.heading),
+            )
             curvature = min(
-                max(self._path.curvature(point.s + k * piece), self._tightest[0]), self._tightest[1]
+                max(self._path.curvature(point.s + k * piece), self._tightest[0]),
+                self._tightest[1],
             )
             if not self._checker.is_arc_free(
                 Pose(x, y, heading), curvature, piece, (self._reserve, self._reserve)
@@ -353,14 +409,22 @@ class Follower(Controller):
             if reason not in _OPTIONAL:
                 self._finish(time, reason)
             elif reason == "close" and self.least_margin:
-                self._finish(time, "no_room", f"{ENDINGS['no_room']}: {reason}, and no new plan is left")
+                self._finish(
+                    time,
+                    "no_room",
+                    f"{ENDINGS['no_room']}: {reason}, and no new plan is left",
+                )
             elif self._tries == self.conditions.replans:
                 self._tries += 1  # one event only
-                text = f"{reason}: keeping the old plan, all {self.conditions.replans} new plans are used"
+                text = (
+                    f"{reason}: keeping the old plan, all {self.conditions.replans} new"
+                    " plans are used"
+                )
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
-        # A new plan changes the motion only after some gait periods, so an earlier request would be useless.
+        # A new plan changes the motion only after some gait periods, so an earlier
+        # request would be useless.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.least_margin)
         if self.submit is None:
@@ -372,23 +436,31 @@ class Follower(Controller):
         """Start on a new plan; if none was found, continue on the old plan if the reason allows it."""
         plan = renewal.plan
         if plan is not None:
-            margin = "" if renewal.share == 1 else f", {renewal.share:.0%} of the margin"
+            margin = (
+                "" if renewal.share == 1 else f", {renewal.share:.0%} of the margin"
+            )
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({reason}{margin})"
             self._events.append(Event(time, "replanned", text))
             self._start_plan(time, plan)
         elif self.least_margin:
-            self._finish(time, "no_room", f"{ENDINGS['no_room']}: {reason}; {renewal.reason}")
+            self._finish(
+                time, "no_room", f"{ENDINGS['no_room']}: {reason}; {renewal.reason}"
+            )
         elif reason in ("strayed", *_OPTIONAL):
             text = f"{reason}: keeping the old plan, {renewal.reason}"
             self._events.append(Event(time, "no_new_plan", text))
         else:
-            self._finish(time, reason, f"{ENDINGS[reason]}; no new plan: {renewal.reason}")
+            self._finish(
+                time, reason, f"{ENDINGS[reason]}; no new plan: {renewal.reason}"
+            )
 
     def _start_plan(self, time: float, plan: Plan) -> None:
         """Start on a plan, or end the run if it has no path."""
         self.plans.append((time, plan))
         if not plan.segments:
-            self._finish(time, "no_plan" if not plan.found else "goal_reached", plan.reason)
+            self._finish(
+                time, "no_plan" if not plan.found else "goal_reached", plan.reason
+            )
             return
         self._path = ReferencePath(plan.segments)
         self.law.begin(self._path)
@@ -396,7 +468,9 @@ class Follower(Controller):
 
     def _locate(self, pose: Pose) -> PathPoint:
         """Return the path coordinates of a pose, with s near the last one."""
-        return self._path.nearest(pose.x, pose.y, self._s - _WINDOW_M, self._s + _WINDOW_M)
+        return self._path.nearest(
+            pose.x, pose.y, self._s - _WINDOW_M, self._s + _WINDOW_M
+        )
 
     def _finish(self, time: float, reason: str, text: str = "") -> None:
         self.finished, self.ending = True, reason
@@ -428,5 +502,7 @@ def _recorded(time: float, plan: Plan) -> dict[str, object]:
         "outcome": plan.outcome.value,
         "reason": plan.reason,
         "nodes": plan.expanded,
-        "segments": [[*s.start, s.curvature, s.length, s.offset, s.speed] for s in plan.segments],
+        "segments": [
+            [*s.start, s.curvature, s.length, s.offset, s.speed] for s in plan.segments
+        ],
     }

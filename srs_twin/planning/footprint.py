@@ -1,14 +1,17 @@
 """Footprint: area that the body covers along the path of its centre of mass, and the footprint file.
 
-Section 5.2.1 (Fig. 52 and 58): at a constant offset the centre of mass follows an arc of curvature κ. Two
-concentric arcs bound the body: at every point of the path it stays within
+Section 5.2.1 (Fig. 52 and 58): at a constant offset the centre of mass follows an arc
+of curvature κ. Two concentric arcs bound the body: at every point of the path it stays
+within
 
 $$ -r(κ) ≤ n ≤ l(κ) $$
 
-where n is the distance to the left of the path, l the left and r the right edge. Along the arc, the footprint
-extends from `behind` the centre of mass (the tail) to `ahead` of it (the head).
+where n is the distance to the left of the path, l the left and r the right edge. Along
+the arc, the footprint extends from `behind` the centre of mass (the tail) to `ahead` of
+it (the head).
 
-Offset, speed and edges are tabulated by curvature, with linear interpolation between the rows.
+Offset, speed and edges are tabulated by curvature, with linear interpolation between
+the rows.
 """
 
 from __future__ import annotations
@@ -49,8 +52,8 @@ class FootprintRow:
 class Transient:
     """Deviation from the steady footprint after a change of offset.
 
-    In the long term, the path is that of a snake that jumps at the change by (dx, dy) relative to its
-    heading, turns by dheading, and follows the new arc from there.
+    In the long term, the path is that of a snake that jumps at the change by (dx, dy)
+    relative to its heading, turns by dheading, and follows the new arc from there.
 
     Attributes:
         before: offset before the change.
@@ -81,13 +84,15 @@ class Footprint:
         name: short name.
         title: title of one line.
         offsets: gait offsets, rising.
-        curvatures: curvatures of the path of the centre of mass, rising, positive to the left, 1/m.
+        curvatures: curvatures of the path of the centre of mass, rising, positive to
+            the left, 1/m.
         speeds: speeds of the centre of mass, m/s.
         left: distances of the left edge from the path, m.
         right: distances of the right edge from the path, m.
         ahead: distance from the centre of mass to the head along the path, m.
         behind: distance from the centre of mass to the tail along the path, m.
-        transients: measured changes of offset; empty: none, as the dissertation assumes.
+        transients: measured changes of offset; empty: none, as the dissertation
+            assumes.
     """
 
     name: str
@@ -115,8 +120,8 @@ class Footprint:
     ) -> Footprint:
         """Return the box of the dissertation: constant width, shifted outward in turns (Fig. 54, Table 9).
 
-        The shift is outward because in Table 8 the inner edge approaches the path in a turn, while the outer
-        edge hardly moves.
+        The shift is outward because in Table 8 the inner edge approaches the path in a
+        turn, while the outer edge hardly moves.
 
         Args:
             width: distance between the edges, m.
@@ -131,7 +136,15 @@ class Footprint:
         wide, narrow = half + shift, half - shift
         title = f"box {1000 * width:g} mm, shift {1000 * shift:g} mm"
         turns = (-offset, 0.0, offset), (-curvature, 0.0, curvature), (speed,) * 3
-        return cls("box", title, *turns, (wide, half, narrow), (narrow, half, wide), ahead, behind)
+        return cls(
+            "box",
+            title,
+            *turns,
+            (wide, half, narrow),
+            (narrow, half, wide),
+            ahead,
+            behind,
+        )
 
     @property
     def tightest(self) -> tuple[float, float]:
@@ -161,8 +174,8 @@ class Footprint:
     def reduced(self, turn_share: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and wider edges.
 
-        On a plan with a reduced footprint, a follower can correct errors by tighter turns, and the margin
-        allows for the remaining errors.
+        On a plan with a reduced footprint, a follower can correct errors by tighter
+        turns, and the margin allows for the remaining errors.
 
         Args:
             turn_share: fraction of the tightest curvatures, at most 1.
@@ -170,7 +183,11 @@ class Footprint:
         """
         low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
         # Rows almost at the limits would give intervals of almost no width.
-        inner = [k for k in self.curvatures if low + CURVATURE_TOLERANCE < k < high - CURVATURE_TOLERANCE]
+        inner = [
+            k
+            for k in self.curvatures
+            if low + CURVATURE_TOLERANCE < k < high - CURVATURE_TOLERANCE
+        ]
         curvatures = (low, *inner, high)
         rows = [self.at(k) for k in curvatures]
         return replace(
@@ -191,17 +208,23 @@ class Footprint:
         low, high = self.curvatures[0], self.curvatures[-1]
         if not low - CURVATURE_TOLERANCE <= curvature <= high + CURVATURE_TOLERANCE:
             raise InputError(
-                f"curvature {curvature:g} 1/m is outside the footprint's range {low:g} to {high:g} 1/m"
+                f"curvature {curvature:g} 1/m is outside the footprint's range {low:g}"
+                f" to {high:g} 1/m"
             )
         columns = (self.offsets, self.speeds, self.left, self.right)
-        return FootprintRow(*(float(np.interp(curvature, self.curvatures, column)) for column in columns))
+        return FootprintRow(
+            *(
+                float(np.interp(curvature, self.curvatures, column))
+                for column in columns
+            )
+        )
 
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
         """Return extra left and right width and length (m) of the transient after a change of offset.
 
-        The widths are interpolated by the size of the change. A change larger than all measured ones in its
-        direction has the widths of the largest measured change. Of several measured changes of equal size the
-        widest one is used.
+        The widths are interpolated by the size of the change. A change larger than all
+        measured ones in its direction has the widths of the largest measured change. Of
+        several measured changes of equal size the widest one is used.
         """
         measured = self._measured(after - before)
         if not measured:
@@ -210,26 +233,33 @@ class Footprint:
         for size, t in measured:
             left, right = widest.get(size, (0.0, 0.0))
             widest[size] = max(left, t.left), max(right, t.right)
-        # The length does not depend on the size of the change, because the response is that of a linear
-        # system.
-        return *_interpolated(abs(after - before), widest), max(t.length for _, t in measured)
+        # The length does not depend on the size of the change, because the response is
+        # that of a linear system.
+        return *_interpolated(abs(after - before), widest), max(
+            t.length for _, t in measured
+        )
 
     @property
     def settle(self) -> float | None:
         """Response length ℓ of the curvature to a change of offset, m; None without transients.
 
-        After a change Δκ of the curvature, a first-order response lags in heading by Δκ ℓ = −dheading. ℓ is
-        the least-squares estimate over all measured changes.
+        After a change Δκ of the curvature, a first-order response lags in heading by Δκ
+        ℓ = −dheading. ℓ is the least-squares estimate over all measured changes.
         """
-        changes = np.array([self._curvature(t.after) - self._curvature(t.before) for t in self.transients])
+        changes = np.array(
+            [
+                self._curvature(t.after) - self._curvature(t.before)
+                for t in self.transients
+            ]
+        )
         lags = -np.array([t.dheading for t in self.transients])
         return float(changes @ lags / (changes @ changes)) if changes.any() else None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return delay δ and length T (m) of the transition arc after a change of offset (see `planner`).
 
-        Both are interpolated by the size of the change, constant beyond the measured sizes; (0, 0) without
-        measured changes in that direction.
+        Both are interpolated by the size of the change, constant beyond the measured
+        sizes; (0, 0) without measured changes in that direction.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
@@ -256,7 +286,9 @@ class Footprint:
         return float(np.interp(offset, self.offsets, self.curvatures))
 
 
-def _interpolated(size: float, values: Mapping[float, Sequence[float] | np.ndarray]) -> tuple[float, float]:
+def _interpolated(
+    size: float, values: Mapping[float, Sequence[float] | np.ndarray]
+) -> tuple[float, float]:
     """Return two quantities, tabulated by the size of a change, at another size."""
     sizes = sorted(values)
     columns = zip(*(values[known] for known in sizes), strict=True)
@@ -275,18 +307,34 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         values = getattr(footprint, name)
         # Interpolation over a column needs increasing values.
         if any(b <= a for a, b in pairwise(values)):
-            problems.append((name, "must increase from row to row: a larger offset turns more to the left"))
+            problems.append(
+                (
+                    name,
+                    (
+                        "must increase from row to row: a larger offset turns more to"
+                        " the left"
+                    ),
+                )
+            )
     if problems:
         return problems
     low, high = footprint.curvatures[0], footprint.curvatures[-1]
     if not low < 0 < high:
-        problems.append(("curvatures", f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides"))
+        problems.append(
+            (
+                "curvatures",
+                f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides",
+            )
+        )
     for side, name in enumerate(("left", "right")):
-        # An edge on the inner side must not reach the centre of curvature, where κ n = 1.
+        # An edge on the inner side must not reach the centre of curvature, where κ n =
+        # 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
         # Include the largest transient after any change to this offset.
         extra = [
-            max(footprint.transient(before, after)[side] for before in footprint.offsets)
+            max(
+                footprint.transient(before, after)[side] for before in footprint.offsets
+            )
             for after in footprint.offsets
         ]
         edges = np.add(getattr(footprint, name), extra)
@@ -309,9 +357,14 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():
         raise InputError(f"footprint {footprint.name}: a number is not finite")
-    if min(footprint.speeds) <= 0 or footprint.narrowest <= 0 or min(footprint.ahead, footprint.behind) < 0:
+    if (
+        min(footprint.speeds) <= 0
+        or footprint.narrowest <= 0
+        or min(footprint.ahead, footprint.behind) < 0
+    ):
         raise InputError(
-            f"footprint {footprint.name}: speeds and edges must be above 0, ahead and behind not negative"
+            f"footprint {footprint.name}: speeds and edges must be above 0, ahead and"
+            " behind not negative"
         )
     for field, message in find_problems(footprint):
         raise InputError(f"footprint {footprint.name}: {field}: {message}")

@@ -1,14 +1,14 @@
 """Footprint files: tables of footprints with sources, and the excursions of followers beyond them.
 
-A file contains the table of a `Footprint` in the form of Table 8; each column has a unit, a status and a
-source. The published footprints are in calibration/footprints; `srs-twin calibrate footprint` measures new
-ones.
+A file contains the table of a `Footprint` in the form of Table 8; each column has a
+unit, a status and a source. The published footprints are in calibration/footprints;
+`srs-twin calibrate footprint` measures new ones.
 
-Margins with a probability: for each condition of following, the file contains the largest excursions of n
-runs on random paths beyond the edges of their footprint. With a probability of at least k/(n + 1), the
-excursion of a new run from the same distribution is at most the k-th smallest of them, for any distribution
-(split conformal prediction: Vovk et al. 2005; Lei et al. 2018). The margin of probability p has
-k = ⌈(n + 1) p⌉.
+Margins with a probability: for each condition of following, the file contains the
+largest excursions of n runs on random paths beyond the edges of their footprint. With a
+probability of at least k/(n + 1), the excursion of a new run from the same distribution
+is at most the k-th smallest of them, for any distribution (split conformal prediction:
+Vovk et al. 2005; Lei et al. 2018). The margin of probability p has k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -39,10 +39,18 @@ LOST_M = 1e3
 """Excursion entered for runs that do not arrive, m."""
 
 Rows = Field(min_length=3, max_length=101)
-Offsets = Record[Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]]
-Curvatures = Record[Annotated[list[Annotated[float, bounded(-100.0, 100.0)]], Rows], Literal["1/m"]]
-Speeds = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m/s"]]
-Edges = Record[Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m"]]
+Offsets = Record[
+    Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]
+]
+Curvatures = Record[
+    Annotated[list[Annotated[float, bounded(-100.0, 100.0)]], Rows], Literal["1/m"]
+]
+Speeds = Record[
+    Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m/s"]
+]
+Edges = Record[
+    Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m"]
+]
 Reach = Record[Annotated[float, bounded(0.0, 10.0)], Literal["m"]]
 
 Offset = Annotated[float, bounded(-1.0, 1.0)]
@@ -82,36 +90,54 @@ class ConditionsFile(StrictModel):
     @model_validator(mode="before")
     @classmethod
     def _state_contact(cls, data: object) -> object:
-        if isinstance(data, dict) and data.get("plant") == "twin" and data.get("contact") is None:
+        if (
+            isinstance(data, dict)
+            and data.get("plant") == "twin"
+            and data.get("contact") is None
+        ):
             return {**data, "contact": UNSTATED_CONTACT}
         return data
 
     @model_validator(mode="after")
     def _only_of_a_twin(self) -> ConditionsFile:
         if self.plant != "twin" and self.contact is not None:
-            raise ValueError(f"contact {self.contact} belongs to plant twin; the {self.plant} model has none")
+            raise ValueError(
+                f"contact {self.contact} belongs to plant twin; the {self.plant} model"
+                " has none"
+            )
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
         """Return whether results under these conditions are also bounds for other conditions.
 
-        The other conditions must agree in plant, contact, chambers, follower and run-up, and must not be more
-        difficult in any other number.
+        The other conditions must agree in plant, contact, chambers, follower and
+        run-up, and must not be more difficult in any other number.
         """
         same = ("plant", "contact", "chambers", "follower", "run_up_m")
-        return all(getattr(self, name) == getattr(other, name) for name in same) and all(
-            getattr(self, name) >= getattr(other, name) - 1e-12 for name in _DIFFICULTIES
+        return all(
+            getattr(self, name) == getattr(other, name) for name in same
+        ) and all(
+            getattr(self, name) >= getattr(other, name) - 1e-12
+            for name in _DIFFICULTIES
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
         """Return the sum of the relative differences to conditions that these cover."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
-        return float(sum((own - covered) / own for own, covered in pairs if own > covered))
+        return float(
+            sum((own - covered) / own for own, covered in pairs if own > covered)
+        )
 
 
 SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
 """Keys of the standard deviations of module parameters, as in a robot file."""
-_DIFFICULTIES = (*SPREADS, "turn_share", "delay_s", "position_noise_m", "heading_noise_rad")
+_DIFFICULTIES = (
+    *SPREADS,
+    "turn_share",
+    "delay_s",
+    "position_noise_m",
+    "heading_noise_rad",
+)
 """Keys that make following more difficult as they increase."""
 
 
@@ -179,7 +205,13 @@ class SpreadFile(StrictModel):
     """Spread of the right edge, m, 0 to 100."""
 
 
-_KEYS = dict(zip(COLUMNS, ("offset", "curvature_per_m", "speed_m_s", "left_m", "right_m"), strict=True))
+_KEYS = dict(
+    zip(
+        COLUMNS,
+        ("offset", "curvature_per_m", "speed_m_s", "left_m", "right_m"),
+        strict=True,
+    )
+)
 """Columns of `Footprint` → keys in the file."""
 
 
@@ -193,7 +225,8 @@ class FootprintFile(StrictModel):
     robot: str = Field(min_length=1, max_length=200)
     """Robot of this footprint."""
     contact: ContactName | None = None
-    """Contact of the twin of the measurement (default: none, not measured on a twin)."""
+    """Contact of the twin of the measurement (default: none, not measured on a twin).
+    """
     offset: Offsets
     """Gait offsets, rising, -1 to 1; positive turns left."""
     curvature_per_m: Curvatures
@@ -227,8 +260,9 @@ class FootprintFile(StrictModel):
         if own in (None, contact):
             return None
         return (
-            f"{self.name} was measured on a twin with contact {own}, but this twin has contact "
-            f"{contact}; `srs-twin calibrate footprint {self.robot} --contact {contact}` measures one"
+            f"{self.name} was measured on a twin with contact {own}, but this twin has"
+            f" contact {contact}; `srs-twin calibrate footprint {self.robot} --contact"
+            f" {contact}` measures one"
         )
 
     def footprint(self) -> Footprint:
@@ -274,7 +308,9 @@ def load_footprint(name_or_path: StrPath) -> Footprint:
     return load_footprint_file(name_or_path).footprint()
 
 
-def save_footprint(file: FootprintFile, path: StrPath, *, header: Sequence[str] = ()) -> None:
+def save_footprint(
+    file: FootprintFile, path: StrPath, *, header: Sequence[str] = ()
+) -> None:
     """Write a footprint file atomically.
 
     Args:
@@ -291,7 +327,11 @@ def save_footprint(file: FootprintFile, path: StrPath, *, header: Sequence[str] 
         document.report(loc, message)
     document.raise_problems()
     comment = "".join(f"# {line}\n" for line in header)
-    write_text(path, comment + dump_yaml(file.model_dump(mode="json", exclude_none=True), compact=True))
+    write_text(
+        path,
+        comment
+        + dump_yaml(file.model_dump(mode="json", exclude_none=True), compact=True),
+    )
 
 
 @dataclass(frozen=True)
@@ -318,15 +358,23 @@ def excursion_quantile(excursions: Sequence[float], probability: float) -> float
     rank = math.ceil((count + 1) * probability - 1e-9)
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
-        raise InputError(f"a margin of probability {probability:g} needs at least {least} runs, not {count}")
+        raise InputError(
+            f"a margin of probability {probability:g} needs at least {least} runs, not"
+            f" {count}"
+        )
     excursion = sorted(excursions)[rank - 1]
     if excursion >= LOST_M:
-        raise InputError(f"there is no margin of probability {probability:g}: too many runs did not arrive")
+        raise InputError(
+            f"there is no margin of probability {probability:g}: too many runs did not"
+            " arrive"
+        )
     return max(excursion, 0.0)
 
 
 def margin_for(
-    measured: Sequence[ExcursionsFile], probability: float, conditions: Sequence[ConditionsFile]
+    measured: Sequence[ExcursionsFile],
+    probability: float,
+    conditions: Sequence[ConditionsFile],
 ) -> Margin:
     """Return the margin for a run under each of several conditions.
 
@@ -345,11 +393,16 @@ def margin_for(
             items = condition.model_dump(exclude_none=True).items()
             text = ", ".join(f"{key} {value}" for key, value in items)
             raise InputError(
-                f"no excursions are measured for {text}; `srs-twin calibrate margin` measures them"
+                f"no excursions are measured for {text}; `srs-twin calibrate margin`"
+                " measures them"
             )
-        # Use one block only: the smallest quantile of several blocks would be exceeded more often than
-        # stated.
-        block = min(covering, key=lambda block: block.conditions.excess_difficulty(condition))
+        # Use one block only: the smallest quantile of several blocks would be exceeded
+        # more often than stated.
+        block = min(
+            covering, key=lambda block: block.conditions.excess_difficulty(condition)
+        )
         paths.append(excursion_quantile(block.path_m, probability))
-        run_ups.append(excursion_quantile(block.run_up_m or [0.0] * len(block.path_m), probability))
+        run_ups.append(
+            excursion_quantile(block.run_up_m or [0.0] * len(block.path_m), probability)
+        )
     return Margin(max(paths), max(run_ups))

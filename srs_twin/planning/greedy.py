@@ -1,25 +1,28 @@
 r"""The planner of the dissertation, for comparison.
 
-`greedy`, Section 5.2.1, grows two trees of one branch each, from the start and from the goal. At the newest
-node of each side in turn, start first, all N arcs are scored and the one with the lowest score g + h is
-taken. There is no open list and no backtracking.
+`greedy`, Section 5.2.1, grows two trees of one branch each, from the start and from the
+goal. At the newest node of each side in turn, start first, all N arcs are scored and
+the one with the lowest score g + h is taken. There is no open list and no backtracking.
 
-- g favours straight arcs: g = |i - (N+1)/2| (E8: the printed formula contradicts its sentence). The
-  dissertation gives g and h no common unit. Here a step of g counts as a millimetre, the unit of the
-  dissertation's figures. Then g decides only between arcs that come equally close, as in the dissertation's
-  example.
-- h is the arc distance to the newest node of the other side: the length d β / sin β of the arc that begins
-  along the node's heading and passes through the other node, at distance d and bearing β. It ignores the
-  other node's heading. In the dissertation, blocked arcs have a score of 10000; here they are excluded, and
-  if all arcs are blocked the planner is stuck.
+- g favours straight arcs: g = |i - (N+1)/2| (E8: the printed formula contradicts its
+  sentence). The dissertation gives g and h no common unit. Here a step of g counts as a
+  millimetre, the unit of the dissertation's figures. Then g decides only between arcs
+  that come equally close, as in the dissertation's example.
+- h is the arc distance to the newest node of the other side: the length d β / sin β of
+  the arc that begins along the node's heading and passes through the other node, at
+  distance d and bearing β. It ignores the other node's heading. In the dissertation,
+  blocked arcs have a score of 10000; here they are excluded, and if all arcs are
+  blocked the planner is stuck.
 
-The search ends when the arc distance falls below a threshold. The dissertation gives no value; here it is the
-length of one arc. Its second condition, "and the difference between the rotation angles is π", is joined by
-"or" and has no effect. The heading may therefore jump where the branches meet (`Plan.kink`), and no snake can
-follow such a plan exactly. The joint is the arc whose length is the arc distance; it must be free and no
-tighter than the primitives.
+The search ends when the arc distance falls below a threshold. The dissertation gives no
+value; here it is the length of one arc. Its second condition, "and the difference
+between the rotation angles is π", is joined by "or" and has no effect. The heading may
+therefore jump where the branches meet (`Plan.kink`), and no snake can follow such a
+plan exactly. The joint is the arc whose length is the arc distance; it must be free and
+no tighter than the primitives.
 
-The backward branch grows from the goal with the heading turned by π and the reversed footprint.
+The backward branch grows from the goal with the heading turned by π and the reversed
+footprint.
 """
 
 from __future__ import annotations
@@ -37,7 +40,8 @@ G_STEP_M = 0.001
 """Cost of one step of the g score, m; see the module docstring."""
 
 _MAX_BRANCH_ARCS = 200
-"""Arcs per branch after which the search ends: 40 m with the primitives of Section 5.2."""
+"""Arcs per branch after which the search ends: 40 m with the primitives of Section 5.2.
+"""
 
 Branch = list[tuple[Pose, float]]
 """Start pose and curvature (1/m) of each arc."""
@@ -51,12 +55,19 @@ def greedy(problem: Problem) -> Plan:
     """
     arcs = problem.primitives
     if arcs is None:
-        raise InputError("planner greedy needs primitives: their number, largest turn and length")
+        raise InputError(
+            "planner greedy needs primitives: their number, largest turn and length"
+        )
     if problem.goal.heading is None:
-        raise InputError("planner greedy needs a goal with a heading: its second branch starts there")
+        raise InputError(
+            "planner greedy needs a goal with a heading: its second branch starts there"
+        )
     forward = Checker(problem.world, problem.footprint)
     backward = Checker(problem.world, problem.footprint.backward)
-    tips = [problem.start, Pose(problem.goal.x, problem.goal.y, problem.goal.heading + math.pi)]
+    tips = [
+        problem.start,
+        Pose(problem.goal.x, problem.goal.y, problem.goal.heading + math.pi),
+    ]
     branches: list[Branch] = [[], []]
     for turn in range(2 * _MAX_BRANCH_ARCS):
         side = turn % 2
@@ -68,12 +79,17 @@ def greedy(problem: Problem) -> Plan:
         child = _best_child(tips[side], tips[1 - side], arcs, (forward, backward)[side])
         if child is None:
             where = f"{turn // 2} arcs from the {('start', 'goal')[side]}"
-            reason = f"every arc is blocked {where}, and greedy does not go back; try best_first"
+            reason = (
+                f"every arc is blocked {where}, and greedy does not go back; try"
+                " best_first"
+            )
             return Plan(Outcome.STUCK, reason, (), turn)
         curvature, end = child
         branches[side].append((tips[side], curvature))
         tips[side] = end
-    reason = f"the branches did not meet within {_MAX_BRANCH_ARCS} arcs each; try best_first"
+    reason = (
+        f"the branches did not meet within {_MAX_BRANCH_ARCS} arcs each; try best_first"
+    )
     return Plan(Outcome.BUDGET_SPENT, reason, (), 2 * _MAX_BRANCH_ARCS)
 
 
@@ -88,24 +104,39 @@ def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:
     if distance < 1e-12 or abs(bearing) < 1e-9:
         return 0.0, distance
     sine = math.sin(bearing)
-    return 2 * sine / distance, distance * bearing / sine if abs(sine) > 1e-9 else math.inf
+    return 2 * sine / distance, (
+        distance * bearing / sine if abs(sine) > 1e-9 else math.inf
+    )
 
 
-def _best_child(tip: Pose, other: Pose, arcs: Primitives, checker: Checker) -> tuple[float, Pose] | None:
+def _best_child(
+    tip: Pose, other: Pose, arcs: Primitives, checker: Checker
+) -> tuple[float, Pose] | None:
     """Return curvature and end of the free arc with the lowest score; None if all are blocked."""
     best, lowest = None, math.inf
-    for i, (curvature, child) in enumerate(zip(arcs.curvatures, arcs.children(tip), strict=True)):
-        score = G_STEP_M * abs(i - arcs.count // 2) + arc_through(child, other.x, other.y)[1]
+    for i, (curvature, child) in enumerate(
+        zip(arcs.curvatures, arcs.children(tip), strict=True)
+    ):
+        score = (
+            G_STEP_M * abs(i - arcs.count // 2)
+            + arc_through(child, other.x, other.y)[1]
+        )
         if score < lowest and checker.is_arc_free(tip, float(curvature), arcs.length):
             best, lowest = (float(curvature), child), score
     return best
 
 
-def _joint(here: Pose, there: Pose, arcs: Primitives, checker: Checker) -> tuple[float, float] | None:
+def _joint(
+    here: Pose, there: Pose, arcs: Primitives, checker: Checker
+) -> tuple[float, float] | None:
     """Return curvature and length of the arc between the newest nodes if it is short, free and possible."""
     curvature, length = arc_through(here, there.x, there.y)
     near = length < arcs.length and abs(curvature) <= arcs.curvatures[-1]
-    return (curvature, length) if near and checker.is_arc_free(here, curvature, length) else None
+    return (
+        (curvature, length)
+        if near and checker.is_arc_free(here, curvature, length)
+        else None
+    )
 
 
 def _joined_path(
@@ -113,10 +144,16 @@ def _joined_path(
 ) -> tuple[Segment, ...]:
     """Return the forward branch, the joint and the reversed backward branch."""
     body = problem.footprint
-    path = [make_segment(pose, curvature, length, body) for pose, curvature in branches[0]]
+    path = [
+        make_segment(pose, curvature, length, body) for pose, curvature in branches[0]
+    ]
     path.append(make_segment(path[-1].end if path else problem.start, *joint, body))
     for pose, curvature in reversed(branches[1]):
         end = make_segment(pose, curvature, length, body).end
         # The same arc from its other end turns to the other side.
-        path.append(make_segment(Pose(end.x, end.y, end.heading - math.pi), -curvature, length, body))
+        path.append(
+            make_segment(
+                Pose(end.x, end.y, end.heading - math.pi), -curvature, length, body
+            )
+        )
     return tuple(path)

@@ -1,15 +1,16 @@
 """Guidance of the search in cluttered worlds: grid distances to the goal, and narrow passages.
 
-The first search uses the Dubins length as heuristic, which ignores obstacles. If it does not succeed at once,
-a second tree uses in addition
+The first search uses the Dubins length as heuristic, which ignores obstacles. If it
+does not succeed at once, a second tree uses in addition
 
-- the distance to the goal on a grid around obstacles. It is an estimate, not a lower bound: grid paths are up
-  to 8 % longer than straight lines, and passages narrower than a cell may be missing or too wide. The tree
-  finds some path quickly, not necessarily the shortest.
-- entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage that is hardly wider than
-  the body. Its centre is known: two obstacles have their shortest distance there, and no other obstacle is
-  nearer. The tree tries Dubins paths to an entry pose far enough ahead of the passage for the last transient
-  to end.
+- the distance to the goal on a grid around obstacles. It is an estimate, not a lower
+  bound: grid paths are up to 8 % longer than straight lines, and passages narrower than
+  a cell may be missing or too wide. The tree finds some path quickly, not necessarily
+  the shortest.
+- entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage
+  that is hardly wider than the body. Its centre is known: two obstacles have their
+  shortest distance there, and no other obstacle is nearer. The tree tries Dubins paths
+  to an entry pose far enough ahead of the passage for the last transient to end.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ class GridHeuristic(NamedTuple):
     """Distance to the goal on a grid.
 
     Attributes:
-        distance: distance to the goal from each cell, m, shape (columns, rows), x first; infinite: no path;
-            empty: no heuristic.
+        distance: distance to the goal from each cell, m, shape (columns, rows), x
+            first; infinite: no path; empty: no heuristic.
         west: x of the grid's left edge, m.
         south: y of the grid's lower edge, m.
         cell: side of a cell, m.
@@ -72,13 +73,18 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
     """Return the grid distance of a position from the goal, m; 0 if unknown."""
     column = int(np.floor((x - heuristic.west) / heuristic.cell))
     row = int(np.floor((y - heuristic.south) / heuristic.cell))
-    if 0 <= column < heuristic.distance.shape[0] and 0 <= row < heuristic.distance.shape[1]:
+    if (
+        0 <= column < heuristic.distance.shape[0]
+        and 0 <= row < heuristic.distance.shape[1]
+    ):
         distance = heuristic.distance[column, row]
         return distance if distance < np.inf else 0.0
     return 0.0
 
 
-def grid_heuristic(goal: Goal, start: Pose, world: World, clearance: float, margin: float) -> GridHeuristic:
+def grid_heuristic(
+    goal: Goal, start: Pose, world: World, clearance: float, margin: float
+) -> GridHeuristic:
     """Return the distances to a goal for points that keep a clearance from obstacles.
 
     Args:
@@ -86,7 +92,8 @@ def grid_heuristic(goal: Goal, start: Pose, world: World, clearance: float, marg
         start: pose that the grid must contain.
         world: obstacles and bounds.
         clearance: clearance, m.
-        margin: width of the grid beyond obstacles, start and goal in a world without bounds, m.
+        margin: width of the grid beyond obstacles, start and goal in a world without
+            bounds, m.
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -99,7 +106,9 @@ def grid_heuristic(goal: Goal, start: Pose, world: World, clearance: float, marg
     column, row = int((goal.x - west) / cell), int((goal.y - south) / cell)
     column, row = min(column, len(x) - 1), min(row, len(y) - 1)
     # From the goal, so that one search gives the distances of all cells.
-    distance = dijkstra(_grid_graph(free, cell), directed=False, indices=column * len(y) + row)
+    distance = dijkstra(
+        _grid_graph(free, cell), directed=False, indices=column * len(y) + row
+    )
     return GridHeuristic(distance.reshape(free.shape), west, south, cell)
 
 
@@ -109,29 +118,42 @@ def _bounding_box(goal: Goal, start: Pose, world: World, margin: float) -> Bound
     for c in world.obstacles:
         corners += [(c.x - c.radius, c.y - c.radius), (c.x + c.radius, c.y + c.radius)]
     x, y = zip((goal.x, goal.y), (start.x, start.y), *corners, strict=True)
-    return Bounds((min(x) - margin, max(x) + margin), (min(y) - margin, max(y) + margin))
+    return Bounds(
+        (min(x) - margin, max(x) + margin), (min(y) - margin, max(y) + margin)
+    )
 
 
-def _free_cells(x: np.ndarray, y: np.ndarray, cell: float, world: World, clearance: float) -> np.ndarray:
+def _free_cells(
+    x: np.ndarray, y: np.ndarray, cell: float, world: World, clearance: float
+) -> np.ndarray:
     """Return a mask of the cells whose centres are free, shape (columns, rows)."""
     import shapely
 
     free = np.ones((len(x), len(y)), dtype=bool)
     for circle in world.obstacles:
         reach = circle.radius + clearance
-        columns, rows = _cell_window(x, circle.x, reach, cell), _cell_window(y, circle.y, reach, cell)
-        outside = np.hypot(x[columns, None] - circle.x, y[None, rows] - circle.y) >= reach
+        columns, rows = (
+            _cell_window(x, circle.x, reach, cell),
+            _cell_window(y, circle.y, reach, cell),
+        )
+        outside = (
+            np.hypot(x[columns, None] - circle.x, y[None, rows] - circle.y) >= reach
+        )
         free[columns, rows] &= outside
     for polygon in world.polygons:
         grown = shapely.Polygon(polygon.corners).buffer(clearance)
         west, south, east, north = grown.bounds
         columns = _cell_window(x, (west + east) / 2, (east - west) / 2, cell)
         rows = _cell_window(y, (south + north) / 2, (north - south) / 2, cell)
-        free[columns, rows] &= ~shapely.contains_xy(grown, *np.meshgrid(x[columns], y[rows], indexing="ij"))
+        free[columns, rows] &= ~shapely.contains_xy(
+            grown, *np.meshgrid(x[columns], y[rows], indexing="ij")
+        )
     return free
 
 
-def _cell_window(centres: np.ndarray, middle: float, reach: float, cell: float) -> slice:
+def _cell_window(
+    centres: np.ndarray, middle: float, reach: float, cell: float
+) -> slice:
     """Return the cells whose centres may lie within `reach` of a position."""
     first = math.floor((middle - reach - centres[0]) / cell)
     return slice(max(0, first), max(0, first + 2 + math.ceil(2 * reach / cell)))
@@ -152,7 +174,10 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
         both = free[here] & free[there]
         edges.append((number[here][both], number[there][both], length * cell))
     lengths = np.concatenate([np.full(len(a), length) for a, _, length in edges])
-    ends = (np.concatenate([a for a, _, _ in edges]), np.concatenate([b for _, b, _ in edges]))
+    ends = (
+        np.concatenate([a for a, _, _ in edges]),
+        np.concatenate([b for _, b, _ in edges]),
+    )
     return coo_array((lengths, ends), shape=(free.size, free.size)).tocsr()
 
 
@@ -164,7 +189,8 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
         body: footprint of the snake.
 
     Returns:
-        x, y (m), heading (rad) of the entry pose and length of the straight path through (m), shape (n, 4).
+        x, y (m), heading (rad) of the entry pose and length of the straight path
+        through (m), shape (n, 4).
     """
     import shapely
 
@@ -173,13 +199,21 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     ends, radii = _thick_lines(world)
     if len(ends) < 2:
         return NO_PASSAGES
-    circles = len(world.obstacles)  # as points: shapely has no distance from a line without length
-    lines = np.concatenate([shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])])
+    circles = len(
+        world.obstacles
+    )  # as points: shapely has no distance from a line without length
+    lines = np.concatenate(
+        [shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])]
+    )
     tree, largest = shapely.STRtree(lines), float(radii.max(initial=0.0))
-    one, other = tree.query(lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest)
+    one, other = tree.query(
+        lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest
+    )
     # Keep each pair of obstacles once.
     one, other = one[one < other], other[one < other]
-    near = shapely.get_coordinates(shapely.shortest_line(lines[one], lines[other])).reshape(-1, 2, 2)
+    near = shapely.get_coordinates(
+        shapely.shortest_line(lines[one], lines[other])
+    ).reshape(-1, 2, 2)
     across = near[:, 1] - near[:, 0]
     distance = np.hypot(*across.T)
     gap = distance - radii[one] - radii[other]
@@ -191,13 +225,27 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     # Drop pairs with another obstacle between them, and those inside a polygon.
     at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
     nearer = (
-        shapely.distance(points[at], lines[obstacle]) - radii[obstacle] < gap[at] / 2 - _DISTANCE_TOLERANCE_M
+        shapely.distance(points[at], lines[obstacle]) - radii[obstacle]
+        < gap[at] / 2 - _DISTANCE_TOLERANCE_M
     )
     solid = shapely.union_all([shapely.Polygon(p.corners) for p in world.polygons])
-    is_open = ~(np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points))
+    is_open = ~(
+        np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points)
+    )
     # Sort by width, so that of several close passages the narrowest is kept.
-    ordered = sorted(zip(gap[is_open], centre[is_open].tolist(), normal[is_open].tolist(), strict=True))
-    return _entry_poses([(point, direction) for _, point, direction in ordered], body, _MIN_SPACING * width)
+    ordered = sorted(
+        zip(
+            gap[is_open],
+            centre[is_open].tolist(),
+            normal[is_open].tolist(),
+            strict=True,
+        )
+    )
+    return _entry_poses(
+        [(point, direction) for _, point, direction in ordered],
+        body,
+        _MIN_SPACING * width,
+    )
 
 
 def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
@@ -222,7 +270,10 @@ def _entry_poses(
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
     # The middle of the body, not the centre of mass, follows the middle of the passage.
-    lateral, ahead = (straight.right - straight.left) / 2, body.ahead + _ENTRY_CLEARANCE_M
+    lateral, ahead = (
+        (straight.right - straight.left) / 2,
+        body.ahead + _ENTRY_CLEARANCE_M,
+    )
     passages: list[tuple[float, float, float, float]] = []
     kept: list[tuple[float, float]] = []
     for (x, y), (across_x, across_y) in centres:
@@ -230,11 +281,19 @@ def _entry_poses(
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):
-            # Perpendicular to the shortest line between the obstacles, in both directions.
+            # Perpendicular to the shortest line between the obstacles, in both
+            # directions.
             heading = math.atan2(-sign * across_x, sign * across_y)
             c, s = math.cos(heading), math.sin(heading)
-            run_ups = {ahead, ahead + transient, ahead + transient + _ROUND_CLEARANCE * width}
+            run_ups = {
+                ahead,
+                ahead + transient,
+                ahead + transient + _ROUND_CLEARANCE * width,
+            }
             for run_up in sorted(run_ups):
-                entry_x, entry_y = x - run_up * c - lateral * s, y - run_up * s + lateral * c
+                entry_x, entry_y = (
+                    x - run_up * c - lateral * s,
+                    y - run_up * s + lateral * c,
+                )
                 passages.append((entry_x, entry_y, heading, run_up + body.behind))
     return np.array(passages).reshape(-1, 4)

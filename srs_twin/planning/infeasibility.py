@@ -1,27 +1,31 @@
 r"""Proofs of infeasibility, and a lower bound on the length of any path.
 
-Proof by connectivity, independent of curvature. Consider a point o of an obstacle whose distance from a
-smooth path is below the clearance w, the smallest distance of an edge from the path. If the nearest point of
-the path is not an end of it, o is straight across from that point and within the edges: a collision. So the
-nearest point is an end, at most w from o, and all other points of the path within w of o are within 2 w of
-that end. Hence a collision-free path is contained in the free space. This is the complement of the obstacles
-grown by w, within the bounds reduced by w, together with discs of radius 2 w around both ends. If start and
-goal are in different connected components, no path exists; otherwise the shortest line in the component is a
-lower bound on the path length.
+Proof by connectivity, independent of curvature. Consider a point o of an obstacle whose
+distance from a smooth path is below the clearance w, the smallest distance of an edge
+from the path. If the nearest point of the path is not an end of it, o is straight
+across from that point and within the edges: a collision. So the nearest point is an
+end, at most w from o, and all other points of the path within w of o are within 2 w of
+that end. Hence a collision-free path is contained in the free space. This is the
+complement of the obstacles grown by w, within the bounds reduced by w, together with
+discs of radius 2 w around both ends. If start and goal are in different connected
+components, no path exists; otherwise the shortest line in the component is a lower
+bound on the path length.
 
-Proof by curvature. All poses reachable from a start or goal by paths of curvature at most K are covered by
-cells in x, y and heading. From a cell, a path of length L with turn Δ has headings between those of the two
-paths that turn first to one side and then to the other at curvature K,
+Proof by curvature. All poses reachable from a start or goal by paths of curvature at
+most K are covered by cells in x, y and heading. From a cell, a path of length L with
+turn Δ has headings between those of the two paths that turn first to one side and then
+to the other at curvature K,
 
 $$ θ_{lo}(s) = \max(-Ks,\ Δ - K(L - s)) \le θ(s) \le \min(Ks,\ Δ + K(L - s)) = θ_{hi}(s), $$
 
-and stays within K L²/8 of the chord between its ends. All cells that this set overlaps are marked, unless a
-point on the way is closer to an obstacle than the clearance w by more than the rounding of cells. If no more
-cells can be marked before they come near the other end, no path exists.
+and stays within K L²/8 of the chord between its ends. All cells that this set overlaps
+are marked, unless a point on the way is closer to an obstacle than the clearance w by
+more than the rounding of cells. If no more cells can be marked before they come near
+the other end, no path exists.
 
-An obstacle closer than w to a path is straight across from it, within the edges, or beyond the end E of the
-head (or tail) at the last pose, closer than w to E. Therefore a point p counts as blocked if an obstacle is
-closer than w' = min(w, |p - E|/2).
+An obstacle closer than w to a path is straight across from it, within the edges, or
+beyond the end E of the head (or tail) at the last pose, closer than w to E. Therefore a
+point p counts as blocked if an obstacle is closer than w' = min(w, |p - E|/2).
 """
 
 from __future__ import annotations
@@ -41,8 +45,9 @@ if TYPE_CHECKING:
     import shapely
 
 _FINE_CHORDS = 32
-"""Chords per quarter circle of the connectivity proof. Chords lie inside the circle, which only widens
-gaps."""
+"""Chords per quarter circle of the connectivity proof.
+
+Chords lie inside the circle, which only widens gaps."""
 _COARSE_CHORDS = 4
 """Chords per quarter circle of the length bound: fewer corners, a faster search."""
 _ROUNDING_M = 1e-9
@@ -62,7 +67,8 @@ class Resolution(NamedTuple):
     Attributes:
         sectors: heading cells per turn of a step.
         cells: position cells per length of a step.
-        exit_radii: distance from the end at which a path has left its surroundings, in turning radii.
+        exit_radii: distance from the end at which a path has left its surroundings, in
+            turning radii.
         max_cells: largest number of cells.
     """
 
@@ -120,17 +126,21 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
     component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
     if component is None:
         return math.inf
-    # A* on the visibility graph: shortest lines bend at corners of the free space only. Visibility is tested
-    # late, when a line reaches the front of the queue.
+    # A* on the visibility graph: shortest lines bend at corners of the free space only.
+    # Visibility is tested late, when a line reaches the front of the queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
-    corners = np.array([(start.x, start.y), (goal.x, goal.y), *_reflex_corners(component)])
+    corners = np.array(
+        [(start.x, start.y), (goal.x, goal.y), *_reflex_corners(component)]
+    )
     straight = np.hypot(*(corners - corners[1]).T)
     done = np.zeros(len(corners), dtype=bool)
     queue = [(float(straight[0]), 0.0, 0, 0)]
     while queue:
         _, length, before, here = heapq.heappop(queue)
-        if done[here] or not free.covers(shapely.linestrings([corners[before], corners[here]])):
+        if done[here] or not free.covers(
+            shapely.linestrings([corners[before], corners[here]])
+        ):
             continue
         if here == 1:
             return max(length - goal.radius, 0.0)
@@ -138,7 +148,13 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
         lengths = length + np.hypot(*(corners - corners[here]).T)
         for there in np.flatnonzero(~done).tolist():
             heapq.heappush(
-                queue, (float(lengths[there] + straight[there]), float(lengths[there]), here, there)
+                queue,
+                (
+                    float(lengths[there] + straight[there]),
+                    float(lengths[there]),
+                    here,
+                    there,
+                ),
             )
     return math.inf
 
@@ -163,18 +179,29 @@ def _free_component(
     import shapely
 
     here, there = shapely.Point(start.x, start.y), shapely.Point(goal.x, goal.y)
-    # Discs are drawn as polygons around the circle: the free space must not be too small.
+    # Discs are drawn as polygons around the circle: the free space must not be too
+    # small.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),
         there.buffer((2 * clearance + goal.radius) * around, quad_segs=chords),
     ]
-    grown = [core.buffer(radius + clearance, quad_segs=chords) for _, core, radius in obstacle_shapes(world)]
+    grown = [
+        core.buffer(radius + clearance, quad_segs=chords)
+        for _, core, radius in obstacle_shapes(world)
+    ]
     blocked = shapely.union_all(grown)
     box = _reduced_bounds(world, shapely.union_all([blocked, *ends]).bounds, clearance)
     free = shapely.union_all([box.difference(blocked), *ends])
     components = list(free.geoms) if free.geom_type == "MultiPolygon" else [free]
-    return next((part for part in components if part.intersects(here) and part.intersects(there)), None)
+    return next(
+        (
+            part
+            for part in components
+            if part.intersects(here) and part.intersects(there)
+        ),
+        None,
+    )
 
 
 def _reduced_bounds(
@@ -185,10 +212,21 @@ def _reduced_bounds(
 
     if world.bounds is None:
         west, south, east, north = extent
-        return shapely.box(west - clearance, south - clearance, east + clearance, north + clearance)
+        return shapely.box(
+            west - clearance, south - clearance, east + clearance, north + clearance
+        )
     (west, east), (south, north) = world.bounds.x, world.bounds.y
-    west, east, south, north = west + clearance, east - clearance, south + clearance, north - clearance
-    return shapely.box(west, south, east, north) if west < east and south < north else shapely.Polygon()
+    west, east, south, north = (
+        west + clearance,
+        east - clearance,
+        south + clearance,
+        north - clearance,
+    )
+    return (
+        shapely.box(west, south, east, north)
+        if west < east and south < north
+        else shapely.Polygon()
+    )
 
 
 def prove_unreachable(
@@ -201,15 +239,20 @@ def prove_unreachable(
         goal: goal.
         body: footprint.
         grid: obstacles and bounds.
-        resolution: size of cells; a finer one may find a proof where a coarse one does not.
+        resolution: size of cells; a finer one may find a proof where a coarse one does
+            not.
     """
     curvature, clearance = max(body.tightest), body.narrowest
     # Limit the step: longer ones could pass obstacles between the checked points.
     step = min(_MAX_TURN / curvature, 2 * clearance)
     sectors = math.ceil(2 * math.pi / (curvature * step / resolution.sectors))
-    boxes, cell = _step_boxes(curvature, step, 2 * math.pi / sectors), step / resolution.cells
+    boxes, cell = (
+        _step_boxes(curvature, step, 2 * math.pi / sectors),
+        step / resolution.cells,
+    )
     reach = _Reach(curvature, clearance, step, cell)
-    # An end: x, y, heading away from it, position and heading tolerance, reach of the body behind it.
+    # An end: x, y, heading away from it, position and heading tolerance, reach of the
+    # body behind it.
     first = np.array([start.x, start.y, start.heading, 0.0, 0.0, body.behind])
     # From the goal the path is followed backwards.
     if goal.heading is None:
@@ -219,9 +262,12 @@ def prove_unreachable(
     last = np.array([goal.x, goal.y, heading, goal.radius, tolerance, body.ahead])
     for name, end, other in (("goal", last, first), ("start", first, last)):
         side = math.ceil((resolution.exit_radii / curvature + end[3] + end[5]) / cell)
-        # A large array, of which the operating system allocates only the few pages that are used.
+        # A large array, of which the operating system allocates only the few pages that
+        # are used.
         marked = np.zeros((2 * side + 1, 2 * side + 1, sectors), dtype=np.bool_)
-        if _exhausts_cells(end, other, reach, boxes, marked, resolution.max_cells, grid):
+        if _exhausts_cells(
+            end, other, reach, boxes, marked, resolution.max_cells, grid
+        ):
             return name
     return ""
 
@@ -241,18 +287,33 @@ def _step_boxes(curvature: float, step: float, sector: float) -> np.ndarray:
     max_turn, rows = curvature * step, []
     for turn in range(-math.ceil(max_turn / sector), math.ceil(max_turn / sector) + 1):
         # Start and end may lie anywhere in their sectors.
-        low, high = max((turn - 1) * sector, -max_turn), min((turn + 1) * sector, max_turn)
+        low, high = (
+            max((turn - 1) * sector, -max_turn),
+            min((turn + 1) * sector, max_turn),
+        )
         if low > high:
             continue
         lowest = np.maximum(-curvature * s, low - curvature * (step - s))
         highest = np.minimum(curvature * s, high + curvature * (step - s))
-        smallest = np.where((lowest <= 0) & (highest >= 0), 0.0, np.minimum(abs(lowest), abs(highest)))
+        smallest = np.where(
+            (lowest <= 0) & (highest >= 0), 0.0, np.minimum(abs(lowest), abs(highest))
+        )
         # Bounds of the integrals of cos θ and sin θ over all admissible headings.
-        x = np.cos(np.maximum(abs(lowest), abs(highest))).mean(), np.cos(smallest).mean()
+        x = (
+            np.cos(np.maximum(abs(lowest), abs(highest))).mean(),
+            np.cos(smallest).mean(),
+        )
         y = np.sin(lowest).mean(), np.sin(highest).mean()
         error = step / _INTEGRATION_POINTS**2  # of the midpoint rule
-        rows.append((turn, step * x[0] - error, step * x[1] + error,
-                     step * y[0] - error, step * y[1] + error))  # fmt: skip
+        rows.append(
+            (
+                turn,
+                step * x[0] - error,
+                step * x[1] + error,
+                step * y[0] - error,
+                step * y[1] + error,
+            )
+        )
     return np.array(rows)
 
 
@@ -291,13 +352,22 @@ def _exhausts_cells(end, other, reach, boxes, marked, max_cells, grid):  # type:
         count -= 1
         i, j, k = stack[count]
         x, y = west + i * cell, south + j * cell
-        if np.hypot(x - far_x, y - far_y) < near or np.hypot(x - other[0], y - other[1]) < arrival:
+        if (
+            np.hypot(x - far_x, y - far_y) < near
+            or np.hypot(x - other[0], y - other[1]) < arrival
+        ):
             return False
         c, s = np.cos((k + 0.5) * sector), np.sin((k + 0.5) * sector)
         for box in range(len(boxes)):
             turn, low_x, high_x, low_y, high_y = _turned_box(boxes[box], c, s, extra)
-            first_i, last_i = _nearest(x + low_x - west, cell), _nearest(x + high_x - west, cell)
-            first_j, last_j = _nearest(y + low_y - south, cell), _nearest(y + high_y - south, cell)
+            first_i, last_i = (
+                _nearest(x + low_x - west, cell),
+                _nearest(x + high_x - west, cell),
+            )
+            first_j, last_j = (
+                _nearest(y + low_y - south, cell),
+                _nearest(y + high_y - south, cell),
+            )
             to_k = (k + turn) % sectors
             # A cell beyond the grid has left the surroundings, so there is no proof.
             if first_i < 0 or first_j < 0 or last_i > 2 * side or last_j > 2 * side:
@@ -352,7 +422,10 @@ def _is_blocked(step, origin, body, reach, slack, distances, grid):  # type: ign
     i, j, to_i, to_j = step
     for point in range(1, _CHECKED_POINTS + 1):
         share = point / _CHECKED_POINTS
-        at_i, at_j = int(np.round(i + share * (to_i - i))), int(np.round(j + share * (to_j - j)))
+        at_i, at_j = (
+            int(np.round(i + share * (to_i - i))),
+            int(np.round(j + share * (to_j - j))),
+        )
         x, y = origin[0] + at_i * reach.cell, origin[1] + at_j * reach.cell
         if np.isnan(distances[at_i, at_j]):
             distances[at_i, at_j] = _obstacle_distance(x, y, grid)
@@ -373,7 +446,9 @@ def _mark_end(end, cell, marked, stack):  # type: ignore[no-untyped-def]
     sectors, side = marked.shape[2], marked.shape[0] // 2
     rim, sector = int(np.ceil(end[3] / cell)) + 1, 2 * np.pi / sectors
     fan = min(int(np.ceil(end[4] / sector)) + 1, sectors // 2)
-    middle = int(np.floor((end[2] / (2 * np.pi) - np.floor(end[2] / (2 * np.pi))) * sectors))
+    middle = int(
+        np.floor((end[2] / (2 * np.pi) - np.floor(end[2] / (2 * np.pi))) * sectors)
+    )
     count = 0
     for i in range(side - rim, side + rim + 1):
         for j in range(side - rim, side + rim + 1):
@@ -381,7 +456,11 @@ def _mark_end(end, cell, marked, stack):  # type: ignore[no-untyped-def]
                 for k in range(middle - fan, middle + fan + 1):
                     if not marked[i, j, k % sectors]:
                         marked[i, j, k % sectors] = True
-                        stack[count, 0], stack[count, 1], stack[count, 2] = i, j, k % sectors
+                        stack[count, 0], stack[count, 1], stack[count, 2] = (
+                            i,
+                            j,
+                            k % sectors,
+                        )
                         count += 1
                         if count + 1 >= len(stack):
                             return -1
@@ -405,7 +484,11 @@ def _obstacle_distance(x, y, grid):  # type: ignore[no-untyped-def]
     bounds = grid.bounds
     least = min(min(x - bounds[0], bounds[1] - x), min(y - bounds[2], bounds[3] - y))
     for k in range(len(grid.circles)):
-        least = min(least, np.hypot(x - grid.circles[k, 0], y - grid.circles[k, 1]) - grid.circles[k, 2])
+        least = min(
+            least,
+            np.hypot(x - grid.circles[k, 0], y - grid.circles[k, 1])
+            - grid.circles[k, 2],
+        )
     for k in range(len(grid.sides)):
         ax, ay, bx, by = grid.sides[k]
         dx, dy = bx - ax, by - ay

@@ -30,14 +30,21 @@ _MEANINGS = {
     "plan_length_m": "length of the planned path",
     "plan_nodes": "number of nodes that the search expanded",
     "plan_kink_rad": "largest change of direction between two arcs of the path",
-    "goal_reached": "1 if the snake reached its goal without passing through an obstacle, else 0",
+    "goal_reached": (
+        "1 if the snake reached its goal without passing through an obstacle, else 0"
+    ),
     "arrival_error_m": "distance from the goal at the end",
-    "arrival_heading_error_rad": "angle between the heading and the goal heading at the end",
+    "arrival_heading_error_rad": (
+        "angle between the heading and the goal heading at the end"
+    ),
     "cross_track_rms_m": "RMS distance of the centre of mass from the planned path",
     "cross_track_max_m": "largest distance of the centre of mass from the planned path",
-    "inside_share": "fraction of the time in which the whole body is inside the planned footprint",
+    "inside_share": (
+        "fraction of the time in which the whole body is inside the planned footprint"
+    ),
     "inside_50mm_share": (
-        "fraction of the time in which the whole body is inside the 50 mm box of the dissertation"
+        "fraction of the time in which the whole body is inside the 50 mm box of the"
+        " dissertation"
     ),
     "following_time_s": "time from start to end of the path",
     "replans": "number of plans after the first",
@@ -79,7 +86,10 @@ def legs(trajectory: Trajectory) -> Iterator[Leg]:
     """Yield the parts of a run under each of its plans that has a path."""
     metadata = following(trajectory)
     plans = metadata["plans"] if metadata else []
-    begins = [*(int(np.searchsorted(trajectory.time, p["time"] - 1e-9)) for p in plans), len(trajectory)]
+    begins = [
+        *(int(np.searchsorted(trajectory.time, p["time"] - 1e-9)) for p in plans),
+        len(trajectory),
+    ]
     for plan, begin, end in zip(plans, begins, begins[1:], strict=False):
         if plan["segments"] and end > begin:
             yield Leg(slice(begin, end), segments_of(plan))
@@ -101,8 +111,16 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
     from srs_twin.planning.footprint import Footprint
 
     data = metadata["footprint"]
-    columns = {k: tuple(data[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")}
-    return Footprint(data["name"], data["title"], **columns, ahead=data["ahead"], behind=data["behind"])
+    columns = {
+        k: tuple(data[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")
+    }
+    return Footprint(
+        data["name"],
+        data["title"],
+        **columns,
+        ahead=data["ahead"],
+        behind=data["behind"],
+    )
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
@@ -110,23 +128,27 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
     Relative to the plan in force at each sample:
 
-    - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from the path.
-    - ``inside_share``: fraction of samples at which the whole body is between the edges of the planned
-      footprint. The body is represented by connectors and middles of segments, with half the width to both
-      sides. Beyond both ends of the path, where head or tail may be, the path is straight.
+    - ``cross_track_rms_m``, ``cross_track_max_m``: distance of the centre of mass from
+      the path.
+    - ``inside_share``: fraction of samples at which the whole body is between the edges
+      of the planned footprint. The body is represented by connectors and middles of
+      segments, with half the width to both sides. Beyond both ends of the path, where
+      head or tail may be, the path is straight.
     - ``inside_50mm_share``: the same for the box of 50 mm of the dissertation.
 
     At the end of the run:
 
-    - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body never overlapped an
-      obstacle, which is possible on the analytical plant only; otherwise 0.
+    - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body
+      never overlapped an obstacle, which is possible on the analytical plant only;
+      otherwise 0.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
-    - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period and extrapolated to the
-      end; None without an arrival heading.
+    - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
+      and extrapolated to the end; None without an arrival heading.
 
     Of the whole run:
 
-    - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``: metrics of the first plan.
+    - ``following_time_s``: duration; ``replans``: number of new plans; ``plan_…``:
+      metrics of the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
@@ -142,7 +164,9 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     }
 
 
-def plan_metrics(found: bool, segments: tuple[Segment, ...], nodes: int) -> dict[str, float | None]:
+def plan_metrics(
+    found: bool, segments: tuple[Segment, ...], nodes: int
+) -> dict[str, float | None]:
     """Return the metrics of a plan without a run."""
     from srs_twin.planning.problem import Outcome, Plan
 
@@ -163,7 +187,9 @@ def _arrival(
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
     heading = None
     if goal["heading"] is not None:
-        heading = abs(math.remainder(_mean_heading(trajectory) - goal["heading"], 2 * math.pi))
+        heading = abs(
+            math.remainder(_mean_heading(trajectory) - goal["heading"], 2 * math.pi)
+        )
     return {
         "goal_reached": int(error <= goal["radius"] and not overlapped),
         "arrival_error_m": error,
@@ -184,26 +210,40 @@ def _mean_heading(trajectory: Trajectory) -> float:
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
 
-def _deviation(trajectory: Trajectory, metadata: Mapping[str, Any]) -> dict[str, float | None]:
+def _deviation(
+    trajectory: Trajectory, metadata: Mapping[str, Any]
+) -> dict[str, float | None]:
     """Return the metrics of deviation from the path."""
     deviations = list(_path_deviations(trajectory))
     if not deviations:
-        return dict.fromkeys(("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"))
-    deviation, outline, curvature = (np.concatenate(arrays) for arrays in zip(*deviations, strict=True))
+        return dict.fromkeys(
+            (
+                "cross_track_rms_m",
+                "cross_track_max_m",
+                "inside_share",
+                "inside_50mm_share",
+            )
+        )
+    deviation, outline, curvature = (
+        np.concatenate(arrays) for arrays in zip(*deviations, strict=True)
+    )
     # The dissertation shifts its box outward in proportion to the curvature.
     shift = DISSERTATION_SHIFT_M * np.clip(-curvature / DISSERTATION_TIGHTEST, -1, 1)
     return {
         "cross_track_rms_m": rms(deviation),
         "cross_track_max_m": float(np.abs(deviation).max()),
         "inside_share": float((beyond(trajectory) <= 0).mean()),
-        "inside_50mm_share": float((np.abs(outline - shift) <= DISSERTATION_HALF_WIDTH_M).all(axis=1).mean()),
+        "inside_50mm_share": float(
+            (np.abs(outline - shift) <= DISSERTATION_HALF_WIDTH_M).all(axis=1).mean()
+        ),
     }
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
     """Return the distance of the body beyond the planned footprint's edges, shape (samples,), m.
 
-    Negative inside the edges. The edges are those of the recorded footprint, as for `inside_share`.
+    Negative inside the edges. The edges are those of the recorded footprint, as for
+    `inside_share`.
     """
     metadata = following(trajectory)
     assert metadata is not None, "a run that followed a plan"
@@ -211,18 +251,22 @@ def beyond(trajectory: Trajectory) -> np.ndarray:
     excursions = [np.empty(0)]
     for _, n, curvature in _path_deviations(trajectory):
         left, right = (
-            np.interp(curvature, footprint.curvatures, edge) for edge in (footprint.left, footprint.right)
+            np.interp(curvature, footprint.curvatures, edge)
+            for edge in (footprint.left, footprint.right)
         )
         excursions.append(np.maximum(n - left, -n - right).max(axis=1))
     return np.concatenate(excursions)
 
 
-def _path_deviations(trajectory: Trajectory) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _path_deviations(
+    trajectory: Trajectory,
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Yield the deviations from the path of each plan.
 
     Yields:
-        Cross-track error of the centre of mass, m, shape (samples,); of the body points, m, shape (samples,
-        k); and the curvature of the path at these points, 1/m, shape (samples, k).
+        Cross-track error of the centre of mass, m, shape (samples,); of the body
+        points, m, shape (samples, k); and the curvature of the path at these points,
+        1/m, shape (samples, k).
     """
     from srs_twin.planning.path import ReferencePath
 
@@ -230,12 +274,19 @@ def _path_deviations(trajectory: Trajectory) -> Iterator[tuple[np.ndarray, np.nd
     for leg in legs(trajectory):
         path = ReferencePath(leg.segments)
         points = outline[leg.samples]
-        s, n = (values.reshape(points.shape[:2]) for values in path.coordinates(points.reshape(-1, 2)))
+        s, n = (
+            values.reshape(points.shape[:2])
+            for values in path.coordinates(points.reshape(-1, 2))
+        )
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
         # Beyond its end the path continues straight, with curvature 0.
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
-        yield path.coordinates(trajectory.com[leg.samples])[1], n, np.where(s < 0, 0.0, here)
+        yield (
+            path.coordinates(trajectory.com[leg.samples])[1],
+            n,
+            np.where(s < 0, 0.0, here),
+        )
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
@@ -251,8 +302,8 @@ def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     chord = position[:, :-1] - position[:, 1:]
     # Positive bends turn the head end to the left, see the glossary.
     bend = np.diff(-theta, axis=1)
-    # The distance of the middle of an arc from its chord is chord · tan(bend/4)/2, to the outside of the
-    # bend.
+    # The distance of the middle of an arc from its chord is chord · tan(bend/4)/2, to
+    # the outside of the bend.
     sagitta = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
     middle = (position[:, :-1] + position[:, 1:]) / 2 + sagitta * np.stack(
         [chord[..., 1], -chord[..., 0]], -1
@@ -280,9 +331,27 @@ METRICS = MetricGroup(
     yes_no=frozenset({"plan_found", "goal_reached"}),
     main="plan_found",
     short_table=(
-        *("plan_found", "plan_length_m", "goal_reached", "arrival_error_m", "arrival_heading_error_rad"),
-        *("cross_track_rms_m", "cross_track_max_m", "inside_share", "inside_50mm_share"),
-        *("contacts", "clearance_m", "following_time_s", "replans", "com_speed_m_s", "realtime_factor"),
+        *(
+            "plan_found",
+            "plan_length_m",
+            "goal_reached",
+            "arrival_error_m",
+            "arrival_heading_error_rad",
+        ),
+        *(
+            "cross_track_rms_m",
+            "cross_track_max_m",
+            "inside_share",
+            "inside_50mm_share",
+        ),
+        *(
+            "contacts",
+            "clearance_m",
+            "following_time_s",
+            "replans",
+            "com_speed_m_s",
+            "realtime_factor",
+        ),
     ),
 )
 """Metrics of runs that follow a plan."""

@@ -1,7 +1,8 @@
 """Moves of a search: arcs with edges that are widened by transients, and shortening of paths by them.
 
-The kernels pass an arc state, a tuple with the pose (x, y, heading) at the end of an arc, the move that led
-there, and the transient of the last changes of offset: extra left and right width and remaining length, m.
+The kernels pass an arc state, a tuple with the pose (x, y, heading) at the end of an
+arc, the move that led there, and the transient of the last changes of offset: extra
+left and right width and remaining length, m.
 """
 
 from __future__ import annotations
@@ -38,12 +39,15 @@ class MoveSet(NamedTuple):
         curvatures: curvatures, rising, 1/m, shape (n,).
         left: left edge of the footprint for each curvature, m, shape (n,).
         right: right edge of the footprint for each curvature, m, shape (n,).
-        transients: extra left width, extra right width and length (m) of the transient after a change from
-            one curvature to another, shape (n + 1, n, 3); row n: at the start.
-        primitives: indices of the curvatures that lead to a node's children, shape (m,).
-        radius_factors: turning radii of the tested Dubins paths relative to the smallest one, 1 first,
-            shape (k,).
-        dubins_moves: for each factor the indices of right turn, straight line and left turn, shape (k, 3).
+        transients: extra left width, extra right width and length (m) of the transient
+            after a change from one curvature to another, shape (n + 1, n, 3); row n: at
+            the start.
+        primitives: indices of the curvatures that lead to a node's children, shape
+            (m,).
+        radius_factors: turning radii of the tested Dubins paths relative to the
+            smallest one, 1 first, shape (k,).
+        dubins_moves: for each factor the indices of right turn, straight line and left
+            turn, shape (k, 3).
         length: length of a primitive, m.
         ahead: extent of the body ahead of the centre of mass, m.
         behind: extent of the body behind the centre of mass, m.
@@ -132,18 +136,26 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
         left, right, lasting = 0.0, 0.0, 0.0
     # Overlapping transients: the larger width and length of each.
     change = moves.transients[before, move]
-    left, right, lasting = max(left, change[0]), max(right, change[1]), max(lasting, change[2])
+    left, right, lasting = (
+        max(left, change[0]),
+        max(right, change[1]),
+        max(lasting, change[2]),
+    )
     curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
     # The first part of the arc has the wider edges, the rest the steady ones.
     first = min(lasting, length)
     free = True
     if first > 0:
         wide = moves.left[move] + left, moves.right[move] + right
-        free = not arc_collides((x, y, heading), curvature, first, (ahead, behind, *wide), grid)
+        free = not arc_collides(
+            (x, y, heading), curvature, first, (ahead, behind, *wide), grid
+        )
         x, y, heading = arc_end(x, y, heading, curvature, first)
     if free and first < length:
         edges = moves.left[move], moves.right[move]
-        free = not arc_collides((x, y, heading), curvature, length - first, (ahead, behind, *edges), grid)
+        free = not arc_collides(
+            (x, y, heading), curvature, length - first, (ahead, behind, *edges), grid
+        )
     x, y, heading = arc_end(x, y, heading, curvature, length - first)
     return free, (x, y, heading, move, left, right, lasting - first)
 
@@ -161,11 +173,14 @@ def shorten_path(
         radius: turning radius of Dubins paths, m.
     """
     arcs = [(c, length) for c, length in path if length > 0]
-    indices = np.array([np.argmin(abs(moves.curvatures - c)) for c, _ in arcs], dtype=np.int64)
+    indices = np.array(
+        [np.argmin(abs(moves.curvatures - c)) for c, _ in arcs], dtype=np.int64
+    )
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
-        # Divide the path more finely in each round, so that short cuts can begin and end at other poses.
+        # Divide the path more finely in each round, so that short cuts can begin and
+        # end at other poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, moves, grid, radius)
@@ -191,17 +206,26 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
         _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
         states.append(state)
         distances[k + 1] = distances[k] + lengths[k]
-    new_indices, new_lengths, size = np.empty(3 * count, dtype=np.int64), np.empty(3 * count), 0
+    new_indices, new_lengths, size = (
+        np.empty(3 * count, dtype=np.int64),
+        np.empty(3 * count),
+        0,
+    )
     state, k = initial_state(x, y, heading, moves), 0
     while k < count:
         last = count
         while last > k:
             pose = states[last]
-            path = dubins_path(state[0], state[1], state[2], pose[0], pose[1], pose[2], False, radius)
+            path = dubins_path(
+                state[0], state[1], state[2], pose[0], pose[1], pose[2], False, radius
+            )
             if path[3] + path[4] + path[5] < distances[last] - distances[k] - 1e-9:
                 free, end = follow_dubins_path(state, path, moves, grid)
-                # The transient of the last change widens the edges on the path that follows.
-                if free and _stays_free(end, last, indices, lengths, states, moves, grid):
+                # The transient of the last change widens the edges on the path that
+                # follows.
+                if free and _stays_free(
+                    end, last, indices, lengths, states, moves, grid
+                ):
                     break
             # Try nearer poses, in steps that shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
@@ -209,7 +233,9 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
             for piece in range(3):
                 if path[3 + piece] > 0:
                     move = moves.dubins_moves[0, 1 + int(path[piece])]
-                    size = _append_arc(new_indices, new_lengths, size, move, path[3 + piece])
+                    size = _append_arc(
+                        new_indices, new_lengths, size, move, path[3 + piece]
+                    )
             state, k = end, last
         else:
             size = _append_arc(new_indices, new_lengths, size, indices[k], lengths[k])
@@ -234,7 +260,9 @@ def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignor
     while k < len(indices):
         before, left, right, lasting = state[3], state[4], state[5], state[6]
         original = states[k]
-        covered = left <= original[4] and right <= original[5] and lasting <= original[6]
+        covered = (
+            left <= original[4] and right <= original[5] and lasting <= original[6]
+        )
         if before == original[3] and (lasting <= 0 or covered):
             return True
         free, state = follow_arc(state, indices[k], lengths[k], moves, grid)

@@ -1,7 +1,8 @@
 """Paths of arcs, and path coordinates relative to them.
 
-Path coordinates as in `arcs`: s along the path from its start, n to its left, m. The path is extended by a
-straight line at both ends, so that a body whose centre of mass is at an end has coordinates as well.
+Path coordinates as in `arcs`: s along the path from its start, n to its left, m. The
+path is extended by a straight line at both ends, so that a body whose centre of mass is
+at an end has coordinates as well.
 """
 
 from __future__ import annotations
@@ -50,18 +51,23 @@ class Segment:
         return self.pose(self.length)
 
 
-def make_segment(start: Pose, curvature: float, length: float, footprint: Footprint) -> Segment:
+def make_segment(
+    start: Pose, curvature: float, length: float, footprint: Footprint
+) -> Segment:
     """Return an arc with the offset and speed of its curvature in a footprint."""
     row = footprint.at(curvature)
     return Segment(start, curvature, length, row.offset, row.speed)
 
 
-def path_from_arcs(start: Pose, arcs: ArcSequence, footprint: Footprint) -> tuple[Segment, ...]:
+def path_from_arcs(
+    start: Pose, arcs: ArcSequence, footprint: Footprint
+) -> tuple[Segment, ...]:
     """Return the path of consecutive arcs; neighbours of equal curvature are merged.
 
     Args:
         start: pose at the start.
-        arcs: curvature (1/m) and length (m) of each arc; arcs without length are dropped.
+        arcs: curvature (1/m) and length (m) of each arc; arcs without length are
+            dropped.
         footprint: source of offsets and speeds.
     """
     merged: list[list[float]] = []
@@ -96,14 +102,24 @@ class Steps(NamedTuple):
     right: np.ndarray
 
 
-def path_steps(segments: Sequence[Segment], footprint: Footprint, spacing: float) -> Steps:
+def path_steps(
+    segments: Sequence[Segment], footprint: Footprint, spacing: float
+) -> Steps:
     """Return steps of at most `spacing` (m) along a path."""
     rows: list[tuple[float, ...]] = []
     for segment in segments:
         count = max(math.ceil(segment.length / spacing), 1)
-        row, middles = footprint.at(segment.curvature), ((k + 0.5) / count for k in range(count))
+        row, middles = (
+            footprint.at(segment.curvature),
+            ((k + 0.5) / count for k in range(count)),
+        )
         rows += [
-            (*segment.pose(share * segment.length), segment.length / count, row.left, row.right)
+            (
+                *segment.pose(share * segment.length),
+                segment.length / count,
+                row.left,
+                row.right,
+            )
             for share in middles
         ]
     table = np.array(rows, dtype=float).reshape(-1, 6)
@@ -124,7 +140,8 @@ class ReferencePath:
 
     Attributes:
         length: length of the path, m.
-        arcs: x, y, heading, curvature, initial s and length of each arc, extensions included, shape (n, 6).
+        arcs: x, y, heading, curvature, initial s and length of each arc, extensions
+            included, shape (n, 6).
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
@@ -142,13 +159,24 @@ class ReferencePath:
         begin = 0.0
         for segment in segments:
             start = segment.start
-            rows.append((start.x, start.y, start.heading, segment.curvature, begin, segment.length))
+            rows.append(
+                (
+                    start.x,
+                    start.y,
+                    start.heading,
+                    segment.curvature,
+                    begin,
+                    segment.length,
+                )
+            )
             begin += segment.length
         rows.append((last.x, last.y, last.heading, 0.0, begin, EXTENSION_M))
         self.length = begin
         self.arcs = np.array(rows)
 
-    def nearest(self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf) -> PathPoint:
+    def nearest(
+        self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
+    ) -> PathPoint:
         """Return the path coordinates of a point (x, y), m, with s between `low` and `high`, m."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
@@ -184,7 +212,8 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         c, sn = np.cos(arcs[k, 2]), np.sin(arcs[k, 2])
         dx, dy = x - arcs[k, 0], y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
-        # s is between -π/|κ| and π/|κ|; on arcs of more than half a turn, add a full turn.
+        # s is between -π/|κ| and π/|κ|; on arcs of more than half a turn, add a full
+        # turn.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)
@@ -193,7 +222,12 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         if distance < best:
             best = distance
             lateral = np.cos(heading) * (y - py) - np.sin(heading) * (x - px)
-            s_best, n_best, heading_best, curvature_best = begin + s, lateral, heading, curvature
+            s_best, n_best, heading_best, curvature_best = (
+                begin + s,
+                lateral,
+                heading,
+                curvature,
+            )
     return s_best, n_best, heading_best, curvature_best
 
 

@@ -18,9 +18,21 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine, FollowedSignal, RunPictures
 from srs_twin.viewing.html import Table, cell, notebook_output, picture
-from srs_twin.viewing.plots.from_above import draw_run, lines_plot, obstacle_patches, strobe_times
+from srs_twin.viewing.plots.from_above import (
+    draw_run,
+    lines_plot,
+    obstacle_patches,
+    strobe_times,
+)
 from srs_twin.viewing.plots.signals import goal_ring
-from srs_twin.viewing.plots.style import GOAL_COLOR, STYLES, drawing, finish, panels, style_of
+from srs_twin.viewing.plots.style import (
+    GOAL_COLOR,
+    STYLES,
+    drawing,
+    finish,
+    panels,
+    style_of,
+)
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -53,12 +65,22 @@ def segment_points(
         ahead: extension beyond the end, m.
     """
     low, high = -behind, segment.length + ahead
-    poses = [segment.pose(s) for s in np.linspace(low, high, max(2, int((high - low) / _SPACING_M)))]
-    return np.array([(p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading)) for p in poses])
+    poses = [
+        segment.pose(s)
+        for s in np.linspace(low, high, max(2, int((high - low) / _SPACING_M)))
+    ]
+    return np.array(
+        [
+            (p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading))
+            for p in poses
+        ]
+    )
 
 
 @drawing
-def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> Figure | None:
+def following_plot(
+    trajectories: Mapping[str, Trajectory], spec: RobotSpec
+) -> Figure | None:
     """Return a plot of the plan with the paths and bodies of the runs; None if no run follows a plan.
 
     The first plan is the same for all runs. Later plans of each run are thin lines.
@@ -68,7 +90,9 @@ def following_plot(trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> F
         spec: robot of the runs.
     """
     followers = {
-        plant: metadata for plant, run in trajectories.items() if (metadata := following(run)) is not None
+        plant: metadata
+        for plant, run in trajectories.items()
+        if (metadata := following(run)) is not None
     }
     if not followers:
         return None
@@ -101,7 +125,9 @@ def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figu
 
 
 @drawing
-def search_plot(problem: Problem, segments: Sequence[Segment], trace: SearchTrace) -> Figure:
+def search_plot(
+    problem: Problem, segments: Sequence[Segment], trace: SearchTrace
+) -> Figure:
     """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     counts = Counter(trace.reasons).most_common(3)
@@ -110,10 +136,17 @@ def search_plot(problem: Problem, segments: Sequence[Segment], trace: SearchTrac
     for lines, color, zorder, label in (
         (trace.arcs, _EXPLORED_COLOUR, 0.5, f"arcs to {trace.nodes} nodes"),
         (trace.rejected, _REJECTED_COLOUR, 0.6, rejected),
-        (trace.passages, _PASSAGE_COLOUR, 0.7, f"{len(trace.passages)} narrow passages"),
+        (
+            trace.passages,
+            _PASSAGE_COLOUR,
+            0.7,
+            f"{len(trace.passages)} narrow passages",
+        ),
     ):
         # One collection per kind: a search has too many arcs for separate lines.
-        drawn = LineCollection(list(lines), colors=color, linewidths=0.5, zorder=zorder, label=label)
+        drawn = LineCollection(
+            list(lines), colors=color, linewidths=0.5, zorder=zorder, label=label
+        )
         axes.add_collection(drawn, autolim=False)
     axes.legend(loc="best", fontsize=8, frameon=False)
     axes.set_title("Search: explored and rejected arcs, and the plan", fontsize=10)
@@ -133,21 +166,42 @@ def _sheet(
     for segment in segments:
         # Footprints are drawn first, so that obstacles that they touch remain visible.
         axes.add_patch(
-            Polygon(_band(segment, footprint), facecolor=_FOOTPRINT_COLOUR, edgecolor="none", zorder=0)
+            Polygon(
+                _band(segment, footprint),
+                facecolor=_FOOTPRINT_COLOUR,
+                edgecolor="none",
+                zorder=0,
+            )
         )
     world, goal = metadata["world"], metadata["goal"]
-    circles = ((circle["x"], circle["y"], circle["radius"]) for circle in world["obstacles"])
-    for patch in obstacle_patches(circles, (polygon["corners"] for polygon in world["polygons"])):
+    circles = (
+        (circle["x"], circle["y"], circle["radius"]) for circle in world["obstacles"]
+    )
+    for patch in obstacle_patches(
+        circles, (polygon["corners"] for polygon in world["polygons"])
+    ):
         axes.add_patch(patch)
     if bounds := world["bounds"]:
         (x0, x1), (y0, y1) = bounds["x"], bounds["y"]
-        axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="0.6", linestyle="--"))
+        axes.add_patch(
+            Rectangle(
+                (x0, y0), x1 - x0, y1 - y0, fill=False, edgecolor="0.6", linestyle="--"
+            )
+        )
     if segments:
         x, y = path_points(segments).T
         axes.plot(x, y, color=_PATH_COLOUR, linewidth=1.0, zorder=2, label="plan")
         starts = np.array([(segment.start.x, segment.start.y) for segment in segments])
         axes.plot(*starts.T, ".", color=_PATH_COLOUR, markersize=3, zorder=2)
-    axes.add_patch(Circle((goal["x"], goal["y"]), goal["radius"], fill=False, edgecolor=GOAL_COLOR, zorder=2))
+    axes.add_patch(
+        Circle(
+            (goal["x"], goal["y"]),
+            goal["radius"],
+            fill=False,
+            edgecolor=GOAL_COLOR,
+            zorder=2,
+        )
+    )
     axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "y (m)", "x (m)", title="Plan with footprint, obstacles and goal")
@@ -156,8 +210,13 @@ def _sheet(
 
 def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
     """Return the outline of the footprint along a segment, m, shape (k, 2)."""
-    motion, beyond = footprint.at(segment.curvature), (footprint.behind, footprint.ahead)
-    left, right = (segment_points(segment, n, *beyond) for n in (motion.left, -motion.right))
+    motion, beyond = (
+        footprint.at(segment.curvature),
+        (footprint.behind, footprint.ahead),
+    )
+    left, right = (
+        segment_points(segment, n, *beyond) for n in (motion.left, -motion.right)
+    )
     return np.concatenate([left, right[::-1]])
 
 
@@ -179,7 +238,9 @@ def plan_page(plan: Plan) -> str:
         figure = lines_plot({"path": path_points(plan.segments)})
         path = picture(figure, "Path of the centre of mass.")
     return notebook_output(
-        f"{plan.outcome.value}: {plan.reason}", Table(["", "unit", "value"], rows, [2]), path
+        f"{plan.outcome.value}: {plan.reason}",
+        Table(["", "unit", "value"], rows, [2]),
+        path,
     )
 
 
@@ -203,15 +264,25 @@ def write_search(path: Path, plan: Plan, trace: SearchTrace, title: str) -> None
     for reason in sorted(set(trace.reasons)):
         pairs = zip(trace.rejected, trace.reasons, strict=True)
         arcs = tuple(arc for arc, why in pairs if why == reason)
-        lines.append(FloorLine(f"search/rejected/{reason.replace(' ', '_')}", arcs, FORCE_COLOR, 0.0005))
+        lines.append(
+            FloorLine(
+                f"search/rejected/{reason.replace(' ', '_')}", arcs, FORCE_COLOR, 0.0005
+            )
+        )
     write_floor(path, title, problem.world, lines)
 
 
-def plan_lines(segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]) -> list[FloorLine]:
+def plan_lines(
+    segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]
+) -> list[FloorLine]:
     """Return path, edges of the footprint and goal of a plan as lines on the floor."""
     lines = []
     if segments:
-        lines.append(FloorLine("plan/path", tuple(map(segment_points, segments)), _PATH_COLOUR, 0.002))
+        lines.append(
+            FloorLine(
+                "plan/path", tuple(map(segment_points, segments)), _PATH_COLOUR, 0.002
+            )
+        )
         edges = tuple(
             segment_points(segment, offset)
             for segment in segments
@@ -228,7 +299,12 @@ class FollowingPictures(RunPictures):
     kind = "following"
     legend = {"plan": _PATH_COLOUR, "goal": GOAL_COLOR}  # noqa: RUF012
     signals = (
-        FollowedSignal("cross_track", "cross_track", 1e3, "Distance from the path, left positive (mm)"),
+        FollowedSignal(
+            "cross_track",
+            "cross_track",
+            1e3,
+            "Distance from the path, left positive (mm)",
+        ),
         FollowedSignal("offset_commanded", "offset", 1.0, "Offset commanded"),
     )
 
@@ -236,10 +312,15 @@ class FollowingPictures(RunPictures):
         """See `RunPictures.applies`."""
         return following(run) is not None
 
-    def figures(self, runs: Mapping[str, Trajectory], spec: RobotSpec) -> dict[str, Figure]:
+    def figures(
+        self, runs: Mapping[str, Trajectory], spec: RobotSpec
+    ) -> dict[str, Figure]:
         """See `RunPictures.figures`."""
         figure = following_plot(runs, spec)
-        caption = "Plan with footprint (blue), obstacles and goal, and the runs that follow it."
+        caption = (
+            "Plan with footprint (blue), obstacles and goal, and the runs that"
+            " follow it."
+        )
         return {} if figure is None else {caption: figure}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:

@@ -36,8 +36,9 @@ class PathQuality:
     """Quality of a planned path.
 
     Attributes:
-        length_over_least: length relative to the least length around the obstacles, dimensionless; None if
-            the least length is 0, because the start is within the goal's radius.
+        length_over_least: length relative to the least length around the obstacles,
+            dimensionless; None if the least length is 0, because the start is within
+            the goal's radius.
         clearance_m: clearance beyond the edges that must stay free, m.
     """
 
@@ -72,7 +73,11 @@ class ScenarioPlan:
             return None
         assert result.problem is not None, "set by plan()"
         checker = Checker(result.problem.world, result.problem.footprint)
-        ratio = result.length / result.least_length if result.least_length > _ROUNDING else None
+        ratio = (
+            result.length / result.least_length
+            if result.least_length > _ROUNDING
+            else None
+        )
         return PathQuality(ratio, checker.clearance(result.segments))
 
     def document(self) -> dict[str, object]:
@@ -86,7 +91,11 @@ class ScenarioPlan:
             "world": asdict(problem.world),
             "goal": asdict(problem.goal),
             "segments": [asdict(segment) for segment in result.segments],
-            **({} if result.touches is None else {"touches": [asdict(touch) for touch in result.touches]}),
+            **(
+                {}
+                if result.touches is None
+                else {"touches": [asdict(touch) for touch in result.touches]}
+            ),
             "quality": asdict(self.quality) if self.quality else None,
             "metrics": self.metrics,
             "changes": list(self.scenario.changes),
@@ -109,21 +118,26 @@ def plan_scenario(
         scenario: name or path of a scenario with a planner, or a loaded scenario.
         out: output folder; None: nothing is written.
         set: values that override fields of the scenario, see `load_scenario`.
-        search: whether the plan keeps its search trees, of which a picture and a recording are written.
+        search: whether the plan keeps its search trees, of which a picture and a
+            recording are written.
 
     Raises:
-        InputError: the scenario is not valid or has no planner, or start or goal is not possible.
+        InputError: the scenario is not valid or has no planner, or start or goal is not
+            possible.
     """
     loaded = load_scenario(scenario, set=set)
     if loaded.planner is None:
         raise InputError(
-            f"{loaded.name}: there is no planner section; add planner, and controller.kind: follow"
+            f"{loaded.name}: there is no planner section; add planner, and"
+            " controller.kind: follow"
         )
     files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
     if out is not None:
         check_output_folder(Path(out), files)
     with loaded.named_in_errors():
-        result = loaded.planner.plan_uncached(keep=True) if search else loaded.planner.plan()
+        result = (
+            loaded.planner.plan_uncached(keep=True) if search else loaded.planner.plan()
+        )
     if out is None:
         return ScenarioPlan(loaded, result)
     planned = ScenarioPlan(loaded, result, files)

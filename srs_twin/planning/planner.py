@@ -1,15 +1,16 @@
 r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs between curvatures.
 
-Transition arcs replace jumps of the curvature by the measured response to a change of offset. After a change
-from curvature κ_a to κ_b the path lags: it turns by Δκ δ less than after an instant change, and is displaced
-by Δκ m/2 to the side (`Transient`: dheading = −Δκ δ, dy = Δκ m/2). To first order, one arc of length T and
-curvature
+Transition arcs replace jumps of the curvature by the measured response to a change of
+offset. After a change from curvature κ_a to κ_b the path lags: it turns by Δκ δ less
+than after an instant change, and is displaced by Δκ m/2 to the side (`Transient`:
+dheading = −Δκ δ, dy = Δκ m/2). To first order, one arc of length T and curvature
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
 
-has the same effect. If it begins δ before the planned change, the heading of the plan is unchanged and the
-path is displaced by Δκ (m − δ²)/2. The search therefore aims at a goal that is displaced to the other side. A
-follower that sends each offset δ ahead keeps the body on the path.
+has the same effect. If it begins δ before the planned change, the heading of the plan
+is unchanged and the path is displaced by Δκ (m − δ²)/2. The search therefore aims at a
+goal that is displaced to the other side. A follower that sends each offset δ ahead
+keeps the body on the path.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
 _MAX_WIDER_NODES = 4000
 """Largest number of nodes of the search for a wider body."""
 _COST_SPACING_M = 0.02
-"""Largest distance between the points at which the clearance of a path is evaluated, m."""
+"""Largest distance between the points at which the clearance of a path is evaluated, m.
+"""
 
 _AIM_ITERATIONS = 6
 """Largest number of corrections of the goal in `plan_with_transitions`."""
@@ -55,7 +57,9 @@ _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
 
 
 @checked
-def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "best_first") -> Plan:
+def plan(
+    problem: Problem, settings: Settings | None = None, *, planner: str = "best_first"
+) -> Plan:
     """Find a collision-free path.
 
     Args:
@@ -64,7 +68,8 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
         planner: `best_first`, or `greedy`, the planner of the dissertation.
 
     Raises:
-        InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.
+        InputError: start or goal is in an obstacle or outside the bounds, or a number
+            is not allowed.
         UnknownNameError: the planner is unknown.
     """
     if planner not in PLANNERS:
@@ -72,13 +77,20 @@ def plan(problem: Problem, settings: Settings | None = None, *, planner: str = "
     settings = settings or Settings()
     touch = settings.touch_limits
     if touch and planner != "best_first":
-        raise InputError(f"planner '{planner}' keeps clear of obstacles; best_first can plan with touch")
+        raise InputError(
+            f"planner '{planner}' keeps clear of obstacles; best_first can plan with"
+            " touch"
+        )
     firm = narrowed(problem, touch, 1.0) if touch else problem
     check_problem(firm)
     _compile()
     begun = time.perf_counter()
     search = PLANNERS[planner]
-    result = plan_with_touch(search, problem, settings) if touch else search(problem, settings)
+    result = (
+        plan_with_touch(search, problem, settings)
+        if touch
+        else search(problem, settings)
+    )
     if result.found and settings.clearance_weight > 0:
         result = _lowest_cost(result, problem, settings)
     return replace(result, seconds=time.perf_counter() - begun, problem=firm)
@@ -94,14 +106,22 @@ def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
     """
     straight = problem.footprint.at(0.0)
     width = straight.left + straight.right
-    short, plans = replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES)), [first]
+    short, plans = (
+        replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES)),
+        [first],
+    )
     for share in _WIDTH_STEPS:
-        wider = replace(problem, footprint=problem.footprint.reduced(margin=share * width))
+        wider = replace(
+            problem, footprint=problem.footprint.reduced(margin=share * width)
+        )
         result = best_first(wider, short)
         if not result.found:
             break
         plans.append(result.with_edges_of(problem))
-    return min(plans, key=lambda result: _cost(result, problem, width, settings.clearance_weight))
+    return min(
+        plans,
+        key=lambda result: _cost(result, problem, width, settings.clearance_weight),
+    )
 
 
 def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
@@ -121,19 +141,26 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 @functools.cache
 def _compile() -> None:
     """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
-    # A problem with obstacles in the way and a transient, because a straight path would not compile all
-    # kernels. It is solved without a proof that the goal is unreachable, so begin one.
+    # A problem with obstacles in the way and a transient, because a straight path would
+    # not compile all kernels. It is solved without a proof that the goal is
+    # unreachable, so begin one.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
     change = Transient(-0.3, 0.3, left=0.01, right=0.01, length=0.05)
-    body = replace(Footprint.box(0.06, 0.0, speed=0.1, curvature=2.0), transients=(change,))
+    body = replace(
+        Footprint.box(0.06, 0.0, speed=0.1, curvature=2.0), transients=(change,)
+    )
     start, goal = Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05)
     best_first(Problem(start, goal, world, body), Settings())
-    prove_unreachable(start, goal, body, Checker(world, body).grid, COARSE._replace(max_cells=1))
+    prove_unreachable(
+        start, goal, body, Checker(world, body).grid, COARSE._replace(max_cells=1)
+    )
 
 
-def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple[Segment, ...]:
+def with_transitions(
+    segments: Sequence[Segment], footprint: Footprint
+) -> tuple[Segment, ...]:
     """Return a path with transition arcs; without room for an arc, a change remains a jump.
 
     Args:
@@ -149,18 +176,23 @@ def with_transitions(segments: Sequence[Segment], footprint: Footprint) -> tuple
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
             delay, length = 0.0, 0.0
-        between = after.curvature + (here.curvature - after.curvature) * (delay / length if length else 0.0)
+        between = after.curvature + (here.curvature - after.curvature) * (
+            delay / length if length else 0.0
+        )
         arcs += [(here.curvature, remaining - delay), (between, length)]
         remaining = after.length - (length - delay)
     arcs.append((segments[-1].curvature, remaining))
     return path_from_arcs(segments[0].start, arcs, footprint)
 
 
-def plan_with_transitions(problem: Problem, settings: Settings, begin: Sequence[Segment] = ()) -> Plan:
+def plan_with_transitions(
+    problem: Problem, settings: Settings, begin: Sequence[Segment] = ()
+) -> Plan:
     """Plan a path with transition arcs.
 
-    The path is free with its transients and ends within the goal's tolerances. If no such path is found, the
-    plan is the one without transition arcs, and its reason says so.
+    The path is free with its transients and ends within the goal's tolerances. If no
+    such path is found, the plan is the one without transition arcs, and its reason says
+    so.
 
     Args:
         problem: the problem; its start is the end of `begin`.
@@ -176,7 +208,9 @@ def plan_with_transitions(problem: Problem, settings: Settings, begin: Sequence[
     plans: list[Plan] = []
 
     def search(problem: Problem, *, smooth: bool = True) -> Plan:
-        plans.append(plan(problem, replace(settings, smooth=settings.smooth and smooth)))
+        plans.append(
+            plan(problem, replace(settings, smooth=settings.smooth and smooth))
+        )
         return plans[-1]
 
     result = _search_with_transitions(problem, search, begin)
@@ -184,7 +218,9 @@ def plan_with_transitions(problem: Problem, settings: Settings, begin: Sequence[
     return replace(result, expanded=expanded, seconds=seconds)
 
 
-def _search_with_transitions(problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]) -> Plan:
+def _search_with_transitions(
+    problem: Problem, search: Callable[..., Plan], begin: Sequence[Segment]
+) -> Plan:
     """Return the first path with transition arcs that is free and arrives, trying wider bodies in turn."""
     body = problem.footprint
     first = search(problem)
@@ -210,7 +246,9 @@ def _search_with_transitions(problem: Problem, search: Callable[..., Plan], begi
                 break
             # Fixed-point iteration: displace the goal by the remaining error.
             aim = _corrected_aim(aim, problem.goal, end)
-    reason = f"{first.reason}; without transition arcs, because no path with them was free"
+    reason = (
+        f"{first.reason}; without transition arcs, because no path with them was free"
+    )
     return replace(first, reason=reason, segments=(*begin, *first.segments))
 
 
@@ -219,7 +257,11 @@ def _is_within(end: Pose, goal: Goal) -> bool:
     near = math.hypot(end.x - goal.x, end.y - goal.y) <= goal.radius
     if goal.heading is None:
         return near
-    return near and abs(math.remainder(end.heading - goal.heading, 2 * math.pi)) <= goal.heading_tolerance
+    return (
+        near
+        and abs(math.remainder(end.heading - goal.heading, 2 * math.pi))
+        <= goal.heading_tolerance
+    )
 
 
 def _corrected_aim(aim: Goal, goal: Goal, end: Pose) -> Goal:
@@ -227,4 +269,6 @@ def _corrected_aim(aim: Goal, goal: Goal, end: Pose) -> Goal:
     heading = None
     if goal.heading is not None and aim.heading is not None:
         heading = aim.heading - math.remainder(end.heading - goal.heading, 2 * math.pi)
-    return replace(aim, x=aim.x + goal.x - end.x, y=aim.y + goal.y - end.y, heading=heading)
+    return replace(
+        aim, x=aim.x + goal.x - end.x, y=aim.y + goal.y - end.y, heading=heading
+    )

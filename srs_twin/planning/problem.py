@@ -72,17 +72,21 @@ class Settings:
 
     Attributes:
         nodes: largest number of expanded nodes.
-        seconds: limit on the wall time, s, checked at least every 16,000 nodes; None: no limit. With a limit,
-            the result may differ between machines.
-        weight: weight of the cost-to-go bound. 1: shortest path; above 1: fewer nodes, and a path at most
-            this many times longer.
-        levels: number of resolutions to try, 1 to 5; each halves the arcs and cells of the previous one.
+        seconds: limit on the wall time, s, checked at least every 16,000 nodes; None:
+            no limit. With a limit, the result may differ between machines.
+        weight: weight of the cost-to-go bound. 1: shortest path; above 1: fewer nodes,
+            and a path at most this many times longer.
+        levels: number of resolutions to try, 1 to 5; each halves the arcs and cells of
+            the previous one.
         smooth: whether to shorten the path afterwards.
-        clearance_weight: extra cost of one metre of path that touches an obstacle, m. The cost falls by a
-            factor e per body width of clearance. Above 0, the search is repeated for wider bodies.
+        clearance_weight: extra cost of one metre of path that touches an obstacle, m.
+            The cost falls by a factor e per body width of clearance. Above 0, the
+            search is repeated for wider bodies.
         keep: whether to keep the search trees in the plan, to display them.
-        improve: whether to continue at finer levels for a shorter path while the budget lasts.
-        touch_limits: limits and cost of leaning on obstacles, with `best_first` only; None: keep clear.
+        improve: whether to continue at finer levels for a shorter path while the budget
+            lasts.
+        touch_limits: limits and cost of leaning on obstacles, with `best_first` only;
+            None: keep clear.
     """
 
     nodes: int = 200_000
@@ -100,9 +104,14 @@ class Settings:
             values = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
             raise InputError(f"planner: {values}: all must be at least 1")
         if not 0 <= self.clearance_weight < math.inf:
-            raise InputError(f"planner: clearance_weight {self.clearance_weight:g} must not be below 0")
+            raise InputError(
+                f"planner: clearance_weight {self.clearance_weight:g} must not be"
+                " below 0"
+            )
         if self.levels > _MAX_LEVELS:
-            raise InputError(f"planner: levels {self.levels} must be at most {_MAX_LEVELS}")
+            raise InputError(
+                f"planner: levels {self.levels} must be at most {_MAX_LEVELS}"
+            )
         if self.touch_limits is not None and self.clearance_weight > 0:
             raise InputError("planner: clearance_weight must be 0 if touch is allowed")
         if self.seconds is not None and not self.seconds > 0:
@@ -118,7 +127,8 @@ class Problem:
         goal: goal of the centre of mass.
         world: obstacles and bounds.
         footprint: area that the body covers, and its tightest turns.
-        primitives: motion primitives; None: chosen by `best_first`. `greedy` requires them.
+        primitives: motion primitives; None: chosen by `best_first`. `greedy` requires
+            them.
     """
 
     start: Pose
@@ -132,7 +142,8 @@ def check_problem(problem: Problem) -> None:
     """Check that a problem can be solved as stated.
 
     Raises:
-        InputError: start or goal is in an obstacle or outside the bounds, or a number is not allowed.
+        InputError: start or goal is in an obstacle or outside the bounds, or a number
+            is not allowed.
     """
     validate_footprint(problem.footprint)
     start, goal = problem.start, problem.goal
@@ -144,14 +155,18 @@ def check_problem(problem: Problem) -> None:
             raise InputError(f"{name} ({x:g}, {y:g}) is {relation} {hit}")
     if hit := Checker(problem.world, problem.footprint).first_collision(start):
         verb = "leaves" if hit.startswith("the bounds") else "touches"
-        raise InputError(f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb} {hit}")
+        raise InputError(
+            f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb}"
+            f" {hit}"
+        )
 
 
 def _check_poses(start: Pose, goal: Goal) -> None:
     angles = (start.heading, goal.heading or 0.0)
     if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
         raise InputError(
-            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between -100 and 100"
+            f"headings {angles[0]:g} and {angles[1]:g} rad: must be finite and between"
+            " -100 and 100"
         )
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
         if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
@@ -170,23 +185,41 @@ def _check_world(world: World) -> None:
     import shapely
 
     for k, circle in enumerate(world.obstacles):
-        if not (math.isfinite(circle.x) and math.isfinite(circle.y) and 0 < circle.radius < math.inf):
-            raise InputError(f"obstacle {k + 1}: numbers must be finite and the radius above 0")
-    for k, polygon in enumerate(world.polygons):
-        finite = all(math.isfinite(value) for corner in polygon.corners for value in corner)
-        if len(polygon.corners) < 3 or not finite or not shapely.Polygon(polygon.corners).is_valid:
+        if not (
+            math.isfinite(circle.x)
+            and math.isfinite(circle.y)
+            and 0 < circle.radius < math.inf
+        ):
             raise InputError(
-                f"polygon {k + 1}: needs at least three finite corners and sides that do not cross"
+                f"obstacle {k + 1}: numbers must be finite and the radius above 0"
             )
-    if world.bounds and not all(low < high for low, high in (world.bounds.x, world.bounds.y)):
-        raise InputError("bounds: the lower limit comes first and must be below the upper limit")
+    for k, polygon in enumerate(world.polygons):
+        finite = all(
+            math.isfinite(value) for corner in polygon.corners for value in corner
+        )
+        if (
+            len(polygon.corners) < 3
+            or not finite
+            or not shapely.Polygon(polygon.corners).is_valid
+        ):
+            raise InputError(
+                f"polygon {k + 1}: needs at least three finite corners and sides that"
+                " do not cross"
+            )
+    if world.bounds and not all(
+        low < high for low, high in (world.bounds.x, world.bounds.y)
+    ):
+        raise InputError(
+            "bounds: the lower limit comes first and must be below the upper limit"
+        )
 
 
 class Outcome(StrEnum):
     """Outcome of planning; `Plan.reason` explains it.
 
     - FOUND: a collision-free path.
-    - UNREACHABLE: no path; the reason states whether this is proven or holds for the tested poses only.
+    - UNREACHABLE: no path; the reason states whether this is proven or holds for the
+      tested poses only.
     - BUDGET_SPENT: neither a path nor a proof within the budget.
     - STUCK: every next arc of `greedy` is blocked.
     """
@@ -206,12 +239,14 @@ class Plan(HtmlResult):
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path; empty unless found.
         expanded: number of expanded nodes.
-        cell: side (m) and heading width (rad) of the finest cells that were searched; None for `greedy`
-            and proofs of infeasibility.
-        touches: parts of the path that lean on obstacles; None unless `Settings.touch_limits` is set.
+        cell: side (m) and heading width (rad) of the finest cells that were searched;
+            None for `greedy` and proofs of infeasibility.
+        touches: parts of the path that lean on obstacles; None unless
+            `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
         problem: the problem, with the edges that must stay free; not compared.
-        trees: trees of the last search if `Settings.keep` is set, otherwise empty; not compared.
+        trees: trees of the last search if `Settings.keep` is set, otherwise empty; not
+            compared.
     """
 
     page: ClassVar[str] = "plan"
@@ -231,7 +266,9 @@ class Plan(HtmlResult):
         """Lower bound on the length of any path around the obstacles, regardless of curvature, m."""
         assert self.problem is not None, "set by plan()"
         problem = self.problem
-        return min_path_length(problem.start, problem.goal, problem.world, problem.footprint.narrowest)
+        return min_path_length(
+            problem.start, problem.goal, problem.world, problem.footprint.narrowest
+        )
 
     @property
     def found(self) -> bool:
@@ -262,7 +299,10 @@ class Plan(HtmlResult):
     def kink(self) -> float:
         """Largest heading jump between segments, rad; 0 for all planners except `greedy`."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
-        jumps = (abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi)) for a, b in pairs)
+        jumps = (
+            abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))
+            for a, b in pairs
+        )
         largest = max(jumps, default=0.0)
         return largest if largest > _KINK_ROUNDING else 0.0
 
@@ -270,14 +310,17 @@ class Plan(HtmlResult):
         """Return the plan with additional segments before its path."""
         done = math.fsum(segment.length for segment in begin)
         touches = self.touches and tuple(
-            replace(touch, begin=touch.begin + done, end=touch.end + done) for touch in self.touches
+            replace(touch, begin=touch.begin + done, end=touch.end + done)
+            for touch in self.touches
         )
         return replace(self, segments=(*begin, *self.segments), touches=touches)
 
     def with_edges_of(self, problem: Problem) -> Plan:
         """Return the plan of a body with other edges, with the offsets and speeds of the problem's body."""
         arcs = [(segment.curvature, segment.length) for segment in self.segments]
-        return replace(self, segments=path_from_arcs(problem.start, arcs, problem.footprint))
+        return replace(
+            self, segments=path_from_arcs(problem.start, arcs, problem.footprint)
+        )
 
     def samples(self, spacing: float = 0.01) -> np.ndarray:
         """Return poses (x, y, heading) along the path at most `spacing` (m) apart, shape (n, 3)."""

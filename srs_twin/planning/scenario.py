@@ -78,22 +78,38 @@ class PlannerSection(ExtensionSection):
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
         if self.margin_m is not None and self.margin_probability is not None:
-            raise ValueError("margin_m and margin_probability both set the margin; remove one")
+            raise ValueError(
+                "margin_m and margin_probability both set the margin; remove one"
+            )
         if self.touch and self.kind != "best_first":
-            raise ValueError(f"kind: {self.kind} cannot lean on obstacles; remove touch, or use best_first")
+            raise ValueError(
+                f"kind: {self.kind} cannot lean on obstacles; remove touch, or use"
+                " best_first"
+            )
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""
         if file.controller.kind != "follow":
-            yield ("planner",), "no controller follows its plan; set controller.kind: follow", True
+            yield (
+                ("planner",),
+                "no controller follows its plan; set controller.kind: follow",
+                True,
+            )
         if file.bench:
-            yield ("planner",), "there is no motion to plan on a bench; remove planner or bench", True
+            yield (
+                ("planner",),
+                "there is no motion to plan on a bench; remove planner or bench",
+                True,
+            )
         if self.kind != "given" and file.world.goal is None:
             yield ("planner",), f"kind: {self.kind} needs world.goal", True
         analytical = file.plants.analytical
         if self.touch and analytical and not analytical.touch:
-            text = "touch: allowed needs plants that touch obstacles; set model: compliant and touch: true"
+            text = (
+                "touch: allowed needs plants that touch obstacles; set model: compliant"
+                " and touch: true"
+            )
             yield ("plants", "analytical"), f"{text}, or remove analytical", True
 
     def prepare(self, loading: Loading) -> ScenarioPlanner | None:
@@ -118,14 +134,20 @@ class PlannerSection(ExtensionSection):
         """Return the planner.
 
         Raises:
-            InputError: a turn is tighter than the footprint allows, the edges are too wide, there is no goal,
-                or no margin of the given probability.
+            InputError: a turn is tighter than the footprint allows, the edges are too
+                wide, there is no goal, or no margin of the given probability.
         """
-        robot, start, world = footprint.footprint(), loading.file.start.build(), loading.world
+        robot, start, world = (
+            footprint.footprint(),
+            loading.file.start.build(),
+            loading.world,
+        )
         margin = Margin(self.margin_m or 0.0, self.margin_m or 0.0)
         if self.margin_probability is not None:
             margin = margin_for(
-                footprint.excursions or (), self.margin_probability, self._conditions(loading)
+                footprint.excursions or (),
+                self.margin_probability,
+                self._conditions(loading),
             )
         reduced = validate_footprint(robot.reduced(self.turn_share, margin.path))
         arcs = getattr(self, "primitives", None)
@@ -138,7 +160,9 @@ class PlannerSection(ExtensionSection):
         """Return the conditions of following on each plant."""
         follow, chambers = loading.file.controller, loading.file.pneumatics.kind
         return [
-            follow.conditions(kind, getattr(plant, "contact", None), chambers, loading.robot, self)
+            follow.conditions(
+                kind, getattr(plant, "contact", None), chambers, loading.robot, self
+            )
             for kind, plant in loading.file.plants.running.items()
         ]
 
@@ -163,7 +187,8 @@ class PlannerSection(ExtensionSection):
         Args:
             problem: the problem.
             wider: additional width of the footprint on the straight run-up, m.
-            **settings: fields of `Settings` that the section does not set; a given path has none.
+            **settings: fields of `Settings` that the section does not set; a given path
+                has none.
 
         Raises:
             InputError: start or goal is not possible.
@@ -185,13 +210,16 @@ class _SearchFile(PlannerSection):
             checker = Checker(problem.world, problem.footprint)
             if hit := checker.first_collision(problem.start, self.run_up_m, wider):
                 raise InputError(
-                    f"the straight run-up of {self.run_up_m:g} m touches {hit}; set a shorter run_up_m"
+                    f"the straight run-up of {self.run_up_m:g} m touches {hit}; set a"
+                    " shorter run_up_m"
                 )
             # The run-up is fixed, so the search starts at its end.
             problem = replace(problem, start=begin[-1].end)
         return self.search(problem, replace(self.build(), **settings), begin)
 
-    def search(self, problem: Problem, settings: Settings, begin: tuple[Segment, ...]) -> Plan:
+    def search(
+        self, problem: Problem, settings: Settings, begin: tuple[Segment, ...]
+    ) -> Plan:
         """Return the plan of a problem, with fixed first segments `begin`."""
         result = plan(problem, settings, planner=self.kind)
         return result.after(begin) if result.found else result
@@ -225,10 +253,14 @@ class BestFirstFile(_SearchFile):
     def _leans_alone(self) -> BestFirstFile:
         for name in ("clearance_weight", "shape_changes"):
             if self.touch and getattr(self, name):
-                raise ValueError(f"touch: allowed and {name} exclude each other; remove one")
+                raise ValueError(
+                    f"touch: allowed and {name} exclude each other; remove one"
+                )
         return self
 
-    def search(self, problem: Problem, settings: Settings, begin: tuple[Segment, ...]) -> Plan:
+    def search(
+        self, problem: Problem, settings: Settings, begin: tuple[Segment, ...]
+    ) -> Plan:
         """See `_SearchFile.search`."""
         if self.shape_changes:
             return plan_with_transitions(problem, settings, begin)
@@ -240,7 +272,9 @@ class GreedyFile(_SearchFile):
 
     kind: Literal["greedy"]
     """Planner."""
-    primitives: PrimitivesFile = PrimitivesFile(count=21, turn_rad=math.pi / 3, length_m=0.2)
+    primitives: PrimitivesFile = PrimitivesFile(
+        count=21, turn_rad=math.pi / 3, length_m=0.2
+    )
     """Motion primitives (default: those of Section 5.2: 21 arcs of 0.2 m with turns up to 60 degrees)."""
 
 
@@ -262,15 +296,23 @@ class GivenFile(PlannerSection):
 
     def find(self, problem: Problem, wider: float = 0.0, **settings: Any) -> Plan:
         """See `PlannerSection.find`."""
-        return Plan(Outcome.FOUND, "the path is given", self._path(problem.start, problem.footprint))
+        return Plan(
+            Outcome.FOUND,
+            "the path is given",
+            self._path(problem.start, problem.footprint),
+        )
 
     def _path(self, start: Pose, footprint: Footprint) -> tuple[Segment, ...]:
         return path_from_arcs(
-            start, [(turn / self.step_m, self.step_m) for turn in self.turns_rad], footprint
+            start,
+            [(turn / self.step_m, self.step_m) for turn in self.turns_rad],
+            footprint,
         )
 
 
-PlannerFile = Annotated[BestFirstFile | GreedyFile | GivenFile, Field(discriminator="kind")]
+PlannerFile = Annotated[
+    BestFirstFile | GreedyFile | GivenFile, Field(discriminator="kind")
+]
 PLANNER_FILES: dict[str, type[PlannerSection]] = {
     get_args(section.model_fields["kind"].annotation)[0]: section
     for section in (BestFirstFile, GreedyFile, GivenFile)
@@ -307,14 +349,24 @@ class ScenarioPlanner:
     def plan_uncached(self, *, keep: bool = False) -> Plan:
         """Compute the plan without the cache, optionally with its search trees; raises as `plan`."""
         wider = max(self.margin.run_up - self.margin.path, 0.0)
-        return self.file.find(self.problem, wider, keep=keep, touch_limits=self.touch_limits)
+        return self.file.find(
+            self.problem, wider, keep=keep, touch_limits=self.touch_limits
+        )
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
         """Return a plan from another pose, with a fraction of the margin and no run-up; raises as `plan`."""
         # The gait is already steady, so a new plan needs no run-up.
         file = self.file.model_copy(update={"run_up_m": 0.0})
-        body = validate_footprint(self.footprint.reduced(file.turn_share, share * self.margin.path))
-        return _plan(replace(self, file=file, problem=replace(self.problem, start=pose, footprint=body)))
+        body = validate_footprint(
+            self.footprint.reduced(file.turn_share, share * self.margin.path)
+        )
+        return _plan(
+            replace(
+                self,
+                file=file,
+                problem=replace(self.problem, start=pose, footprint=body),
+            )
+        )
 
 
 @lru_cache(maxsize=16)

@@ -5,10 +5,11 @@ so far and h the Dubins length to the goal at the tightest curvature of the foot
 the remaining length, and along an arc it decreases by at most the arc's length, so keys never decrease for w
 = 1. For w > 1 the path is at most w times as long as the shortest one on the same arcs and cells.
 
-When a node is expanded, the Dubins path from it to the goal is tested. If that path is free, both together
-are a plan. The open list is a binary heap. The closed set is a hash table with one node per cell of poses: a
-later node replaces it only if its path is shorter. This makes the search finite, and also incomplete: another
-pose of the same cell might have had a free continuation.
+When a node is expanded, the Dubins path from it to the goal is tested. If that path is
+free, both together are a plan. The open list is a binary heap. The closed set is a hash
+table with one node per cell of poses: a later node replaces it only if its path is
+shorter. This makes the search finite, and also incomplete: another pose of the same
+cell might have had a free continuation.
 
 Arc states are those of `moves`.
 """
@@ -50,7 +51,8 @@ _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
 """Offset that makes rows and columns positive."""
 
 _COST_TOLERANCE = 1e-9
-"""Smallest improvement of a path length that replaces a node, m; above rounding errors."""
+"""Smallest improvement of a path length that replaces a node, m; above rounding errors.
+"""
 _PASSAGE_INTERVAL = 4
 """Interval, in expanded nodes, at which narrow passages are tried; a passage costs far more than an arc."""
 _PASSAGE_REACH = 6.0
@@ -61,12 +63,14 @@ class Frontier(NamedTuple):
     """State of a search: nodes, open list and closed set.
 
     Attributes:
-        nodes: x, y, heading, path length so far (m), lower bound on the rest (m), and the transient: extra
-            left and right width and remaining length (m); shape (capacity, 8).
+        nodes: x, y, heading, path length so far (m), lower bound on the rest (m), and
+            the transient: extra left and right width and remaining length (m); shape
+            (capacity, 8).
         links: parent (-1: root) and move from it, shape (capacity, 2).
         keys: keys in heap order, m, shape (capacity,).
         heap: nodes in heap order, shape (capacity,).
-        cells: cell key of each slot of the hash table, shape (slots,); slots is a power of 2.
+        cells: cell key of each slot of the hash table, shape (slots,); slots is a power
+            of 2.
         owners: 1 + node that represents the cell, 0 for an empty slot, shape (slots,).
         counts: created, open and expanded nodes, shape (3,).
     """
@@ -87,7 +91,9 @@ def empty_frontier(capacity: int) -> Frontier:
     nodes, links = np.empty((capacity, 8)), np.empty((capacity, 2), dtype=np.int32)
     keys, heap = np.empty(capacity), np.empty(capacity, dtype=np.int32)
     cells, owners = np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32)
-    return Frontier(nodes, links, keys, heap, cells, owners, np.zeros(3, dtype=np.int64))
+    return Frontier(
+        nodes, links, keys, heap, cells, owners, np.zeros(3, dtype=np.int64)
+    )
 
 
 def enlarged(frontier: Frontier) -> Frontier:
@@ -144,17 +150,23 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
         cell: side of a cell, m.
         sector: heading width of a cell, rad; 2π is a multiple of it.
     """
-    row, column = np.int64(np.floor(x / cell)) + _INDEX_OFFSET, np.int64(np.floor(y / cell)) + _INDEX_OFFSET
+    row, column = (
+        np.int64(np.floor(x / cell)) + _INDEX_OFFSET,
+        np.int64(np.floor(y / cell)) + _INDEX_OFFSET,
+    )
     turns = heading / (2 * np.pi)
     # Wrap the heading to a full turn.
     layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
-    return _key_slot(frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column)
+    return _key_slot(
+        frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column
+    )
 
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
     """Return the slot of a cell's key by linear probing."""
-    # Fibonacci hashing (the constant is 2⁶⁴ divided by the golden ratio); the product may overflow.
+    # Fibonacci hashing (the constant is 2⁶⁴ divided by the golden ratio); the product
+    # may overflow.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -181,7 +193,8 @@ class Target(NamedTuple):
         any_heading: whether the arrival heading is free.
         radius: position tolerance, m.
         heading_tolerance: rad.
-        bound_radius: turning radius for the lower bound, that of the tightest turn to either side, m.
+        bound_radius: turning radius for the lower bound, that of the tightest turn to
+            either side, m.
         dubins_radius: turning radius of the Dubins paths, possible to both sides, m.
     """
 
@@ -205,9 +218,10 @@ class SearchSpec(NamedTuple):
         cell: side of a cell of poses, m.
         sector: heading width of a cell, rad; 2π is a multiple of it.
         weight: weight w of the lower bound.
-        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`. Nodes are pruned by
-            the lower bound only.
-        passages: entry poses and lengths of narrow passages, as `guidance.find_passages` returns them.
+        heuristic: grid distances that may increase the key, or `guidance.NO_HEURISTIC`.
+            Nodes are pruned by the lower bound only.
+        passages: entry poses and lengths of narrow passages, as
+            `guidance.find_passages` returns them.
     """
 
     moves: MoveSet
@@ -224,7 +238,14 @@ class SearchSpec(NamedTuple):
 def lower_bound(x, y, heading, target):  # type: ignore[no-untyped-def]
     """Return the lower bound h on the path length from a pose to the goal, m."""
     path = dubins_path(
-        x, y, heading, target.x, target.y, target.heading, target.any_heading, target.bound_radius
+        x,
+        y,
+        heading,
+        target.x,
+        target.y,
+        target.heading,
+        target.any_heading,
+        target.bound_radius,
     )
     return path[3] + path[4] + path[5]
 
@@ -236,7 +257,9 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
     bound = lower_bound(x, y, heading, spec.target)
     if frontier.owners[slot] == 0:
         link = -1, spec.moves.curvatures.shape[0]
-        root = _add_node(frontier, slot, link, (x, y, heading), (0.0, bound), (0.0, 0.0, 0.0))
+        root = _add_node(
+            frontier, slot, link, (x, y, heading), (0.0, bound), (0.0, 0.0, 0.0)
+        )
         push(frontier, root, bound)
 
 
@@ -247,7 +270,8 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     Args:
         frontier: state of the search, modified in place.
         spec: parameters of the search.
-        best: length of the best plan so far, m; nodes that cannot lead to a shorter one are dropped.
+        best: length of the best plan so far, m; nodes that cannot lead to a shorter one
+            are dropped.
         count: largest number of nodes to expand.
     """
     moves, cell, sector = spec.moves, spec.cell, spec.sector
@@ -256,7 +280,10 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
         # Make sure that all children fit before the node leaves the heap.
-        children = moves.primitives.shape[0] + moves.dubins_moves.shape[0] * spec.passages.shape[0]
+        children = (
+            moves.primitives.shape[0]
+            + moves.dubins_moves.shape[0] * spec.passages.shape[0]
+        )
         if frontier.counts[NODES] + children > frontier.nodes.shape[0]:
             return FULL, -1
         node = pop(frontier)
@@ -272,7 +299,11 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
             return CONNECTED, node
         for move in moves.primitives:
             _try_arc(frontier, node, move, spec, best)
-        passages = spec.passages.shape[0] if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1 else 0
+        passages = (
+            spec.passages.shape[0]
+            if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1
+            else 0
+        )
         for passage in range(passages):
             for factor in range(moves.dubins_moves.shape[0]):
                 _try_passage(frontier, node, passage, factor, spec, best)
@@ -284,7 +315,9 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
     """Add the child at the end of an arc if it is free, improves its cell and may improve the best plan."""
     state, cost = _arc_state(frontier, node, spec)
     length = spec.moves.length
-    to_x, to_y, to_heading = arc_end(state[0], state[1], state[2], spec.moves.curvatures[move], length)
+    to_x, to_y, to_heading = arc_end(
+        state[0], state[1], state[2], spec.moves.curvatures[move], length
+    )
     slot = cell_slot(frontier, to_x, to_y, to_heading, spec.cell, spec.sector)
     cost += length
     owner = frontier.owners[slot] - 1
@@ -298,7 +331,11 @@ def _try_arc(frontier, node, move, spec, best):  # type: ignore[no-untyped-def]
         return
     pose = to_x, to_y, to_heading
     child = _add_node(frontier, slot, (node, move), pose, (cost, bound), state[4:])
-    push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
+    push(
+        frontier,
+        child,
+        cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)),
+    )
 
 
 @kernel_only
@@ -321,18 +358,31 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
     path = dubins_path(*state[:3], entry_x, entry_y, heading, False, radius)
     cost += path[3] + path[4] + path[5] + through
     bound = lower_bound(to_x, to_y, to_heading, target)
-    if (owner >= 0 and frontier.nodes[owner, 3] <= cost + _COST_TOLERANCE) or cost + bound >= best:
+    if (
+        owner >= 0 and frontier.nodes[owner, 3] <= cost + _COST_TOLERANCE
+    ) or cost + bound >= best:
         return
-    for piece in range(4):  # three pieces of the Dubins path, then straight through the passage
+    for piece in range(
+        4
+    ):  # three pieces of the Dubins path, then straight through the passage
         length = through if piece == 3 else path[3 + piece]
         turn = 0 if piece == 3 else int(path[piece])
         if length > 0:
-            free, state = follow_arc(state, moves.dubins_moves[factor, 1 + turn], length, moves, grid)
+            free, state = follow_arc(
+                state, moves.dubins_moves[factor, 1 + turn], length, moves, grid
+            )
             if not free:
                 return
-    link, pose = (node, -1 - passage * moves.dubins_moves.shape[0] - factor), (to_x, to_y, to_heading)
+    link, pose = (
+        (node, -1 - passage * moves.dubins_moves.shape[0] - factor),
+        (to_x, to_y, to_heading),
+    )
     child = _add_node(frontier, slot, link, pose, (cost, bound), state[4:])
-    push(frontier, child, cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)))
+    push(
+        frontier,
+        child,
+        cost + spec.weight * max(bound, grid_distance(spec.heuristic, to_x, to_y)),
+    )
 
 
 @kernel_only
@@ -347,7 +397,8 @@ def _add_node(frontier, slot, link, pose, costs, transient):  # type: ignore[no-
         costs: path length so far, and lower bound on the rest, m.
         transient: extra left and right width and remaining length, m.
     """
-    # The new node replaces the former owner of the cell, which is skipped when it is popped.
+    # The new node replaces the former owner of the cell, which is skipped when it is
+    # popped.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1
@@ -377,7 +428,9 @@ def _in_goal(x, y, heading, target):  # type: ignore[no-untyped-def]
         return False
     turn = target.heading - heading
     return (
-        target.any_heading or abs(turn - 2 * np.pi * np.round(turn / (2 * np.pi))) <= target.heading_tolerance
+        target.any_heading
+        or abs(turn - 2 * np.pi * np.round(turn / (2 * np.pi)))
+        <= target.heading_tolerance
     )
 
 
@@ -387,7 +440,12 @@ def _connects_to_goal(frontier, node, spec, best):  # type: ignore[no-untyped-de
     state, cost = _arc_state(frontier, node, spec)
     target = spec.target
     path = dubins_path(
-        *state[:3], target.x, target.y, target.heading, target.any_heading, target.dubins_radius
+        *state[:3],
+        target.x,
+        target.y,
+        target.heading,
+        target.any_heading,
+        target.dubins_radius,
     )
     if cost + path[3] + path[4] + path[5] >= best:
         return False

@@ -29,15 +29,17 @@ from srs_twin.planning.search_kernels import (
     empty_frontier,
     enlarged,
     expand,
-)  # fmt: skip
+)
 from srs_twin.robot.world import Goal, Pose, World
 
 _INITIAL_CAPACITY = 4096
 """Initial capacity, nodes: enough for easy problems; it is enlarged when needed."""
 
 _BOUND_SLACK = 1e-6
-"""Relative reduction of the turning radius for the lower bound. At the end of a tightest turn, rounding may
-put the goal inside the turning circle, where the Dubins length is larger by a full turn."""
+"""Relative reduction of the turning radius for the lower bound.
+
+At the end of a tightest turn, rounding may put the goal inside the turning circle,
+where the Dubins length is larger by a full turn."""
 
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
 """Coordinates of backward start positions in units of the goal's radius, so small that corners are within
@@ -68,7 +70,9 @@ class SearchTree:
         backward: whether the tree solves the reversed problem, from the goal.
     """
 
-    def __init__(self, roots: list[Pose], spec: SearchSpec, *, backward: bool = False) -> None:
+    def __init__(
+        self, roots: list[Pose], spec: SearchSpec, *, backward: bool = False
+    ) -> None:
         self.spec, self.backward, self.exhausted = spec, backward, False
         self.frontier: Frontier = empty_frontier(max(_INITIAL_CAPACITY, 2 * len(roots)))
         for root in roots:
@@ -88,7 +92,11 @@ class SearchTree:
                 break
             self.frontier = enlarged(self.frontier)
         self.exhausted = event == EXHAUSTED
-        return self._path(int(node), connected=event == CONNECTED) if event in (CONNECTED, ARRIVED) else None
+        return (
+            self._path(int(node), connected=event == CONNECTED)
+            if event in (CONNECTED, ARRIVED)
+            else None
+        )
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
         """Return the arcs from the root to a node, if connected followed by the Dubins path to the goal."""
@@ -98,7 +106,9 @@ class SearchTree:
         if connected:
             heading = None if target.any_heading else target.heading
             # The same Dubins path that the kernel has tested.
-            arcs = shortest_path(end, target.x, target.y, heading, target.dubins_radius)[::-1]
+            arcs = shortest_path(
+                end, target.x, target.y, heading, target.dubins_radius
+            )[::-1]
         while (parent := int(self.frontier.links[node, 0])) >= 0:
             move = int(self.frontier.links[node, 1])
             if move >= 0:
@@ -108,7 +118,11 @@ class SearchTree:
                 x, y, heading, through = map(float, self.spec.passages[passage])
                 begin = Pose(*map(float, self.frontier.nodes[parent, :3]))
                 entry = shortest_path(
-                    begin, x, y, heading, target.dubins_radius * moves.radius_factors[factor]
+                    begin,
+                    x,
+                    y,
+                    heading,
+                    target.dubins_radius * moves.radius_factors[factor],
                 )
                 arcs += [(0.0, through), *entry[::-1]]
             node = parent
@@ -121,9 +135,18 @@ def goal_poses(goal: Goal, sector: float) -> list[Pose]:
         # One pose per heading cell.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
-        headings = [goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)]
-    x, y = ([centre + share * goal.radius for share in _GOAL_SPREAD] for centre in (goal.x, goal.y))
-    return [Pose(*position, float(heading)) for heading in headings for position in product(x, y)]
+        headings = [
+            goal.heading + share * goal.heading_tolerance for share in (0.0, -1.0, 1.0)
+        ]
+    x, y = (
+        [centre + share * goal.radius for share in _GOAL_SPREAD]
+        for centre in (goal.x, goal.y)
+    )
+    return [
+        Pose(*position, float(heading))
+        for heading in headings
+        for position in product(x, y)
+    ]
 
 
 def turned_around(pose: Pose) -> Pose:
@@ -136,8 +159,10 @@ class SearchTrace:
     """Explored and rejected arcs of a search, for display; all in m.
 
     Attributes:
-        arcs: arcs that lead to a node, shape (n, points, 2); entries of narrow passages are straight lines.
-        passages: start and end of the straight path through each narrow passage, shape (g, 2, 2).
+        arcs: arcs that lead to a node, shape (n, points, 2); entries of narrow passages
+            are straight lines.
+        passages: start and end of the straight path through each narrow passage, shape
+            (g, 2, 2).
         rejected: arcs that collide, shape (m, points, 2).
         reasons: name of the obstacle that each rejected arc touches.
         nodes: number of created nodes.
@@ -153,7 +178,8 @@ class SearchTrace:
 def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
     """Return the trace of a search.
 
-    Rejected arcs are not stored during the search, so the collision checks of expanded nodes are repeated.
+    Rejected arcs are not stored during the search, so the collision checks of expanded
+    nodes are repeated.
 
     Args:
         trees: trees at the end of the search.
@@ -170,19 +196,29 @@ def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
                 begin = frontier.nodes[parent]
                 straight = np.linspace(begin[:2], frontier.nodes[node, :2], _ARC_POINTS)
                 arcs.append(
-                    straight if move < 0 else _arc_points(begin, moves.curvatures[move], moves.length)
+                    straight
+                    if move < 0
+                    else _arc_points(begin, moves.curvatures[move], moves.length)
                 )
         closed = [node for node in range(count) if node not in open_nodes]
         for node in closed[: MAX_TRACED_NODES // len(trees)]:
             pose = frontier.nodes[node]
             # A passage (a negative move) ends straight.
             before = max(int(frontier.links[node, 1]), -1)
-            state = (*pose[:3], before if before >= 0 else int(moves.dubins_moves[0, 1]), *pose[5:8])
+            state = (
+                *pose[:3],
+                before if before >= 0 else int(moves.dubins_moves[0, 1]),
+                *pose[5:8],
+            )
             for move in moves.primitives:
                 if not follow_arc(state, move, moves.length, moves, tree.spec.grid)[0]:
-                    rejected.append(_arc_points(pose, moves.curvatures[move], moves.length))
+                    rejected.append(
+                        _arc_points(pose, moves.curvatures[move], moves.length)
+                    )
         passages = np.vstack([passages, tree.spec.passages])
-    ends = [arc_end(x, y, heading, 0.0, length)[:2] for x, y, heading, length in passages]
+    ends = [
+        arc_end(x, y, heading, 0.0, length)[:2] for x, y, heading, length in passages
+    ]
     collided = np.array(rejected).reshape(-1, _ARC_POINTS, 2)
     return SearchTrace(
         np.array(arcs).reshape(-1, _ARC_POINTS, 2),
@@ -194,4 +230,9 @@ def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
 
 
 def _arc_points(pose: np.ndarray, curvature: float, length: float) -> np.ndarray:
-    return np.array([arc_end(*pose[:3], curvature, s)[:2] for s in np.linspace(0.0, length, _ARC_POINTS)])
+    return np.array(
+        [
+            arc_end(*pose[:3], curvature, s)[:2]
+            for s in np.linspace(0.0, length, _ARC_POINTS)
+        ]
+    )

@@ -1,28 +1,31 @@
 r"""Steering along a path: a Smith predictor for the pose, and the laws that compute the offset.
 
-The mean pose over a gait period T lags by T/2, and a command takes effect after a delay. A model predicts the
-motion over both: a unicycle whose curvature approaches that of the commanded offset in the footprint with a
-first-order response over the path length ℓ (`Footprint.settle`),
+The mean pose over a gait period T lags by T/2, and a command takes effect after a
+delay. A model predicts the motion over both: a unicycle whose curvature approaches that
+of the commanded offset in the footprint with a first-order response over the path
+length ℓ (`Footprint.settle`),
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed v is measured. The turning of a snake with individual modules differs from its footprint; a Kalman
-filter estimates the gain g and the disturbance d (1/m) of this difference.
+The speed v is measured. The turning of a snake with individual modules differs from its
+footprint; a Kalman filter estimates the gain g and the disturbance d (1/m) of this
+difference.
 
-`BearingLaw`, Section 5.2.2: the snake visits the nodes of the plan in turn. The offset is proportional to the
-bearing of the next node minus the heading, and limited. When the snake is within a threshold of a node, it
-heads for the next one.
+`BearingLaw`, Section 5.2.2: the snake visits the nodes of the plan in turn. The offset
+is proportional to the bearing of the next node minus the heading, and limited. When the
+snake is within a threshold of a node, it heads for the next one.
 
-`PathLaw`, our own law: with the cross-track error n and the heading error e, both predicted for the moment at
-which the command takes effect, the curvature
+`PathLaw`, our own law: with the cross-track error n and the heading error e, both
+predicted for the moment at which the command takes effect, the curvature
 
 $$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr) $$
 
-makes n decay over the length L like a second-order system with damping ζ. To compensate the response length
-ℓ, the curvature of the plan is taken ℓ ahead, and the rate of the error, which the model provides without
-noise, is fed back. d and g are estimates of the predictor, and the footprint gives the offset for κ/g.
+makes n decay over the length L like a second-order system with damping ζ. To compensate
+the response length ℓ, the curvature of the plan is taken ℓ ahead, and the rate of the
+error, which the model provides without noise, is fed back. d and g are estimates of the
+predictor, and the footprint gives the offset for κ/g.
 """
 
 from __future__ import annotations
@@ -67,12 +70,13 @@ class Predictor(Stateful):
     """Smith predictor of the pose, with estimates of speed and turning.
 
     Attributes:
-        speed: measured speed, m/s; that of the footprint until means one period apart are available.
+        speed: measured speed, m/s; that of the footprint until means one period apart
+            are available.
         disturbance: estimated disturbance d, 1/m.
         gain: estimated gain g.
         curvature: present curvature of the model, 1/m.
-        moved: distance between the last mean position and the one a period earlier, m; None until both are
-            available.
+        moved: distance between the last mean position and the one a period earlier, m;
+            None until both are available.
     """
 
     state_attributes = (
@@ -87,7 +91,9 @@ class Predictor(Stateful):
         "_means",
     )
 
-    def __init__(self, footprint: Footprint, period: float, delay: float, settle: float) -> None:
+    def __init__(
+        self, footprint: Footprint, period: float, delay: float, settle: float
+    ) -> None:
         """Start a run.
 
         Args:
@@ -96,10 +102,15 @@ class Predictor(Stateful):
             delay: command delay, s.
             settle: response length ℓ, m.
         """
-        self._offsets, self._curvatures = np.array(footprint.offsets), np.array(footprint.curvatures)
+        self._offsets, self._curvatures = (
+            np.array(footprint.offsets),
+            np.array(footprint.curvatures),
+        )
         self._period, self._delay, self._settle = period, delay, settle
         self._tightest = min(footprint.tightest)
-        self._nominal = self.speed = float(np.interp(0.0, footprint.offsets, footprint.speeds))
+        self._nominal = self.speed = float(
+            np.interp(0.0, footprint.offsets, footprint.speeds)
+        )
         self.curvature = 0.0
         self._scale = np.array([self._tightest, 1.0])
         self.reset_turning()
@@ -163,9 +174,14 @@ class Predictor(Stateful):
         low, high = (share * self._nominal for share in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
         # Turn of the footprint over the same time; the model is ahead by the delay.
-        nominal, length = self._at(middle)[4] - self._at(begin)[4], max(self.moved, 1e-6 + low * duration)
+        nominal, length = (
+            self._at(middle)[4] - self._at(begin)[4],
+            max(self.moved, 1e-6 + low * duration),
+        )
         periods = (time - self._updated) / self._period
-        self._update_turning((mean.heading - heading) / length, nominal / length, periods)
+        self._update_turning(
+            (mean.heading - heading) / length, nominal / length, periods
+        )
         self._updated = time
 
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
@@ -180,13 +196,21 @@ class Predictor(Stateful):
             return
         self._covariance += np.diag((_WALK_STD * self._scale) ** 2 * periods)
         row = np.array([1.0, nominal])
-        # Windows of one period overlap: all frames of a period count as one measurement.
+        # Windows of one period overlap: all frames of a period count as one
+        # measurement.
         cross = self._covariance @ row
-        weights = cross / (row @ cross + (_CURVATURE_STD * self._tightest) ** 2 / periods)
+        weights = cross / (
+            row @ cross + (_CURVATURE_STD * self._tightest) ** 2 / periods
+        )
         innovation = measured - self.disturbance - self.gain * nominal
         limit = _MAX_DISTURBANCE_SHARE * self._tightest
-        self.disturbance = min(max(self.disturbance + float(weights[0]) * innovation, -limit), limit)
-        self.gain = min(max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]), _GAIN_LIMITS[1])
+        self.disturbance = min(
+            max(self.disturbance + float(weights[0]) * innovation, -limit), limit
+        )
+        self.gain = min(
+            max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
+            _GAIN_LIMITS[1],
+        )
         # Kalman update of two parameters from one scalar measurement.
         self._covariance -= np.outer(weights, cross)
 
@@ -253,9 +277,10 @@ class Steering(Stateful, ABC):
     """Base class of steering laws.
 
     Attributes:
-        predicts: whether the input contains the predicted pose instead of the mean pose.
-        node: index of the next node (`BearingLaw`), or number of segments of the plan that the snake has
-            passed.
+        predicts: whether the input contains the predicted pose instead of the mean
+            pose.
+        node: index of the next node (`BearingLaw`), or number of segments of the plan
+            that the snake has passed.
     """
 
     state_attributes = ("node",)
@@ -292,7 +317,8 @@ class BearingLaw(Steering):
 
         Args:
             gain: offset per bearing error, 1/rad.
-            node: distance between nodes along the path, m; the last node is the end of the path.
+            node: distance between nodes along the path, m; the last node is the end of
+                the path.
             near: distance at which a node counts as reached, m.
         """
         self._gain, self._spacing, self._near = gain, node, near
@@ -300,7 +326,9 @@ class BearingLaw(Steering):
     def begin(self, path: ReferencePath) -> None:
         """See `Steering.begin`."""
         count = max(1, math.ceil(path.length / self._spacing - 1e-9))
-        self._nodes = [path.pose(min(k * self._spacing, path.length)) for k in range(1, count + 1)]
+        self._nodes = [
+            path.pose(min(k * self._spacing, path.length)) for k in range(1, count + 1)
+        ]
         self.node = 0
 
     def offset(self, state: SteeringInput) -> float:
@@ -323,7 +351,9 @@ class PathLaw(Steering):
 
     predicts = True
 
-    def __init__(self, footprint: Footprint, lookahead: float = 0.15, settle: float = 0.05) -> None:
+    def __init__(
+        self, footprint: Footprint, lookahead: float = 0.15, settle: float = 0.05
+    ) -> None:
         """Set the parameters; docs/following.md explains the defaults.
 
         Args:
@@ -331,7 +361,10 @@ class PathLaw(Steering):
             lookahead: decay length L, m.
             settle: response length ℓ, m.
         """
-        self._offsets, self._curvatures = np.array(footprint.offsets), np.array(footprint.curvatures)
+        self._offsets, self._curvatures = (
+            np.array(footprint.offsets),
+            np.array(footprint.curvatures),
+        )
         self._length, self._settle = lookahead, settle
 
     def begin(self, path: ReferencePath) -> None:
@@ -342,13 +375,23 @@ class PathLaw(Steering):
     def offset(self, state: SteeringInput) -> float:
         """See `Steering.offset`."""
         s, n, heading, _ = state.place
-        while self.node < len(self._path.arcs) - 2 and s > self._path.arcs[self.node + 1, 4]:
+        while (
+            self.node < len(self._path.arcs) - 2
+            and s > self._path.arcs[self.node + 1, 4]
+        ):
             self.node += 1
         ahead = self._path.curvature(s + self._settle)
         error = math.remainder(state.pose.heading - heading, 2 * math.pi)
-        approach = -min(max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH)
-        # Rate of the heading error along the path, from the model instead of noisy differences.
-        rate = state.curvature - state.place.curvature + math.sin(error) / (2 * DAMPING * self._length)
+        approach = -min(
+            max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH
+        )
+        # Rate of the heading error along the path, from the model instead of noisy
+        # differences.
+        rate = (
+            state.curvature
+            - state.place.curvature
+            + math.sin(error) / (2 * DAMPING * self._length)
+        )
         feedback = 2 * DAMPING / self._length * (error - approach + self._settle * rate)
         # The limit avoids division by 0 at the centre of curvature.
         curvature = ahead / max(1 - ahead * n, 0.5) - feedback - state.disturbance
@@ -356,4 +399,6 @@ class PathLaw(Steering):
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """See `Steering.predict_cross_track`; solution of n'' = −2 n'/L − n/L², the law for ζ = 1."""
-        return (n + (n / self._length + slope) * ahead) * math.exp(-ahead / self._length)
+        return (n + (n / self._length + slope) * ahead) * math.exp(
+            -ahead / self._length
+        )

@@ -1,23 +1,27 @@
 r"""Plans that lean on obstacles (`planner: {touch: allowed}`).
 
-A footprint contains the side-to-side motion of the gait. Where its edge overlaps an obstacle, the obstacle
-limits this motion, and the body presses against it. The planner may therefore use narrower edges, at least
+A footprint contains the side-to-side motion of the gait. Where its edge overlaps an
+obstacle, the obstacle limits this motion, and the body presses against it. The planner
+may therefore use narrower edges, at least
 
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
-where e is the edge of the footprint, c half the width of the body and σ = `TOUCH_SHARE`. Since e_hard ≥ c,
-the body itself never passes through an obstacle.
+where e is the edge of the footprint, c half the width of the body and σ =
+`TOUCH_SHARE`. Since e_hard ≥ c, the body itself never passes through an obstacle.
 
-The overlap is limited by the estimated contact force. A connector that is displaced by δ between two
-neighbours that stay in place bends both adjacent segments by 2δ/L, with the distance L between connectors.
-The elastic energy 4kδ²/L² of both bends gives the force Kδ with K = 8k/L². The body is pushed aside as soon
-as this force exceeds its friction on the floor, μ_n m g. The wave of amplitude A = e − c reaches an obstacle
-that it overlaps by δ in a fraction arccos(1 − δ/A)/π of the period. The mean force on one side is therefore
+The overlap is limited by the estimated contact force. A connector that is displaced by
+δ between two neighbours that stay in place bends both adjacent segments by 2δ/L, with
+the distance L between connectors. The elastic energy 4kδ²/L² of both bends gives the
+force Kδ with K = 8k/L². The body is pushed aside as soon as this force exceeds its
+friction on the floor, μ_n m g. The wave of amplitude A = e − c reaches an obstacle that
+it overlaps by δ in a fraction arccos(1 − δ/A)/π of the period. The mean force on one
+side is therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
-and a metre of path with the forces of both sides costs 1 + (F_l + F_r)/(μ_n m g) metres. Edges and overlaps
-include the margin of the plan, because the body may leave its path by that much.
+and a metre of path with the forces of both sides costs 1 + (F_l + F_r)/(μ_n m g)
+metres. Edges and overlaps include the margin of the plan, because the body may leave
+its path by that much.
 """
 
 from __future__ import annotations
@@ -36,14 +40,16 @@ from srs_twin.robot.world import Bounds
 
 TOUCH_SHARE = 0.5
 """Largest fraction σ of the free space between body and edge that may overlap an obstacle. Generation 2
-passes gaps of 0.75 footprint widths on both plants, but not reliably one of 0.6 (docs/planning.md)."""
+passes gaps of 0.75 footprint widths on both plants, but not reliably one of 0.6
+(docs/planning.md)."""
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Overlaps that are tried in turn, as fractions of the largest one."""
 _MAX_NODES = 10_000
 """Largest number of nodes of the search for each overlap below the largest one."""
 _SPACING_M = 0.01
-"""Largest distance between the points of a path at which the overlap is evaluated, m."""
+"""Largest distance between the points of a path at which the overlap is evaluated, m.
+"""
 _MIN_DEPTH_M = 1e-4
 """Smallest overlap that is reported, m."""
 
@@ -59,14 +65,16 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
     )
     stiffness = 8 * spec.bending.stiffness / spec.geometry.pitch**2
     floor = spec.friction.mu_n * sum(spec.mass.connectors) * GRAVITY
-    return TouchLimits(replace(footprint, left=hard_left, right=hard_right), core, stiffness, floor)
+    return TouchLimits(
+        replace(footprint, left=hard_left, right=hard_right), core, stiffness, floor
+    )
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
     """Return a problem whose edges overlap by a fraction `level` of the largest overlap.
 
-    The bounds of the world are not obstacles to lean on, so they become narrower by as much. The overlap is
-    therefore equal at all curvatures.
+    The bounds of the world are not obstacles to lean on, so they become narrower by as
+    much. The overlap is therefore equal at all curvatures.
     """
     body, world = problem.footprint, problem.world
     hard = [limits.hard.at(curvature) for curvature in body.curvatures]
@@ -92,14 +100,22 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
     best, lowest = None, np.inf
     short = replace(settings, nodes=min(settings.nodes, _MAX_NODES))
     for level in _LEVELS:
-        result = search(narrowed(problem, limits, level), short if level < 1 else settings)
+        result = search(
+            narrowed(problem, limits, level), short if level < 1 else settings
+        )
         if result.found:
             result = result.with_edges_of(problem)
             overlaps = _overlaps(result.segments, problem, limits)
-            cost = float(overlaps.steps @ (1 + overlaps.force.sum(axis=0) / limits.floor))
+            cost = float(
+                overlaps.steps @ (1 + overlaps.force.sum(axis=0) / limits.floor)
+            )
             if cost < lowest:
                 touches = overlaps.touches()
-                reason = "a path on which the body leans on obstacles" if touches else result.reason
+                reason = (
+                    "a path on which the body leans on obstacles"
+                    if touches
+                    else result.reason
+                )
                 best, lowest = replace(result, touches=touches, reason=reason), cost
     # Without a path, the search with the narrowest edges has the reason.
     return replace(result, touches=()) if best is None else best
@@ -130,26 +146,45 @@ class _Overlaps:
             edges = np.flatnonzero(np.diff(np.r_[False, depth > _MIN_DEPTH_M, False]))
             for begin, end in edges.reshape(-1, 2).tolist():
                 part = slice(begin, end)
-                low, high = self.s[part][[0, -1]] + self.steps[part][[0, -1]] * (-0.5, 0.5)
+                low, high = self.s[part][[0, -1]] + self.steps[part][[0, -1]] * (
+                    -0.5,
+                    0.5,
+                )
                 mean = float(np.average(force[part], weights=self.steps[part]))
-                found.append(Touch(name, float(low), float(high), float(depth[part].max()), mean))
+                found.append(
+                    Touch(name, float(low), float(high), float(depth[part].max()), mean)
+                )
         return tuple(sorted(found, key=lambda touch: touch.begin))
 
 
-def _overlaps(segments: Sequence[Segment], problem: Problem, limits: TouchLimits) -> _Overlaps:
+def _overlaps(
+    segments: Sequence[Segment], problem: Problem, limits: TouchLimits
+) -> _Overlaps:
     """Return the overlaps of the full edges of a problem along a path, and the estimated forces."""
     import shapely
 
-    path, shapes = path_steps(segments, problem.footprint, _SPACING_M), obstacle_shapes(problem.world)
+    path, shapes = (
+        path_steps(segments, problem.footprint, _SPACING_M),
+        obstacle_shapes(problem.world),
+    )
     x, y, heading = path.poses.T
     points, lengths = shapely.points(x, y), path.lengths
     depth, force = np.zeros((2, len(shapes), len(lengths)))
     for k, (_, core, radius) in enumerate(shapes):
-        nearest = shapely.get_coordinates(shapely.shortest_line(points, core)).reshape(-1, 2, 2)[:, 1]
+        nearest = shapely.get_coordinates(shapely.shortest_line(points, core)).reshape(
+            -1, 2, 2
+        )[:, 1]
         dx, dy = nearest[:, 0] - x, nearest[:, 1] - y
-        edge = np.where(np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right)
+        edge = np.where(
+            np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right
+        )
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
-        share = np.arccos(np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)) / np.pi
+        share = (
+            np.arccos(
+                np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)
+            )
+            / np.pi
+        )
         force[k] = share * np.minimum(limits.stiffness * depth[k], limits.floor)
     names = [name for name, *_ in shapes]
     return _Overlaps(names, np.cumsum(lengths) - lengths / 2, lengths, depth, force)

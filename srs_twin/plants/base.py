@@ -1,8 +1,9 @@
 """Plant, the interface of all simulated snakes, and SnakeState, the observable state of a snake.
 
-`check_plausible`, `check_before_step` and `check_commands` detect divergence that the integrators do not
-detect, within one tick. The state before a step is checked as well, because a step may hide a wrong number: a
-position of 1e15 m, an infinite pressure, which the engine replaces by 0, or a valve state of NaN.
+`check_plausible`, `check_before_step` and `check_commands` detect divergence that the
+integrators do not detect, within one tick. The state before a step is checked as well,
+because a step may hide a wrong number: a position of 1e15 m, an infinite pressure,
+which the engine replaces by 0, or a valve state of NaN.
 """
 
 from __future__ import annotations
@@ -16,7 +17,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from srs_twin.compute.arrays import LARGEST_PLAUSIBLE, concatenate_records, first_implausible, is_plausible
+from srs_twin.compute.arrays import (
+    LARGEST_PLAUSIBLE,
+    concatenate_records,
+    first_implausible,
+    is_plausible,
+)
 from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
 from srs_twin.io.saved_state import SavedState, Stateful, short_digest
@@ -36,8 +42,9 @@ BASES = ("free", "clamped")
 class SnakeState:
     """Observable state of a snake at one time, in SI units and the world frame.
 
-    z points up, yaw is counter-clockwise, and connectors are numbered from the head. With a leading axis of
-    samples on every field, the object is a history; `at` selects a state from it.
+    z points up, yaw is counter-clockwise, and connectors are numbered from the head.
+    With a leading axis of samples on every field, the object is a history; `at` selects
+    a state from it.
 
     Attributes:
         time: s.
@@ -51,17 +58,20 @@ class SnakeState:
         pressure: gauge pressure of the + and − chamber, shape (segments, 2), Pa.
         valves: valve states during the preceding interval, shape (segments, 2).
         sensed: sensor readings of `bend`, shape (segments,), rad.
-        contact_force: horizontal force of the floor on each connector, shape (N, 2), N. In the analytical
-            model it is the momentary force, in the twin the mean since the previous sample, because contact
-            forces fluctuate between steps.
-        obstacle_force: horizontal force of all obstacles on each connector and the adjoining halves of its
-            segments, mean since the previous sample, shape (N, 2), N; 0 on plants without obstacles.
-        torque: net moment of each segment on the connectors that it joins, k (q_f − q) + c (q̇_f − q̇) for
-            compliant bends, shape (segments,), N·m.
-        work: work of the air since the start, J: that of the torques on the free bends, ∫ Σ T_j q̇_f,j dt.
-        internal_loss: part of the work that the material of the segments has dissipated, J; 0 in the planar
-            analytical models, which do not record it.
-        air: pneumatic energy drawn from the supply since the start, J, see `Pneumatics.air`.
+        contact_force: horizontal force of the floor on each connector, shape (N, 2), N.
+            In the analytical model it is the momentary force, in the twin the mean
+            since the previous sample, because contact forces fluctuate between steps.
+        obstacle_force: horizontal force of all obstacles on each connector and the
+            adjoining halves of its segments, mean since the previous sample, shape (N,
+            2), N; 0 on plants without obstacles.
+        torque: net moment of each segment on the connectors that it joins, k (q_f − q)
+            + c (q̇_f − q̇) for compliant bends, shape (segments,), N·m.
+        work: work of the air since the start, J: that of the torques on the free bends,
+            ∫ Σ T_j q̇_f,j dt.
+        internal_loss: part of the work that the material of the segments has
+            dissipated, J; 0 in the planar analytical models, which do not record it.
+        air: pneumatic energy drawn from the supply since the start, J, see
+            `Pneumatics.air`.
         qpos: generalised positions of the twin; empty on other plants.
     """
 
@@ -96,7 +106,9 @@ class SnakeState:
         )
 
     def _as_history(self) -> SnakeState:
-        return type(self)(*(np.asarray(getattr(self, name))[None] for name in self._names()))
+        return type(self)(
+            *(np.asarray(getattr(self, name))[None] for name in self._names())
+        )
 
     @classmethod
     def _names(cls) -> tuple[str, ...]:
@@ -107,14 +119,16 @@ class SnakeState:
 class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
-    `bend`, `bend_rate`, `sensed` and `torque` have a last axis with the components to the left and upwards,
-    shape (segments, 2), and `pressure` and `valves` one column per chamber. `theta` is the heading of the
-    horizontal projection of a connector.
+    `bend`, `bend_rate`, `sensed` and `torque` have a last axis with the components to
+    the left and upwards, shape (segments, 2), and `pressure` and `valves` one column
+    per chamber. `theta` is the heading of the horizontal projection of a connector.
 
     Attributes:
         height: heights of the connectors above the floor, shape (N,), m.
-        orientation: quaternions of the connectors, w first, x forward and z up, shape (N, 4).
-        load: vertical force of the floor on each connector, mean since the previous sample, shape (N,), N.
+        orientation: quaternions of the connectors, w first, x forward and z up, shape
+            (N, 4).
+        load: vertical force of the floor on each connector, mean since the previous
+            sample, shape (N,), N.
     """
 
     height: np.ndarray
@@ -129,7 +143,9 @@ class SpatialState(SnakeState):
 TICK_S = 0.02
 """Default control tick for gaits at a time unit of 1 (`robot.scale`), s."""
 
-_FIELDS = tuple(field.name for field in fields(SnakeState))  # cached: `fields` is too slow for every tick
+_FIELDS = tuple(
+    field.name for field in fields(SnakeState)
+)  # cached: `fields` is too slow for every tick
 _SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 
 
@@ -212,12 +228,15 @@ class Plant(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
         return self.state
 
-    def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
+    def place(
+        self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
+    ) -> SnakeState:
         """Start at time 0 from a physical state, which may come from another plant.
 
         Args:
-            snake: its fields `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and `pressure` are used.
-                If the bends follow the pressures (`complete`, `simplified`), the bend rates do as well.
+            snake: its fields `com`, `com_velocity`, `heading`, `bend`, `bend_rate` and
+                `pressure` are used. If the bends follow the pressures (`complete`,
+                `simplified`), the bend rates do as well.
             yaw_rate: rate of the mean heading, rad/s.
             seed: as in `reset`.
 
@@ -234,7 +253,9 @@ class Plant(Claimable, Stateful, ABC):
         super().__init_subclass__()
         if cls.step is Plant.step and cls.advance is Plant.advance:
             raise TypeError(f"{cls.__name__} must override step or advance")
-        if "stretch" in vars(cls):  # a class attribute would hide the deprecated property
+        if "stretch" in vars(
+            cls
+        ):  # a class attribute would hide the deprecated property
             warnings.warn(_STRETCH_DEPRECATED, DeprecationWarning, stacklevel=2)
             cls.max_chunk_s = vars(cls)["stretch"]
             del cls.stretch
@@ -243,8 +264,9 @@ class Plant(Claimable, Stateful, ABC):
         """Advance by one tick.
 
         Args:
-            valves: valve states, int8, shape (segments, 2): +1 fill, 0 hold, −1 vent, columns + and −
-                chamber; or shape (slots, segments, 2) with slots of equal length.
+            valves: valve states, int8, shape (segments, 2): +1 fill, 0 hold, −1 vent,
+                columns + and − chamber; or shape (slots, segments, 2) with slots of
+                equal length.
 
         Raises:
             InputError: as in `advance`.
@@ -259,17 +281,19 @@ class Plant(Claimable, Stateful, ABC):
 
         Args:
             valves: see `step`.
-            samples: number of states, 1 or more; tick / samples must be a multiple of the time step.
+            samples: number of states, 1 or more; tick / samples must be a multiple of
+                the time step.
 
         Raises:
-            InputError: wrong shape, a valve state other than −1, 0, +1, or more samples than the plant
-                provides.
+            InputError: wrong shape, a valve state other than −1, 0, +1, or more samples
+                than the plant provides.
             DivergedError: the state is no longer finite and plausible.
         """
         if samples != 1:
             raise InputError(
-                f"plant '{self.name}' provides one sample per tick, not {samples}; "
-                f"record_hz must be {format_exact(1 / self.tick)} or a whole fraction of it"
+                f"plant '{self.name}' provides one sample per tick, not {samples};"
+                f" record_hz must be {format_exact(1 / self.tick)} or a whole fraction"
+                " of it"
             )
         return [self.step(valves)]
 
@@ -281,7 +305,8 @@ class Plant(Claimable, Stateful, ABC):
             samples: number of equally spaced samples, the last one at the end.
 
         Returns:
-            The history of the samples; None from a plant that only advances tick by tick.
+            The history of the samples; None from a plant that only advances tick by
+            tick.
 
         Raises:
             InputError: the valves do not have a state.
@@ -307,19 +332,37 @@ class PneumaticPlant(Plant):
         seed: random seed of the sensor noise.
     """
 
-    state_attributes: ClassVar[tuple[str, ...]] = ("_ticks", "seed", "pneumatics", "state")
+    state_attributes: ClassVar[tuple[str, ...]] = (
+        "_ticks",
+        "seed",
+        "pneumatics",
+        "state",
+    )
 
     pneumatics: Pneumatics
     sensor: Sensor
     seed: int
 
     def _make_pneumatics_and_sensor(
-        self, pneumatics: str | Pneumatics, supply_pa: float | None, layout: str, sensor: str | Sensor
+        self,
+        pneumatics: str | Pneumatics,
+        supply_pa: float | None,
+        layout: str,
+        sensor: str | Sensor,
     ) -> float:
         """Construct chambers and sensors; return the supply pressure, Pa."""
-        supply = self.spec.supply.nominal if supply_pa is None else _checked_supply(supply_pa, self.spec)
-        self.pneumatics = make_pneumatics(pneumatics, self.spec, supply_pa=supply, layout=layout)
-        self.layout, self.sensor = self.pneumatics.layout, make_sensor(sensor, self.spec)
+        supply = (
+            self.spec.supply.nominal
+            if supply_pa is None
+            else _checked_supply(supply_pa, self.spec)
+        )
+        self.pneumatics = make_pneumatics(
+            pneumatics, self.spec, supply_pa=supply, layout=layout
+        )
+        self.layout, self.sensor = (
+            self.pneumatics.layout,
+            make_sensor(sensor, self.spec),
+        )
         self.metered = self.pneumatics.metered
         self._supply = supply
         return supply
@@ -327,12 +370,18 @@ class PneumaticPlant(Plant):
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`; stuck valves may differ."""
         settings = super().identity()
-        chambers = {key: value for key, value in settings["pneumatics"].items() if key != "stuck_valves"}
+        chambers = {
+            key: value
+            for key, value in settings["pneumatics"].items()
+            if key != "stuck_valves"
+        }
         return settings | {"pneumatics": chambers, "supply_pa": self._supply}
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """See `Plant.advance`."""
-        history = self._simulate(self.pneumatics.schedule(valves, self.tick), 1, samples)
+        history = self._simulate(
+            self.pneumatics.schedule(valves, self.tick), 1, samples
+        )
         states = [history.at(k) for k in range(samples)]
         self.state = states[-1]
         return states
@@ -379,17 +428,25 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
     """Return a supply pressure (Pa) after a check that it is plausible for a robot.
 
     Raises:
-        InputError: it is not finite, negative, or so small that its unit is probably not Pa.
+        InputError: it is not finite, negative, or so small that its unit is probably
+            not Pa.
     """
     nominal = spec.supply.nominal
     if not 0 <= supply_pa < np.inf:
-        raise InputError(f"supply_pa {supply_pa!r} is not allowed; it must be finite and not negative, in Pa")
+        raise InputError(
+            f"supply_pa {supply_pa!r} is not allowed; it must be finite and not"
+            " negative, in Pa"
+        )
     if 0 < supply_pa < _LEAST_SUPPLY_SHARE * nominal:
         # The unit that brings the pressure closest to the nominal one.
-        unit = min(_PA_PER_UNIT, key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)))
+        unit = min(
+            _PA_PER_UNIT,
+            key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)),
+        )
         raise InputError(
-            f"supply_pa {supply_pa:g} is in Pa, which is {supply_pa / 1e3:g} kPa; {spec.name} needs about "
-            f"{nominal:g} Pa; did you mean {supply_pa * _PA_PER_UNIT[unit]:g} ({supply_pa:g} {unit})?"
+            f"supply_pa {supply_pa:g} is in Pa, which is {supply_pa / 1e3:g} kPa;"
+            f" {spec.name} needs about {nominal:g} Pa; did you mean"
+            f" {supply_pa * _PA_PER_UNIT[unit]:g} ({supply_pa:g} {unit})?"
         )
     return supply_pa
 
@@ -410,9 +467,16 @@ def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> No
     values = {name: getattr(snake, name) for name in shapes} | {"yaw_rate": yaw_rate}
     for name, value in values.items():
         array, shape = np.asarray(value), shapes.get(name, ())
-        if array.dtype.kind not in "iuf" or array.shape != shape or not np.isfinite(array).all():
+        if (
+            array.dtype.kind not in "iuf"
+            or array.shape != shape
+            or not np.isfinite(array).all()
+        ):
             allowed = f"finite numbers of shape {shape}" if shape else "a finite number"
-            raise InputError(f"{name} {reprlib.repr(array.tolist())} is not allowed; it must be {allowed}")
+            raise InputError(
+                f"{name} {reprlib.repr(array.tolist())} is not allowed; it must be"
+                f" {allowed}"
+            )
 
 
 _VALVE_STATE_RANGE = np.iinfo(np.int8)
@@ -426,14 +490,17 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
         state: state or history.
 
     Raises:
-        DivergedError: the state is not plausible; the error's `history` holds the earlier samples.
+        DivergedError: the state is not plausible; the error's `history` holds the
+            earlier samples.
     """
-    # The other fields follow from these. Scalars are compared in Python, because a NumPy call on a scalar
-    # takes as long as on an array.
+    # The other fields follow from these. Scalars are compared in Python, because a
+    # NumPy call on a scalar takes as long as on an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
     single = not isinstance(state.time, np.ndarray)
     scalars_plausible = (
-        all(abs(value) < LARGEST_PLAUSIBLE for value in scalars) if single else is_plausible(*scalars)
+        all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)
+        if single
+        else is_plausible(*scalars)
     )
     if scalars_plausible and is_plausible(state.com, state.bend, state.pressure):
         return state
@@ -460,7 +527,9 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
         DivergedError: it is not plausible.
     """
     if not is_plausible(*state):
-        wrong = first_implausible(np.concatenate([np.ravel(values) for values in state]))
+        wrong = first_implausible(
+            np.concatenate([np.ravel(values) for values in state])
+        )
         reason = f"its state contains {wrong:g} before the step, which no snake reaches"
         raise DivergedError(plant, time, reason)
 
@@ -479,6 +548,10 @@ def check_commands(source: str, time: float, valves: object) -> None:
     states = np.asarray(valves)
     if states.dtype == np.int8 or states.dtype.kind not in "fiu":
         return
-    diverged = states[~((states >= _VALVE_STATE_RANGE.min) & (states <= _VALVE_STATE_RANGE.max))]
+    diverged = states[
+        ~((states >= _VALVE_STATE_RANGE.min) & (states <= _VALVE_STATE_RANGE.max))
+    ]
     if diverged.size:
-        raise DivergedError(source, time, f"it commands the valve state {diverged.flat[0]:g}")
+        raise DivergedError(
+            source, time, f"it commands the valve state {diverged.flat[0]:g}"
+        )

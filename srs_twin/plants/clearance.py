@@ -1,11 +1,12 @@
 r"""Distance of the body from obstacles and objects, and overlaps at the start of a run.
 
-The body is represented by the collision hull of the twin on every plant: a capsule of the body's width
-between every two adjacent hinges (`mjcf.surroundings`). The axes of these capsules follow from the recorded
-connectors. The pose of a connector determines the hinges next to it, so the axes are exact for one or two
-hinges per segment. With more hinges, the inner ones are assumed to have equal bends. For a model without
-hinges, those of the corresponding twin are used. The middle of a segment with bend q is then $$ l\,|q|/24 $$
-inside the arc, and 5 % more at 1.5 rad (1.5 mm at 1 rad in generation 2).
+The body is represented by the collision hull of the twin on every plant: a capsule of
+the body's width between every two adjacent hinges (`mjcf.surroundings`). The axes of
+these capsules follow from the recorded connectors. The pose of a connector determines
+the hinges next to it, so the axes are exact for one or two hinges per segment. With
+more hinges, the inner ones are assumed to have equal bends. For a model without hinges,
+those of the corresponding twin are used. The middle of a segment with bend q is then $$
+l\,|q|/24 $$ inside the arc, and 5 % more at 1.5 rad (1.5 mm at 1 rad in generation 2).
 """
 
 from __future__ import annotations
@@ -67,7 +68,9 @@ def solids(world: World) -> list[Solid]:
     return found
 
 
-def hull_lines(position: np.ndarray, theta: np.ndarray, geometry: Geometry, hinges: int) -> np.ndarray:
+def hull_lines(
+    position: np.ndarray, theta: np.ndarray, geometry: Geometry, hinges: int
+) -> np.ndarray:
     """Return the axes of the collision capsules, half the width of the body inside its hull.
 
     Args:
@@ -80,13 +83,15 @@ def hull_lines(position: np.ndarray, theta: np.ndarray, geometry: Geometry, hing
         Points from head to tail, shape (samples, points, 2), m.
     """
     length, gap = geometry.segment_length, geometry.rigid_gap
-    capsules = np.diff(hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap)
+    capsules = np.diff(
+        hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap
+    )
     fraction = np.linspace(0.0, 1.0, hinges + 1)
     headings = theta[:, :-1, None] + np.diff(theta, axis=1)[..., None] * fraction
     directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     line = position[:, :-1, None] - np.cumsum(capsules[:, None] * directions, axis=2)
-    # The rear connector determines the last hinge; the closing error is distributed over the hinges before
-    # it.
+    # The rear connector determines the last hinge; the closing error is distributed
+    # over the hinges before it.
     weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
     line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
@@ -95,7 +100,8 @@ def hull_lines(position: np.ndarray, theta: np.ndarray, geometry: Geometry, hing
 def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
     """Return the distance of the hull from the nearest obstacle or object of the plant's world.
 
-    It is negative for an overlap, and at least −(half the width of the body) in a polygon or a box.
+    It is negative for an overlap, and at least −(half the width of the body) in a
+    polygon or a box.
 
     Args:
         plant: plant with a solid world.
@@ -112,7 +118,9 @@ def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
     lines = _hull(plant, states)
     hull, least = shapely.linestrings(lines), np.full(len(lines), np.inf)
     for radius in {solid.radius for solid in fixed}:
-        tree = shapely.STRtree([solid.core for solid in fixed if solid.radius == radius])
+        tree = shapely.STRtree(
+            [solid.core for solid in fixed if solid.radius == radius]
+        )
         _, distance = tree.query_nearest(hull, all_matches=False, return_distance=True)
         least = np.minimum(least, distance - radius)
     for k, solid in enumerate(found[len(fixed) :]):
@@ -128,7 +136,8 @@ class Overlap(NamedTuple):
     Attributes:
         number: number in `solids`.
         name: see `Solid`.
-        depth: depth of the deepest point of the axes in the obstacle, plus half the width of the body, m.
+        depth: depth of the deepest point of the axes in the obstacle, plus half the
+            width of the body, m.
     """
 
     number: int
@@ -138,7 +147,10 @@ class Overlap(NamedTuple):
     @property
     def text(self) -> str:
         """Message without the name."""
-        return f"overlaps the body at the start by {1e3 * self.depth:.3g} mm; move it or start elsewhere"
+        return (
+            f"overlaps the body at the start by {1e3 * self.depth:.3g} mm; move it or"
+            " start elsewhere"
+        )
 
 
 def start_overlaps(
@@ -161,7 +173,9 @@ def start_overlaps(
         depth = half_width + solid.radius - distance
         if distance == 0 and shapely.area(solid.core):
             inside = shapely.intersection(solid.core, line)
-            points = shapely.get_coordinates(shapely.segmentize(inside, 2 * half_width / _POINTS_PER_WIDTH))
+            points = shapely.get_coordinates(
+                shapely.segmentize(inside, 2 * half_width / _POINTS_PER_WIDTH)
+            )
             depth += shapely.distance(shapely.points(points), solid.core.boundary).max()
         if depth > allowed:
             found.append(Overlap(k, solid.name, float(depth)))
@@ -180,13 +194,18 @@ def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) ->
         InputError: it does.
     """
     if plant.world is not None and plant.world.is_solid:
-        lines, half_width = _hull(plant, SnakeState.history([state])), plant.spec.geometry.width / 2
+        lines, half_width = (
+            _hull(plant, SnakeState.history([state])),
+            plant.spec.geometry.width / 2,
+        )
         for overlap in start_overlaps(plant.world, lines, half_width, allowed=allowed):
             raise InputError(f"{overlap.name} {overlap.text}")
 
 
 def _hull(plant: Plant, states: SnakeState) -> np.ndarray:
-    hinges: Any = plant.describe().get("hinges_per_segment", ModelSettings.hinges_per_segment)
+    hinges: Any = plant.describe().get(
+        "hinges_per_segment", ModelSettings.hinges_per_segment
+    )
     return hull_lines(states.position, states.theta, plant.spec.geometry, hinges)
 
 

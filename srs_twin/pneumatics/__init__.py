@@ -15,17 +15,25 @@ from srs_twin.robot.spec import RobotSpec
 SPATIAL_KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": SpatialLagPneumatics}
 """Kinds for a robot whose segments bend in two directions."""
 
-KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": LagPneumatics, "orifice": OrificePneumatics}
+KINDS: dict[str, Callable[..., Pneumatics]] = {
+    "lag": LagPneumatics,
+    "orifice": OrificePneumatics,
+}
 
 
 def make_pneumatics(
-    kind: str | Pneumatics, spec: RobotSpec, *, supply_pa: float, layout: str, **options: float | None
+    kind: str | Pneumatics,
+    spec: RobotSpec,
+    *,
+    supply_pa: float,
+    layout: str,
+    **options: float | None,
 ) -> Pneumatics:
     """Return the chambers of a robot.
 
     Args:
-        kind: a name in `KINDS`, a part from outside (`extensions.part`), or existing chambers, which are
-            returned unchanged.
+        kind: a name in `KINDS`, a part from outside (`extensions.part`), or existing
+            chambers, which are returned unchanged.
         spec: the robot.
         supply_pa: supply pressure, gauge, Pa.
         layout: valve layout, one of `LAYOUTS`.

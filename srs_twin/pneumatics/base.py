@@ -26,7 +26,8 @@ class Trace(NamedTuple):
         pressure: gauge pressure, shape (times, segments, 2), Pa.
         bend: free bend, shape (times, segments), rad.
         bend_rate: rate of the free bend, shape (times, segments), rad/s.
-        bend_acceleration: acceleration of the free bend, shape (times, segments), rad/s².
+        bend_acceleration: acceleration of the free bend, shape (times, segments),
+            rad/s².
         valves: valve states up to each time, shape (times, segments, 2).
         air: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
     """
@@ -39,11 +40,15 @@ class Trace(NamedTuple):
     air: np.ndarray
 
     @classmethod
-    def empty(cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()) -> Trace:
+    def empty(
+        cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()
+    ) -> Trace:
         """Return an uninitialised trace, with `axes` after the segments in the shape of the bends."""
         sides = times, segments, chambers
         q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
-        return cls(np.empty(sides), q, dq, ddq, np.empty(sides, dtype=np.int8), np.empty(times))
+        return cls(
+            np.empty(sides), q, dq, ddq, np.empty(sides, dtype=np.int8), np.empty(times)
+        )
 
     def at(self, rows: np.ndarray) -> Trace:
         """Return the trace at the times with the given indices."""
@@ -53,22 +58,26 @@ class Trace(NamedTuple):
 class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the free bends of its segments.
 
-    A subclass implements the physics in `_simulate`, which gets the valve states after the valve delay.
+    A subclass implements the physics in `_simulate`, which gets the valve states after
+    the valve delay.
 
     Attributes:
         kind: short name.
-        depends_on_bend: whether pressures depend on the actual bends. A plant with compliant bends must then
-            pass these to `advance`.
-        coupling_step_s: largest interval between two exchanges of bends and pressures with the plant, if
-            pressures depend on the bends, s.
+        depends_on_bend: whether pressures depend on the actual bends. A plant with
+            compliant bends must then pass these to `advance`.
+        coupling_step_s: largest interval between two exchanges of bends and pressures
+            with the plant, if pressures depend on the bends, s.
         stiffness: largest stiffness that closed chambers add to a segment, N·m/rad.
-        max_pressure_ratio: largest possible chamber pressure as a multiple of the supply pressure, 1.
+        max_pressure_ratio: largest possible chamber pressure as a multiple of the
+            supply pressure, 1.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        air: pneumatic energy drawn from the supply since `reset`, J: the supply's gauge pressure times the
-            volume of air drawn from it, measured at the supply's pressure. Venting returns no energy.
+        air: pneumatic energy drawn from the supply since `reset`, J: the supply's gauge
+            pressure times the volume of air drawn from it, measured at the supply's
+            pressure. Venting returns no energy.
         metered: whether `air` and `openings` are known; otherwise they stay 0.
-        openings: number of times that each chamber's inlet has opened since `reset`, shape (segments, 2).
+        openings: number of times that each chamber's inlet has opened since `reset`,
+            shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
         stuck: valves with a fault; initially none.
         rest_bend: rest bends, shape (segments,), rad.
@@ -92,7 +101,9 @@ class Pneumatics(Stateful, ABC):
     coupling_step_s = math.inf
     stiffness = 0.0
 
-    def __init__(self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0) -> None:
+    def __init__(
+        self, spec: RobotSpec, *, layout: str, valve_delay_s: float = 0.0
+    ) -> None:
         check_choice("valve layout", layout, LAYOUTS)
         check_not_negative(valve_delay_s=valve_delay_s)
         self.layout, self._delay = layout, valve_delay_s
@@ -119,15 +130,19 @@ class Pneumatics(Stateful, ABC):
             bend: free bends, shape (segments,), rad.
 
         Raises:
-            InputError: the pressures of these chambers are prescribed, or the chambers cannot reach the
-                values.
+            InputError: the pressures of these chambers are prescribed, or the chambers
+                cannot reach the values.
         """
         raise InputError(f"pneumatics '{self.kind}' cannot start with given pressures")
 
     def rest_trace(self) -> Trace:
         """Return a trace of the current time with the bends at rest."""
         trace = self._empty_trace(1)
-        trace.pressure[0], trace.bend[0], trace.valves[0] = self.pressure, self.bend, self.valves
+        trace.pressure[0], trace.bend[0], trace.valves[0] = (
+            self.pressure,
+            self.bend,
+            self.valves,
+        )
         trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
         trace.air[:] = self.air
         return trace
@@ -138,13 +153,16 @@ class Pneumatics(Stateful, ABC):
 
     def current_trace(self) -> Trace:
         """Return a trace of the current time, with the rates that follow from the current valve states."""
-        return self._simulate(Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None)
+        return self._simulate(
+            Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None
+        )
 
     def schedule(self, valves: np.ndarray, span: float) -> Schedule:
         """Return checked commands as a schedule.
 
         Args:
-            valves: shape (segments, 2), or (slots, segments, 2) with slots of equal length.
+            valves: shape (segments, 2), or (slots, segments, 2) with slots of equal
+                length.
             span: s.
 
         Raises:
@@ -155,7 +173,10 @@ class Pneumatics(Stateful, ABC):
             commands = commands[None]
         if commands.ndim != 3 or commands.shape[1:] != (self._segments, self._chambers):
             shape = f"{self._segments}, {self._chambers}"
-            raise InputError(f"valves have shape {np.shape(valves)}; allowed: ({shape}) or (slots, {shape})")
+            raise InputError(
+                f"valves have shape {np.shape(valves)}; allowed: ({shape}) or (slots,"
+                f" {shape})"
+            )
         self.check(commands)
         return Schedule.from_slots(commands.astype(np.int8), span)
 
@@ -171,8 +192,8 @@ class Pneumatics(Stateful, ABC):
             possible |= states == state
         if not possible.all():
             raise InputError(
-                f"valve state {states[~possible][0]} is not possible with layout {self.layout}; "
-                f"allowed: {allowed}"
+                f"valve state {states[~possible][0]} is not possible with layout"
+                f" {self.layout}; allowed: {allowed}"
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
@@ -199,13 +220,14 @@ class Pneumatics(Stateful, ABC):
         Args:
             schedule: checked valve states, as commanded.
             times: ascending, within [0, span], from the start of the schedule, s.
-            bend: actual bends at the start, shape (segments,), rad, for chambers that depend on them; None
-                for bends that follow the free bends.
-            bend_rate: rates of the actual bends, shape (segments,), rad/s, assumed to be constant over the
-                schedule.
+            bend: actual bends at the start, shape (segments,), rad, for chambers that
+                depend on them; None for bends that follow the free bends.
+            bend_rate: rates of the actual bends, shape (segments,), rad/s, assumed to
+                be constant over the schedule.
 
         Raises:
-            DivergedError: pressures, free bends or the energy drawn are not finite and plausible.
+            DivergedError: pressures, free bends or the energy drawn are not finite and
+                plausible.
         """
         self._check_state()
         if schedule.states.dtype != np.int8:
@@ -216,7 +238,9 @@ class Pneumatics(Stateful, ABC):
             self._pending = joined.slice(schedule.span, joined.span)
         trace = self._simulate(effective, times, bend, bend_rate)
         before = np.concatenate([self.valves[None], effective.states[:-1]])
-        self.openings = self.openings + ((effective.states == 1) & (before != 1)).sum(axis=0)
+        self.openings = self.openings + ((effective.states == 1) & (before != 1)).sum(
+            axis=0
+        )
         self.valves = effective.states[-1]
         self._elapsed += schedule.span
         return trace
@@ -225,7 +249,11 @@ class Pneumatics(Stateful, ABC):
         """Raise `DivergedError` if the current state is not plausible."""
         if is_plausible(self.pressure, self.bend, self.air):
             return
-        for name, values in (("pressure", self.pressure), ("free bend", self.bend), ("air drawn", self.air)):
+        for name, values in (
+            ("pressure", self.pressure),
+            ("free bend", self.bend),
+            ("air drawn", self.air),
+        ):
             wrong = first_implausible(values)
             if wrong is not None:
                 reason = f"{name} is {wrong:g}, which no chamber reaches"
@@ -233,7 +261,11 @@ class Pneumatics(Stateful, ABC):
 
     @abstractmethod
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: OptionalArray,
+        bend_rate: OptionalArray,
     ) -> Trace:
         """Advance as in `advance` under effective valve states; set `pressure`, `bend` and `air`."""
 
@@ -241,16 +273,24 @@ class Pneumatics(Stateful, ABC):
         """Set the pressure of the supply; a `reset` keeps it.
 
         Args:
-            supply_pa: gauge pressure, Pa; at most the one with which the chambers were constructed.
+            supply_pa: gauge pressure, Pa; at most the one with which the chambers were
+                constructed.
 
         Raises:
             InputError: the pressure is out of range, or the chambers have no regulator.
         """
-        raise InputError(f"pneumatics '{self.kind}' has no pressure regulator; use 'lag' or 'orifice'")
+        raise InputError(
+            f"pneumatics '{self.kind}' has no pressure regulator; use 'lag' or"
+            " 'orifice'"
+        )
 
     def describe(self) -> dict[str, object]:
         """Return the settings for the provenance of a run (JSON values)."""
-        stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]} if self.stuck else {}
+        stuck = (
+            {"stuck_valves": [asdict(valve) for valve in self.stuck]}
+            if self.stuck
+            else {}
+        )
         return {"kind": self.kind, "valve_delay_s": self._delay} | stuck
 
 
@@ -262,8 +302,8 @@ def check_supply(supply_pa: float, max_pa: float) -> None:
     """
     if not 0 <= supply_pa <= max_pa:
         raise InputError(
-            f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to {max_pa:g} Pa, "
-            "the pressure at construction"
+            f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to"
+            f" {max_pa:g} Pa, the pressure at construction"
         )
 
 
@@ -275,4 +315,6 @@ def check_not_negative(**values: float) -> None:
     """
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0):
-            raise InputError(f"{name} {value!r} is not allowed; it must be finite and 0 or more")
+            raise InputError(
+                f"{name} {value!r} is not allowed; it must be finite and 0 or more"
+            )

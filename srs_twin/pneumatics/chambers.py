@@ -1,29 +1,32 @@
 r"""Volume of a chamber, and the bend law φ that maps pressures to free bends.
 
-**Volume.** A chamber grows when its segment bends to its side, and is never smaller than its dead volume V₀:
+**Volume.** A chamber grows when its segment bends to its side, and is never smaller
+than its dead volume V₀:
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 
-A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45, 70 ml), divided by π/2.
-Air is an ideal gas at constant temperature. Its amount is measured as n = P V in J, with the absolute
-pressure P.
+A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45,
+70 ml), divided by π/2. Air is an ideal gas at constant temperature. Its amount is
+measured as n = P V in J, with the absolute pressure P.
 
-**Bend law.** With the nominal gain G, the gains g of the two chambers relative to G, and the rest bend b,
+**Bend law.** With the nominal gain G, the gains g of the two chambers relative to G,
+and the rest bend b,
 
 $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 \varphi(x) = \frac{y}{\bigl(1 + (y/q_m)^4\bigr)^{1/4}}, \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
-x is called the linear bend. φ is odd, smooth, and monotone for all s ≤ 1, d, w and q_m. It is linear, as in
-the dissertation (Eq. 14), if s = 0 and q_m is infinite. The free bend follows x immediately; x follows the
-pressures with the mode time constant τ₂.
+x is called the linear bend. φ is odd, smooth, and monotone for all s ≤ 1, d, w and q_m.
+It is linear, as in the dissertation (Eq. 14), if s = 0 and q_m is infinite. The free
+bend follows x immediately; x follows the pressures with the mode time constant τ₂.
 
-- *Saturation.* Strips that do not stretch and chambers that touch each other limit the bend to q_m. φ
-  deviates from the linear law by at most 1.5 % up to q_m/2, and its slope is one third at 0.87 q_m.
-- *Dead zone.* A module whose walls must swell before they bend loses the fraction s of the slope for |x| < d,
-  and s d of the bend for larger |x|. The width of the transition is w, and the slope at rest is 1 − s
-  tanh(d/w). For w ≪ d the transition is sharp; for w ≈ d the curve is convex from the start, like powers of
-  the pressure.
+- *Saturation.* Strips that do not stretch and chambers that touch each other limit the
+  bend to q_m. φ deviates from the linear law by at most 1.5 % up to q_m/2, and its
+  slope is one third at 0.87 q_m.
+- *Dead zone.* A module whose walls must swell before they bend loses the fraction s of
+  the slope for |x| < d, and s d of the bend for larger |x|. The width of the transition
+  is w, and the slope at rest is 1 − s tanh(d/w). For w ≪ d the transition is sharp; for
+  w ≈ d the curve is convex from the start, like powers of the pressure.
 """
 
 from __future__ import annotations
@@ -75,7 +78,12 @@ BendLaw = tuple[float, float, float, float]
 def bend_law(spec: RobotSpec) -> BendLaw:
     """Return the parameters of φ of a robot."""
     actuator = spec.actuator
-    return actuator.bend_limit, actuator.onset_share, actuator.onset, actuator.onset_width
+    return (
+        actuator.bend_limit,
+        actuator.onset_share,
+        actuator.onset,
+        actuator.onset_width,
+    )
 
 
 @kernel_only
@@ -105,7 +113,10 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
     ratio = (y / limit) * (y / limit)
     grown = 1.0 + ratio * ratio
     root = grown**-0.25
-    slope, bow = root / grown, -5.0 * ratio / limit * (y / limit) * root / (grown * grown)
+    slope, bow = (
+        root / grown,
+        -5.0 * ratio / limit * (y / limit) * root / (grown * grown),
+    )
     return y * root, slope * rise, bow * rise * rise + slope * curve
 
 
@@ -123,9 +134,14 @@ def invert_bend_law(bends: Array, law: BendLaw) -> Array:
         while apply_bend_law(high, law)[0] < bend and high < _SEARCH_LIMIT_RAD:
             high = 2 * high + 0.1
         if not apply_bend_law(low, law)[0] <= bend <= apply_bend_law(high, law)[0]:
-            raise InputError(f"no pressure bends a segment by {bend:.4g} rad; its limit is {law[0]:.4g} rad")
+            raise InputError(
+                f"no pressure bends a segment by {bend:.4g} rad; its limit is"
+                f" {law[0]:.4g} rad"
+            )
         error = lambda x, bend=bend: apply_bend_law(x, law)[0] - bend  # noqa: E731
-        linear.append(low if low == high else brentq(error, low, high, xtol=1e-14, rtol=1e-14))
+        linear.append(
+            low if low == high else brentq(error, low, high, xtol=1e-14, rtol=1e-14)
+        )
     return np.array(linear).reshape(np.shape(bends))
 
 
@@ -139,7 +155,8 @@ def check_pressure(pressure: Array, largest: float) -> Array:
     outside = ~((pressure >= -1e-6) & (pressure <= largest * (1 + 1e-9)))
     if outside.any():
         raise InputError(
-            f"chamber pressure {pressure[outside][0]:g} Pa is not allowed; it must be 0 to {largest:g} Pa"
+            f"chamber pressure {pressure[outside][0]:g} Pa is not allowed; it must be 0"
+            f" to {largest:g} Pa"
         )
     return np.maximum(pressure, 0.0)
 
@@ -181,8 +198,8 @@ def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
 def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
     r"""Return the free extensions of the segments of a spatial robot, m.
 
-    Chambers of equal section pull with forces that are proportional to their pressures. With C chambers and
-    the extension e per mean pressure,
+    Chambers of equal section pull with forces that are proportional to their pressures.
+    With C chambers and the extension e per mean pressure,
 
     $$ \Delta l = \frac{e}{C} \sum_c p_c . $$
 
@@ -209,7 +226,11 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
         return pressure
     # For x → 0, φ(x)/x tends to the slope at rest.
     slope = apply_bend_law(0.0, bend_law(spec))[1]
-    ratio = np.where(np.abs(linear) > _MIN_LINEAR_RAD, bends / np.where(linear == 0.0, 1.0, linear), slope)
+    ratio = np.where(
+        np.abs(linear) > _MIN_LINEAR_RAD,
+        bends / np.where(linear == 0.0, 1.0, linear),
+        slope,
+    )
     return np.asarray(pressure * ratio[..., None])
 
 

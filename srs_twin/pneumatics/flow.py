@@ -1,13 +1,14 @@
 r"""Flow through a valve after ISO 6358, with sonic conductance C and critical pressure ratio b.
 
-The flow of an amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁ and at constant
-temperature, is
+The flow of an amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁
+and at constant temperature, is
 
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
-P₀ = 100 kPa is the reference pressure of the standard. At equal pressures ψ has an infinite slope. Above
-r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar flow), as usual in simulation.
+P₀ = 100 kPa is the reference pressure of the standard. At equal pressures ψ has an
+infinite slope. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar
+flow), as usual in simulation.
 """
 
 from __future__ import annotations
@@ -61,10 +62,11 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
 def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]:
     """Return the conductances of inlet and outlet for which the small-signal response has the robot's τ₁.
 
-    One chamber fills or vents, the opposite one is vented, and the bend follows as q ≈ G (p − τ₂ ṗ). A change
-    dp of the gauge pressure needs the amount of air K dp with K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K;
-    terms of first order in τ₂ are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all
-    pressures. Here C is chosen so that this holds at the working point: where the pressure between ambient
+    One chamber fills or vents, the opposite one is vented, and the bend follows as q ≈
+    G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp with
+    K(p) = V + (p + P_a) A G, so that ṗ = ṅ/K; terms of first order in τ₂ are corrected.
+    Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. Here C is
+    chosen so that this holds at the working point: where the pressure between ambient
     and the nominal supply has completed 1 − e⁻² of its change.
 
     Args:
@@ -72,7 +74,8 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
         critical: critical pressure ratio b, 1.
 
     Returns:
-        C of the inlet and of the outlet (m³/(s Pa)), and K at the working point of filling (J/Pa).
+        C of the inlet and of the outlet (m³/(s Pa)), and K at the working point of
+        filling (J/Pa).
     """
     actuator, supply = spec.actuator, spec.supply.nominal
 
@@ -83,21 +86,29 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
         return -float(flow(p + AMBIENT_PA, AMBIENT_PA, critical)[0])
 
     full, empty = (1 - REMAINING) * supply, REMAINING * supply
-    capacity = spec.chamber.dead_volume + spec.chamber.displacement * actuator.gain * (2 * full + AMBIENT_PA)
+    capacity = spec.chamber.dead_volume + spec.chamber.displacement * actuator.gain * (
+        2 * full + AMBIENT_PA
+    )
     fill = _conductance(filling, full, actuator.tau_fill, spec)
     return fill, _conductance(venting, empty, actuator.tau_vent, spec), capacity
 
 
-def _conductance(passed: Callable[[float], float], p: float, tau: float, spec: RobotSpec) -> float:
+def _conductance(
+    passed: Callable[[float], float], p: float, tau: float, spec: RobotSpec
+) -> float:
     """Return the C for which dṗ/dp = −1/τ at the gauge pressure p.
 
     Args:
-        passed: P₁ ψ of the valve into the chamber as a function of the gauge pressure, Pa.
+        passed: P₁ ψ of the valve into the chamber as a function of the gauge pressure,
+            Pa.
         p: gauge pressure at the working point, Pa.
         tau: time constant τ, s.
         spec: the robot.
     """
-    dead, growth = spec.chamber.dead_volume, spec.chamber.displacement * spec.actuator.gain
+    dead, growth = (
+        spec.chamber.dead_volume,
+        spec.chamber.displacement * spec.actuator.gain,
+    )
     lag, step = min(spec.actuator.tau_mode, 0.1 * tau), 1e-3 * p
 
     def slope(function: Callable[[float], float], at: float) -> float:
@@ -111,8 +122,8 @@ def _conductance(passed: Callable[[float], float], p: float, tau: float, spec: R
         expansion = growth * (at + AMBIENT_PA) * (1 - lag * slope(rate_without_lag, at))
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)
 
-    # The rate is linear in C without the lag τ₂ and nearly linear with it, so a few fixed-point iterations
-    # suffice.
+    # The rate is linear in C without the lag τ₂ and nearly linear with it, so a few
+    # fixed-point iterations suffice.
     c = 1.0
     c = -1 / (tau * slope(rate_without_lag, p))
     for _ in range(8):

@@ -1,26 +1,28 @@
 r"""Chambers that fill and vent with a first-order lag, in closed form.
 
-A valve state of +1 fills the chamber from the supply, −1 vents it, and 0 holds it. Between valve events the
-gauge pressure of each chamber relaxes exponentially,
+A valve state of +1 fills the chamber from the supply, −1 vents it, and 0 holds it.
+Between valve events the gauge pressure of each chamber relaxes exponentially,
 
 $$ p(t) = P + (p_0 - P)\,e^{-a t}, $$
 
-to the asymptote P with the rate a, which is 1/τ₁ plus the leak rate λ. The linear bend x of a segment without
-load follows the pressures with the mode time constant τ₂,
+to the asymptote P with the rate a, which is 1/τ₁ plus the leak rate λ. The linear bend
+x of a segment without load follows the pressures with the mode time constant τ₂,
 
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
-with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ obey Eq. 14–15 as corrected
-by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of
-τ₂; a further valve delay is 0 by default.
+with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ obey
+Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The
+switching time of a valve, 3 ms, is part of τ₂; a further valve delay is 0 by default.
 
-A valve that fills for the fraction o of the time and vents for the rest relaxes the chamber at the rate
-a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a, with the supply pressure S and an additional
-rate of change r (`relaxation_of`, which takes arrays of any shape).
+A valve that fills for the fraction o of the time and vents for the rest relaxes the
+chamber at the rate a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a,
+with the supply pressure S and an additional rate of change r (`relaxation_of`, which
+takes arrays of any shape).
 
-**Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the inflow less the leak, so
-that a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the free bend; the integral of the leak is evaluated
-by Simpson's rule between the requested times.
+**Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the
+inflow less the leak, so that a fill draws Δn + λ ∫ p V dt. Δn is exact, with V at the
+free bend; the integral of the leak is evaluated by Simpson's rule between the requested
+times.
 """
 
 from __future__ import annotations
@@ -32,7 +34,13 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import compiled, kernel_only
-from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
+from srs_twin.pneumatics.base import (
+    OptionalArray,
+    Pneumatics,
+    Trace,
+    check_not_negative,
+    check_supply,
+)
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
     BendLaw,
@@ -48,9 +56,12 @@ from srs_twin.robot.spec import RobotSpec
 
 
 def relaxation_of(
-    fill: np.ndarray, vent: np.ndarray, supply: np.ndarray | float, leak: np.ndarray | float = 0.0,
+    fill: np.ndarray,
+    vent: np.ndarray,
+    supply: np.ndarray | float,
+    leak: np.ndarray | float = 0.0,
     other: np.ndarray | float = 0.0,
-) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the relaxation rate a (1/s) of pressures, and their asymptote P (Pa).
 
     Args:
@@ -64,15 +75,20 @@ def relaxation_of(
     return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
 
 
-def relaxed(pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float) -> np.ndarray:
+def relaxed(
+    pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float
+) -> np.ndarray:
     """Return the pressures after a time (s), Pa."""
     return np.asarray(end + (pressure - end) * np.exp(-rate * time))
 
 
 def followed(
-    lagged: np.ndarray, pressure: np.ndarray, relaxation: tuple[np.ndarray, np.ndarray], tau: float,
+    lagged: np.ndarray,
+    pressure: np.ndarray,
+    relaxation: tuple[np.ndarray, np.ndarray],
+    tau: float,
     time: float | np.ndarray,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return the state of a lag τ₂ behind pressures after a time (s).
 
     Args:
@@ -83,17 +99,23 @@ def followed(
         time: s.
     """
     rate, end = relaxation
-    mode = np.exp(-time / tau) if isinstance(time, np.ndarray) else math.exp(-time / tau)
+    mode = (
+        np.exp(-time / tau) if isinstance(time, np.ndarray) else math.exp(-time / tau)
+    )
     gap = 1 - rate * tau
     gap = np.where(np.abs(gap) < _SAME, _SAME, gap)
-    return np.asarray(end + (pressure - end) * (np.exp(-rate * time) - mode) / gap + (lagged - end) * mode)
+    return np.asarray(
+        end
+        + (pressure - end) * (np.exp(-rate * time) - mode) / gap
+        + (lagged - end) * mode
+    )
 
 
 class Relaxation(NamedTuple):
     """Exact propagation of the chambers over a time without valve events, for the device engine.
 
-    Kinds group chambers with equal time constants. Factors by kind and valve state have the shape (kinds, 3),
-    with the columns −1, 0, +1.
+    Kinds group chambers with equal time constants. Factors by kind and valve state have
+    the shape (kinds, 3), with the columns −1, 0, +1.
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
@@ -148,7 +170,8 @@ class LagChambers(Pneumatics):
             spec: the robot.
             supply_pa: supply pressure, gauge, Pa.
             layout: valve layout, one of `LAYOUTS`.
-            leak_per_s: leak rate λ, the relative rate at which a held pressure falls, 1/s.
+            leak_per_s: leak rate λ, the relative rate at which a held pressure falls,
+                1/s.
             valve_delay_s: time from a command until the valve switches, s.
 
         Raises:
@@ -156,13 +179,19 @@ class LagChambers(Pneumatics):
         """
         check_not_negative(leak_per_s=leak_per_s)
         self._leak, self._max_supply = leak_per_s, supply_pa
-        tau_fill, tau_vent = (spec.modules.array(name) for name in ("tau_fill", "tau_vent"))
-        self._prepare(spec, spec.actuator.tau_fill * tau_fill, spec.actuator.tau_vent * tau_vent)
+        tau_fill, tau_vent = (
+            spec.modules.array(name) for name in ("tau_fill", "tau_vent")
+        )
+        self._prepare(
+            spec, spec.actuator.tau_fill * tau_fill, spec.actuator.tau_vent * tau_vent
+        )
         self.set_supply_pressure(supply_pa)
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
     @abstractmethod
-    def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
+    def _prepare(
+        self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
+    ) -> None:
         """Prepare the laws for the time constants of the chambers, shape (segments, chambers), s."""
 
     def describe(self) -> dict[str, object]:
@@ -175,13 +204,21 @@ class LagPneumatics(LagChambers):
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
-    def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
+    def _prepare(
+        self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
+    ) -> None:
         actuator, chamber = spec.actuator, spec.chamber
-        # Chambers of one kind have the same time constants and share the evaluation of exponentials.
-        kinds, kind = np.unique(np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True)
+        # Chambers of one kind have the same time constants and share the evaluation of
+        # exponentials.
+        kinds, kind = np.unique(
+            np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True
+        )
         self._kind = kind.reshape(tau_fill.shape)
         # Relaxation rate a and asymptote P, by kind and valve state + 1.
-        self._rate = np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1) + self._leak
+        self._rate = (
+            np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1)
+            + self._leak
+        )
         self._asymptote, self._tau_fill = np.zeros_like(self._rate), kinds[0]
         self._tau_mode, self._gain = actuator.tau_mode, chamber_gains(spec)
         self._damping_time = spec.bending.damping_time
@@ -196,7 +233,10 @@ class LagPneumatics(LagChambers):
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`."""
         self._linear = invert_bend_law(bend - self.rest_bend, self._law)
-        self.pressure, self.bend = check_pressure(pressure, self._max_supply), np.array(bend, dtype=float)
+        self.pressure, self.bend = (
+            check_pressure(pressure, self._max_supply),
+            np.array(bend, dtype=float),
+        )
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
@@ -207,7 +247,10 @@ class LagPneumatics(LagChambers):
 
     def relaxation(self, time: float) -> Relaxation:
         """Return the propagation over a time (s), in which each chamber is a kind of its own."""
-        rate, asymptote = self._rate[self._kind.ravel()], self._asymptote[self._kind.ravel()]
+        rate, asymptote = (
+            self._rate[self._kind.ravel()],
+            self._asymptote[self._kind.ravel()],
+        )
         decay, lag = np.empty_like(rate), np.empty_like(rate)
         mode = _decay_factors(time, rate, self._tau_mode, decay, lag)
         kinds = np.arange(self._kind.size).reshape(self._kind.shape)
@@ -227,19 +270,39 @@ class LagPneumatics(LagChambers):
         )
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: OptionalArray,
+        bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
         pressure, linear = self.pressure.copy(), self._linear.copy()
         free = np.empty(self._segments)
         relaxation = self._kind, self._rate, self._asymptote, self._leak
         bending = self._tau_mode, self._gain, self.rest_bend, self._law
-        start, factors = (pressure, linear, free), (np.empty_like(self._rate), np.empty_like(self._rate))
-        drawn = _fill_trace(start, schedule, times, relaxation, bending, self._volume_law, trace, factors)
+        start, factors = (
+            (pressure, linear, free),
+            (np.empty_like(self._rate), np.empty_like(self._rate)),
+        )
+        drawn = _fill_trace(
+            start,
+            schedule,
+            times,
+            relaxation,
+            bending,
+            self._volume_law,
+            trace,
+            factors,
+        )
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
         self._linear = linear
-        self.pressure, self.bend, self.air = pressure, free, self.air + self._energy_per_amount * drawn
+        self.pressure, self.bend, self.air = (
+            pressure,
+            free,
+            self.air + self._energy_per_amount * drawn,
+        )
         return trace
 
 
@@ -248,26 +311,33 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace, facto
     """Fill a trace at `times`, advance to the end of a schedule, and return the amount of air drawn (J).
 
     Args:
-        start: gauge pressure, shape (segments, 2), Pa, and linear bend x, shape (segments,), rad, at the
-            start, both in place; and, out, free bend at the end, shape (segments,), rad.
+        start: gauge pressure, shape (segments, 2), Pa, and linear bend x, shape
+            (segments,), rad, at the start, both in place; and, out, free bend at the
+            end, shape (segments,), rad.
         schedule: effective valve states.
         times: ascending, shape (times,), s.
-        relaxation: kind of each chamber, shape (segments, 2); rates a (1/s) and asymptotes P (Pa) by kind and
-            valve state + 1, shape (kinds, 3); leak rate λ (1/s).
-        bending: τ₂ (s); gain of each chamber, shape (segments, 2), rad/Pa; rest bends, shape (segments,),
-            rad; a `BendLaw`.
+        relaxation: kind of each chamber, shape (segments, 2); rates a (1/s) and
+            asymptotes P (Pa) by kind and valve state + 1, shape (kinds, 3); leak rate λ
+            (1/s).
+        bending: τ₂ (s); gain of each chamber, shape (segments, 2), rad/Pa; rest bends,
+            shape (segments,), rad; a `BendLaw`.
         space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
         trace: out; its air is the amount drawn since the start, J.
         factors: work arrays, shape (kinds, 3) each.
     """
-    (pressure, linear, bend), (span, starts, states), (decay, lag) = start, schedule, factors
+    (pressure, linear, bend), (span, starts, states), (decay, lag) = (
+        start,
+        schedule,
+        factors,
+    )
     kinds, rates, asymptotes, leak = relaxation
     tau, gain, bias, law = bending
     row, drawn = 0, 0.0
     for run in range(starts.shape[0]):
         state, begin = states[run], starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
-        # Filling chambers draw the increase of their content plus their leak; other chambers draw nothing.
+        # Filling chambers draw the increase of their content plus their leak; other
+        # chambers draw nothing.
         content_before, leaked, last = 0.0, 0.0, 0.0
         for j in range(bend.shape[0]):
             free = bias[j] + apply_bend_law(linear[j], law)[0]
@@ -275,32 +345,64 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace, facto
                 state[j], pressure[j, 0], pressure[j, 1], free, space, AMBIENT_PA
             )
         while True:
-            # The rows of the trace within the run, then the end of the run, from which the next one starts.
-            requested = row < times.shape[0] and (times[row] <= stop or run + 1 == starts.shape[0])
+            # The rows of the trace within the run, then the end of the run, from which
+            # the next one starts.
+            requested = row < times.shape[0] and (
+                times[row] <= stop or run + 1 == starts.shape[0]
+            )
             t = (times[row] if requested else stop) - begin
             if leak > 0.0:
                 leaked += _leaked(
-                    last, t, state, (pressure, linear), relaxation, bending, space, (decay, lag)
+                    last,
+                    t,
+                    state,
+                    (pressure, linear),
+                    relaxation,
+                    bending,
+                    space,
+                    (decay, lag),
                 )
                 last = t
             mode = _decay_factors(t, rates, tau, decay, lag)
             content = 0.0
             for j in range(bend.shape[0]):
                 plus, minus, x = advance_segment(
-                    state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
+                    state[j],
+                    kinds[j],
+                    pressure[j],
+                    linear[j],
+                    asymptotes,
+                    gain[j],
+                    decay,
+                    lag,
+                    mode,
                 )
                 free, slope, curve = apply_bend_law(x, law)
                 free += bias[j]
-                content += filling_content(state[j], plus, minus, free, space, AMBIENT_PA)
+                content += filling_content(
+                    state[j], plus, minus, free, space, AMBIENT_PA
+                )
                 if not requested:
-                    pressure[j, 0], pressure[j, 1], linear[j], bend[j] = plus, minus, x, free
+                    pressure[j, 0], pressure[j, 1], linear[j], bend[j] = (
+                        plus,
+                        minus,
+                        x,
+                        free,
+                    )
                     continue
-                rise = _drive_rate(state[j], kinds[j], plus, minus, rates, asymptotes, gain[j])
+                rise = _drive_rate(
+                    state[j], kinds[j], plus, minus, rates, asymptotes, gain[j]
+                )
                 speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
                 trace.pressure[row, j, 0], trace.pressure[row, j, 1] = plus, minus
                 trace.bend[row, j], trace.bend_rate[row, j] = free, slope * speed
-                trace.bend_acceleration[row, j] = slope * (rise - speed) / tau + curve * speed * speed
-                trace.valves[row, j, 0], trace.valves[row, j, 1] = state[j, 0], state[j, 1]
+                trace.bend_acceleration[row, j] = (
+                    slope * (rise - speed) / tau + curve * speed * speed
+                )
+                trace.valves[row, j, 0], trace.valves[row, j, 1] = (
+                    state[j, 0],
+                    state[j, 1],
+                )
             amount = drawn + leaked + content - content_before
             if not requested:
                 drawn = amount
@@ -326,17 +428,34 @@ def _leaked(last, t, state, start, relaxation, bending, space, factors):  # type
         start: pressures and linear bends at the start of the run.
         factors: work arrays of `_decay_factors`.
     """
-    (pressure, linear), (kinds, rates, asymptotes, leak), (tau, gain, bias, law) = start, relaxation, bending
+    (pressure, linear), (kinds, rates, asymptotes, leak), (tau, gain, bias, law) = (
+        start,
+        relaxation,
+        bending,
+    )
     decay, lag = factors
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
         mode = _decay_factors(at, rates, tau, decay, lag)
         for j in range(linear.shape[0]):
             plus, minus, x = advance_segment(
-                state[j], kinds[j], pressure[j], linear[j], asymptotes, gain[j], decay, lag, mode
+                state[j],
+                kinds[j],
+                pressure[j],
+                linear[j],
+                asymptotes,
+                gain[j],
+                decay,
+                lag,
+                mode,
             )
             free = bias[j] + apply_bend_law(x, law)[0]
-            leaked += leak * (t - last) * weight * filling_content(state[j], plus, minus, free, space, 0.0)
+            leaked += (
+                leak
+                * (t - last)
+                * weight
+                * filling_content(state[j], plus, minus, free, space, 0.0)
+            )
     return leaked
 
 
@@ -355,7 +474,9 @@ def _decay_factors(t, rates, tau, decay, lag):  # type: ignore[no-untyped-def]
     for kind in range(rates.shape[0]):
         for s in range(3):
             decay[kind, s] = math.exp(-rates[kind, s] * t)
-            lag[kind, s] = _exponential_response(rates[kind, s], tau, t, decay[kind, s], mode)
+            lag[kind, s] = _exponential_response(
+                rates[kind, s], tau, t, decay[kind, s], mode
+            )
     return mode
 
 
@@ -374,9 +495,14 @@ def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag,
     """
     first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
     target_plus, target_minus = asymptotes[first, up], asymptotes[second, down]
-    deviation_plus, deviation_minus = pressure[0] - target_plus, pressure[1] - target_minus
+    deviation_plus, deviation_minus = (
+        pressure[0] - target_plus,
+        pressure[1] - target_minus,
+    )
     lagged = gain[0] * (target_plus * (1.0 - mode) + deviation_plus * lag[first, up])
-    lagged -= gain[1] * (target_minus * (1.0 - mode) + deviation_minus * lag[second, down])
+    lagged -= gain[1] * (
+        target_minus * (1.0 - mode) + deviation_minus * lag[second, down]
+    )
     return (
         target_plus + deviation_plus * decay[first, up],
         target_minus + deviation_minus * decay[second, down],

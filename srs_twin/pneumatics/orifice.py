@@ -1,21 +1,24 @@
 r"""Chambers behind orifices (ISO 6358), isothermal and growing with the bend, with one supply.
 
-The unknowns are the amount of air n = P V of each chamber, the linear bends x, and the amount of air in the
-line between the supply and the inlets:
+The unknowns are the amount of air n = P V of each chamber, the linear bends x, and the
+amount of air in the line between the supply and the inlets:
 
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
-φ, b, V(q) and the gains g are those of `chambers`, the flows those of `flow`. Conductances follow from the
-robot's τ₁ (`flow.conductances`). The leak conductance Λ is such that a held chamber of a nominal module loses
-its pressure at the rate `leak_per_s` at the working point.
+φ, b, V(q) and the gains g are those of `chambers`, the flows those of `flow`.
+Conductances follow from the robot's τ₁ (`flow.conductances`). The leak conductance Λ is
+such that a held chamber of a nominal module loses its pressure at the rate `leak_per_s`
+at the working point.
 
-Without a flow limit the line has the pressure of the supply. With one, a compressor with a regulator feeds
-the line. Its flow is at most the limit, measured at ambient pressure, and decreases to 0 over the last
-hundredth of the supply pressure. All inlets share the line, so a limited flow slows down all segments.
+Without a flow limit the line has the pressure of the supply. With one, a compressor
+with a regulator feeds the line. Its flow is at most the limit, measured at ambient
+pressure, and decreases to 0 over the last hundredth of the supply pressure. All inlets
+share the line, so a limited flow slows down all segments.
 
-**Integration.** SDIRK2 (two stages, second order, L-stable) with Newton's method over all chambers. Its
-sub-steps end on valve events; between their ends, states are cubic Hermite polynomials.
+**Integration.** SDIRK2 (two stages, second order, L-stable) with Newton's method over
+all chambers. Its sub-steps end on valve events; between their ends, states are cubic
+Hermite polynomials.
 """
 
 from __future__ import annotations
@@ -26,7 +29,13 @@ import numpy as np
 
 from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError
-from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace, check_not_negative, check_supply
+from srs_twin.pneumatics.base import (
+    OptionalArray,
+    Pneumatics,
+    Trace,
+    check_not_negative,
+    check_supply,
+)
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
     bend_law,
@@ -41,15 +50,23 @@ from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
 CRITICAL_RATIO = 0.3
-"""Critical pressure ratio b of a small solenoid valve, 1. Estimate; such valves have 0.2 to 0.5."""
+"""Critical pressure ratio b of a small solenoid valve, 1.
+
+Estimate; such valves have 0.2 to 0.5.
+"""
 
 MAX_CRITICAL_RATIO = 0.8
-"""Largest critical pressure ratio, 1. A choked flow at a working point would not determine C."""
+"""Largest critical pressure ratio, 1.
+
+A choked flow at a working point would not determine C.
+"""
 
 LINE_VOLUME = 50e-6
 """Volume between a limited supply and the inlets, m³. Estimate: compressor outlet, tubes and manifold."""
 
-_SUBSTEP_S = 5e-4  # longest step of the integrator at a time unit of 1 (`robot.scale`), s
+_SUBSTEP_S = (
+    5e-4  # longest step of the integrator at a time unit of 1 (`robot.scale`), s
+)
 
 REGULATOR_BAND = 0.01
 """Fraction of the supply's gauge pressure over which its regulator closes, 1."""
@@ -59,7 +76,8 @@ class OrificePneumatics(Pneumatics):
     """Chambers behind orifices (module docstring).
 
     Attributes:
-        conductances: conductances of the inlets and of the outlets, shape (segments, 2) each, m³/(s Pa).
+        conductances: conductances of the inlets and of the outlets, shape (segments, 2)
+            each, m³/(s Pa).
         line_pressure: current gauge pressure between supply and inlets, Pa.
         drawn: amount of air drawn from the supply since `reset`, P V, J.
         lost: amount of air vented and leaked since `reset`, P V, J.
@@ -68,7 +86,8 @@ class OrificePneumatics(Pneumatics):
     kind = "orifice"
     state_attributes = ("_state", "_amounts", "_plumbing", "_energy_per_amount")
     depends_on_bend = True
-    # A segment that bends away compresses the air in a closed chamber: gen 3 reaches a ratio of 1.6.
+    # A segment that bends away compresses the air in a closed chamber: gen 3 reaches a
+    # ratio of 1.6.
     max_pressure_ratio = 4.0
 
     def __init__(
@@ -92,20 +111,25 @@ class OrificePneumatics(Pneumatics):
             supply_pa: supply pressure, gauge, Pa.
             layout: valve layout, one of `LAYOUTS`.
             critical_ratio: critical pressure ratio b of all valves, 1.
-            flow_limit: largest flow of the supply, measured at ambient pressure, m³/s; None for no limit.
-            line_volume: volume of the line between supply and inlets, m³; it has an effect only with a flow
-                limit.
-            line_begins: initial gauge pressure in the line, Pa; default that of the supply.
+            flow_limit: largest flow of the supply, measured at ambient pressure, m³/s;
+                None for no limit.
+            line_volume: volume of the line between supply and inlets, m³; it has an
+                effect only with a flow limit.
+            line_begins: initial gauge pressure in the line, Pa; default that of the
+                supply.
             leak_per_s: relative rate at which a held pressure falls, 1/s.
             valve_delay_s: time from a command until the valve switches, s.
-            substep: longest step of the integrator, s; default 0.5 ms times the time unit of the robot
-                (`robot.scale`).
+            substep: longest step of the integrator, s; default 0.5 ms times the time
+                unit of the robot (`robot.scale`).
 
         Raises:
             InputError: the layout is unknown, or a number is out of range.
         """
         check_not_negative(leak_per_s=leak_per_s)
-        limited, largest_flow = flow_limit is not None, 1.0 if flow_limit is None else flow_limit
+        limited, largest_flow = (
+            flow_limit is not None,
+            1.0 if flow_limit is None else flow_limit,
+        )
         self._substep = _SUBSTEP_S * spec.scale.time if substep is None else substep
         for name, value in (
             ("flow_limit", largest_flow),
@@ -115,15 +139,18 @@ class OrificePneumatics(Pneumatics):
             check_positive(name, value)
         if not 0 <= critical_ratio <= MAX_CRITICAL_RATIO:
             raise InputError(
-                f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to {MAX_CRITICAL_RATIO}"
+                f"critical_ratio {critical_ratio!r} is not allowed; it must be 0 to"
+                f" {MAX_CRITICAL_RATIO}"
             )
         begins = supply_pa if line_begins is None else line_begins
         if not 0 <= begins <= supply_pa:
             raise InputError(
-                f"line_begins {begins!r} Pa is not allowed; it must be 0 to the supply's {supply_pa:g}"
+                f"line_begins {begins!r} Pa is not allowed; it must be 0 to the"
+                f" supply's {supply_pa:g}"
             )
-        # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2 differs by 0.5 % between
-        # 1 ms and 0.25 ms, and 2 ms diverges. A flow limit couples all chambers, and 1 ms oscillates.
+        # A closed chamber is a stiff spring. Without a flow limit the speed of gen 2
+        # differs by 0.5 % between 1 ms and 0.25 ms, and 2 ms diverges. A flow limit
+        # couples all chambers, and 1 ms oscillates.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
         *nominal, self._capacity = conductances(spec, critical_ratio)
@@ -164,7 +191,9 @@ class OrificePneumatics(Pneumatics):
         self._state = np.zeros((self._segments, 3))
         self._fill(self.pressure, self._plumbing.bias)
         # Amounts of air in the line, drawn from the supply, and lost.
-        self._amounts = np.array([self._line_begins * self._plumbing.line_volume, 0.0, 0.0])
+        self._amounts = np.array(
+            [self._line_begins * self._plumbing.line_volume, 0.0, 0.0]
+        )
 
     def _fill(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """Set the amounts of air for gauge pressures (Pa) and bends (rad)."""
@@ -177,7 +206,9 @@ class OrificePneumatics(Pneumatics):
         """See `Pneumatics.place`; the actual bends are set to the free bends."""
         plumbing = self._plumbing
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
-        self.pressure = check_pressure(pressure, self.max_pressure_ratio * (plumbing.supply - AMBIENT_PA))
+        self.pressure = check_pressure(
+            pressure, self.max_pressure_ratio * (plumbing.supply - AMBIENT_PA)
+        )
         self.bend = np.array(bend, dtype=float)
         self._fill(self.pressure, self.bend)
         self._state[:, 2] = linear
@@ -186,7 +217,9 @@ class OrificePneumatics(Pneumatics):
         """See `Pneumatics.set_supply_pressure`."""
         check_supply(supply_pa, self._max_supply)
         band = REGULATOR_BAND * max(supply_pa, 1.0)
-        self._plumbing = self._plumbing._replace(supply=supply_pa + AMBIENT_PA, band=band)
+        self._plumbing = self._plumbing._replace(
+            supply=supply_pa + AMBIENT_PA, band=band
+        )
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
@@ -221,7 +254,11 @@ class OrificePneumatics(Pneumatics):
         return super().describe() | self._settings
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: OptionalArray,
+        bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
         state, amounts = self._state.copy(), self._amounts.copy()
@@ -231,7 +268,9 @@ class OrificePneumatics(Pneumatics):
             actual[1] = 0.0 if bend_rate is None else bend_rate
         end = np.empty((self._segments, 2)), np.empty(self._segments)
         start, motion = (state, amounts), (bend is not None, actual)
-        simulate(start, schedule, times, self._substep, motion, self._plumbing, end, trace)
+        simulate(
+            start, schedule, times, self._substep, motion, self._plumbing, end, trace
+        )
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         self._state, self._amounts = state, amounts
         self.pressure, self.bend = end
@@ -241,20 +280,39 @@ class OrificePneumatics(Pneumatics):
 
 def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
     """Return the stiffness of a closed chamber at the supply pressure, dM/dq = k G P A/V₀, N·m/rad."""
-    chamber, strongest = spec.chamber, float(chamber_gains(spec).max()) * spec.bending.stiffness
-    return strongest * (chamber.displacement / chamber.dead_volume) * (supply_pa + AMBIENT_PA)
+    chamber, strongest = (
+        spec.chamber,
+        float(chamber_gains(spec).max()) * spec.bending.stiffness,
+    )
+    return (
+        strongest
+        * (chamber.displacement / chamber.dead_volume)
+        * (supply_pa + AMBIENT_PA)
+    )
 
 
-def _chamber_conductances(spec: RobotSpec, critical: float) -> tuple[np.ndarray, np.ndarray]:
+def _chamber_conductances(
+    spec: RobotSpec, critical: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the conductances of each chamber's inlet and outlet, shape (segments, 2) each, m³/(s Pa)."""
     modules, actuator = spec.modules, spec.actuator
     # Chambers with equal parameters share one solution.
-    rows = np.stack([modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")], axis=1)
+    rows = np.stack(
+        [modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")],
+        axis=1,
+    )
     kinds, kind = np.unique(rows, axis=0, return_inverse=True)
     pairs = []
     for gain, fill, vent in kinds:
         parameters = {"gain": gain * actuator.gain}
-        parameters |= {"tau_fill": fill * actuator.tau_fill, "tau_vent": vent * actuator.tau_vent}
-        pairs.append(conductances(replace(spec, actuator=replace(actuator, **parameters)), critical)[:2])
+        parameters |= {
+            "tau_fill": fill * actuator.tau_fill,
+            "tau_vent": vent * actuator.tau_vent,
+        }
+        pairs.append(
+            conductances(
+                replace(spec, actuator=replace(actuator, **parameters)), critical
+            )[:2]
+        )
     fill, vent = np.array(pairs)[kind.ravel()].T.reshape(2, spec.segments, 2)
     return fill, vent

@@ -1,11 +1,12 @@
 """Compiled equations of the orifice chambers and their integration (`orifice`).
 
-The state y of a segment is (n⁺, n⁻, x): amounts of air (J) and linear bend (rad). The `amounts` of the whole
-robot are (n_line, drawn, lost), J.
+The state y of a segment is (n⁺, n⁻, x): amounts of air (J) and linear bend (rad). The
+`amounts` of the whole robot are (n_line, drawn, lost), J.
 
-`motion` is the pair (coupled, actual). If coupled is true, the volumes follow the actual bends, which are
-extrapolated from `actual`: the bends (rad) and their rates (rad/s) at the start of the schedule, shape
-(2, segments). Otherwise the volumes follow the free bends.
+`motion` is the pair (coupled, actual). If coupled is true, the volumes follow the
+actual bends, which are extrapolated from `actual`: the bends (rad) and their rates
+(rad/s) at the start of the schedule, shape (2, segments). Otherwise the volumes follow
+the free bends.
 """
 
 from __future__ import annotations
@@ -23,7 +24,9 @@ GAMMA = 1 - math.sqrt(0.5)
 """Diagonal γ of SDIRK2, 1; its stages are at γ h and h."""
 
 _MAX_NEWTON = 40  # iterations of a stage
-_NEWTON_TOLERANCE = 1e-12  # largest correction at which Newton's method stops, J and rad
+_NEWTON_TOLERANCE = (
+    1e-12  # largest correction at which Newton's method stops, J and rad
+)
 
 
 class Plumbing(NamedTuple):
@@ -44,7 +47,8 @@ class Plumbing(NamedTuple):
         max_flow: largest flow of the supply, J/s.
         band: pressure range over which its regulator closes, Pa.
         line_volume: m³.
-        limited: whether the flow is limited; otherwise the line has the pressure of the supply.
+        limited: whether the flow is limited; otherwise the line has the pressure of the
+            supply.
     """
 
     dead: float
@@ -78,15 +82,21 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
         air: the plumbing.
 
     Returns:
-        Absolute pressure P (Pa); 1/V; −∂P/∂q; inflow from the line (J/s) and its derivatives by P and by the
-        line's pressure; outflow (J/s) and its derivative by P.
+        Absolute pressure P (Pa); 1/V; −∂P/∂q; inflow from the line (J/s) and its
+        derivatives by P and by the line's pressure; outflow (J/s) and its derivative by
+        P.
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
     inflow, inflow_by_p, inflow_by_line = 0.0, 0.0, 0.0
-    outflow, outflow_by_p = air.leak[j, side] * (pressure - AMBIENT_PA), air.leak[j, side]
+    outflow, outflow_by_p = (
+        air.leak[j, side] * (pressure - AMBIENT_PA),
+        air.leak[j, side],
+    )
     if state != 0:
-        value, by_source, by_here = flow(line if state == 1 else AMBIENT_PA, pressure, air.critical)
+        value, by_source, by_here = flow(
+            line if state == 1 else AMBIENT_PA, pressure, air.critical
+        )
         if state == 1:
             conductance = air.fill[j, side]
             inflow, inflow_by_line, inflow_by_p = (
@@ -126,8 +136,9 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: ignore[no-untyped-def]
     """Make one Newton iteration of y = base + weight · ẏ for y and the line; return its size.
 
-    Chambers depend on each other only through the bend of their segment and through the line. Each segment is
-    therefore eliminated separately, as a linear function of the change of the line's pressure.
+    Chambers depend on each other only through the bend of their segment and through the
+    line. Each segment is therefore eliminated separately, as a linear function of the
+    change of the line's pressure.
 
     Args:
         y: state, shape (segments, 3).
@@ -137,9 +148,10 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         state: valve states, shape (segments, 2).
         coupled: see module docstring.
         air: the plumbing.
-        work: the known part `base` of y; ẏ; actual bends, shape (segments,), rad; corrections without a
-            change of the line and their slopes by its pressure, shape (segments, 3, 2); and quantities of the
-            chambers for the back substitution, shape (segments, 2, 5).
+        work: the known part `base` of y; ẏ; actual bends, shape (segments,), rad;
+            corrections without a change of the line and their slopes by its pressure,
+            shape (segments, 3, 2); and quantities of the chambers for the back
+            substitution, shape (segments, 2, 5).
     """
     base, _, bend, linear, terms = work
     line = amounts[0] / air.line_volume if air.limited else air.supply
@@ -153,34 +165,64 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         bend_slope, bend_by_line = 1.0 + weight / air.tau, 0.0
         bend_residual = y[j, 2] * bend_slope - base[j, 2]
         for side in range(2):
-            p, inverse, squeeze, inflow, inflow_by_p, inflow_by_line, outflow, outflow_by_p = chamber(
-                y[j, side], q, j, side, state[j, side], line, air
-            )
-            # Eliminate the amount of air n of the chamber: Newton's row is linear in x and the line.
+            (
+                p,
+                inverse,
+                squeeze,
+                inflow,
+                inflow_by_p,
+                inflow_by_line,
+                outflow,
+                outflow_by_p,
+            ) = chamber(y[j, side], q, j, side, state[j, side], line, air)
+            # Eliminate the amount of air n of the chamber: Newton's row is linear in x
+            # and the line.
             squeeze *= bend_rate
             rate_by_p = weight * (inflow_by_p - outflow_by_p)
             pivot = 1.0 - rate_by_p * inverse
             coupling = rate_by_p * squeeze / pivot
             signed = weight * air.gain[j, side] / air.tau * (1.0 - 2.0 * side)
-            linear[j, side, 0] = (base[j, side] + weight * (inflow - outflow) - y[j, side]) / pivot
+            linear[j, side, 0] = (
+                base[j, side] + weight * (inflow - outflow) - y[j, side]
+            ) / pivot
             linear[j, side, 1] = weight * inflow_by_line / pivot
             bend_residual -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
             bend_slope += signed * (squeeze + inverse * coupling)
             bend_by_line += signed * inverse * linear[j, side, 1]
-            terms[j, side, 0], terms[j, side, 1], terms[j, side, 2] = coupling, inflow, inflow_by_line
-            terms[j, side, 3], terms[j, side, 4] = inflow_by_p * inverse, inflow_by_p * squeeze
+            terms[j, side, 0], terms[j, side, 1], terms[j, side, 2] = (
+                coupling,
+                inflow,
+                inflow_by_line,
+            )
+            terms[j, side, 3], terms[j, side, 4] = (
+                inflow_by_p * inverse,
+                inflow_by_p * squeeze,
+            )
         # With both chambers eliminated, the row of x depends on the line only.
-        linear[j, 2, 0], linear[j, 2, 1] = -bend_residual / bend_slope, bend_by_line / bend_slope
+        linear[j, 2, 0], linear[j, 2, 1] = (
+            -bend_residual / bend_slope,
+            bend_by_line / bend_slope,
+        )
         for side in range(2):
-            coupling, inflow, inflow_by_line = terms[j, side, 0], terms[j, side, 1], terms[j, side, 2]
+            coupling, inflow, inflow_by_line = (
+                terms[j, side, 0],
+                terms[j, side, 1],
+                terms[j, side, 2],
+            )
             by_amount, by_bend = terms[j, side, 3], terms[j, side, 4]
             for k in range(2):
                 linear[j, side, k] -= coupling * linear[j, 2, k]
-            line_residual += weight * (inflow + by_amount * linear[j, side, 0] - by_bend * linear[j, 2, 0])
-            line_slope += weight * (
-                inflow_by_line + by_amount * linear[j, side, 1] - by_bend * linear[j, 2, 1]
+            line_residual += weight * (
+                inflow + by_amount * linear[j, side, 0] - by_bend * linear[j, 2, 0]
             )
-    return _apply_correction(y, amounts, linear, -line_residual / line_slope if air.limited else 0.0, air)
+            line_slope += weight * (
+                inflow_by_line
+                + by_amount * linear[j, side, 1]
+                - by_bend * linear[j, 2, 1]
+            )
+    return _apply_correction(
+        y, amounts, linear, -line_residual / line_slope if air.limited else 0.0, air
+    )
 
 
 @kernel_only
@@ -206,13 +248,20 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         deviation = -y[j, 2]
         q = bend[j] if coupled else air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
         for side in range(2):
-            p, _, _, inflow, _, _, outflow, _ = chamber(y[j, side], q, j, side, state[j, side], line, air)
+            p, _, _, inflow, _, _, outflow, _ = chamber(
+                y[j, side], q, j, side, state[j, side], line, air
+            )
             dy[j, side] = inflow - outflow
-            # Gauge pressures: the two gains differ, so ambient pressure does not cancel.
+            # Gauge pressures: the two gains differ, so ambient pressure does not
+            # cancel.
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * (p - AMBIENT_PA)
             total_inflow, total_outflow = total_inflow + inflow, total_outflow + outflow
         dy[j, 2] = deviation / air.tau
-    return supply_flow(line, air)[0] if air.limited else total_inflow, total_inflow, total_outflow
+    return (
+        supply_flow(line, air)[0] if air.limited else total_inflow,
+        total_inflow,
+        total_outflow,
+    )
 
 
 @kernel_only
@@ -234,7 +283,8 @@ def _step(y, amounts, h, begun, state, motion, air, work):  # type: ignore[no-un
         state: valve states, shape (segments, 2).
         motion: see module docstring.
         air: the plumbing.
-        work: arrays as in `_newton`; on return the second one holds ẏ at the end of the step.
+        work: arrays as in `_newton`; on return the second one holds ẏ at the end of the
+            step.
 
     Returns:
         Flow from the supply and total inflow at the end, J/s.
@@ -253,7 +303,10 @@ def _step(y, amounts, h, begun, state, motion, air, work):  # type: ignore[no-un
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         _extrapolate_bends(bend, actual, begun + (GAMMA if stage == 0 else 1.0) * h)
         for _ in range(_MAX_NEWTON):
-            if _newton(y, amounts, line_base, GAMMA * h, state, coupled, air, work) < _NEWTON_TOLERANCE:
+            if (
+                _newton(y, amounts, line_base, GAMMA * h, state, coupled, air, work)
+                < _NEWTON_TOLERANCE
+            ):
                 break
         drawn, inflow, outflow = _rates(y, amounts[0], state, coupled, bend, air, dy)
         share = h * (1 - GAMMA if stage == 0 else GAMMA)
@@ -273,8 +326,8 @@ def simulate(start, schedule, times, substep, motion, air, end, trace):  # type:
         substep: longest step, s.
         motion: see module docstring.
         air: the plumbing.
-        end: out, at the end: gauge pressures, shape (segments, 2), Pa, and free bends, shape (segments,),
-            rad.
+        end: out, at the end: gauge pressures, shape (segments, 2), Pa, and free bends,
+            shape (segments,), rad.
         trace: out; its air is the amount drawn, J.
     """
     (y, amounts), (span, starts, states) = start, schedule
@@ -291,7 +344,9 @@ def simulate(start, schedule, times, substep, motion, air, end, trace):  # type:
         count = max(1, math.ceil((stop - starts[run]) / substep * (1 - 1e-12)))
         h = (stop - starts[run]) / count
         _extrapolate_bends(bend, actual, starts[run])
-        at_end[3], at_end[4], _ = _rates(y, amounts[0], states[run], coupled, bend, air, dy)
+        at_end[3], at_end[4], _ = _rates(
+            y, amounts[0], states[run], coupled, bend, air, dy
+        )
         for k in range(count):
             begun = starts[run] + k * h
             finish = stop if k + 1 == count else begun + h
@@ -301,15 +356,28 @@ def simulate(start, schedule, times, substep, motion, air, end, trace):  # type:
             for i in range(3):
                 at_begin[i] = amounts[i]
             at_begin[3], at_begin[4] = at_end[3], at_end[4]
-            at_end[3], at_end[4] = _step(y, amounts, h, begun, states[run], motion, air, work)
+            at_end[3], at_end[4] = _step(
+                y, amounts, h, begun, states[run], motion, air, work
+            )
             for i in range(3):
                 at_end[i] = amounts[i]
             until = row
-            while until < times.shape[0] and (times[until] <= finish or (k + 1 == count and run + 1 == runs)):
+            while until < times.shape[0] and (
+                times[until] <= finish or (k + 1 == count and run + 1 == runs)
+            ):
                 until += 1
             if until > row:
                 ends = (begin, slope, at_begin), (y, dy, at_end)
-                _fill_rows(times, (row, until), (begun, h), ends, states[run], motion, air, trace)
+                _fill_rows(
+                    times,
+                    (row, until),
+                    (begun, h),
+                    ends,
+                    states[run],
+                    motion,
+                    air,
+                    trace,
+                )
                 row = until
     for j in range(segments):
         free[j] = air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
@@ -323,10 +391,15 @@ def simulate(start, schedule, times, substep, motion, air, end, trace):  # type:
 def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ignore[no-untyped-def]
     """Fill rows of a trace within a step from the cubic Hermite polynomials through both ends of the step.
 
-    The step is its beginning and its length, s. Each of `ends` has y, ẏ, and an array (5,) of the amounts,
-    the flow from the supply and the total inflow.
+    The step is its beginning and its length, s. Each of `ends` has y, ẏ, and an array
+    (5,) of the amounts, the flow from the supply and the total inflow.
     """
-    (begun, h), (coupled, actual), (y0, dy0, at0), (y1, dy1, at1) = step, motion, ends[0], ends[1]
+    (begun, h), (coupled, actual), (y0, dy0, at0), (y1, dy1, at1) = (
+        step,
+        motion,
+        ends[0],
+        ends[1],
+    )
     segments = y0.shape[0]
     y, dy, bend = np.empty_like(y0), np.empty_like(y0), np.empty(segments)
     for row in range(rows[0], rows[1]):
@@ -335,10 +408,17 @@ def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ign
         blend = x * x * (3 - 2 * x)
         for j in range(segments):
             for k in range(3):
-                y[j, k] = y0[j, k] + blend * (y1[j, k] - y0[j, k]) + first * dy0[j, k] + second * dy1[j, k]
+                y[j, k] = (
+                    y0[j, k]
+                    + blend * (y1[j, k] - y0[j, k])
+                    + first * dy0[j, k]
+                    + second * dy1[j, k]
+                )
         line = at0[0] + blend * (at1[0] - at0[0])
         line += first * (at0[3] - at0[4]) + second * (at1[3] - at1[4])
-        trace.air[row] = at0[1] + blend * (at1[1] - at0[1]) + first * at0[3] + second * at1[3]
+        trace.air[row] = (
+            at0[1] + blend * (at1[1] - at0[1]) + first * at0[3] + second * at1[3]
+        )
         _extrapolate_bends(bend, actual, begun + x * h)
         _rates(y, line, state, coupled, bend, air, dy)
         for j in range(segments):

@@ -1,13 +1,14 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
-Each chamber fills and vents with the first-order lag of `lag`; a lag with the time constant τ₂ follows its
-pressure. With the directions d_c of the chambers (`Chamber.directions`), the lagged pressures p̂_c and the
-bend law φ of `chambers`, the free bend of a segment is a vector with the components left and up,
+Each chamber fills and vents with the first-order lag of `lag`; a lag with the time
+constant τ₂ follows its pressure. With the directions d_c of the chambers
+(`Chamber.directions`), the lagged pressures p̂_c and the bend law φ of `chambers`, the
+free bend of a segment is a vector with the components left and up,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 
-so that the bend limit applies to the magnitude of the bend. The volume of a chamber grows with the bend in
-its direction: V = V₀ + A max(0, q · d_c).
+so that the bend limit applies to the magnitude of the bend. The volume of a chamber
+grows with the bend in its direction: V = V₀ + A max(0, q · d_c).
 """
 
 from __future__ import annotations
@@ -24,18 +25,23 @@ from srs_twin.robot.spec import RobotSpec
 class SpatialLagPneumatics(LagChambers):
     """Chambers with a first-order lag in several directions (module docstring).
 
-    `bend`, `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2): to the left, upwards.
+    `bend`, `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2): to
+    the left, upwards.
     """
 
     state_attributes = ("_lagged", "_supply")
 
-    def _prepare(self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray) -> None:
+    def _prepare(
+        self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
+    ) -> None:
         self._spec, self._fill, self._vent = spec, 1 / tau_fill, 1 / tau_vent
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
         if self.rest_bend.ndim == 1:  # modules have a rest bend to the left only
-            self.rest_bend = np.stack([self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1)
+            self.rest_bend = np.stack(
+                [self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1
+            )
         super().reset()
         self._lagged = np.zeros_like(self.pressure)
 
@@ -45,7 +51,11 @@ class SpatialLagPneumatics(LagChambers):
         self._supply = supply_pa
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: OptionalArray,
+        bend_rate: OptionalArray,
     ) -> Trace:
         trace, drawn = self._empty_trace(len(times)), self.air
         ends = np.append(schedule.starts[1:], schedule.span)
@@ -57,11 +67,22 @@ class SpatialLagPneumatics(LagChambers):
             after = np.append(times[part] - start, end - start)
             pressure, lagged, free = self._propagate(state, after)
             air = drawn + self._drawn(state, after, pressure, free)
-            trace.pressure[part], trace.bend[part], trace.air[part] = pressure[:-1], free[:-1], air[:-1]
+            trace.pressure[part], trace.bend[part], trace.air[part] = (
+                pressure[:-1],
+                free[:-1],
+                air[:-1],
+            )
             trace.valves[part] = state
-            rate, acceleration = self._rates(state, pressure[:-1], lagged[:-1], free[:-1])
+            rate, acceleration = self._rates(
+                state, pressure[:-1], lagged[:-1], free[:-1]
+            )
             trace.bend_rate[part], trace.bend_acceleration[part] = rate, acceleration
-            self.pressure, self._lagged, self.bend, drawn = pressure[-1], lagged[-1], free[-1], float(air[-1])
+            self.pressure, self._lagged, self.bend, drawn = (
+                pressure[-1],
+                lagged[-1],
+                free[-1],
+                float(air[-1]),
+            )
         self.air = drawn
         return trace
 
@@ -74,7 +95,9 @@ class SpatialLagPneumatics(LagChambers):
             self._leak,
         )
 
-    def _propagate(self, state: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _propagate(
+        self, state: np.ndarray, times: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return pressures, lagged pressures and free bends after times without a valve event (s)."""
         relaxation, tau = self._relaxation(state), self._spec.actuator.tau_mode
         after = times[:, None, None]
@@ -83,7 +106,11 @@ class SpatialLagPneumatics(LagChambers):
         return pressure, lagged, self.rest_bend + vector_bends(self._spec, lagged)
 
     def _rates(
-        self, state: np.ndarray, pressure: np.ndarray, lagged: np.ndarray, free: np.ndarray
+        self,
+        state: np.ndarray,
+        pressure: np.ndarray,
+        lagged: np.ndarray,
+        free: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return rates (rad/s) and accelerations (rad/s²) of the free bends, those of a linear bend law."""
         rate, end = self._relaxation(state)
@@ -93,25 +120,43 @@ class SpatialLagPneumatics(LagChambers):
         linear = (gains * lagged) @ self._spec.chamber.axes
         # Scale with the mean slope of the bend law, free bend over linear bend.
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
-        slope = np.where(size > 1e-9, np.linalg.norm(free - self.rest_bend, axis=-1, keepdims=True) / size, 1)
+        slope = np.where(
+            size > 1e-9,
+            np.linalg.norm(free - self.rest_bend, axis=-1, keepdims=True) / size,
+            1,
+        )
         axes = self._spec.chamber.axes
         return slope * ((gains * speed) @ axes), slope * ((gains * rise) @ axes)
 
     def _drawn(
-        self, state: np.ndarray, times: np.ndarray, pressure: np.ndarray, free: np.ndarray
+        self,
+        state: np.ndarray,
+        times: np.ndarray,
+        pressure: np.ndarray,
+        free: np.ndarray,
     ) -> np.ndarray:
         """Return the pneumatic energy that filling chambers have drawn since the start, shape (times,), J."""
         chamber = self._spec.chamber
 
-        def content(pressure: np.ndarray, bend: np.ndarray, ambient: float) -> np.ndarray:
-            volume = chamber.dead_volume + chamber.displacement * np.maximum(0.0, bend @ chamber.axes.T)
-            amount: np.ndarray = ((pressure + ambient) * volume * (state == 1)).sum(axis=(-2, -1))
+        def content(
+            pressure: np.ndarray, bend: np.ndarray, ambient: float
+        ) -> np.ndarray:
+            volume = chamber.dead_volume + chamber.displacement * np.maximum(
+                0.0, bend @ chamber.axes.T
+            )
+            amount: np.ndarray = ((pressure + ambient) * volume * (state == 1)).sum(
+                axis=(-2, -1)
+            )
             return amount
 
-        amount = content(pressure, free, AMBIENT_PA) - content(self.pressure, self.bend, AMBIENT_PA)
+        amount = content(pressure, free, AMBIENT_PA) - content(
+            self.pressure, self.bend, AMBIENT_PA
+        )
         if self._leak:
             held = content(pressure, free, 0.0)
             before = np.append(content(self.pressure, self.bend, 0.0), held[:-1])
-            amount = amount + self._leak * np.cumsum((held + before) / 2 * np.diff(times, prepend=0.0))
+            amount = amount + self._leak * np.cumsum(
+                (held + before) / 2 * np.diff(times, prepend=0.0)
+            )
         worth = self._supply / (self._supply + AMBIENT_PA)
         return np.asarray(worth * amount)

@@ -1,7 +1,7 @@
 """Valve schedules: piecewise constant valve states over time, and valve faults.
 
-A valve state is +1 (filling), 0 (holding) or −1 (venting). Arrays of valve states have the columns + chamber
-and − chamber.
+A valve state is +1 (filling), 0 (holding) or −1 (venting). Arrays of valve states have
+the columns + chamber and − chamber.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
 SLOT_S = 1e-4
 """Time raster of valve events within a control tick, s, at a time unit of 1 (`robot.scale`)."""
 
-# Smallest time between two valve events, s; closer events are merged, which absorbs rounding.
+# Smallest time between two valve events, s; closer events are merged, which absorbs
+# rounding.
 _EVENT_TOLERANCE = 1e-9
 
 
@@ -66,7 +67,8 @@ class Schedule(NamedTuple):
 
     Attributes:
         span: length of the schedule, s.
-        starts: start time of each run of constant states, ascending from 0, shape (runs,), s.
+        starts: start time of each run of constant states, ascending from 0, shape
+            (runs,), s.
         states: valve states of each run, shape (runs, segments, 2).
     """
 
@@ -86,7 +88,9 @@ class Schedule(NamedTuple):
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
         changes = np.flatnonzero((commands[1:] != commands[:-1]).any(axis=(1, 2))) + 1
         begins = np.append(0, changes)
-        return cls(span, span * begins / len(commands), np.ascontiguousarray(commands[begins]))
+        return cls(
+            span, span * begins / len(commands), np.ascontiguousarray(commands[begins])
+        )
 
     @property
     def events(self) -> np.ndarray:
@@ -95,14 +99,23 @@ class Schedule(NamedTuple):
 
     def slice(self, begin: float, end: float) -> Schedule:
         """Return the schedule from `begin` to `end` (s), with times from `begin`."""
-        if begin == 0.0 and end == self.span and self.starts[-1] < end - _EVENT_TOLERANCE:
+        if (
+            begin == 0.0
+            and end == self.span
+            and self.starts[-1] < end - _EVENT_TOLERANCE
+        ):
             return self
-        first = int(np.searchsorted(self.starts, begin + _EVENT_TOLERANCE, side="right")) - 1
+        first = (
+            int(np.searchsorted(self.starts, begin + _EVENT_TOLERANCE, side="right"))
+            - 1
+        )
         last = int(np.searchsorted(self.starts, end - _EVENT_TOLERANCE, side="left"))
         starts = np.maximum(self.starts[first:last] - begin, 0.0)
         return Schedule(end - begin, starts, self.states[first:last])
 
-    def with_stuck_valve(self, begin: float, segment: int, side: int, state: int) -> Schedule:
+    def with_stuck_valve(
+        self, begin: float, segment: int, side: int, state: int
+    ) -> Schedule:
         """Return the schedule with one valve in one state from `begin` on.
 
         Args:
@@ -127,4 +140,8 @@ class Schedule(NamedTuple):
         # Merge the two runs at the joint if their states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
-        return Schedule(self.span + other.span, starts, np.concatenate([self.states, other.states[merged:]]))
+        return Schedule(
+            self.span + other.span,
+            starts,
+            np.concatenate([self.states, other.states[merged:]]),
+        )

@@ -1,6 +1,7 @@
 """`srs-twin inspect` and `export`, and the options of commands that read recordings.
 
-`inspect` describes recordings, without a robot or a log; `export` writes a run for other tools.
+`inspect` describes recordings, without a robot or a log; `export` writes a run for
+other tools.
 """
 
 from __future__ import annotations
@@ -13,7 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from srs_twin.cli.console import say
-from srs_twin.cli.options import JsonOption, OverwriteOption, QuietOption, argument, option, print_json
+from srs_twin.cli.options import (
+    JsonOption,
+    OverwriteOption,
+    QuietOption,
+    argument,
+    option,
+    print_json,
+)
 from srs_twin.errors import InputError, UnknownNameError
 
 if TYPE_CHECKING:
@@ -21,7 +29,10 @@ if TYPE_CHECKING:
     from srs_twin.recordings.takes import RecordingReader
 
 
-_LOGS = "Logs: one for each FILE, then one for each --validate. [default: NAME.valves.csv in the same folder]"
+_LOGS = (
+    "Logs: one for each FILE, then one for each --validate. [default: NAME.valves.csv"
+    " in the same folder]"
+)
 
 
 ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
@@ -34,7 +45,10 @@ OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
 
 
 FrequencyOption = Annotated[
-    float | None, option("--frequency HZ", "Gait frequency, Hz. [default: that of the valve pattern]")
+    float | None,
+    option(
+        "--frequency HZ", "Gait frequency, Hz. [default: that of the valve pattern]"
+    ),
 ]
 
 
@@ -47,7 +61,8 @@ class TableOptions:
         units: Unit of lengths if the file states none: m, cm, mm, in, ft.
         rate: Frames per second if the file has no time.
         columns: Column names of a plain file without a header, e.g. time,x_1,y_1.
-        separator: Cell separator of a plain file: , ; | tab or space. [default: detected]
+        separator: Cell separator of a plain file: , ; | tab or space. [default:
+            detected]
         decimal: Decimal mark of a plain file. [default: detected]
     """
 
@@ -67,9 +82,12 @@ class TableOptions:
         from srs_twin.recordings.recording_map import given_map
 
         options = {
-            "units": self.units, "rate_hz": self.rate, "columns": self.columns, "separator": self.separator,
+            "units": self.units,
+            "rate_hz": self.rate,
+            "columns": self.columns,
+            "separator": self.separator,
             "decimal": self.decimal,
-        }  # fmt: skip
+        }
         return given_map(self.map, options, markers)
 
 
@@ -80,9 +98,11 @@ class ReadingOptions(TableOptions):
     Options:
         up: Upward axis of the files: x, y, z, -x, -y, -z or auto.
         layout: Markers: auto, single, head, pair, middles or head_middles.
-        head: Name of the marker at the head. [default: the end in the direction of motion]
+        head: Name of the marker at the head. [default: the end in the direction of
+            motion]
         longest_gap: Longest gap that is interpolated, s. [default: 0.2]
-        marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1" (repeatable).
+        marker: Position of a marker, e.g. "tip=connector 3" or "m1=middle 1"
+            (repeatable).
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"
@@ -94,9 +114,12 @@ class ReadingOptions(TableOptions):
     def given(self) -> dict[str, Any]:
         """Return the given options by the names of `RecordingReader`'s attributes; a map is plain data."""
         values = {
-            "up": self.up, "layout": self.layout, "head": self.head, "longest_gap_s": self.longest_gap,
+            "up": self.up,
+            "layout": self.layout,
+            "head": self.head,
+            "longest_gap_s": self.longest_gap,
             "map": self.map_data(self.marker or ()) or None,
-        }  # fmt: skip
+        }
         return {name: value for name, value in values.items() if value is not None}
 
     def reader(self, **more: Any) -> RecordingReader:
@@ -109,7 +132,9 @@ class ReadingOptions(TableOptions):
         from srs_twin.recordings.takes import RecordingReader
 
         given = self.given()
-        return RecordingReader(**given | {"map": read_map(given.get("map", {}))}, **more)
+        return RecordingReader(
+            **given | {"map": read_map(given.get("map", {}))}, **more
+        )
 
 
 _DEFAULT_TABLE = TableOptions()
@@ -126,13 +151,13 @@ def inspect(
 ) -> None:
     """Describe recordings and propose a map.
 
-    A robot or a log is not needed. With a robot, the output also states whether the files can be read as its
-    recording.
+    A robot or a log is not needed. With a robot, the output also states whether the
+    files can be read as its recording.
 
     Options:
         robot: Shipped robot or robot file with which the recording is checked.
-        picture: Output picture of the markers from above; with several files, the name of each is put in
-            front.
+        picture: Output picture of the markers from above; with several files, the name
+            of each is put in front.
         write_map: File for the proposed map.
     """
     from srs_twin.io.files import check_output_folder, escape_unprintable, write_text
@@ -159,14 +184,20 @@ def inspect(
             facts, scene = inspect_file(path, read_map(options.map_data()), spec)
         except InputError as error:
             message = str(error)
-            failed.append(message if Path(path).name in message else f"{path}: {message}")
+            failed.append(
+                message if Path(path).name in message else f"{path}: {message}"
+            )
             continue
         found.append(facts)
         if not as_json:
             print(escape_unprintable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
             place = Path(picture)
-            place = place if len(files) == 1 else place.with_name(f"{Path(path).stem}_{place.name}")
+            place = (
+                place
+                if len(files) == 1
+                else place.with_name(f"{Path(path).stem}_{place.name}")
+            )
             _save_picture(scene, place)
     if as_json:
         print_json([facts.document() for facts in found])
@@ -205,8 +236,8 @@ def export(
 ) -> None:
     """Write a run as MCAP (ROS 2), CSV or NumPy archive.
 
-    MCAP holds all plants. A recording map, with which `inspect` and `replay` read the file, and a Foxglove
-    layout are written next to it.
+    MCAP holds all plants. A recording map, with which `inspect` and `replay` read the
+    file, and a Foxglove layout are written next to it.
 
     Options:
         run: Folder of a run, or its name in ./runs.
@@ -224,8 +255,12 @@ def export(
     if file and Path(run).suffix[1:] in _FORMATS:
         run, file = file, run
     out = out or file
-    chosen = [name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted]
-    chosen = chosen or [name for name in _FORMATS if out and Path(out).suffix == f".{name}"]
+    chosen = [
+        name for name, wanted in zip(_FORMATS, (mcap, csv, npz), strict=True) if wanted
+    ]
+    chosen = chosen or [
+        name for name in _FORMATS if out and Path(out).suffix == f".{name}"
+    ]
     if len(chosen) != 1:
         raise InputError(f"give one format: --{', --'.join(_FORMATS)}")
     (kind,) = chosen
@@ -236,10 +271,18 @@ def export(
             raise UnknownNameError("plant", plant, runs)
         runs = {plant: runs[plant]}
     first = "twin" if "twin" in runs else next(iter(runs))
-    path = Path(out) if out else finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
+    path = (
+        Path(out)
+        if out
+        else finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
+    )
     if path.suffix != f".{kind}":
         raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
-    beside = [path.with_suffix(MAP_SUFFIX), path.with_suffix(".foxglove.json")] if kind == "mcap" else []
+    beside = (
+        [path.with_suffix(MAP_SUFFIX), path.with_suffix(".foxglove.json")]
+        if kind == "mcap"
+        else []
+    )
     for target in (path, *beside):
         if target.exists() and not overwrite:
             raise InputError(f"{display_path(target)} exists; --overwrite replaces it")
@@ -253,5 +296,10 @@ def export(
     else:
         exporting.write_mcap(path, runs)
         write_text(beside[0], dump_yaml(exporting.recording_map(first, runs[first])))
-        write_text(beside[1], json.dumps(exporting.foxglove_layout(runs), indent=2) + "\n")
-    say(f"wrote {', '.join(display_path(target) for target in (path, *beside))}", quiet=quiet)
+        write_text(
+            beside[1], json.dumps(exporting.foxglove_layout(runs), indent=2) + "\n"
+        )
+    say(
+        f"wrote {', '.join(display_path(target) for target in (path, *beside))}",
+        quiet=quiet,
+    )

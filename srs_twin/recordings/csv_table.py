@@ -1,7 +1,7 @@
 """Columns of plain tables: names with units, their meanings in a map, and values in SI.
 
-A plain table names its columns in the first line: ``x_1``, ``x_1_mm``, ``pressure_plus_2 (kPa)``,
-``time_ms``. Columns without a unit are in SI.
+A plain table names its columns in the first line: ``x_1``, ``x_1_mm``,
+``pressure_plus_2 (kPa)``, ``time_ms``. Columns without a unit are in SI.
 """
 
 from __future__ import annotations
@@ -15,15 +15,30 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import StrPath
-from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile, laid_out, read_file
-from srs_twin.recordings.signals.units import TIMES, bracketed, clean, is_clock, symbol, unit_of
+from srs_twin.recordings.recorded_file import (
+    AS_FOUND,
+    Dialect,
+    RecordedFile,
+    laid_out,
+    read_file,
+)
+from srs_twin.recordings.signals.units import (
+    TIMES,
+    bracketed,
+    clean,
+    is_clock,
+    symbol,
+    unit_of,
+)
 
 CLOCK = {"time": TIMES}
 """Column of the time; `is_clock` lists its names."""
 
 _LISTED = 5
 """Largest number of columns in a message."""
-_NAME = re.compile(r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3}))?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?")
+_NAME = re.compile(
+    r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3}))?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?"
+)
 
 
 class TimedRows(NamedTuple):
@@ -88,9 +103,15 @@ class CsvTable:
     unused: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
-    def error(self, column: CsvColumn, problem: str, row: int | None = None) -> InputError:
+    def error(
+        self, column: CsvColumn, problem: str, row: int | None = None
+    ) -> InputError:
         """Return an error at a column's name, or at its cell in a row counted from 0."""
-        line = self.file.header_lines or 1 if row is None else self.file.header_lines + 1 + row
+        line = (
+            self.file.header_lines or 1
+            if row is None
+            else self.file.header_lines + 1 + row
+        )
         return self.file.error(problem, line, column.place + 1)
 
     def clock(self, missing: str) -> CsvColumn:
@@ -104,20 +125,33 @@ class CsvTable:
             raise self.file.error(missing, self.file.header_lines or 1)
         return column
 
-    def per_segment(self, names: Sequence[str], robot: str, segments: int) -> list[CsvColumn]:
+    def per_segment(
+        self, names: Sequence[str], robot: str, segments: int
+    ) -> list[CsvColumn]:
         """Return the columns of these names, segment by segment from the head.
 
         Raises:
-            InputError: a column is missing, or belongs to a segment that the robot does not have.
+            InputError: a column is missing, or belongs to a segment that the robot does
+                not have.
         """
-        by_key = {(column.name, column.number): column for column in self.columns if column.name in names}
-        required = [(name, segment) for segment in range(1, segments + 1) for name in names]
+        by_key = {
+            (column.name, column.number): column
+            for column in self.columns
+            if column.name in names
+        }
+        required = [
+            (name, segment) for segment in range(1, segments + 1) for name in names
+        ]
         for name, segment in required:
             if (name, segment) not in by_key:
-                raise self.file.error(f"{name}_{segment} is missing; {robot} has {segments} segments", 1)
+                raise self.file.error(
+                    f"{name}_{segment} is missing; {robot} has {segments} segments", 1
+                )
         for key, column in by_key.items():
             if key not in required:
-                raise self.error(column, f"{column.text}: {robot} has {segments} segments")
+                raise self.error(
+                    column, f"{column.text}: {robot} has {segments} segments"
+                )
         return [by_key[key] for key in required]
 
     def read(self, columns: Sequence[CsvColumn]) -> tuple[np.ndarray, list[str]]:
@@ -127,12 +161,21 @@ class CsvTable:
             InputError: as `RecordedFile.rows`.
         """
         places = [column.place for column in columns]
-        values, notes = self.file.rows(self.file.header_lines, places, len(self.file.names))
+        values, notes = self.file.rows(
+            self.file.header_lines, places, len(self.file.names)
+        )
         with np.errstate(over="ignore"):  # callers check for values that are too large
-            return values * [column.factor for column in columns], [*self.file.notes, *self.notes, *notes]
+            return values * [column.factor for column in columns], [
+                *self.file.notes,
+                *self.notes,
+                *notes,
+            ]
 
     def read_timed(
-        self, clock: CsvColumn | None, columns: Sequence[CsvColumn], rate_hz: float | None = None
+        self,
+        clock: CsvColumn | None,
+        columns: Sequence[CsvColumn],
+        rate_hz: float | None = None,
     ) -> TimedRows:
         """Return the numbers of columns in SI with their times; without a time column, rows are counted.
 
@@ -143,7 +186,9 @@ class CsvTable:
         if clock is None:
             rate = rate_hz or 1.0
             counted = f"frames counted, {rate:g} per second"
-            return TimedRows(np.arange(len(values)) / rate, values, [*notes, counted], None)
+            return TimedRows(
+                np.arange(len(values)) / rate, values, [*notes, counted], None
+            )
         time, noted, epoch_ns = self.file.times(clock.place, clock.unit)
         return TimedRows(time, values, list(dict.fromkeys([*notes, *noted])), epoch_ns)
 
@@ -177,7 +222,8 @@ def read_table(
 
     Args:
         file: the table, with or without its layout.
-        known: base name → its units (name → factor to SI); empty if the quantity has no unit.
+        known: base name → its units (name → factor to SI); empty if the quantity has no
+            unit.
         names: column → meaning, for other names.
 
     Raises:
@@ -193,17 +239,24 @@ def read_table(
             raise UnknownNameError("column", name, file.names)
     taken = {meaning.name for meaning in meanings.values()}
     if "time" in known.keys() - taken:
-        clocks = [text for text in file.names if is_clock(text) and text not in meanings]
-        clock = min(clocks, key=lambda text: text.lower() not in ("time", "t"), default="")
+        clocks = [
+            text for text in file.names if is_clock(text) and text not in meanings
+        ]
+        clock = min(
+            clocks, key=lambda text: text.lower() not in ("time", "t"), default=""
+        )
         meanings |= {clock: Meaning("time")} if clock else {}
     seen: dict[tuple[str, int], CsvColumn] = {}
     unused, notes = [], []
     for index, text in enumerate(file.names):
         meaning = meanings.get(text)
-        # A column that the map does not mention is ignored if the map gives its quantity to another column.
+        # A column that the map does not mention is ignored if the map gives its
+        # quantity to another column.
         own = meaning is None and bracketed(text)[0] not in taken
         try:
-            column, note = _column(index, text, known, meaning) if meaning or own else (None, "")
+            column, note = (
+                _column(index, text, known, meaning) if meaning or own else (None, "")
+            )
         except InputError as error:
             raise file.error(str(error), file.header_lines or 1, index + 1) from error
         notes += [note] if note else []
@@ -218,7 +271,10 @@ def read_table(
 
 
 def _column(
-    place: int, text: str, known: Mapping[str, Mapping[str, float]], meaning: Meaning | None
+    place: int,
+    text: str,
+    known: Mapping[str, Mapping[str, float]],
+    meaning: Meaning | None,
 ) -> tuple[CsvColumn | None, str]:
     """Return a known column, and a note on its unit."""
     bare, bracket = bracketed(text)
@@ -226,13 +282,21 @@ def _column(
     name, number, trailing = match.groups() if match else [""] * 3
     unit, note = trailing or bracket or "", ""
     if name.lower() not in known and trailing and number is None:
-        name, unit = f"{name}_{trailing}", bracket  # the last word of the name, not a unit
+        name, unit = (
+            f"{name}_{trailing}",
+            bracket,
+        )  # the last word of the name, not a unit
     units = known.get(name.lower())
     if units is None or (meaning is None and name.lower() == "time"):
         return None, ""
     if meaning is not None and units:
         unit, note = unit_of(text, units, meaning.default, meaning.unit)
     elif meaning is None and unit and not symbol(unit, units):
-        raise InputError(f"{text}: unit '{unit}' is not known; allowed: {', '.join(units) or 'none'}")
+        raise InputError(
+            f"{text}: unit '{unit}' is not known; allowed: {', '.join(units) or 'none'}"
+        )
     unit, number = symbol(unit, units), int(number or 0)
-    return CsvColumn(place, name.lower(), number, unit, units.get(unit, 1.0), text), note
+    return (
+        CsvColumn(place, name.lower(), number, unit, units.get(unit, 1.0), text),
+        note,
+    )

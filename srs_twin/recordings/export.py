@@ -2,11 +2,14 @@
 
 Topics of a plant, for example ``twin``:
 
-- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): one topic per connector, and ``/twin/com/pose`` of
-  the centre of mass; ``/tf`` has the same poses as transforms from ``world`` to ``twin/connector_1`` etc.
+- ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): one topic per connector, and
+  ``/twin/com/pose`` of the centre of mass; ``/tf`` has the same poses as transforms
+  from ``world`` to ``twin/connector_1`` etc.
 - ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left.
-- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute pressure of a chamber, Pa, as in ROS.
-- ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of each segment.
+- ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute pressure of a chamber,
+  Pa, as in ROS.
+- ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
+  each segment.
 
 Times are simulated seconds since the start; stamps and log times are equal.
 """
@@ -52,10 +55,16 @@ def write_npz(path: Path, run: Trajectory) -> None:
     Raises:
         InputError: the file cannot be written.
     """
-    about = {"units": json.dumps(dict(run.units)), "metadata": json.dumps(dict(run.metadata))}
+    about = {
+        "units": json.dumps(dict(run.units)),
+        "metadata": json.dumps(dict(run.metadata)),
+    }
     with atomic_write(path) as part, part.open("wb") as file:
         np.savez_compressed(
-            file, allow_pickle=False, **run.columns, **{k: np.array(v) for k, v in about.items()}
+            file,
+            allow_pickle=False,
+            **run.columns,
+            **{k: np.array(v) for k, v in about.items()},
         )
 
 
@@ -88,7 +97,9 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
                 schemas[kind] = writer.register_schema(kind, "ros2msg", text.encode())
             if topic not in channels:
                 channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
-            writer.add_message(channels[topic], time, bytes(store.serialize_cdr(message, kind)), time)
+            writer.add_message(
+                channels[topic], time, bytes(store.serialize_cdr(message, kind)), time
+            )
         writer.finish()
 
 
@@ -96,12 +107,17 @@ def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
     """Return the recording map with which `inspect` and `replay` read an exported MCAP file back."""
     connectors = range(1, run.position.shape[1] + 1)
     log = {
-        f"pressure_{side}_{j}": {"column": f"/{plant}/pressure_{side}_{j}.fluid_pressure", "unit": "Pa"}
+        f"pressure_{side}_{j}": {
+            "column": f"/{plant}/pressure_{side}_{j}.fluid_pressure",
+            "unit": "Pa",
+        }
         for j in connectors[:-1]
         for side in _SIDES
     }
     return {
-        "bodies": {f"/{plant}/connector_{i}/pose": {"connector": i} for i in connectors},
+        "bodies": {
+            f"/{plant}/connector_{i}/pose": {"connector": i} for i in connectors
+        },
         "log": {**log, "ambient_kpa": AMBIENT_PA / 1e3},
     }
 
@@ -112,30 +128,48 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     for plant, run in runs.items():
         for j in range(1, run.position.shape[1]):
             path = f'/{plant}/bends.position[:]{{name=="segment_{j}"}}'
-            bends.append({"value": path, "enabled": True, "timestampMethod": "headerStamp"})
+            bends.append(
+                {"value": path, "enabled": True, "timestampMethod": "headerStamp"}
+            )
             value = f"/{plant}/pressure_plus_{j}.fluid_pressure"
-            pressures.append({"value": value, "enabled": True, "timestampMethod": "headerStamp"})
+            pressures.append(
+                {"value": value, "enabled": True, "timestampMethod": "headerStamp"}
+            )
     return {
         "configById": {
-            "3D!snakes": {"followTf": WORLD, "scene": {"transforms": {"axisScale": 0.05}}},
+            "3D!snakes": {
+                "followTf": WORLD,
+                "scene": {"transforms": {"axisScale": 0.05}},
+            },
             "Plot!bends": {"title": "Bends, rad", "paths": bends},
-            "Plot!pressures": {"title": "Pressures of the + chambers, Pa", "paths": pressures},
+            "Plot!pressures": {
+                "title": "Pressures of the + chambers, Pa",
+                "paths": pressures,
+            },
         },
         "globalVariables": {},
         "userNodes": {},
         "layout": {
             "direction": "row",
             "first": "3D!snakes",
-            "second": {"direction": "column", "first": "Plot!bends", "second": "Plot!pressures"},
+            "second": {
+                "direction": "column",
+                "first": "Plot!bends",
+                "second": "Plot!pressures",
+            },
         },
     }
 
 
-def _messages(runs: Mapping[str, Trajectory], store: Any) -> Iterator[tuple[str, str, int, object]]:
+def _messages(
+    runs: Mapping[str, Trajectory], store: Any
+) -> Iterator[tuple[str, str, int, object]]:
     """Yield topic, type, time (ns) and message, in the order of time."""
     types = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
     times = sorted(
-        (round(time * _NS), plant, k) for plant, run in runs.items() for k, time in enumerate(run.time)
+        (round(time * _NS), plant, k)
+        for plant, run in runs.items()
+        for k, time in enumerate(run.time)
     )
     for time, plant, k in times:
         columns = runs[plant].columns
@@ -157,7 +191,11 @@ def _sample_messages(
     """
 
     def numbered(name: str) -> list[float]:
-        return [sample[key] for j in range(1, len(sample)) if (key := f"{name}_{j}") in sample]
+        return [
+            sample[key]
+            for j in range(1, len(sample))
+            if (key := f"{name}_{j}") in sample
+        ]
 
     stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
     header = make["Header"](stamp=stamp, frame_id=WORLD)
@@ -166,23 +204,39 @@ def _sample_messages(
     bodies["com"] = (sample["com_x"], sample["com_y"], sample["heading"])
     transforms = []
     for name, (x, y, angle) in bodies.items():
-        turn = make["Quaternion"](x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2))
+        turn = make["Quaternion"](
+            x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2)
+        )
         pose = make["Pose"](position=make["Point"](x=x, y=y, z=0.0), orientation=turn)
         message = make["PoseStamped"](header=header, pose=pose)
         yield f"/{plant}/{name}/pose", "geometry_msgs/msg/PoseStamped", message
-        transform = make["Transform"](translation=make["Vector3"](x=x, y=y, z=0.0), rotation=turn)
+        transform = make["Transform"](
+            translation=make["Vector3"](x=x, y=y, z=0.0), rotation=turn
+        )
         child = f"{plant}/{name}"
-        transforms.append(make["TransformStamped"](header=header, child_frame_id=child, transform=transform))
+        transforms.append(
+            make["TransformStamped"](
+                header=header, child_frame_id=child, transform=transform
+            )
+        )
     yield "/tf", "tf2_msgs/msg/TFMessage", make["TFMessage"](transforms=transforms)
     bends = np.array(numbered("bend"))
     names = [f"segment_{j}" for j in range(1, len(bends) + 1)]
     nothing = np.zeros(0)
-    joints = make["JointState"](header=header, name=names, position=bends, velocity=nothing, effort=nothing)
+    joints = make["JointState"](
+        header=header, name=names, position=bends, velocity=nothing, effort=nothing
+    )
     yield f"/{plant}/bends", "sensor_msgs/msg/JointState", joints
     for side in _SIDES:
         for j, gauge in enumerate(numbered(f"pressure_{side}"), start=1):
-            message = make["FluidPressure"](header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0)
-            yield f"/{plant}/pressure_{side}_{j}", "sensor_msgs/msg/FluidPressure", message
+            message = make["FluidPressure"](
+                header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0
+            )
+            yield (
+                f"/{plant}/pressure_{side}_{j}",
+                "sensor_msgs/msg/FluidPressure",
+                message,
+            )
     states = np.array([numbered(f"valve_{side}") for side in _SIDES], dtype=np.int8)
     if states.size:
         layout = make["MultiArrayLayout"](dim=[], data_offset=0)

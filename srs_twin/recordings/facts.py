@@ -1,7 +1,7 @@
 """Facts of a recording as JSON, as text and as a proposed map: the output of `srs-twin inspect`.
 
-The JSON has one object per file that can be read. Keys that do not apply to a file are left out.
-`srs-twin schema inspect` prints the JSON Schema of the list.
+The JSON has one object per file that can be read. Keys that do not apply to a file are
+left out. `srs-twin schema inspect` prints the JSON Schema of the list.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # Converts the numbers of NumPy to those of Python, in constructors and in assignments.
+    # Converts the numbers of NumPy to those of Python, in constructors and in
+    # assignments.
     model_config = ConfigDict(strict=False, frozen=False, validate_assignment=True)
 
 
@@ -148,8 +149,9 @@ class RecordingFacts(_Facts):
     announced_frames: Count | None = None
     """Number of frames that the header states; null if it states none."""
     units: str | None = None
-    """Unit of length of the file, as stated, given or assumed. The lengths below are in the units of their
-    keys."""
+    """Unit of length of the file, as stated, given or assumed.
+
+    The lengths below are in the units of their keys."""
     up: Up | None = None
     """Axis of the file that points up."""
     markers: list[MarkerFacts] | None = None
@@ -200,12 +202,19 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
         if file.up is not None:
             lines.append(f"up: {json.dumps(file.up)}")
         lines += _marker_lines(file)
-    logged = [signal for file in facts for signal in file.signals or () if signal.looks_like != "text"]
+    logged = [
+        signal
+        for file in facts
+        for signal in file.signals or ()
+        if signal.looks_like != "text"
+    ]
     keys = [canonical_key(signal.name) for signal in logged]
     if any(map(LOG_NAME.fullmatch, keys)):
         lines.append("log:")
     elif logged:
-        lines.append("# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment")
+        lines.append(
+            "# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment"
+        )
     for key, signal in zip(keys, logged, strict=True):
         key = key if LOG_NAME.fullmatch(key) else "# valve_plus_1"
         comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
@@ -215,9 +224,16 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
 
 def _marker_lines(facts: RecordingFacts) -> list[str]:
     """Return the lines of the markers in a proposed map, head first if the head is known."""
-    order, heads, markers = list(facts.order or ()), facts.head or (), facts.markers or ()
+    order, heads, markers = (
+        list(facts.order or ()),
+        facts.head or (),
+        facts.markers or (),
+    )
     if not order:
-        return ["# markers: their order is not known; give their places: {connector: 1}, {middle: 1}, …"]
+        return [
+            "# markers: their order is not known; give their places: {connector: 1},"
+            " {middle: 1}, …"
+        ]
     reason = "the head is not known: reverse the numbers if it is at the other end"
     if heads:
         reason = heads[0].why
@@ -228,7 +244,9 @@ def _marker_lines(facts: RecordingFacts) -> list[str]:
         places = [f"  {json.dumps(name)}: {{connector: {k}}}" for k, name in named]
         return [f"bodies:  # head: {reason}", *places]
     pairs = {frozenset(pair) for pair in facts.rigid_pairs or ()}
-    in_pairs = len(order) % 2 == 0 and pairs >= set(map(frozenset, zip(order[::2], order[1::2], strict=True)))
+    in_pairs = len(order) % 2 == 0 and pairs >= set(
+        map(frozenset, zip(order[::2], order[1::2], strict=True))
+    )
     ahead = not in_pairs and len(order) > 2 and frozenset(order[:2]) in pairs
     lines = [f"markers:  # head: {reason}"]
     for k, name in enumerate(order):
@@ -257,13 +275,20 @@ def in_words(facts: RecordingFacts) -> str:
         values = f"{distance.median_mm:.1f} mm, varies by {distance.spread_mm:.2g} mm"
         lines.append(f"  {' to '.join(distance.markers)}: {values}{rigid}")
     if facts.layouts is not None:
-        fitting = [f"{name} of {count} connectors" for name, count in facts.layouts.items() if count > 1]
+        fitting = [
+            f"{name} of {count} connectors"
+            for name, count in facts.layouts.items()
+            if count > 1
+        ]
         lines.append(f"layouts with this number of markers: {', '.join(fitting)}")
         heads = "; ".join(f"{head.marker} ({head.why})" for head in facts.head or ())
         lines.append(f"head: {heads or 'not determined by the markers; give --head'}")
     lines += [f"  {_signal_text(signal)}" for signal in facts.signals or ()]
     if (robot := facts.robot) is not None:
-        lines += [f"as a recording of {robot.name}:", *(f"  {line}" for line in robot.says.split("\n"))]
+        lines += [
+            f"as a recording of {robot.name}:",
+            *(f"  {line}" for line in robot.says.split("\n")),
+        ]
     return "\n".join([*lines, *(f"note: {note}" for note in facts.notes)])
 
 
@@ -273,10 +298,20 @@ def _marker_text(marker: MarkerFacts) -> str:
         noise = f"noise {marker.noise_mm:.2g} mm, {marker.height_mm:.0f} mm high"
     coverage = f"seen on {100 * marker.coverage:.1f} % of the frames"
     gaps = f"{marker.gaps} gaps up to {marker.longest_gap_s:.3g} s"
-    return f"{marker.name}: {coverage}, {gaps}, {noise}{', rigid body' if marker.rigid_body else ''}"
+    return (
+        f"{marker.name}: {coverage}, {gaps},"
+        f" {noise}{', rigid body' if marker.rigid_body else ''}"
+    )
 
 
 def _signal_text(signal: SignalFacts) -> str:
     bounds = "" if signal.low is None else f", {signal.low:g} to {signal.high:g}"
-    rate = f", {signal.openings_per_s:.3g} openings per second" if signal.openings_per_s else ""
-    return f"{signal.name}: {signal.looks_like}{bounds}{rate}{'' if signal.understood else ' (needs a map)'}"
+    rate = (
+        f", {signal.openings_per_s:.3g} openings per second"
+        if signal.openings_per_s
+        else ""
+    )
+    return (
+        f"{signal.name}:"
+        f" {signal.looks_like}{bounds}{rate}{'' if signal.understood else ' (needs a map)'}"
+    )

@@ -1,6 +1,7 @@
 """Inspection of a recording without a robot: format, clock, axes, markers, order, head, proposed map.
 
-`srs-twin inspect --json` prints the facts (`facts.py`). `Scene` contains the data for a picture.
+`srs-twin inspect --json` prints the facts (`facts.py`). `Scene` contains the data for a
+picture.
 """
 
 from __future__ import annotations
@@ -41,8 +42,18 @@ from srs_twin.recordings.formats import identify, read_markers, read_topics
 from srs_twin.recordings.formats.base import MarkerTable, axis_columns, in_unit
 from srs_twin.recordings.formats.tables import PlainCsv
 from srs_twin.recordings.formats.topics import RecordedTopics
-from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
-from srs_twin.recordings.recording import LONGEST_GAP, in_slots, read_motion, robot_tracks
+from srs_twin.recordings.recorded_file import (
+    RecordedFile,
+    laid_out,
+    read_file,
+    start_of,
+)
+from srs_twin.recordings.recording import (
+    LONGEST_GAP,
+    in_slots,
+    read_motion,
+    robot_tracks,
+)
 from srs_twin.recordings.recording_map import (
     LOG_NAME,
     QUANTITIES,
@@ -51,7 +62,13 @@ from srs_twin.recordings.recording_map import (
     given_map,
     read_map,
 )
-from srs_twin.recordings.signals.gaps import MIN_FRAMES, FrameGrid, at_frames, frame_grid, runs
+from srs_twin.recordings.signals.gaps import (
+    MIN_FRAMES,
+    FrameGrid,
+    at_frames,
+    frame_grid,
+    runs,
+)
 from srs_twin.recordings.signals.units import (
     ABSOLUTE,
     ANGLES,
@@ -116,7 +133,9 @@ def inspect(
         InputError: the file cannot be read; the message gives the reason.
     """
     data = map if isinstance(map, Mapping) else given_map(os.fspath(map), {}, ())
-    return inspect_file(path, read_map(data), None if robot is None else load_robot(robot))[0]
+    return inspect_file(
+        path, read_map(data), None if robot is None else load_robot(robot)
+    )[0]
 
 
 def inspect_file(
@@ -152,7 +171,11 @@ def _file_facts(
     markers = topics.markers if topics else None
     if topics is not None and markers is None and topics.signals:
         return _topics_facts(topics, kind, map), None
-    table = read_markers(path, map.unstated) if markers is None else in_unit(markers, map.units)
+    table = (
+        read_markers(path, map.unstated)
+        if markers is None
+        else in_unit(markers, map.units)
+    )
     facts, scene = _motion_facts(map.applied(table), map)
     if spec is not None:
         facts.robot = _robot_facts(path, map, spec)
@@ -161,7 +184,9 @@ def _file_facts(
     return facts, scene
 
 
-def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> RecordingFacts:
+def _topics_facts(
+    topics: RecordedTopics, kind: str, map: RecordingMap
+) -> RecordingFacts:
     """Return the facts of the signals of a bag."""
     signals = list(topics.signals.items())[:_MAX_SIGNALS]
     time = max((times for _, (times, _) in signals), key=len, default=np.zeros(0))
@@ -169,7 +194,9 @@ def _topics_facts(topics: RecordedTopics, kind: str, map: RecordingMap) -> Recor
     return _log_facts(topics, kind, signal_facts, topics.notes, time)
 
 
-def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts, Scene | None]:
+def _motion_facts(
+    table: MarkerTable, map: RecordingMap
+) -> tuple[RecordingFacts, Scene | None]:
     frames = frame_grid(table.time)
     facts = RecordingFacts(
         file=table.name,
@@ -205,7 +232,9 @@ def _motion_facts(table: MarkerTable, map: RecordingMap) -> tuple[RecordingFacts
     return facts, _body_facts(identified, points, frames, facts)
 
 
-def _marker_facts(name: str, position: np.ndarray, frames: FrameGrid, rigid_body: bool) -> MarkerFacts:
+def _marker_facts(
+    name: str, position: np.ndarray, frames: FrameGrid, rigid_body: bool
+) -> MarkerFacts:
     missing = np.isnan(position[:, 0])
     gaps = runs(missing)
     inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(position))]
@@ -227,16 +256,22 @@ def _body_facts(
 ) -> Scene | None:
     """Add order, distances, layouts and head to the facts, as far as the markers determine them."""
     slots = in_slots(table, points)
-    nearest = np.fmin.reduce(pairwise_distances(slots.points[..., :2], _DISTANCE_FRAMES), axis=2)
+    nearest = np.fmin.reduce(
+        pairwise_distances(slots.points[..., :2], _DISTANCE_FRAMES), axis=2
+    )
     if np.isnan(nearest).all():
         facts.notes.append("no frame has two visible markers")
         return None
     near = float(np.nanmedian(nearest))
     if near > _MAX_NEIGHBOUR_M:
-        facts.notes.append(f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units")
+        facts.notes.append(
+            f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units"
+        )
     tracks, notes = robot_tracks(table, slots, LONGEST_GAP / frames.period, 2 * near)
     facts.notes += notes
-    lasting = np.flatnonzero((~np.isnan(tracks.points[..., 0])).mean(axis=0) >= MIN_COVERAGE)
+    lasting = np.flatnonzero(
+        (~np.isnan(tracks.points[..., 0])).mean(axis=0) >= MIN_COVERAGE
+    )
     places, count = tracks.points[:, lasting], len(lasting)
     names = _marker_names(tracks.columns[:, lasting], table.labels, facts)
     facts.tracks, facts.positions_of_nothing = count, tracks.unassigned
@@ -255,48 +290,71 @@ def _body_facts(
     facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
     facts.distances = [
         DistanceFacts(
-            markers=[names[a], names[b]], median_mm=1e3 * median[a, b], spread_mm=1e3 * spread[a, b]
+            markers=[names[a], names[b]],
+            median_mm=1e3 * median[a, b],
+            spread_mm=1e3 * spread[a, b],
         )
         for a, b in pairwise(order)
     ]
     facts.layouts = {"pair": count}  # two points of each rigid body
     if not table.bodies:
         connectors = {
-            layout: divmod(count - size.extra, size.per_connector) for layout, size in LAYOUT_SIZES.items()
+            layout: divmod(count - size.extra, size.per_connector)
+            for layout, size in LAYOUT_SIZES.items()
         }
-        facts.layouts = {layout: whole for layout, (whole, rest) in connectors.items() if rest == 0}
-    heads = _heads(complete[:, list(order)], frames.period, order, pairs, near) if len(order) > 2 else []
+        facts.layouts = {
+            layout: whole for layout, (whole, rest) in connectors.items() if rest == 0
+        }
+    heads = (
+        _heads(complete[:, list(order)], frames.period, order, pairs, near)
+        if len(order) > 2
+        else []
+    )
     facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
     return Scene(places, names, order, pairs)
 
 
-def _rigid_pairs(median: np.ndarray, spread: np.ndarray, noise: float) -> tuple[tuple[int, int], ...]:
+def _rigid_pairs(
+    median: np.ndarray, spread: np.ndarray, noise: float
+) -> tuple[tuple[int, int], ...]:
     """Return the pairs of markers on one rigid part, from all distances and the noise of a coordinate, m."""
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that bends little, many distances are nearly constant. Only one of them can belong to a rigid
-    # part, because a marker has only one partner there.
+    # On a body that bends little, many distances are nearly constant. Only one of them
+    # can belong to a rigid part, because a marker has only one partner there.
     single = rigid.sum(axis=0) == 1
-    return tuple((int(a), int(b)) for a, b in np.argwhere(np.triu(rigid & single & single[:, None])))
+    return tuple(
+        (int(a), int(b))
+        for a, b in np.argwhere(np.triu(rigid & single & single[:, None]))
+    )
 
 
-def _marker_names(origin: np.ndarray, labels: Sequence[str], facts: RecordingFacts) -> tuple[str, ...]:
+def _marker_names(
+    origin: np.ndarray, labels: Sequence[str], facts: RecordingFacts
+) -> tuple[str, ...]:
     """Return a unique column name for each marker; add a note if markers change columns."""
     from scipy.optimize import linear_sum_assignment
 
-    counts = np.stack([np.bincount(column[column >= 0], minlength=len(labels)) for column in origin.T])
+    counts = np.stack(
+        [np.bincount(column[column >= 0], minlength=len(labels)) for column in origin.T]
+    )
     _, chosen = linear_sum_assignment(-counts)
     if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
         facts.notes.append(
-            f"{100 * away / counts.sum():.0f} % of the positions are in other columns than those of their "
-            "markers: markers change their columns, so a map by their names is not valid for all frames"
+            f"{100 * away / counts.sum():.0f} % of the positions are in other columns"
+            " than those of their markers: markers change their columns, so a map by"
+            " their names is not valid for all frames"
         )
     return tuple(labels[k] for k in chosen)
 
 
 def _heads(
-    body: np.ndarray, period: float, order: Sequence[int], pairs: Sequence[tuple[int, int]], near: float
+    body: np.ndarray,
+    period: float,
+    order: Sequence[int],
+    pairs: Sequence[tuple[int, int]],
+    near: float,
 ) -> Iterator[tuple[int, str]]:
     """Yield the ends that may be the head, in order of likelihood, with reasons."""
     for end, second in (order[:2], order[:-3:-1]):
@@ -331,7 +389,9 @@ def _robot_facts(path: StrPath, map: RecordingMap, spec: RobotSpec) -> RobotFact
 def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
     """Return the facts of a table of numbers over time."""
     times = map.meanings(["time"])
-    timed = {name: meaning for name, meaning in times.items() if clean(name) in file.names}
+    timed = {
+        name: meaning for name, meaning in times.items() if clean(name) in file.names
+    }
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
     notes, time, epoch_ns, unit = [*file.notes], None, None, "no time"
     if clock is not None:
@@ -373,7 +433,10 @@ def _log_facts(
     )
     if time is not None and len(time) > 1:
         step = np.diff(time)
-        facts.starts_s, facts.duration_s = beginning + float(time[0]), float(np.ptp(time))
+        facts.starts_s, facts.duration_s = (
+            beginning + float(time[0]),
+            float(np.ptp(time)),
+        )
         facts.rows, facts.steps_back = len(time), int((step < 0).sum())
         facts.repeated_times = int((step == 0).sum())
         if facts.duration_s > 0:
@@ -381,7 +444,9 @@ def _log_facts(
     return facts
 
 
-def _signal_facts(name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap) -> SignalFacts:
+def _signal_facts(
+    name: str, time: np.ndarray | None, values: np.ndarray, map: RecordingMap
+) -> SignalFacts:
     """Return range, suggested quantity and switching rate of a signal; no rate without times."""
     known = values[np.isfinite(values)]
     if not known.size:
@@ -396,7 +461,11 @@ def _signal_facts(name: str, time: np.ndarray | None, values: np.ndarray, map: R
     )
     if distinct <= 3 and time is not None:
         opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
-        rate = float(1 / np.median(np.diff(opened))) if len(opened) > 2 and np.ptp(opened) > 0 else 0.0
+        rate = (
+            float(1 / np.median(np.diff(opened)))
+            if len(opened) > 2 and np.ptp(opened) > 0
+            else 0.0
+        )
         facts.openings_per_s = rate
         if rate > _MIN_CARRIER_HZ:
             facts.looks_like += f", switched by a carrier of about {rate:.0f} Hz"
@@ -406,7 +475,8 @@ def _signal_facts(name: str, time: np.ndarray | None, values: np.ndarray, map: R
 def _looks_like(name: str, values: np.ndarray, map: RecordingMap) -> str:
     """Return the quantity of a signal, known by a unit or by a word in its name or in the map.
 
-    The values alone do not tell a quantity: a force of 40 N and a pressure of 40 kPa look alike.
+    The values alone do not tell a quantity: a force of 40 N and a pressure of 40 kPa
+    look alike.
     """
     meaning = map.meanings(QUANTITIES).get(name, Meaning(""))
     text = f"{name} {meaning.name}".lower()
@@ -447,20 +517,42 @@ def markers_view(scene: Scene) -> Figure:
     low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
     wide, deep = np.maximum(high - low, 1e-3)
     figure, (axes,) = panels(float(np.clip(8.0 * deep / wide + 1.4, 2.8, 7.0)))
-    axes.plot(*places.reshape(len(places), -1, 2).transpose(2, 0, 1), color="0.8", linewidth=0.6, zorder=1)
+    axes.plot(
+        *places.reshape(len(places), -1, 2).transpose(2, 0, 1),
+        color="0.8",
+        linewidth=0.6,
+        zorder=1,
+    )
     complete = np.flatnonzero(np.isfinite(places[..., 0]).all(axis=1))
     if complete.size:
         order = list(scene.order) or list(range(places.shape[1]))
-        for moment, shade in zip(complete[[0, len(complete) // 2, -1]], ("0.55", "0.35", "0.1"), strict=True):
+        for moment, shade in zip(
+            complete[[0, len(complete) // 2, -1]], ("0.55", "0.35", "0.1"), strict=True
+        ):
             along = places[moment, order]
             axes.plot(
-                *along.T, "o-" if scene.order else "o", color=shade, markersize=4, linewidth=1.2, zorder=2
+                *along.T,
+                "o-" if scene.order else "o",
+                color=shade,
+                markersize=4,
+                linewidth=1.2,
+                zorder=2,
             )
             for pair in scene.rigid:
-                axes.plot(*places[moment, list(pair)].T, color=PLUS_COLOR, linewidth=2.5, zorder=3)
+                axes.plot(
+                    *places[moment, list(pair)].T,
+                    color=PLUS_COLOR,
+                    linewidth=2.5,
+                    zorder=3,
+                )
         for name, place in zip(scene.names, places[complete[0]], strict=True):
-            axes.annotate(name, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7)
+            axes.annotate(
+                name, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7
+            )
     axes.set_aspect("equal", adjustable="datalim")
-    title = f"{places.shape[1]} markers; lines: order along the body at the first, middle and last frame"
+    title = (
+        f"{places.shape[1]} markers; lines: order along the body at the first, middle"
+        " and last frame"
+    )
     finish(axes, "y (m)", "x (m)", title=title)
     return figure

@@ -1,7 +1,7 @@
 """Recorded files in memory: layout of plain tables, rows of numbers, and errors with line and column.
 
-Arrow reads the numbers. Comments, separator and decimal mark are detected (`laid_out`), or given as a
-`Dialect`.
+Arrow reads the numbers. Comments, separator and decimal mark are detected (`laid_out`),
+or given as a `Dialect`.
 """
 
 from __future__ import annotations
@@ -45,14 +45,24 @@ _BLANKS = re.compile(rb"(?<=[,;|\t\n]) +(?=[,;|\t\r\n])|^ +(?=[,;|\t])")
 """Cells of spaces only."""
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
 _NUMBER = re.compile(
-    r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T ][\d:.,Z]+)?\s*", re.IGNORECASE
+    r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T"
+    r" ][\d:.,Z]+)?\s*",
+    re.IGNORECASE,
 )
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 # A comma that cannot separate thousands: 0,5 or 1234,5 or 1,25 or 1,2345.
-_DECIMAL_COMMA = re.compile(rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])")
-_SEPARATOR_NAMES = {",": "commas", ";": "semicolons", "\t": "tabs", " ": "spaces", "|": "bars"}
+_DECIMAL_COMMA = re.compile(
+    rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])"
+)
+_SEPARATOR_NAMES = {
+    ",": "commas",
+    ";": "semicolons",
+    "\t": "tabs",
+    " ": "spaces",
+    "|": "bars",
+}
 _EPOCH_RANGE = (1e9, 4.2e9)
 """Range of times that count as times since 1970, s: 2001 to 2103."""
 _MAX_EPOCH_STEP = 100.0
@@ -88,7 +98,8 @@ class RecordedFile:
         data: contents.
         separator: separator of cells.
         decimal: decimal mark.
-        body: contents with normalised separators, if cells are separated by runs of spaces.
+        body: contents with normalised separators, if cells are separated by runs of
+            spaces.
         names: names of the columns of a plain table.
         header_lines: number of lines above its rows.
         notes: notes on the layout.
@@ -120,7 +131,9 @@ class RecordedFile:
         wide = self.data.startswith(
             (b"\xff\xfe", b"\xfe\xff")
         )  # the error for UTF-16 is raised when it is read
-        text = self.data.removeprefix(b"\xef\xbb\xbf").decode("utf-16" if wide else "utf-8", "replace")
+        text = self.data.removeprefix(b"\xef\xbb\xbf").decode(
+            "utf-16" if wide else "utf-8", "replace"
+        )
         return next((line for line in text.splitlines() if line.strip()), "")
 
     @property
@@ -133,9 +146,13 @@ class RecordedFile:
         """SHA-256 checksum of the file, hexadecimal."""
         return hashlib.sha256(self.data).hexdigest()
 
-    def error(self, problem: str, line: int | None = None, column: int | None = None) -> InputError:
+    def error(
+        self, problem: str, line: int | None = None, column: int | None = None
+    ) -> InputError:
         """Return an error with the position in the file; lines and columns (cells) are counted from 1."""
-        position = "".join(f":{number}" for number in (line, column) if number is not None)
+        position = "".join(
+            f":{number}" for number in (line, column) if number is not None
+        )
         return InputError(f"{self.name}{position}: {problem}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
@@ -147,13 +164,17 @@ class RecordedFile:
         start = self._start_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
         if len(split) <= lines and len(self.raw) > start + MAX_HEADER_BYTES:
-            problem = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
+            problem = (
+                f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
+            )
             raise self.error(problem, after + len(split))
         rows = []
         for number, line in enumerate(split[:lines], start=after + 1):
             text = line.decode("utf-8", "replace").rstrip("\r")
             try:
-                cells = next(csv.reader([text], delimiter=self.separator, strict=True), [])
+                cells = next(
+                    csv.reader([text], delimiter=self.separator, strict=True), []
+                )
             except csv.Error as error:
                 raise self.error(f"the line is not CSV ({error})", number) from error
             rows.append([cell.strip() for cell in cells])
@@ -167,30 +188,40 @@ class RecordedFile:
         return start
 
     def rows(
-        self, header_lines: int, columns: Sequence[int], width: int, *, section: bool = False
+        self,
+        header_lines: int,
+        columns: Sequence[int],
+        width: int,
+        *,
+        section: bool = False,
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end may be cut, also inside a number. It is left out, with a note.
+        A last line without a line end may be cut, also inside a number. It is left out,
+        with a note.
 
         Args:
             header_lines: number of lines of the header.
             columns: columns to read, counted from 0.
             width: number of cells per row.
-            section: whether the rows end at an empty line instead of the end of the file.
+            section: whether the rows end at an empty line instead of the end of the
+                file.
 
         Returns:
-            Numbers, shape (rows, columns), NaN for cells that are blank or not finite; and notes.
+            Numbers, shape (rows, columns), NaN for cells that are blank or not finite;
+            and notes.
 
         Raises:
-            InputError: there are no rows or too many values, a row has more or fewer cells, or a cell is not
-                a number.
+            InputError: there are no rows or too many values, a row has more or fewer
+                cells, or a cell is not a number.
         """
         raw, start, notes = self.raw, self._start_of(header_lines), []
         stop = self._end_of(start, section=section)
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
-            notes.append(f"line {line}, the last one, has no line end and may be cut: left out")
+            notes.append(
+                f"line {line}, the last one, has no line end and may be cut: left out"
+            )
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
             limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
@@ -216,45 +247,76 @@ class RecordedFile:
 
         Args:
             clock: column of the times, which are numbers or dates, counted from 0.
-            unit: unit of numbers; empty means s, or the unit in which they are times since 1970.
+            unit: unit of numbers; empty means s, or the unit in which they are times
+                since 1970.
 
         Returns:
-            Times, shape (rows,), s; notes; and the value subtracted from times since 1970, ns, or None.
+            Times, shape (rows,), s; notes; and the value subtracted from times since
+            1970, ns, or None.
 
         Raises:
             InputError: as `rows`, or a row has no time.
         """
         import pyarrow as pa
 
-        top, start, width = self.header_lines, self._start_of(self.header_lines), len(self.names)
+        top, start, width = (
+            self.header_lines,
+            self._start_of(self.header_lines),
+            len(self.names),
+        )
         cut, notes = memoryview(self.raw)[start : self._end_of(start)], list[str]()
-        first = _cells(bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"), self.separator)
+        first = _cells(
+            bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"),
+            self.separator,
+        )
         exact: list[Any] = []
         if clock < len(first) and _DATE.match(first[clock]):
-            kind, unit = pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None), "ns"
-            exact = self._parsed(cut, top, [clock], width, kind)[0].cast(pa.int64()).to_pylist()
+            kind, unit = (
+                pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None),
+                "ns",
+            )
+            exact = (
+                self._parsed(cut, top, [clock], width, kind)[0]
+                .cast(pa.int64())
+                .to_pylist()
+            )
             time = np.array(exact, dtype=float)
         else:
             values, notes = self.rows(top, [clock], width)
             time = values[:, 0]
         if (missing := np.isnan(time)).any():
-            raise self.error("the row has no time", top + 1 + int(missing.argmax()), clock + 1)
+            raise self.error(
+                "the row has no time", top + 1 + int(missing.argmax()), clock + 1
+            )
         if not exact:
             since_1970 = _epoch_unit(time, unit)
             if not since_1970:
                 with np.errstate(over="ignore"):
                     return time * TIMES[unit or "s"], notes, None
             # Use exact numbers: a double resolves times since 1970 only to 256 ns.
-            (texts,), unit = self._parsed(cut, top, [clock], width, pa.string()), since_1970
-            exact = [Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()]
+            (texts,), unit = (
+                self._parsed(cut, top, [clock], width, pa.string()),
+                since_1970,
+            )
+            exact = [
+                Decimal(text.replace(self.decimal, ".")) for text in texts.to_pylist()
+            ]
         origin = min(exact)
         since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
         epoch_ns = round(origin * round(TIMES[unit] * 1e9))
-        notes.append(f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s subtracted")
+        notes.append(
+            f"time since 1970 in {unit}: {epoch_ns // 10**9}.{epoch_ns % 10**9:09d} s"
+            " subtracted"
+        )
         return since, notes, epoch_ns
 
     def _parsed(
-        self, cut: memoryview, header_lines: int, columns: Sequence[int], width: int, kind: Any = None
+        self,
+        cut: memoryview,
+        header_lines: int,
+        columns: Sequence[int],
+        width: int,
+        kind: Any = None,
     ) -> list[Any]:
         """Return the columns of rows as read by Arrow, as numbers or as another type."""
         import pyarrow as pa
@@ -270,14 +332,23 @@ class RecordedFile:
 
         # Arrow reports the row of an error only with a single thread.
         reading = ReadOptions(column_names=names, use_threads=False, block_size=_BLOCK)
-        parsing = ParseOptions(delimiter=self.separator, invalid_row_handler=refuse, newlines_in_values=False)
+        parsing = ParseOptions(
+            delimiter=self.separator,
+            invalid_row_handler=refuse,
+            newlines_in_values=False,
+        )
         converting = ConvertOptions(
-            column_types=dict.fromkeys(chosen, kind or pa.float64()), include_columns=chosen,
-            null_values=BLANK, quoted_strings_can_be_null=True, decimal_point=self.decimal,
-        )  # fmt: skip
+            column_types=dict.fromkeys(chosen, kind or pa.float64()),
+            include_columns=chosen,
+            null_values=BLANK,
+            quoted_strings_can_be_null=True,
+            decimal_point=self.decimal,
+        )
 
         def read(rows: memoryview | bytes) -> list[Any]:
-            return list(read_csv(pa.py_buffer(rows), reading, parsing, converting).columns)
+            return list(
+                read_csv(pa.py_buffer(rows), reading, parsing, converting).columns
+            )
 
         try:
             try:
@@ -287,8 +358,12 @@ class RecordedFile:
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
-                problem = f"{uneven[0].actual_columns} cells, but the header has {width}"
-                raise self.error(problem, header_lines + (uneven[0].number or 0)) from error
+                problem = (
+                    f"{uneven[0].actual_columns} cells, but the header has {width}"
+                )
+                raise self.error(
+                    problem, header_lines + (uneven[0].number or 0)
+                ) from error
             raise self._not_a_number(
                 bytes(cut).split(b"\n"), header_lines + 1, columns, str(error)
             ) from error
@@ -305,10 +380,19 @@ class RecordedFile:
                 try:
                     float("nan" if text in BLANK else text.translate(marks))
                 except ValueError:
-                    comma = ", or use --decimal ',' for decimal commas" if re.search(r"\d,\d", text) else ""
-                    problem = f"'{text[:60]}' is not a number; give a number or leave the cell empty{comma}"
+                    comma = (
+                        ", or use --decimal ',' for decimal commas"
+                        if re.search(r"\d,\d", text)
+                        else ""
+                    )
+                    problem = (
+                        f"'{text[:60]}' is not a number; give a number or leave the"
+                        f" cell empty{comma}"
+                    )
                     return self.error(problem, number, column + 1)
-        return self.error(f"no rows of numbers ({' '.join(reported.split())[:200]})", first)
+        return self.error(
+            f"no rows of numbers ({' '.join(reported.split())[:200]})", first
+        )
 
 
 def recording_file(path: StrPath) -> Path:
@@ -323,7 +407,8 @@ def recording_file(path: StrPath) -> Path:
     if len(bags) > 1:
         names = ", ".join(file.name for file in bags[:3])
         raise InputError(
-            f"{display_path(place)}: the folder has {len(bags)} bags; give one of them ({names}, …)"
+            f"{display_path(place)}: the folder has {len(bags)} bags; give one of them"
+            f" ({names}, …)"
         )
     return require_file(bags[0] if bags else place, suffix=".csv")
 
@@ -342,15 +427,21 @@ def read_bytes(path: StrPath) -> RecordedFile:
     """Read a recorded file of any kind.
 
     Raises:
-        InputError: the file is missing, not a regular file, not readable, empty, or too large.
+        InputError: the file is missing, not a regular file, not readable, empty, or too
+            large.
     """
     place = recording_file(path)
     file = RecordedFile(display_path(place), _bytes(place, MAX_BYTES + 1))
     if len(file.data) > MAX_BYTES:
         megabytes, limit = place.stat().st_size / (1 << 20), MAX_BYTES >> 20
-        raise file.error(f"{megabytes:.0f} MB; at most {limit} MB are read (export a shorter recording)")
+        raise file.error(
+            f"{megabytes:.0f} MB; at most {limit} MB are read (export a shorter"
+            " recording)"
+        )
     if not file.raw.strip():
-        raise file.error("the file is empty; a recording has a header and rows of numbers")
+        raise file.error(
+            "the file is empty; a recording has a header and rows of numbers"
+        )
     return file
 
 
@@ -360,7 +451,9 @@ def _bytes(place: Path, limit: int) -> bytes:
         with place.open("rb") as stream:
             return stream.read(limit)
     except OSError as error:
-        raise InputError(f"{display_path(place)}: cannot be read ({error.strerror})") from error
+        raise InputError(
+            f"{display_path(place)}: cannot be read ({error.strerror})"
+        ) from error
 
 
 def read_file(path: StrPath) -> RecordedFile:
@@ -370,7 +463,8 @@ def read_file(path: StrPath) -> RecordedFile:
         InputError: as `read_bytes`, or the file is not UTF-8 text.
     """
     file = read_bytes(path)
-    # A byte order mark of UTF-16 gets its own error; any other zero byte cannot be in a CSV file.
+    # A byte order mark of UTF-16 gets its own error; any other zero byte cannot be in a
+    # CSV file.
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(f"not a text file (byte {zero + 1} is 0x00); use a CSV file")
@@ -384,8 +478,18 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
     if file.names or file.problem:
         return file
     start = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MAX_COMMENT_LINES)
-    lines = [line.decode("utf-8", "replace").strip("\r") for line in start[:_MAX_COMMENT_LINES]]
-    top = next((k for k, line in enumerate(lines) if line.strip() and not _COMMENT.match(line)), 0)
+    lines = [
+        line.decode("utf-8", "replace").strip("\r")
+        for line in start[:_MAX_COMMENT_LINES]
+    ]
+    top = next(
+        (
+            k
+            for k, line in enumerate(lines)
+            if line.strip() and not _COMMENT.match(line)
+        ),
+        0,
+    )
     header, row = lines[top], next(filter(str.strip, lines[top + 1 :]), "")
     comments = [line.lstrip("# ") for line in lines[:top] if line.strip()]
     separator, notes, problem = dialect.separator or _separator(header, row), [], ""
@@ -401,31 +505,48 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
             names, comments = above, comments[:-1]
         else:
             example = "--columns time,x_1,y_1,… (columns: [time, …] in a map)"
-            problem, names = f"{len(names)} numbers but no names of columns; give {example}", []
+            problem, names = (
+                f"{len(names)} numbers but no names of columns; give {example}",
+                [],
+            )
     elif dialect.columns:
-        notes.append("the file names its columns: the names of --columns or of the map are not used")
+        notes.append(
+            "the file names its columns: the names of --columns or of the map are not"
+            " used"
+        )
     if comments:
         notes.append(f"{len(comments)} lines of comments above the names skipped")
     if separator == " ":
-        file = replace(file, body=b"\n".join(b" ".join(line.split()) for line in file.raw.split(b"\n")))
+        file = replace(
+            file,
+            body=b"\n".join(b" ".join(line.split()) for line in file.raw.split(b"\n")),
+        )
     rows, decimal = file._start_of(header_lines), dialect.decimal or "."
     if not dialect.decimal and separator != "," and file.raw.find(b",", rows) >= 0:
         decimal = ","
         if not _DECIMAL_COMMA.search(file.raw, rows):
             problem = problem or (
-                "commas in numbers may be decimal marks or separate thousands: give --decimal ',' or '.'"
+                "commas in numbers may be decimal marks or separate thousands: give"
+                " --decimal ',' or '.'"
             )
     if separator == decimal and '"' not in row:
-        problem = f"'{decimal}' cannot separate cells and decimals: give another --separator"
+        problem = (
+            f"'{decimal}' cannot separate cells and decimals: give another --separator"
+        )
     if separator + decimal != ",.":
         notes.append(
             f"cells separated by {_SEPARATOR_NAMES[separator]}, "
             f"decimal {'commas' if decimal == ',' else 'points'}"
         )
     return replace(
-        file, separator=separator, decimal=decimal, names=tuple(clean(name) for name in names),
-        header_lines=header_lines, notes=tuple(notes), problem=problem,
-    )  # fmt: skip
+        file,
+        separator=separator,
+        decimal=decimal,
+        names=tuple(clean(name) for name in names),
+        header_lines=header_lines,
+        notes=tuple(notes),
+        problem=problem,
+    )
 
 
 def _cells(line: str, separator: str) -> list[str]:
@@ -441,9 +562,16 @@ def _separator(header: str, row: str) -> str:
     """Return the separator that gives both lines the same number of cells; commas come last."""
     present, words = [mark for mark in ";\t|," if mark in header], header.split()
     by_spaces = present in ([], [","]) and len(words) == len(row.split()) > 1
-    if by_spaces and (not present or all(_NUMBER.fullmatch(word) and word[-1] != "," for word in words)):
+    if by_spaces and (
+        not present
+        or all(_NUMBER.fullmatch(word) and word[-1] != "," for word in words)
+    ):
         return " "
-    fitting = (mark for mark in present if len(_cells(header, mark)) == len(_cells(row, mark)) > 1)
+    fitting = (
+        mark
+        for mark in present
+        if len(_cells(header, mark)) == len(_cells(row, mark)) > 1
+    )
     return next(fitting, "," if "," in present else (*present, ",")[0])
 
 

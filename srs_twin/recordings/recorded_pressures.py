@@ -1,8 +1,8 @@
 r"""Chambers with recorded pressures, which drive a plant in the same way as the robot.
 
-Between the samples of the log the pressures are linear in time; before and after it they are constant. The
-linear bend x follows them with the mode time constant τ₂ as in `lag`. While the drive u = G (g⁺p⁺ − g⁻p⁻)
-changes from u₀ at the rate m,
+Between the samples of the log the pressures are linear in time; before and after it
+they are constant. The linear bend x follows them with the mode time constant τ₂ as in
+`lag`. While the drive u = G (g⁺p⁺ − g⁻p⁻) changes from u₀ at the rate m,
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 
@@ -28,14 +28,20 @@ class RecordedPressures(Pneumatics):
     metered = False
 
     def __init__(
-        self, spec: RobotSpec, time: np.ndarray, pressure: np.ndarray, *, supply_pa: float,
+        self,
+        spec: RobotSpec,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        *,
+        supply_pa: float,
         layout: str = "3/2",
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Construct the chambers.
 
         Args:
             spec: the robot.
-            time: times of the samples, ascending, from the start of the run, s; may begin before it.
+            time: times of the samples, ascending, from the start of the run, s; may
+                begin before it.
             pressure: gauge pressure, shape (samples, segments, 2), Pa.
             supply_pa: supply pressure, gauge, Pa; used for `max_pressure_ratio` only.
             layout: valve layout for the controller's commands.
@@ -49,13 +55,20 @@ class RecordedPressures(Pneumatics):
                 f"({len(time)}, {spec.segments}, 2)"
             )
         if not ((np.diff(time) > 0).all() and np.isfinite(pressure).all()):
-            raise InputError("recorded pressures must be finite, and their times must increase")
-        self._time, self._measured = np.asarray(time, float), np.asarray(pressure, float)
+            raise InputError(
+                "recorded pressures must be finite, and their times must increase"
+            )
+        self._time, self._measured = (
+            np.asarray(time, float),
+            np.asarray(pressure, float),
+        )
         self._tau, self._law = spec.actuator.tau_mode, bend_law(spec)
         self._drive = (self._measured * chamber_gains(spec) * [1.0, -1.0]).sum(axis=-1)
         self._slope = np.zeros_like(self._drive)
         self._slope[:-1] = np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
-        self._linear = _linear_bend_at_samples(self._time, self._drive, self._slope, self._tau)
+        self._linear = _linear_bend_at_samples(
+            self._time, self._drive, self._slope, self._tau
+        )
         self.max_pressure_ratio = max(1.0, float(np.abs(pressure).max()) / supply_pa)
         super().__init__(spec, layout=layout)
 
@@ -67,10 +80,17 @@ class RecordedPressures(Pneumatics):
 
     def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
-        return super().describe() | {"samples": len(self._time), "from_s": float(self._time[0])}
+        return super().describe() | {
+            "samples": len(self._time),
+            "from_s": float(self._time[0]),
+        }
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: OptionalArray,
+        bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._at(self._elapsed + times)
         end = self._at(np.array([self._elapsed + schedule.span]))
@@ -80,22 +100,33 @@ class RecordedPressures(Pneumatics):
     def _at(self, time: np.ndarray) -> Trace:
         """Return the state of the chambers at some times, from the start of the run, s."""
         trace = self._empty_trace(len(time))
-        row = np.clip(np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1)
+        row = np.clip(
+            np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1
+        )
         since = np.maximum(time - self._time[row], 0.0)[:, None]
-        drive, slope = self._drive[row], self._slope[row] * (time >= self._time[0])[:, None]
-        fade = (self._linear[row] - drive + slope * self._tau) * np.exp(-since / self._tau)
+        drive, slope = (
+            self._drive[row],
+            self._slope[row] * (time >= self._time[0])[:, None],
+        )
+        fade = (self._linear[row] - drive + slope * self._tau) * np.exp(
+            -since / self._tau
+        )
         linear = drive + slope * (since - self._tau) + fade
         speed, acceleration = slope - fade / self._tau, fade / self._tau**2
         _fill_bends((linear, speed, acceleration), self.rest_bend, self._law, trace)
         for j in range(trace.pressure.shape[1]):
             for side in range(2):
-                trace.pressure[:, j, side] = np.interp(time, self._time, self._measured[:, j, side])
+                trace.pressure[:, j, side] = np.interp(
+                    time, self._time, self._measured[:, j, side]
+                )
         trace.valves[:] = -1
         trace.air[:] = 0.0
         return trace
 
 
-def _linear_bend_at_samples(time: np.ndarray, drive: np.ndarray, slope: np.ndarray, tau: float) -> np.ndarray:
+def _linear_bend_at_samples(
+    time: np.ndarray, drive: np.ndarray, slope: np.ndarray, tau: float
+) -> np.ndarray:
     """Return the linear bend at the samples of a log, with the shape of `drive`; it starts at rest."""
     linear = np.empty_like(drive)
     linear[0] = drive[0]
@@ -111,7 +142,8 @@ def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
     """Fill the free bends of a trace and their derivatives.
 
     Args:
-        motion: linear bend (rad) and its first two derivatives, shape (times, segments) each.
+        motion: linear bend (rad) and its first two derivatives, shape (times, segments)
+            each.
         bias: rest bends, shape (segments,), rad.
         law: a `BendLaw`.
         trace: out.
@@ -122,4 +154,6 @@ def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
             bend, slope, curve = apply_bend_law(linear[k, j], law)
             trace.bend[k, j] = bias[j] + bend
             trace.bend_rate[k, j] = slope * speed[k, j]
-            trace.bend_acceleration[k, j] = slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]
+            trace.bend_acceleration[k, j] = (
+                slope * acceleration[k, j] + curve * speed[k, j] * speed[k, j]
+            )

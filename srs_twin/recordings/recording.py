@@ -13,10 +13,24 @@ from srs_twin.io.files import StrPath
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.body.floor import UPS, FloorPlane, map_to_floor
-from srs_twin.recordings.body.layout import LAYOUTS, check_scale, foreign_tracks, robot_markers
+from srs_twin.recordings.body.layout import (
+    LAYOUTS,
+    check_scale,
+    foreign_tracks,
+    robot_markers,
+)
 from srs_twin.recordings.body.markers import CapturedMarkers, TrackedBody, tracked_body
-from srs_twin.recordings.body.tracking import MAX_MARKERS, Tracks, pack_slots, track_markers
-from srs_twin.recordings.body.trajectories import LogSummary, MarkerCounts, body_trajectory
+from srs_twin.recordings.body.tracking import (
+    MAX_MARKERS,
+    Tracks,
+    pack_slots,
+    track_markers,
+)
+from srs_twin.recordings.body.trajectories import (
+    LogSummary,
+    MarkerCounts,
+    body_trajectory,
+)
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
@@ -48,7 +62,8 @@ _MIN_OPENINGS = 4
 _MAX_UNEVENNESS = 0.05
 """Largest deviation of an opening from a periodic one, in periods."""
 _CARRIER_S = 0.07
-"""Shortest interval between two openings of a gait, s; those of a carrier are shorter."""
+"""Shortest interval between two openings of a gait, s; those of a carrier are shorter.
+"""
 _STILL_S = 1e-9
 """Tolerance of times, s."""
 _MAX_EMPTY_PA = 1e3
@@ -62,13 +77,15 @@ class ValveLog:
     Attributes:
         kind: "valve" or "pressure".
         time: ascending, shape (rows,), s.
-        values: valve states, which hold until the next row, or gauge pressures (Pa), shape (rows, segments,
-            2), columns + and − chamber.
+        values: valve states, which hold until the next row, or gauge pressures (Pa),
+            shape (rows, segments, 2), columns + and − chamber.
         source: name of the file.
         sha256: checksum of the file.
         corrections: texts on sorting, conversions and assumptions.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
-        holds: whether pressures hold until the next row, as set points do; otherwise they are interpolated.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another
+            one.
+        holds: whether pressures hold until the next row, as set points do; otherwise
+            they are interpolated.
     """
 
     kind: str
@@ -87,9 +104,13 @@ class ValveLog:
     def schedule(self) -> Schedule:
         """Return the states of a log of valves as a schedule from the first row to the last."""
         states = self.values.astype(np.int8)
-        changes = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
+        changes = np.append(
+            0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
+        )
         return Schedule(
-            float(self.time[-1] - self.time[0]), self.time[changes] - self.time[0], states[changes]
+            float(self.time[-1] - self.time[0]),
+            self.time[changes] - self.time[0],
+            states[changes],
         )
 
     def at(self, time: np.ndarray) -> np.ndarray:
@@ -112,8 +133,9 @@ class ValveLog:
     def gait_frequency(self) -> float | None:
         """Return the frequency at which all chambers open periodically, Hz; None if they do not.
 
-        The first opening is ignored, because a gait may begin within a period. Successive openings of a
-        carrier, which are shorter than those of any gait, count as one.
+        The first opening is ignored, because a gait may begin within a period.
+        Successive openings of a carrier, which are shorter than those of any gait,
+        count as one.
         """
         if self.kind != "valve":
             return None
@@ -121,7 +143,9 @@ class ValveLog:
         periods = []
         for column in opened.reshape(len(opened), -1).T:
             times = self.time[1:][column]
-            times = times[np.append(True, np.diff(times) > _CARRIER_S)[: len(times)]][1:]
+            times = times[np.append(True, np.diff(times) > _CARRIER_S)[: len(times)]][
+                1:
+            ]
             if len(times) < _MIN_OPENINGS:
                 return None
             gaps = np.diff(times)
@@ -135,7 +159,9 @@ class ValveLog:
 
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the values of the last row at or before each time, or else those of the first row."""
-    return np.asarray(values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)])
+    return np.asarray(
+        values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
+    )
 
 
 @dataclass(frozen=True)
@@ -143,12 +169,15 @@ class Recording:
     """Measured motion of a robot.
 
     Attributes:
-        trajectory: has the columns of a plant, and ``filled_1…`` (1 where a marker of that connector was
-            interpolated), ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate``,
-            ``bend_rate_1…``; for a bend log only ``bend_rate_1…`` of these.
+        trajectory: has the columns of a plant, and ``filled_1…`` (1 where a marker of
+            that connector was interpolated), ``residual``, ``com_velocity_x``,
+            ``com_velocity_y``, ``yaw_rate``, ``bend_rate_1…``; for a bend log only
+            ``bend_rate_1…`` of these.
         summary: summary of the file.
-        valves: log of valves or pressures on the clock of the trajectory; None before `join`.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
+        valves: log of valves or pressures on the clock of the trajectory; None before
+            `join`.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another
+            one.
     """
 
     trajectory: Trajectory
@@ -165,7 +194,8 @@ class Recording:
         """Return recorded pressures; None if valve states were recorded.
 
         Returns:
-            Times from the first sample on (rows,), s, and gauge pressures (rows, segments, 2), Pa.
+            Times from the first sample on (rows,), s, and gauge pressures (rows,
+            segments, 2), Pa.
         """
         if self.valves is None or self.valves.kind == "valve":
             return None
@@ -183,7 +213,9 @@ class Recording:
         """
         log, time = self.valves, self.trajectory.time
         if log is None:
-            raise InputError(f"{name}: no log of valves or pressures; join one with the recording")
+            raise InputError(
+                f"{name}: no log of valves or pressures; join one with the recording"
+            )
         if log.kind != "valve":
             vented = np.full((1, *log.values.shape[1:]), -1, dtype=np.int8)
             return Schedule(float(time[-1] - time[0]), np.zeros(1), vented)
@@ -195,8 +227,14 @@ class Recording:
         """Return whether the chambers are empty at the start, like those of a plant."""
         if self.valves is None:
             return True
-        before = self.valves.values[self.valves.time <= self.trajectory.time[0] + _STILL_S]
-        empty = before == -1 if self.valves.kind == "valve" else np.abs(before) < _MAX_EMPTY_PA
+        before = self.valves.values[
+            self.valves.time <= self.trajectory.time[0] + _STILL_S
+        ]
+        empty = (
+            before == -1
+            if self.valves.kind == "valve"
+            else np.abs(before) < _MAX_EMPTY_PA
+        )
         return bool(empty.all())
 
     def start_pose(self) -> Pose:
@@ -204,7 +242,9 @@ class Recording:
         trajectory, log = self.trajectory, self.valves
         moves = trajectory.time[0]
         if log is not None:
-            busy = (log.values > (0 if log.kind == "valve" else _MAX_EMPTY_PA)).any(axis=(1, 2))
+            busy = (log.values > (0 if log.kind == "valve" else _MAX_EMPTY_PA)).any(
+                axis=(1, 2)
+            )
             moves = log.time[np.argmax(busy)] if busy.any() else trajectory.time[-1]
         still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL_S
         x, y = trajectory.com[still].mean(axis=0)
@@ -241,10 +281,12 @@ def read_motion(
         spec: the recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: name of the column of the marker at the head; None for the end towards which the robot crawls.
+        head: name of the column of the marker at the head; None for the end towards
+            which the robot crawls.
         map: places of markers and rigid bodies, and information that the file lacks.
         longest_gap_s: longest gap that is filled, between the samples around it, s.
-        gait_frequency_hz: gait frequency for the metrics; None if the motion is not periodic.
+        gait_frequency_hz: gait frequency for the metrics; None if the motion is not
+            periodic.
 
     Returns:
         The longest interval in which all markers are known.
@@ -254,7 +296,9 @@ def read_motion(
         UnknownNameError: `up`, `layout` or `head` is an unknown name.
     """
     if not 0 <= longest_gap_s <= 10:
-        raise InputError(f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s")
+        raise InputError(
+            f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s"
+        )
     check_choice("up", up, UPS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
@@ -265,11 +309,24 @@ def read_motion(
         given_up = map.up if map.up and up == "auto" else up
         floor = map_to_floor(table.points, given_up, table.usual_up, map.level)
         points = at_frames(floor.points, frames)
-        markers, notes = _captured_markers(table, spec, frames, points, layout, longest_gap_s)
+        markers, notes = _captured_markers(
+            table, spec, frames, points, layout, longest_gap_s
+        )
         body = tracked_body(markers, spec, head)
-        texts = *table.corrections, *frames.corrections, *floor.corrections, *notes, *body.corrections
-        counts, hidden = _counts(frames, floor, markers, body), int(markers.missing.sum())
-        summary = LogSummary.from_file(table, table.kind, frames, markers.time, hidden, texts, counts)
+        texts = (
+            *table.corrections,
+            *frames.corrections,
+            *floor.corrections,
+            *notes,
+            *body.corrections,
+        )
+        counts, hidden = (
+            _counts(frames, floor, markers, body),
+            int(markers.missing.sum()),
+        )
+        summary = LogSummary.from_file(
+            table, table.kind, frames, markers.time, hidden, texts, counts
+        )
         trajectory = body_trajectory(body, markers, spec, summary, gait_frequency_hz)
         return Recording(trajectory, summary, epoch_ns=table.epoch_ns)
 
@@ -294,23 +351,31 @@ def _captured_markers(
     """
     geometry = spec.geometry
     slots = in_slots(table, points)
-    # A wrong unit is reported before the markers are tracked with distances from the robot.
+    # A wrong unit is reported before the markers are tracked with distances from the
+    # robot.
     check_scale(slots.points[..., :2], spec)
-    tracks, notes = robot_tracks(table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch)
+    tracks, notes = robot_tracks(
+        table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch
+    )
     if table.bodies and layout == "auto":
         layout = "pair"
     layouts, chosen = robot_markers(
         tracks.points, geometry.connectors, geometry.pitch, layout, len(table.places)
     )
     places = tracks.points[:, chosen]
-    other = int(np.isfinite(slots.points[..., 0]).sum() - np.isfinite(places[..., 0]).sum())
+    other = int(
+        np.isfinite(slots.points[..., 0]).sum() - np.isfinite(places[..., 0]).sum()
+    )
     jumps = outliers(places, _MIN_JUMP * geometry.pitch)
     places[jumps] = np.nan
     kept = _kept_frames(frames, places, longest_gap_s)
     time, places = frames.time[kept], places[kept]
     origin = np.where(np.isnan(places[..., 0]), -1, tracks.columns[kept][:, chosen])
     filled = fill_gaps(time, places, 3)
-    return CapturedMarkers(table, layouts, time, filled, origin, int(jumps.sum()), other), notes
+    return (
+        CapturedMarkers(table, layouts, time, filled, origin, int(jumps.sum()), other),
+        notes,
+    )
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
@@ -323,9 +388,10 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
     if kept.stop - kept.start < MIN_FRAMES:
         complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
         raise InputError(
-            f"no {MIN_FRAMES} successive frames have all {points.shape[1]} markers with gaps up to "
-            f"{longest_gap_s:g} s ({len(frames.time)} frames at {1 / frames.period:.4g} Hz, all markers "
-            f"visible on {complete:.0f} % of them); give --longest-gap"
+            f"no {MIN_FRAMES} successive frames have all {points.shape[1]} markers with"
+            f" gaps up to {longest_gap_s:g} s ({len(frames.time)} frames at"
+            f" {1 / frames.period:.4g} Hz, all markers visible on {complete:.0f} % of"
+            " them); give --longest-gap"
         )
     return kept
 
@@ -333,7 +399,8 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
     """Replace each rigid body with a rotation by two markers on one of its axes.
 
-    The axis is the one whose direction varies most: a vertical axis would not show the heading.
+    The axis is the one whose direction varies most: a vertical axis would not show the
+    heading.
     """
     if table.rotations is None:
         return table
@@ -354,7 +421,12 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
     labels = tuple(table.labels[k] for k in owners)
     places = tuple(table.places[k] for k in owners) if table.places else ()
     return replace(
-        table, points=np.stack(points, axis=1), labels=labels, places=places, rotations=None, bodies=True
+        table,
+        points=np.stack(points, axis=1),
+        labels=labels,
+        places=places,
+        rotations=None,
+        bodies=True,
     )
 
 
@@ -363,7 +435,11 @@ def _counts(
 ) -> MarkerCounts:
     """Return the numbers on the markers of a file."""
     table, time, columns = markers.table, markers.time, markers.columns
-    gaps = [time[end] - time[begin - 1] for column in markers.missing.T for begin, end in runs(column)]
+    gaps = [
+        time[end] - time[begin - 1]
+        for column in markers.missing.T
+        for begin, end in runs(column)
+    ]
     return MarkerCounts(
         header_frames=table.header_frames,
         frames_missing=int((frames.rows < 0).sum()),
@@ -375,7 +451,9 @@ def _counts(
         samples_other=markers.other,
         samples_rejected=markers.rejected,
         longest_filled_s=float(max(gaps, default=0.0)),
-        moves=sum(int((np.diff(column[column >= 0]) != 0).sum()) for column in columns.T),
+        moves=sum(
+            int((np.diff(column[column >= 0]) != 0).sum()) for column in columns.T
+        ),
         spacing_m=tuple(float(distance) for distance in body.spacing),
         residual_m=float(np.sqrt((body.shape.residual**2).mean())),
         noise_m=body.shape.noise,
@@ -389,11 +467,15 @@ def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
     Raises:
         InputError: there are more slots than can be tracked.
     """
-    slots = Tracks(points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0)
+    slots = Tracks(
+        points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0
+    )
     if not (table.places or table.bodies):
         slots = pack_slots(points)
     if (count := slots.points.shape[1]) > MAX_MARKERS:
-        raise InputError(f"{count} markers on the same frame; at most {MAX_MARKERS} can be tracked")
+        raise InputError(
+            f"{count} markers on the same frame; at most {MAX_MARKERS} can be tracked"
+        )
     return slots
 
 
@@ -402,7 +484,8 @@ def robot_tracks(
 ) -> tuple[Tracks, list[str]]:
     """Return the tracks that may belong to the robot, without heights, and notes on the other tracks.
 
-    Rigid bodies are identified by their names and not tracked. Columns with a place belong to the robot.
+    Rigid bodies are identified by their names and not tracked. Columns with a place
+    belong to the robot.
 
     Args:
         table: the file.
@@ -412,12 +495,19 @@ def robot_tracks(
     """
     tracks = slots
     if not table.bodies:
-        tracks = track_markers(slots.points, slots.columns, max(1, round(longest_gap)), reach)
+        tracks = track_markers(
+            slots.points, slots.columns, max(1, round(longest_gap)), reach
+        )
     foreign = {} if table.places else foreign_tracks(tracks.points)
     notes = []
     for k, reason in foreign.items():
         visible = tracks.columns[tracks.columns[:, k] >= 0, k]
         if visible.size >= MIN_FRAMES:
-            notes.append(f"marker '{table.labels[np.bincount(visible).argmax()]}' left out: {reason}")
-    points, columns = (np.delete(values, list(foreign), axis=1) for values in tracks[:2])
+            notes.append(
+                f"marker '{table.labels[np.bincount(visible).argmax()]}' left out:"
+                f" {reason}"
+            )
+    points, columns = (
+        np.delete(values, list(foreign), axis=1) for values in tracks[:2]
+    )
     return Tracks(points[..., :2], columns, tracks.unassigned), notes

@@ -17,7 +17,14 @@ from srs_twin.recordings.body.floor import Up
 from srs_twin.recordings.csv_table import Meaning
 from srs_twin.recordings.formats.base import MarkerTable, Unstated
 from srs_twin.recordings.recorded_file import Dialect
-from srs_twin.recordings.signals.units import ANGLES, PRESSURES, SHARES, TIMES, bracketed, symbol
+from srs_twin.recordings.signals.units import (
+    ANGLES,
+    PRESSURES,
+    SHARES,
+    TIMES,
+    bracketed,
+    symbol,
+)
 
 LOG_NAME = re.compile(
     r"(?:(valve|duty|pressure|setpoint)(?:_([^\W_]+))?_(plus|minus)|(bend)(?:_([a-z]+))?)_(\d{1,3})"
@@ -25,12 +32,20 @@ LOG_NAME = re.compile(
 """Keys of a log: valve_plus_1, duty_minus_2, pressure_kpa_plus_1, setpoint_kpa_plus_1, bend_deg_1."""
 
 QUANTITIES: dict[str, dict[str, float]] = {
-    "time": TIMES, "valve": {}, "duty": SHARES, "pressure": PRESSURES, "setpoint": PRESSURES, "bend": ANGLES,
-}  # fmt: skip
+    "time": TIMES,
+    "valve": {},
+    "duty": SHARES,
+    "pressure": PRESSURES,
+    "setpoint": PRESSURES,
+    "bend": ANGLES,
+}
 """Quantities of a log → their units."""
 
 _NUMBERS = ("carrier_hz", "ambient_kpa")
-_LOG_KEYS = "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or bend_1"
+_LOG_KEYS = (
+    "time, carrier_hz, valve_plus_1, duty_plus_1, pressure_kpa_plus_1, ambient_kpa or"
+    " bend_1"
+)
 _SEPARATORS = {"tab": "\t", "space": " "}
 _PLACE = re.compile(r"(connector|middle) (\d{1,3})(?: (ahead|behind|left|right))?")
 
@@ -82,8 +97,8 @@ class RecordingMap(StrictModel):
     """Rigid body → as for markers; its rotation gives a heading."""
     log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
     """valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1 or bend_1 → column of a log, or
-    {column: P1, unit: bar}; time → its column; carrier_hz → carrier frequency of duties; ambient_kpa →
-    pressure to subtract from absolute pressures."""
+    {column: P1, unit: bar}; time → its column; carrier_hz → carrier frequency of
+    duties; ambient_kpa → pressure to subtract from absolute pressures."""
     columns: list[str] = []
     """Names of the columns, for a plain file whose first line has none."""
     separator: Literal[",", ";", "|", "tab", "space"] | None = None
@@ -97,19 +112,38 @@ class RecordingMap(StrictModel):
         for key, value in self.log.items():
             kind, name, default = log_meaning(key)
             if key not in _NUMBERS and not name:
-                problems.append((("log", key), f"this is not a key of a log; allowed: {_LOG_KEYS}"))
+                problems.append(
+                    (("log", key), f"this is not a key of a log; allowed: {_LOG_KEYS}")
+                )
                 continue
             if (key in _NUMBERS) != isinstance(value, float):
                 expected = "a number" if key in _NUMBERS else "the name of a column"
                 problems.append((("log", key), f"the value must be {expected}"))
-            units, allowed = QUANTITIES.get(kind, {}), ", ".join(QUANTITIES.get(kind, {})) or "none"
-            for unit in filter(None, (default, value.unit if isinstance(value, LogColumn) else "")):
+            units, allowed = (
+                QUANTITIES.get(kind, {}),
+                ", ".join(QUANTITIES.get(kind, {})) or "none",
+            )
+            for unit in filter(
+                None, (default, value.unit if isinstance(value, LogColumn) else "")
+            ):
                 if not symbol(unit, units):
-                    problems.append((("log", key), f"unit '{unit}' is not known; allowed: {allowed}"))
+                    problems.append(
+                        (
+                            ("log", key),
+                            f"unit '{unit}' is not known; allowed: {allowed}",
+                        )
+                    )
         for block, places in (("markers", self.markers), ("bodies", self.bodies)):
             for name, place in places.items():
-                if isinstance(place, MarkerPlace) and (place.connector is None) == (place.middle is None):
-                    problems.append(((block, name), "give either connector or middle, counted from the head"))
+                if isinstance(place, MarkerPlace) and (place.connector is None) == (
+                    place.middle is None
+                ):
+                    problems.append(
+                        (
+                            (block, name),
+                            "give either connector or middle, counted from the head",
+                        )
+                    )
         return problems
 
     @property
@@ -128,7 +162,11 @@ class RecordingMap(StrictModel):
     def dialect(self) -> Dialect:
         """Layout of plain files."""
         separator = self.separator or ""
-        return Dialect(tuple(self.columns), _SEPARATORS.get(separator, separator), self.decimal or "")
+        return Dialect(
+            tuple(self.columns),
+            _SEPARATORS.get(separator, separator),
+            self.decimal or "",
+        )
 
     @property
     def unstated(self) -> Unstated:
@@ -141,7 +179,9 @@ class RecordingMap(StrictModel):
         for key, value in self.log.items():
             kind, name, default = log_meaning(key)
             if kind in kinds and not isinstance(value, float):
-                column = value if isinstance(value, LogColumn) else LogColumn(column=value)
+                column = (
+                    value if isinstance(value, LogColumn) else LogColumn(column=value)
+                )
                 meanings[column.column] = Meaning(name, default, column.unit)
         return meanings
 
@@ -155,9 +195,15 @@ class RecordingMap(StrictModel):
         for name in named:
             if name not in table.labels:
                 raise UnknownNameError("marker", name, table.labels)
-        placed = {name: place.station for name, place in named.items() if isinstance(place, MarkerPlace)}
+        placed = {
+            name: place.station
+            for name, place in named.items()
+            if isinstance(place, MarkerPlace)
+        }
         chosen = [
-            k for k, label in enumerate(table.labels) if (label in placed if placed else label not in named)
+            k
+            for k, label in enumerate(table.labels)
+            if (label in placed if placed else label not in named)
         ]
         if len(chosen) == len(table.labels) and not placed:
             return table
@@ -167,9 +213,13 @@ class RecordingMap(StrictModel):
         notes = (f"{ignored} markers ignored according to the map",) if ignored else ()
         places = tuple(placed[label] for label in labels) if placed else ()
         return replace(
-            table, points=table.points[:, chosen], labels=labels, places=places, rotations=rotations,
+            table,
+            points=table.points[:, chosen],
+            labels=labels,
+            places=places,
+            rotations=rotations,
             corrections=(*table.corrections, *notes),
-        )  # fmt: skip
+        )
 
 
 NO_MAP = RecordingMap()
@@ -187,13 +237,16 @@ def log_meaning(key: str) -> tuple[str, str, str]:
     return kind, "_".join(filter(None, [kind, side, match[6]])), unit
 
 
-def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[str]) -> dict[str, Any]:
+def given_map(
+    path: str | None, options: Mapping[str, Any], markers: Sequence[str]
+) -> dict[str, Any]:
     """Return a map from a file and options, which have precedence, as plain data.
 
     Args:
         path: map file.
         options: keys of the map; those with the value None are left out.
-        markers: "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or "NAME=ignore".
+        markers: "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or
+            "NAME=ignore".
 
     Raises:
         InputError: a place is invalid, or the file is.
@@ -212,12 +265,16 @@ def given_map(path: str | None, options: Mapping[str, Any], markers: Sequence[st
         match = _PLACE.fullmatch(place.strip())
         if not name or not (match or place.strip() == "ignore"):
             allowed = (
-                "NAME=connector 1, NAME=middle 1, NAME=connector 1 ahead (behind, left, right) or NAME=ignore"
+                "NAME=connector 1, NAME=middle 1, NAME=connector 1 ahead (behind, left,"
+                " right) or NAME=ignore"
             )
             raise InputError(f"--marker: '{option}' is not allowed; use {allowed}")
         entry: Any = "ignore"
         if match:
-            entry = {match[1]: int(match[2]), **({"side": match[3]} if match[3] else {})}
+            entry = {
+                match[1]: int(match[2]),
+                **({"side": match[3]} if match[3] else {}),
+            }
         data["markers"] = {**data.get("markers", {}), name: entry}
     return data
 

@@ -24,7 +24,12 @@ from srs_twin.recordings.recorded_pressures import RecordedPressures
 from srs_twin.recordings.recording import LONGEST_GAP, Recording, ValveLog, read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.clock import join
-from srs_twin.recordings.signals.logs import is_bend_log, on_bench, read_bends, read_valves
+from srs_twin.recordings.signals.logs import (
+    is_bend_log,
+    on_bench,
+    read_bends,
+    read_valves,
+)
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import ControllerContext, ControllerSection
 from srs_twin.scenario.fields import (
@@ -54,7 +59,8 @@ class RecordingReader:
     Attributes:
         up: axis of the file that points up, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: name of the column of the marker at the head; None: the end towards which the robot crawls.
+        head: name of the column of the marker at the head; None: the end towards which
+            the robot crawls.
         map: recording map: quantities of markers and columns.
         longest_gap_s: longest gap that is filled, s.
         offset_s: clock offset added to the times of the log, s; None: estimated.
@@ -69,7 +75,9 @@ class RecordingReader:
     offset_s: float | None = None
     gait_frequency_hz: float | None = None
 
-    def motion(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
+    def motion(
+        self, path: str, spec: RobotSpec, frequency: float | None = None
+    ) -> Recording:
         """Read a captured motion; see `read_motion`.
 
         Args:
@@ -78,21 +86,33 @@ class RecordingReader:
             frequency: gait frequency if the reader has none, Hz.
         """
         return read_motion(
-            path, spec, up=self.up, layout=self.layout, head=self.head, map=self.map,
-            longest_gap_s=self.longest_gap_s, gait_frequency_hz=self._frequency_or(frequency),
-        )  # fmt: skip
+            path,
+            spec,
+            up=self.up,
+            layout=self.layout,
+            head=self.head,
+            map=self.map,
+            longest_gap_s=self.longest_gap_s,
+            gait_frequency_hz=self._frequency_or(frequency),
+        )
 
-    def body(self, path: str, spec: RobotSpec, frequency: float | None = None) -> Recording:
+    def body(
+        self, path: str, spec: RobotSpec, frequency: float | None = None
+    ) -> Recording:
         """Read the measured motion of the body, from markers or a bend log; as `motion`."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
         gap, frequency = self.longest_gap_s, self._frequency_or(frequency)
-        return read_bends(path, spec, map=self.map, longest_gap_s=gap, gait_frequency_hz=frequency)
+        return read_bends(
+            path, spec, map=self.map, longest_gap_s=gap, gait_frequency_hz=frequency
+        )
 
     def _frequency_or(self, other: float | None) -> float | None:
         return other if self.gait_frequency_hz is None else self.gait_frequency_hz
 
-    def joined(self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool) -> Recording:
+    def joined(
+        self, body: Recording, log: ValveLog, spec: RobotSpec, *, one_file: bool
+    ) -> Recording:
         """Join a motion with a log on one clock; columns of the same file already share it.
 
         Raises:
@@ -110,9 +130,16 @@ class RecordingReader:
         try:
             log = read_valves(valves, spec, self.map)
         except InputError:
-            self.body(path, spec)  # read first, so its errors come first: the default log is named after it
+            self.body(
+                path, spec
+            )  # read first, so its errors come first: the default log is named after it
             raise
-        return self.joined(self.body(path, spec, log.gait_frequency()), log, spec, one_file=path == valves)
+        return self.joined(
+            self.body(path, spec, log.gait_frequency()),
+            log,
+            spec,
+            one_file=path == valves,
+        )
 
 
 def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
@@ -130,7 +157,10 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     if len(given) != len(takes):
         wanted = f"give one for each, in their order ({', '.join(takes)})"
         otherwise = f"or none where each lies beside its recording as NAME{_LOG}"
-        raise InputError(f"{len(given)} logs of valves for {len(takes)} recordings; {wanted}, {otherwise}")
+        raise InputError(
+            f"{len(given)} logs of valves for {len(takes)} recordings; {wanted},"
+            f" {otherwise}"
+        )
     return list(given)
 
 
@@ -152,7 +182,11 @@ class ReplayFile(ControllerSection):
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ControllerSection.contradictions_with`."""
         if file.section("recording") is None:
-            yield ("controller",), "kind: replay has nothing to replay; give recording as well", False
+            yield (
+                ("controller",),
+                "kind: replay has nothing to replay; give recording as well",
+                False,
+            )
 
     def is_ready(self, products: Mapping[str, Any]) -> bool:
         """See `ControllerSection.is_ready`."""
@@ -167,7 +201,8 @@ class ReplayFile(ControllerSection):
         """See `ControllerSection.controller`."""
         recording: Recording = context.products["recording"]
         return Replay(
-            recording.commands(context.name), recording.trajectory.metadata.get("gait_frequency_hz")
+            recording.commands(context.name),
+            recording.trajectory.metadata.get("gait_frequency_hz"),
         )
 
 
@@ -192,7 +227,8 @@ class RecordingFile(ExtensionSection):
     map: RecordingMap = constructor_default()
     """Recording map: quantities of markers, rigid bodies and columns (docs/logs.md#recording-map)."""
     head: Line | None = constructor_default()
-    """Column of the marker at the head (default: the end in the direction of motion)."""
+    """Column of the marker at the head (default: the end in the direction of motion).
+    """
     longest_gap_s: float = quantity(0.0, 10.0)
     """Longest gap that is interpolated."""
 
@@ -208,7 +244,9 @@ class RecordingFile(ExtensionSection):
             loading.warnings += self._check(loading.document, loading.file, recording)
         return recording
 
-    def resolve(self, document: dict[str, Any], file: FileSections, product: Recording | None) -> None:
+    def resolve(
+        self, document: dict[str, Any], file: FileSections, product: Recording | None
+    ) -> None:
         """See `ExtensionSection.resolve`."""
         if product is None:
             return
@@ -216,14 +254,20 @@ class RecordingFile(ExtensionSection):
             del document["pneumatics"]
         if not file.bench and "start" not in file.model_fields_set:
             x, y, heading = product.start_pose()
-            document["start"] = {"x_m": x, "y_m": y, "heading_rad": math.remainder(heading, 2 * math.pi)}
+            document["start"] = {
+                "x_m": x,
+                "y_m": y,
+                "heading_rad": math.remainder(heading, 2 * math.pi),
+            }
 
     def chambers(
         self, product: Recording, robot: RobotSpec, supply_pa: float, layout: str
     ) -> Pneumatics | None:
         """See `ExtensionSection.chambers`."""
         recorded = product.pressures()
-        return recorded and RecordedPressures(robot, *recorded, supply_pa=supply_pa, layout=layout)
+        return recorded and RecordedPressures(
+            robot, *recorded, supply_pa=supply_pa, layout=layout
+        )
 
     def measured(self, product: Recording) -> Trajectory:
         """See `ExtensionSection.measured`."""
@@ -236,19 +280,27 @@ class RecordingFile(ExtensionSection):
         (path,) = logs_of([self.motion], [self.valves] if self.valves else [])
         log = _read(document, "valves", lambda: read_valves(path, spec, self.map))
         frequency = log.gait_frequency() if log else None
-        body = _read(document, "motion", lambda: reader.body(self.motion, spec, frequency))
+        body = _read(
+            document, "motion", lambda: reader.body(self.motion, spec, frequency)
+        )
         if body is None or log is None:
             return None
         if not file.bench and body.only_bends:
             document.report(("recording", "motion"), f"{NO_MARKERS}, or bench: true")
             return None
         one_file = path == self.motion
-        joined = _read(document, "offset_s", lambda: reader.joined(body, log, spec, one_file=one_file))
+        joined = _read(
+            document,
+            "offset_s",
+            lambda: reader.joined(body, log, spec, one_file=one_file),
+        )
         if joined is None or not file.bench:
             return joined
         return _read(document, "motion", lambda: on_bench(joined, spec))
 
-    def _check(self, document: Document, file: FileSections, recording: Recording) -> list[str]:
+    def _check(
+        self, document: Document, file: FileSections, recording: Recording
+    ) -> list[str]:
         """Report settings of a scenario that contradict the recording; return warnings."""
         time = recording.trajectory.time
         span = float(time[-1] - time[0])
@@ -256,11 +308,16 @@ class RecordingFile(ExtensionSection):
             text = f"{file.duration_s:g} s is longer than the recording's {span:.4g} s"
             document.report(("duration_s",), text)
         if recording.pressures() is not None and "pneumatics" in file.model_fields_set:
-            text = "the recording holds pressures, which chambers then have; take it out"
+            text = (
+                "the recording holds pressures, which chambers then have; take it out"
+            )
             document.report(("pneumatics",), text, at_key=True)
         if recording.starts_at_rest():
             return []
-        return ["recording: it begins while chambers hold air; the plants begin straight and at rest"]
+        return [
+            "recording: it begins while chambers hold air; the plants begin straight"
+            " and at rest"
+        ]
 
 
 def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | None:
@@ -269,7 +326,10 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
         return read()
     except UnknownNameError as error:
         # The file exists, so report the missing marker or column instead.
-        document.report(("recording", "head" if document.get("recording", "head") else "map"), str(error))
+        document.report(
+            ("recording", "head" if document.get("recording", "head") else "map"),
+            str(error),
+        )
     except InputError as error:
         document.report(("recording", key), str(error))
     return None
@@ -282,7 +342,8 @@ def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
 
 RECORDING = SectionEntry(
     RecordingFile | None,
-    "What was measured of the robot, to replay and to hold the plants against (controller.kind: replay).",
+    "What was measured of the robot, to replay and to hold the plants against"
+    " (controller.kind: replay).",
     _input_files,
     {"motion": "", "valves": ""},
 )

@@ -1,6 +1,7 @@
 """Claims of the dissertation: statements, the runs that check them, and the rules by which they are met.
 
-The file is validated strictly. A claim with a table contains many numbers, one row per number.
+The file is validated strictly. A claim with a table contains many numbers, one row per
+number.
 """
 
 from __future__ import annotations
@@ -49,7 +50,11 @@ Take = Literal["most", "least", "mean", "spread"]
 Combine = Literal["value", "ratio", "excess", "difference", "unevenness"]
 Tolerance = Literal["dissertation", "measurement", "ours"]
 Limitation = Literal[
-    "fitted_robot", "chosen_parameter", "tuned_controller", "chosen_obstacles", "between_models"
+    "fitted_robot",
+    "chosen_parameter",
+    "tuned_controller",
+    "chosen_obstacles",
+    "between_models",
 ]
 Group = Literal["headline", "own_tolerance"] | Limitation
 Category = Group | Literal["shape", "by_construction", "law", "fit"]
@@ -89,7 +94,10 @@ class RunRequest(Section):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        if sum(source is not None for source in (self.scenario, self.sweep, self.law)) != 1:
+        if (
+            sum(source is not None for source in (self.scenario, self.sweep, self.law))
+            != 1
+        ):
             raise ValueError("give exactly one of scenario, sweep and law")
         if self.where and self.sweep is None:
             raise ValueError("where is only for a sweep")
@@ -100,7 +108,11 @@ class RunRequest(Section):
     @property
     def kind(self) -> str:
         """Kind of the request: "scenario", "sweep" or "law"."""
-        return next(kind for kind in ("scenario", "sweep", "law") if getattr(self, kind) is not None)
+        return next(
+            kind
+            for kind in ("scenario", "sweep", "law")
+            if getattr(self, kind) is not None
+        )
 
     @property
     def name(self) -> str:
@@ -111,7 +123,9 @@ class RunRequest(Section):
         """Report a scenario, sweep or computation that does not exist."""
         names = COMPUTATIONS if self.kind == "law" else shipped_names(self.kind)
         if self.name not in names:
-            document.report((*loc, self.kind), str(UnknownNameError(self.kind, self.name, names)))
+            document.report(
+                (*loc, self.kind), str(UnknownNameError(self.kind, self.name, names))
+            )
 
 
 class Measure(RunRequest):
@@ -131,7 +145,9 @@ class Measure(RunRequest):
         super().check_names(document, loc)
         prefix, _, trace = self.metric.partition(".")
         if prefix == "trace" and trace not in TRACES:
-            document.report((*loc, "metric"), str(UnknownNameError("trace", trace, TRACES)))
+            document.report(
+                (*loc, "metric"), str(UnknownNameError("trace", trace, TRACES))
+            )
 
 
 class Cause(Section):
@@ -142,7 +158,8 @@ class Cause(Section):
     columns: list[Column] = ["analytical", "twin"]
     """Columns that it explains."""
     docs: Name | None = None
-    """Section of the documentation that shows it (docs/agreement.md#why-they-differ)."""
+    """Section of the documentation that shows it (docs/agreement.md#why-they-differ).
+    """
     switch: Name | None = None
     """Name of the switched assumption."""
     set: Changes = {}
@@ -151,7 +168,9 @@ class Cause(Section):
     @model_validator(mode="after")
     def _check_evidence(self) -> Self:
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
-            raise ValueError("give docs, or switch with set, or neither for a presumed cause")
+            raise ValueError(
+                "give docs, or switch with set, or neither for a presumed cause"
+            )
         return self
 
 
@@ -183,17 +202,23 @@ class TableRows(Section):
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
         if self.could_fail.keys() != self.columns.keys():
-            raise ValueError("could_fail needs a sentence for each of the columns, and no other")
+            raise ValueError(
+                "could_fail needs a sentence for each of the columns, and no other"
+            )
         if not self.cause.keys() <= self.columns.keys():
             raise ValueError("cause must name columns of the table")
         return self
 
-    def is_fitted(self, column: str, at: float, rows: Sequence[Mapping[str, float]]) -> bool:
+    def is_fitted(
+        self, column: str, at: float, rows: Sequence[Mapping[str, float]]
+    ) -> bool:
         """Return whether a number may be used to calibrate, or equals one of the same column that may."""
         if column not in self.fit:
             return False
         setting = next(row for row in rows if row[self.at] == at)
-        return setting[column] in {row[column] for row in rows if row[self.at] in self.fit_at}
+        return setting[column] in {
+            row[column] for row in rows if row[self.at] in self.fit_at
+        }
 
 
 class Claim(Section):
@@ -248,33 +273,48 @@ class Claim(Section):
     @model_validator(mode="after")
     def _check_evidence(self) -> Self:
         if (self.could_fail is None) == (self.table is None):
-            raise ValueError("could_fail is needed: 'Yes: …' or 'No: …'; a table has it in `table`")
+            raise ValueError(
+                "could_fail is needed: 'Yes: …' or 'No: …'; a table has it in `table`"
+            )
         if (self.tolerance is None) == (self.use == "holdout"):
-            raise ValueError("tolerance is needed for every holdout, and not allowed for other uses")
+            raise ValueError(
+                "tolerance is needed for every holdout, and not allowed for other uses"
+            )
         if self.limitation is not None and self.use != "holdout":
             raise ValueError("limitation is only for a holdout")
         if self.group == "headline" and not self.falsifiable:
-            raise ValueError("a headline prediction must be able to fail: could_fail must start with Yes")
+            raise ValueError(
+                "a headline prediction must be able to fail: could_fail must start"
+                " with Yes"
+            )
         return self
 
     @model_validator(mode="after")
     def _check_rule(self) -> Claim:
         if self.table is not None:
             if not self.rows or self.tol is None or self.rule is not None:
-                raise ValueError("a table needs rows and tol, and no rule, as its rows must be near")
+                raise ValueError(
+                    "a table needs rows and tol, and no rule, as its rows must be near"
+                )
             return self
         if self.rule is None:
             raise ValueError("a rule is needed: near, below, above or ordering")
         if (self.measure is None) == (not self.measures):
             raise ValueError("give either measure or measures")
         if self.rule == "ordering":
-            if len(self.measures) < 2 or self.value is not None or self.combine != "value":
+            if (
+                len(self.measures) < 2
+                or self.value is not None
+                or self.combine != "value"
+            ):
                 raise ValueError("ordering needs two measures or more, and no value")
             return self
         if self.value is None:
             raise ValueError(f"{self.rule} needs a value")
         if self.measures and (self.combine == "value" or len(self.measures) != 2):
-            raise ValueError("two measures need combine: ratio, excess, difference or unevenness")
+            raise ValueError(
+                "two measures need combine: ratio, excess, difference or unevenness"
+            )
         if self.rule == "near" and (self.tol is None) == (self.abs is None):
             raise ValueError("near needs either tol or abs")
         return self
@@ -294,7 +334,9 @@ class Claim(Section):
         """Group of a prediction; None for other uses."""
         if self.use != "holdout":
             return None
-        return self.limitation or ("own_tolerance" if self.tolerance == "ours" else "headline")
+        return self.limitation or (
+            "own_tolerance" if self.tolerance == "ours" else "headline"
+        )
 
     @property
     def category(self) -> Category:
@@ -313,7 +355,8 @@ class Claim(Section):
     def with_switch(self, cause: Cause) -> Claim:
         """Return the claim with the fields of its scenarios changed by a cause."""
         measures = [
-            measure.model_copy(update={"set": {**measure.set, **cause.set}}) for measure in self.all_measures
+            measure.model_copy(update={"set": {**measure.set, **cause.set}})
+            for measure in self.all_measures
         ]
         return self.model_copy(update={"measure": None, "measures": measures})
 
@@ -330,7 +373,11 @@ class Claim(Section):
     def _bound(self, rule: Rule, side: int) -> float:
         if self.value is None or self.rule not in ("near", rule):
             return side * math.inf
-        width = self.abs if self.abs is not None else (self.tol or 0.0) * math.fabs(self.value)
+        width = (
+            self.abs
+            if self.abs is not None
+            else (self.tol or 0.0) * math.fabs(self.value)
+        )
         return self.value + side * width
 
     @property
@@ -340,7 +387,11 @@ class Claim(Section):
             return "each above the next"
         if math.isinf(self.low):
             return f"at most {self.high:.4g}"
-        return f"at least {self.low:.4g}" if math.isinf(self.high) else f"{self.low:.4g} to {self.high:.4g}"
+        return (
+            f"at least {self.low:.4g}"
+            if math.isinf(self.high)
+            else f"{self.low:.4g} to {self.high:.4g}"
+        )
 
 
 COLUMNS = get_args(Column)
@@ -363,7 +414,9 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
     rows: list[Claim] = []
     for i, claim in claims:
         for k, measure in enumerate(claim.all_measures):
-            measure.check_names(document, (i, "measure") if claim.measure else (i, "measures", k))
+            measure.check_names(
+                document, (i, "measure") if claim.measure else (i, "measures", k)
+            )
         rows += _rows(claim)
     for name, count in Counter(row.id for row in rows).items():
         if count > 1:
@@ -372,7 +425,9 @@ def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
     return tuple(rows)
 
 
-def load_list(path: Path, model: type[Model], label: str) -> tuple[Document, list[tuple[int, Model]]]:
+def load_list(
+    path: Path, model: type[Model], label: str
+) -> tuple[Document, list[tuple[int, Model]]]:
     """Read a list of sections; return the document with its problems, and (index, section) of the valid ones.
 
     Args:
@@ -387,11 +442,16 @@ def load_list(path: Path, model: type[Model], label: str) -> tuple[Document, lis
     entries = document.data if isinstance(document.data, list) else []
     if not entries:
         document.report((), f"must be a list of {label}")
-    sections = [(i, validate(model, document, entry, prefix=(i,))) for i, entry in enumerate(entries)]
+    sections = [
+        (i, validate(model, document, entry, prefix=(i,)))
+        for i, entry in enumerate(entries)
+    ]
     return document, [(i, section) for i, section in sections if section is not None]
 
 
-def select_claims(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool) -> tuple[Claim, ...]:
+def select_claims(
+    claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
+) -> tuple[Claim, ...]:
     """Return the rows with given names, or with names that start with one and a dot; laws first.
 
     Args:
@@ -402,12 +462,20 @@ def select_claims(claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bo
     Raises:
         UnknownNameError: no row has this name.
     """
-    by_name = {name: [c for c in claims if f"{c.id}.".startswith(f"{name}.")] for name in only}
+    by_name = {
+        name: [c for c in claims if f"{c.id}.".startswith(f"{name}.")] for name in only
+    }
     for name in only:
         if not by_name[name]:
-            raise UnknownNameError("claim", name, (claim.id for claim in claims), "docs/reproduction.md")
+            raise UnknownNameError(
+                "claim", name, (claim.id for claim in claims), "docs/reproduction.md"
+            )
     ids = {claim.id for group in by_name.values() for claim in group}
-    selected = [claim for claim in claims if (not only or claim.id in ids) and (claim.quick or not quick)]
+    selected = [
+        claim
+        for claim in claims
+        if (not only or claim.id in ids) and (claim.quick or not quick)
+    ]
     return tuple(sorted(selected, key=lambda claim: claim.use != "law"))
 
 
@@ -431,13 +499,22 @@ def _rows(claim: Claim) -> Iterator[Claim]:
                     "says": f"{column} {value:g} {unit} at {table.at} {at:g}",
                     "use": use,
                     "cause": table.cause.get(column, []),
-                    "could_fail": table.could_fail[column] if is_prediction else table.could_fail_fit,
+                    "could_fail": (
+                        table.could_fail[column]
+                        if is_prediction
+                        else table.could_fail_fit
+                    ),
                     "tolerance": claim.tolerance if is_prediction else None,
                     "limitation": claim.limitation if is_prediction else None,
                     "rule": "near",
                     "value": value,
                     "unit": unit,
-                    "measure": Measure(sweep=table.sweep, metric=metric, where={table.field: at}, size=size),
+                    "measure": Measure(
+                        sweep=table.sweep,
+                        metric=metric,
+                        where={table.field: at},
+                        size=size,
+                    ),
                     "table": None,
                     "rows": [],
                 }

@@ -35,7 +35,8 @@ def reproduce(
 ) -> None:
     """Judge the dissertation's claims on both plants.
 
-    The command runs what the claims need, judges every row, and compares the verdicts with the baseline.
+    The command runs what the claims need, judges every row, and compares the verdicts
+    with the baseline.
 
     Options:
         --only ID: Name of a row, or a prefix of several names, e.g. gen3 (repeatable).
@@ -43,8 +44,10 @@ def reproduce(
         --out DIR: Output folder, which also stores finished runs.
         --no-figures: Omit the figures and their runs.
         --write-baseline: Write the verdicts as the new baseline.
-        --scorecard: Print only the credibility grades according to NASA-STD-7009, without any run.
-        --others: Print only predicted and published motion of robots that others built, without any run.
+        --scorecard: Print only the credibility grades according to NASA-STD-7009,
+            without any run.
+        --others: Print only predicted and published motion of robots that others built,
+            without any run.
     """
     if others or scorecard:
         from srs_twin.reproduction.printing import print_others, print_scorecard
@@ -53,7 +56,8 @@ def reproduce(
         return
     from srs_twin.compute.workers import start_server
 
-    # Start it first: it imports the modules of the workers while this process imports its own.
+    # Start it first: it imports the modules of the workers while this process imports
+    # its own.
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.reproduction.printing import print_rows
     from srs_twin.reproduction.reproduce import reproduce as judge_claims

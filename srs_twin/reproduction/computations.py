@@ -22,8 +22,10 @@ _PULL_S = 1.0
 """Duration of a pull."""
 
 _MIN_GAIN_M_S = 1e-3
-"""Gain of speed in the second half of a pull above which the robot slides. Below the friction limit, axles
-only creep at a constant speed proportional to the pull (at most 13 mm/s in generation 1)."""
+"""Gain of speed in the second half of a pull above which the robot slides.
+
+Below the friction limit, axles only creep at a constant speed proportional to the pull
+(at most 13 mm/s in generation 1)."""
 
 _BISECTIONS = 12
 """Number of bisections of the pull."""
@@ -32,9 +34,10 @@ _BISECTIONS = 12
 def spring_car(robot: str) -> Numbers:
     """Return friction coefficients from pulling a straight snake (Section 3.4, Eq. 17): μ = F/(m g).
 
-    The twin is pulled by a force on every body proportional to its mass, a horizontal component of gravity;
-    the coefficient at which it starts to slide is found by bisection. In the analytical model friction is a
-    law, so the coefficient is the largest ratio of force to load of any connector during a gait.
+    The twin is pulled by a force on every body proportional to its mass, a horizontal
+    component of gravity; the coefficient at which it starts to slide is found by
+    bisection. In the analytical model friction is a law, so the coefficient is the
+    largest ratio of force to load of any connector during a gait.
 
     Args:
         robot: name of a shipped robot.
@@ -68,9 +71,14 @@ def _slides(robot: str, pull: float, *, along: bool) -> bool:
     plant = TwinSnake(load_robot(robot))
     vented = np.full((plant.spec.segments, 2), -1, dtype=np.int8)
     plant.reset()
-    plant.physics.model.opt.gravity[:] = (*((pull * GRAVITY, 0) if along else (0, pull * GRAVITY)), -GRAVITY)
+    plant.physics.model.opt.gravity[:] = (
+        *((pull * GRAVITY, 0) if along else (0, pull * GRAVITY)),
+        -GRAVITY,
+    )
     half = round(_PULL_S / plant.tick / 2)
-    speeds = [float(np.hypot(*plant.step(vented).com_velocity)) for _ in range(2 * half)]
+    speeds = [
+        float(np.hypot(*plant.step(vented).com_velocity)) for _ in range(2 * half)
+    ]
     return speeds[-1] - speeds[half] > _MIN_GAIN_M_S
 
 
@@ -108,13 +116,17 @@ def tail_load(scenario: str, frequency_hz: float) -> Numbers:
     def observe(state: SnakeState) -> None:
         nonlocal smallest
         if state.time > 2 / frequency_hz:
-            smallest = min(smallest, float(plant.physics.wheel_loads()[-1].min()) / rest)
+            smallest = min(
+                smallest, float(plant.physics.wheel_loads()[-1].min()) / rest
+            )
 
     rollout(plant, loaded.build_controller(), loaded.duration, observers=(observe,))
     return {"twin.least": smallest}
 
 
-def change_of_offset(scenario: str, before: float, after: float, at_period: float) -> Numbers:
+def change_of_offset(
+    scenario: str, before: float, after: float, at_period: float
+) -> Numbers:
     """Return the first and final curvature of the path after a change of offset with learning (Section 5.3).
 
     Args:
@@ -124,7 +136,8 @@ def change_of_offset(scenario: str, before: float, after: float, at_period: floa
         at_period: time of the change, gait periods.
 
     Returns:
-        ``first`` of both plants: curvature over the first period after the change, relative to the final one.
+        ``first`` of both plants: curvature over the first period after the change,
+        relative to the final one.
     """
     from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
@@ -135,11 +148,18 @@ def change_of_offset(scenario: str, before: float, after: float, at_period: floa
     numbers: Numbers = {}
     for plant in ("analytical", "twin"):
         gait = loaded.build_controller()
-        assert isinstance(gait, Gait | ILC) and gait.frequency is not None, "only scenarios with gaits"
+        assert isinstance(gait, Gait | ILC) and gait.frequency is not None, (
+            "only scenarios with gaits"
+        )
         time = at_period / gait.frequency
-        run = rollout(loaded.build_plant(plant), ScheduledOffset(gait, [(time, after)]), loaded.duration)
+        run = rollout(
+            loaded.build_plant(plant),
+            ScheduledOffset(gait, [(time, after)]),
+            loaded.duration,
+        )
         first, last = (
-            _curvature(run, t, 1 / gait.frequency) for t in (time, loaded.duration - 1 / gait.frequency)
+            _curvature(run, t, 1 / gait.frequency)
+            for t in (time, loaded.duration - 1 / gait.frequency)
         )
         numbers[f"{plant}.first"] = first / last
     return numbers
@@ -156,7 +176,9 @@ def _curvature(run: Trajectory, begin: float, period: float) -> float:
 def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
     """Return a scenario with other controller settings."""
     document = dict(scenario.document)
-    return parse_scenario(document | {"controller": {**document["controller"], **controller}})
+    return parse_scenario(
+        document | {"controller": {**document["controller"], **controller}}
+    )
 
 
 def planner_success(planner: str, draws: int) -> Numbers:
@@ -167,8 +189,9 @@ def planner_success(planner: str, draws: int) -> Numbers:
         draws: number of random fields for each number of obstacles.
 
     Returns:
-        ``count_1`` … ``count_18``: success rates, the fraction of fields with a path. ``trend``: rank
-        correlation of the success rate with the number of obstacles, −1 if the rate decreases at every step.
+        ``count_1`` … ``count_18``: success rates, the fraction of fields with a path.
+        ``trend``: rank correlation of the success rate with the number of obstacles, −1
+        if the rate decreases at every step.
     """
     from scipy.stats import spearmanr
 
@@ -183,14 +206,24 @@ def planner_success(planner: str, draws: int) -> Numbers:
     counts = range(1, len(FIG54_SITES) + 1)
     shares = []
     for count in counts:
-        problems = (Problem(FIG54_START, FIG54_GOAL, fig54_world(count, k), body, arcs) for k in range(draws))
-        shares.append(sum(plan(problem, planner=planner).found for problem in problems) / draws)
+        problems = (
+            Problem(FIG54_START, FIG54_GOAL, fig54_world(count, k), body, arcs)
+            for k in range(draws)
+        )
+        shares.append(
+            sum(plan(problem, planner=planner).found for problem in problems) / draws
+        )
     trend = float(spearmanr(list(counts), shares).statistic)
-    numbers: Numbers = {f"alone.count_{count}": share for count, share in zip(counts, shares, strict=True)}
+    numbers: Numbers = {
+        f"alone.count_{count}": share
+        for count, share in zip(counts, shares, strict=True)
+    }
     return numbers | {"alone.trend": None if math.isnan(trend) else trend}
 
 
-def contact_force(robot: str, frequency_hz: float, force_n: float, connector: float) -> Numbers:
+def contact_force(
+    robot: str, frequency_hz: float, force_n: float, connector: float
+) -> Numbers:
     """Return the estimate of a force on a connector without force sensors (Section 6.2).
 
     Args:
@@ -208,7 +241,9 @@ def contact_force(robot: str, frequency_hz: float, force_n: float, connector: fl
 
     twin, gait = TwinSnake(load_robot(robot), sensor="hall"), Gait(frequency_hz)
     gait.reset(twin.spec, twin.tick)
-    observer = ContactObserver(twin.spec, twin.tick, round(1 / (frequency_hz * twin.tick)))
+    observer = ContactObserver(
+        twin.spec, twin.tick, round(1 / (frequency_hz * twin.tick))
+    )
     state, k, best = twin.reset(), round(connector) - 1, (0.0, 0.0)
     body = twin.physics.model.body(f"connector_{k + 1}").id
     while state.time < 12.6:
@@ -218,7 +253,11 @@ def contact_force(robot: str, frequency_hz: float, force_n: float, connector: fl
         )
         valves = gait.step(state)
         state = twin.step(valves)
-        mean = np.asarray(valves, dtype=float).reshape(-1, *np.shape(valves)[-2:]).mean(axis=0)
+        mean = (
+            np.asarray(valves, dtype=float)
+            .reshape(-1, *np.shape(valves)[-2:])
+            .mean(axis=0)
+        )
         estimate = observer.update(mean, state.pressure, state.sensed)
         if estimate is not None and state.time > 12.0:
             best = max(best, (estimate.score, estimate.force / force_n))
@@ -264,7 +303,10 @@ def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
     ):
         theta = start.heading + alpha
         if abs(alpha) < 1e-9:
-            x, y = start.x + length_m * math.cos(theta), start.y + length_m * math.sin(theta)
+            x, y = (
+                start.x + length_m * math.cos(theta),
+                start.y + length_m * math.sin(theta),
+            )
         else:
             r = length_m / alpha
             x = start.x + r * (math.sin(theta) - math.sin(start.heading))

@@ -1,6 +1,7 @@
 """Figures of the dissertation, drawn from finished runs, in the order of the dissertation.
 
-A figure without its runs is left out. Only `figure_jobs` requests runs for figures alone.
+A figure without its runs is left out. Only `figure_jobs` requests runs for figures
+alone.
 """
 
 from __future__ import annotations
@@ -69,17 +70,23 @@ def load_figures(path: Path | None = None) -> tuple[FigureEntry, ...]:
         for k, runs in enumerate(entry.of):
             runs.check_names(document, (i, "of", k))
         if entry.draw not in DRAWINGS:
-            document.report((i, "draw"), str(UnknownNameError("picture", entry.draw, DRAWINGS)))
+            document.report(
+                (i, "draw"), str(UnknownNameError("picture", entry.draw, DRAWINGS))
+            )
     document.raise_problems()
     return tuple(entry for _, entry in entries)
 
 
-def figure_jobs(entries: tuple[FigureEntry, ...], store: RunStore) -> list[ReproductionJob]:
+def figure_jobs(
+    entries: tuple[FigureEntry, ...], store: RunStore
+) -> list[ReproductionJob]:
     """Return the jobs of figures."""
     return [job for entry in entries for runs in entry.of for job in store.jobs(runs)]
 
 
-def draw_figures(entries: tuple[FigureEntry, ...], store: RunStore) -> Iterator[tuple[FigureEntry, Figure]]:
+def draw_figures(
+    entries: tuple[FigureEntry, ...], store: RunStore
+) -> Iterator[tuple[FigureEntry, Figure]]:
     """Yield the figures whose runs are finished and have the data to draw."""
     for entry in entries:
         if all(store.row(job.key) is not None for job in figure_jobs((entry,), store)):
@@ -105,20 +112,28 @@ def _from_runs(plot: Callable[[Trajectories], Figure]) -> Drawing:
     return lambda store, entry: plot(_trajectories(store, entry.of[0]))
 
 
-def _from_runs_and_robot(plot: Callable[[Trajectories, RobotSpec], Figure | None]) -> Drawing:
+def _from_runs_and_robot(
+    plot: Callable[[Trajectories, RobotSpec], Figure | None],
+) -> Drawing:
     """Return the drawing of a plot that needs runs and the robot."""
 
     def drawing(store: RunStore, entry: FigureEntry) -> Figure | None:
         (job,) = store.jobs(entry.of[0])
         assert job.experiment is not None, "only for scenarios"
-        return plot(_trajectories(store, entry.of[0]), parse_scenario(job.experiment.base).robot)
+        return plot(
+            _trajectories(store, entry.of[0]), parse_scenario(job.experiment.base).robot
+        )
 
     return drawing
 
 
 def _difference(runs: Trajectories, robot: RobotSpec) -> Figure | None:
     """Draw the difference of the body shapes over time (Fig. 27, 28)."""
-    return error_plot(compare(runs["analytical"], runs["twin"]), robot) if len(runs) == 2 else None
+    return (
+        error_plot(compare(runs["analytical"], runs["twin"]), robot)
+        if len(runs) == 2
+        else None
+    )
 
 
 def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
@@ -132,14 +147,23 @@ def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
     (runs,) = entry.of
     sweep, points = sweep_of(runs.name), points_of(runs)
     rows = [store.row(job.key) for job in store.jobs(runs)]
-    columns: dict[str, list[Any]] = {"status": ["done" if row else "failed" for row in rows]}
-    columns |= {name: [point.changes[name] for point in points] for name in sweep.fields}
+    columns: dict[str, list[Any]] = {
+        "status": ["done" if row else "failed" for row in rows]
+    }
+    columns |= {
+        name: [point.changes[name] for point in points] for name in sweep.fields
+    }
     for metric in dict.fromkeys(name for row in rows if row for name in row.values):
         columns[metric] = [row.values.get(metric) if row else None for row in rows]
-    return draw(next(plot for plot in sweep.plots if plot.metric == entry.metric), SweepTable(columns))
+    return draw(
+        next(plot for plot in sweep.plots if plot.metric == entry.metric),
+        SweepTable(columns),
+    )
 
 
-def _over_time(runs: Trajectories, value: Callable[[Trajectory], np.ndarray], label: str) -> Figure:
+def _over_time(
+    runs: Trajectories, value: Callable[[Trajectory], np.ndarray], label: str
+) -> Figure:
     figure, (axes,) = panels(3.0)
     for style, run in runs_with_styles(runs):
         axes.plot(run.time, value(run), **style.line)
@@ -150,7 +174,9 @@ def _over_time(runs: Trajectories, value: Callable[[Trajectory], np.ndarray], la
 
 def _tail(runs: Trajectories) -> Figure:
     """Draw the heading of the tail over time (Fig. 30)."""
-    return _over_time(runs, lambda run: run.stack("theta")[:, -1], "tail's heading (rad)")
+    return _over_time(
+        runs, lambda run: run.stack("theta")[:, -1], "tail's heading (rad)"
+    )
 
 
 def _readings(runs: Trajectories) -> Figure:
@@ -161,7 +187,10 @@ def _readings(runs: Trajectories) -> Figure:
         last_seconds = run.time >= run.time[-1] - 2.0
         time = run.time[last_seconds]
         for j, axes in enumerate(rows, start=1):
-            readings, bends = run[f"sensed_{j}"][last_seconds], run[f"bend_{j}"][last_seconds]
+            readings, bends = (
+                run[f"sensed_{j}"][last_seconds],
+                run[f"bend_{j}"][last_seconds],
+            )
             axes.plot(time, readings, color=style.color, linewidth=0.5, alpha=0.4)
             axes.plot(time, bends, **style.line)
             finish(axes, f"$q_{{{j}}}$ (rad)")
@@ -176,9 +205,18 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
     figure = _over_time(runs, lambda run: run["bend_1"], "bend (rad)")
     axes, slow, fast = figure.axes[0], robot.actuator.tau_fill, robot.actuator.tau_mode
     time = np.linspace(0, 1, 400)
-    shape = 1 - (slow * np.exp(-time / slow) - fast * np.exp(-time / fast)) / (slow - fast)
+    shape = 1 - (slow * np.exp(-time / slow) - fast * np.exp(-time / fast)) / (
+        slow - fast
+    )
     final = float(runs["analytical"]["bend_1"][-1])
-    axes.plot(time, final * shape, color="0.2", linestyle=":", linewidth=1.0, label="Eq. 14 (E1, E2)")
+    axes.plot(
+        time,
+        final * shape,
+        color="0.2",
+        linestyle=":",
+        linewidth=1.0,
+        label="Eq. 14 (E1, E2)",
+    )
     axes.set_xlim(0, 1)
     axes.legend(loc="lower right", fontsize=8, frameon=False)
     return figure
@@ -190,7 +228,12 @@ def _paths(store: RunStore, entry: FigureEntry) -> Figure:
     colors = colormaps["viridis"](np.linspace(0.0, 0.9, len(entry.of)))
     for name, color, runs in zip(entry.names, colors, entry.of, strict=True):
         for style, run in runs_with_styles(_trajectories(store, runs)):
-            axes.plot(*run.com.T, color=color, linestyle=style.dash, label=f"{name}, {style.label}")
+            axes.plot(
+                *run.com.T,
+                color=color,
+                linestyle=style.dash,
+                label=f"{name}, {style.label}",
+            )
     axes.set_aspect("equal", adjustable="datalim")
     finish(axes, "y (m)", "x (m)", title="Paths of the centre of mass")
     axes.legend(loc="best", fontsize=7, frameon=False)
@@ -201,7 +244,11 @@ def _success(store: RunStore, entry: FigureEntry) -> Figure:
     """Draw the planner's success rate over the number of obstacles (Fig. 55)."""
     (job,) = store.jobs(entry.of[0])
     row = store.row(job.key)
-    shares = {count: row.values.get(f"alone.count_{count}") for count in range(1, 19)} if row else {}
+    shares = (
+        {count: row.values.get(f"alone.count_{count}") for count in range(1, 19)}
+        if row
+        else {}
+    )
     known = {count: share for count, share in shares.items() if share is not None}
     figure, (axes,) = panels(3.2)
     axes.plot([*known], [*known.values()], color="0.2", marker="o", markersize=4)

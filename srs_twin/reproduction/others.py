@@ -1,9 +1,10 @@
 """Predicted and published motion of robots that others built.
 
-A prediction is a file in calibration/predictions. The file of the same name in calibration/published/others
-has the published values. In a checkout, their commits show that the prediction came first. The file of the
-same name in calibration/predictions/recomputed has numbers that were computed after the published values were
-known, so they are not predictions.
+A prediction is a file in calibration/predictions. The file of the same name in
+calibration/published/others has the published values. In a checkout, their commits show
+that the prediction came first. The file of the same name in
+calibration/predictions/recomputed has numbers that were computed after the published
+values were known, so they are not predictions.
 """
 
 from __future__ import annotations
@@ -87,8 +88,10 @@ class PredictedQuantity(Quantiles):
         unit: unit of the numbers.
         recomputed: numbers computed after the published value was known, or None.
         published: published value, or None.
-        prediction_commit: last commit that changed a number of the prediction; None outside a checkout.
-        comparison_commit: first commit with published values of the robot; None if there is none.
+        prediction_commit: last commit that changed a number of the prediction; None
+            outside a checkout.
+        comparison_commit: first commit with published values of the robot; None if
+            there is none.
     """
 
     robot: str
@@ -119,9 +122,11 @@ class PredictedQuantity(Quantiles):
             "robots": self.robots,
             "verdict": published and self.verdict(published.value).value,
             "recomputed": self.recomputed and asdict(self.recomputed),
-            "recomputed_verdict": published
-            and self.recomputed
-            and self.recomputed.verdict(published.value).value,
+            "recomputed_verdict": (
+                published
+                and self.recomputed
+                and self.recomputed.verdict(published.value).value
+            ),
             "of": published and published.of,
             "known_before": published and published.known,
             "source": published and published.source,
@@ -140,7 +145,11 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
     rows = []
     for path in sorted((folder / "predictions").glob("*.yaml")):
         published_path = folder / "published" / "others" / path.name
-        values = load_model(PublishedFile, published_path).values if published_path.exists() else {}
+        values = (
+            load_model(PublishedFile, published_path).values
+            if published_path.exists()
+            else {}
+        )
         predicted = _predictions(path)
         recomputed_path = path.parent / "recomputed" / path.name
         recomputed = _predictions(recomputed_path) if recomputed_path.exists() else {}
@@ -167,14 +176,19 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
 def _predictions(path: Path) -> dict[str, Quantiles]:
     """Return the quantiles of a file by quantity.
 
-    The first prediction, of a spatial snake, has its own keys: it keeps the text that was committed.
+    The first prediction, of a spatial snake, has its own keys: it keeps the text that
+    was committed.
     """
     document = load_yaml(path).data
     robots = document.get("robots", 0)
     count = robots if isinstance(robots, int) else len(robots)
     quantities, unit = document.get("quantities"), ""
     if quantities is None:
-        quantities = {name: row["all"] for name, row in document.items() if name.startswith("fastest_")}
+        quantities = {
+            name: row["all"]
+            for name, row in document.items()
+            if name.startswith("fastest_")
+        }
         unit = "_m_s"
     result = {}
     for name, row in quantities.items():
@@ -194,7 +208,12 @@ def _commit(path: Path, *options: str) -> str | None:
     command = ["git", "log", "--format=%h", *options, "--", path.name]
     try:
         done = subprocess.run(
-            command, cwd=path.parent, capture_output=True, text=True, timeout=_GIT_SECONDS, check=True
+            command,
+            cwd=path.parent,
+            capture_output=True,
+            text=True,
+            timeout=_GIT_SECONDS,
+            check=True,
         )
     except (OSError, subprocess.SubprocessError):
         return None

@@ -33,12 +33,19 @@ def print_scorecard(*, as_json: bool) -> None:
     grades = scorecard(load_claims(), load_baseline())
     if as_json:
         print_json(
-            {name: {factor: asdict(grade) for factor, grade in row.items()} for name, row in grades.items()}
+            {
+                name: {factor: asdict(grade) for factor, grade in row.items()}
+                for name, row in grades.items()
+            }
         )
         return
     for name, row in grades.items():
         lines = (
-            (factor, str(row[factor].grade), row[factor].why.removesuffix(f"; {UNVALIDATED}"))
+            (
+                factor,
+                str(row[factor].grade),
+                row[factor].why.removesuffix(f"; {UNVALIDATED}"),
+            )
             for factor in FACTORS
         )
         print_table((name, "grade", "because"), lines, left=(0, 2))
@@ -64,12 +71,26 @@ def print_others(*, as_json: bool) -> None:
             f"{row.robot}: predicted in commit {row.prediction_commit or '(none)'}, "
             f"compared in commit {row.comparison_commit or '(none)'}"
             + (", published values known before" if published.known else "")
-            + (", published values simulated by its builders" if published.of == "simulation" else "")
+            + (
+                ", published values simulated by its builders"
+                if published.of == "simulation"
+                else ""
+            )
         )
-    print_table(("robot", "quantity", "95 % interval", "published", "result"), lines, left=(0, 1, 4))
+    print_table(
+        ("robot", "quantity", "95 % interval", "published", "result"),
+        lines,
+        left=(0, 1, 4),
+    )
     print("\n".join(notes.values()))
-    print(f"undecided: fewer than {MIN_BOUNDING_SAMPLES} robots, or too close to an end (docs/others.md)")
-    print(f"{len(rows) - len(compared)} predicted quantities without a published value: --json")
+    print(
+        f"undecided: fewer than {MIN_BOUNDING_SAMPLES} robots, or too close to an end"
+        " (docs/others.md)"
+    )
+    print(
+        f"{len(rows) - len(compared)} predicted quantities without a published value:"
+        " --json"
+    )
 
 
 def print_rows(rows: Sequence[JudgedClaim]) -> None:
@@ -81,10 +102,20 @@ def print_rows(rows: Sequence[JudgedClaim]) -> None:
         for row in category_rows:
             twin = row.outcomes.get("twin")
             first = row.outcomes.get("analytical") or row.outcomes.get("alone")
-            published, error = published_text(row.claim), error_text(row.claim, twin or first)
+            published, error = (
+                published_text(row.claim),
+                error_text(row.claim, twin or first),
+            )
             verdict = verdict_text(row) + (" (fitted)" if name == "fit" else "")
             print(
-                _FORMAT.format(row.claim.id, published, _short_text(first), _short_text(twin), error, verdict)
+                _FORMAT.format(
+                    row.claim.id,
+                    published,
+                    _short_text(first),
+                    _short_text(twin),
+                    error,
+                    verdict,
+                )
             )
     print(f"\n{summary_line(rows)}")
 

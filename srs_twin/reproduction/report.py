@@ -1,17 +1,21 @@
 """Output of a reproduction: reproduce.json, reproduce.html, rows as text, and a scorecard.
 
-The scorecard has credibility grades of each capability after NASA-STD-7009, with their reasons. Grades range
-from 0 (nothing is known) to 4. They are derived from stored results: verdicts of the baseline, intervals of
-`srs-twin uncertainty`, and sources of the robots' parameters.
+The scorecard has credibility grades of each capability after NASA-STD-7009, with their
+reasons. Grades range from 0 (nothing is known) to 4. They are derived from stored
+results: verdicts of the baseline, intervals of `srs-twin uncertainty`, and sources of
+the robots' parameters.
 
-- verification: 2 if all laws of the dissertation are met; 3 if in addition a refined time step changes a
-  prediction by less than a fifth of its input uncertainty.
-- validation: 2 if three quarters of the headline predictions are met, 1 if fewer, 0 if none. Predictions of
-  other groups (own tolerance, fitted robot, …) are listed but not counted. More than 2 needs own
-  measurements; nothing here was validated against hardware.
-- input pedigree: fraction of measured robot parameters: 3 for three quarters, 2 for two fifths, 1 for fewer.
+- verification: 2 if all laws of the dissertation are met; 3 if in addition a refined
+  time step changes a prediction by less than a fifth of its input uncertainty.
+- validation: 2 if three quarters of the headline predictions are met, 1 if fewer, 0 if
+  none. Predictions of other groups (own tolerance, fitted robot, …) are listed but not
+  counted. More than 2 needs own measurements; nothing here was validated against
+  hardware.
+- input pedigree: fraction of measured robot parameters: 3 for three quarters, 2 for two
+  fifths, 1 for fewer.
 - uncertainty: 2 if intervals were propagated from the inputs, otherwise 0.
-- robustness: 2 if sensitivities are known, 1 if only trends that could have failed were checked, otherwise 0.
+- robustness: 2 if sensitivities are known, 1 if only trends that could have failed were
+  checked, otherwise 0.
 """
 
 from __future__ import annotations
@@ -87,16 +91,22 @@ class Grade:
     why: str
 
 
-def scorecard(claims: Sequence[Claim], baseline: Baseline) -> dict[str, dict[str, Grade]]:
+def scorecard(
+    claims: Sequence[Claim], baseline: Baseline
+) -> dict[str, dict[str, Grade]]:
     """Return capability → factor → grade."""
     folder = data_root() / INTERVALS
-    documents = [json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))]
+    documents = [
+        json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))
+    ]
     grades = {}
     for name, prefixes in _CAPABILITIES.items():
         own_claims = [claim for claim in claims if claim.id.startswith(prefixes)]
         robots = sorted({claim.robot for claim in own_claims if claim.robot})
         intervals = [document for document in documents if document["robot"] in robots]
-        met = {category: _count_met(own_claims, baseline, category) for category in TITLES}
+        met = {
+            category: _count_met(own_claims, baseline, category) for category in TITLES
+        }
         grades[name] = {
             "verification": _verification(met["law"], intervals),
             "validation": _validation(met),
@@ -107,7 +117,9 @@ def scorecard(claims: Sequence[Claim], baseline: Baseline) -> dict[str, dict[str
     return grades
 
 
-def _count_met(claims: Sequence[Claim], baseline: Baseline, category: Category) -> tuple[int, int]:
+def _count_met(
+    claims: Sequence[Claim], baseline: Baseline, category: Category
+) -> tuple[int, int]:
     """Return the number of rows of a category that the twin (or no plant) meets, and the number of rows."""
     verdicts = []
     for claim in claims:
@@ -118,14 +130,19 @@ def _count_met(claims: Sequence[Claim], baseline: Baseline, category: Category) 
     return sum(verdicts), len(verdicts)
 
 
-def _verification(law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]) -> Grade:
+def _verification(
+    law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
+) -> Grade:
     met, rows = law
     text = f"{met} of {rows} laws met" if rows else "its laws are tests of the program"
     if met < rows:
         return Grade(1, text)
     for document in intervals:
         metric = _target(document)
-        if metric["u_num"] is not None and metric["u_num"] < _SMALL_NUMERICAL_ERROR * metric["u_input"]:
+        if (
+            metric["u_num"] is not None
+            and metric["u_num"] < _SMALL_NUMERICAL_ERROR * metric["u_input"]
+        ):
             share = 100 * metric["u_num"] / metric["u_input"]
             return Grade(3, f"{text}; time step {share:.0f} % of the input uncertainty")
     return Grade(2, text)
@@ -145,7 +162,9 @@ def _validation(counts: Mapping[Category, tuple[int, int]]) -> Grade:
 
 
 def _pedigree(robots: Sequence[str]) -> Grade:
-    records = [record for name in robots for record in load_robot_file(name).records().values()]
+    records = [
+        record for name in robots for record in load_robot_file(name).records().values()
+    ]
     if not records:
         return Grade(0, "no robot")
     measured = sum(record.status == "measured" for record in records)
@@ -159,18 +178,35 @@ def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
         metric, target = _target(document), document["target"]
         low, high = metric["interval_95"]
         published = metric["published"]
-        verdict = "" if published is None else f", published {published:.3g} {metric['verdict']}"
-        return Grade(2, f"{document['scenario']}, {target['metric']}: {low:.3g} to {high:.3g}{verdict}")
+        verdict = (
+            ""
+            if published is None
+            else f", published {published:.3g} {metric['verdict']}"
+        )
+        return Grade(
+            2,
+            f"{document['scenario']}, {target['metric']}: {low:.3g} to"
+            f" {high:.3g}{verdict}",
+        )
     return Grade(0, "no intervals")
 
 
-def _robustness(trends: tuple[int, int], intervals: Sequence[Mapping[str, Any]]) -> Grade:
-    text = f"{trends[0]} of {trends[1]} orders and trends met" if trends[1] else "no published trends"
+def _robustness(
+    trends: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
+) -> Grade:
+    text = (
+        f"{trends[0]} of {trends[1]} orders and trends met"
+        if trends[1]
+        else "no published trends"
+    )
     for document in intervals:
         indices = _target(document)["sensitivity"]
         if indices:
             largest = max(indices, key=lambda name: float(indices[name]["total"]))
-            return Grade(2, f"most from {largest}, {100 * indices[largest]['total']:.0f} %; {text}")
+            return Grade(
+                2,
+                f"most from {largest}, {100 * indices[largest]['total']:.0f} %; {text}",
+            )
     return Grade(1 if trends[1] else 0, text)
 
 
@@ -200,23 +236,36 @@ TITLES: dict[Category, str] = {
 
 MEANINGS: dict[Category, str] = {
     "headline": (
-        "Published quantities of robots that were not fitted to the same table. The tolerance is the "
-        "dissertation's: a bound, or the difference between two values that it states for one quantity."
+        "Published quantities of robots that were not fitted to the same table. The"
+        " tolerance is the dissertation's: a bound, or the difference between two"
+        " values that it states for one quantity."
     ),
     "own_tolerance": "The dissertation states no tolerance; the tolerance is ours.",
     "fitted_robot": (
-        "The robot was fitted to Table 8 at offsets 0 and ±0.3. A line through these three rows meets all "
-        "predicted speeds and edges and three of four radii, so these rows are weak evidence for the model."
+        "The robot was fitted to Table 8 at offsets 0 and ±0.3. A line through these"
+        " three rows meets all predicted speeds and edges and three of four radii, so"
+        " these rows are weak evidence for the model."
     ),
-    "chosen_parameter": "The time constants of generation 1 were chosen with its speed in view.",
+    "chosen_parameter": (
+        "The time constants of generation 1 were chosen with its speed in view."
+    ),
     "tuned_controller": (
-        "The search for the gains of the controllers minimised overshoot and valve openings, with settling "
-        "within 0.25 s and a lag of at most 0.5 rad. Rows that follow from these criteria are no evidence."
+        "The search for the gains of the controllers minimised overshoot and valve"
+        " openings, with settling within 0.25 s and a lag of at most 0.5 rad. Rows that"
+        " follow from these criteria are no evidence."
     ),
-    "chosen_obstacles": "The obstacles and paths of the figures are not available; ours are simulated.",
-    "between_models": "The published comparison is between model and robot, ours between our two models.",
+    "chosen_obstacles": (
+        "The obstacles and paths of the figures are not available; ours are simulated."
+    ),
+    "between_models": (
+        "The published comparison is between model and robot, ours between our two"
+        " models."
+    ),
     "shape": "Orders and trends that the simulation could have missed.",
-    "by_construction": "These rows follow from symmetry or from our assumptions, so they are no evidence.",
+    "by_construction": (
+        "These rows follow from symmetry or from our assumptions, so they are no"
+        " evidence."
+    ),
     "law": "Laws are true by construction or theory; they test the program.",
     "fit": "Robots were calibrated with these values, or may be.",
 }
@@ -225,35 +274,57 @@ MEANINGS: dict[Category, str] = {
 _NOTHING = "–"
 
 
-def count_verdicts(rows: Sequence[JudgedClaim], column: str, uses: Sequence[str] = USES) -> dict[str, int]:
+def count_verdicts(
+    rows: Sequence[JudgedClaim], column: str, uses: Sequence[str] = USES
+) -> dict[str, int]:
     """Return the numbers of rows of a column that are "met", "explained" and "missed", and of "all"."""
     verdicts = [
-        row.outcomes[column].verdict for row in rows if row.claim.use in uses and column in row.outcomes
+        row.outcomes[column].verdict
+        for row in rows
+        if row.claim.use in uses and column in row.outcomes
     ]
-    return {name: verdicts.count(name) for name in (MET, EXPLAINED, MISSED)} | {"all": len(verdicts)}
+    return {name: verdicts.count(name) for name in (MET, EXPLAINED, MISSED)} | {
+        "all": len(verdicts)
+    }
 
 
 def by_category(rows: Sequence[JudgedClaim]) -> dict[Category, list[JudgedClaim]]:
     """Return category → its rows, in the order of the page, including empty categories."""
-    return {name: [row for row in rows if row.claim.category == name] for name in TITLES}
+    return {
+        name: [row for row in rows if row.claim.category == name] for name in TITLES
+    }
 
 
 def summary_line(rows: Sequence[JudgedClaim]) -> str:
     """Return a sentence with the numbers of rows that each plant meets, headline predictions first."""
-    columns = {"twin": "the twin meets", "analytical": "the analytical model", "alone": "without a plant"}
+    columns = {
+        "twin": "the twin meets",
+        "analytical": "the analytical model",
+        "alone": "without a plant",
+    }
     groups = {
         "headline predictions": [row for row in rows if row.claim.group == "headline"],
-        "other predictions": [row for row in rows if row.claim.group not in (None, "headline")],
+        "other predictions": [
+            row for row in rows if row.claim.group not in (None, "headline")
+        ],
         "orders and trends": by_category(rows)["shape"],
         "laws": by_category(rows)["law"],
     }
     sentences = []
     for column, name in columns.items():
-        counts = {label: count_verdicts(group, column) for label, group in groups.items()}
-        texts = [f"{count[MET]} of {count['all']} {label}" for label, count in counts.items() if count["all"]]
+        counts = {
+            label: count_verdicts(group, column) for label, group in groups.items()
+        }
+        texts = [
+            f"{count[MET]} of {count['all']} {label}"
+            for label, count in counts.items()
+            if count["all"]
+        ]
         fitted = count_verdicts(rows, column, ("fit",))
         if fitted["all"]:
-            texts.append(f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)")
+            texts.append(
+                f"(separately: {fitted[MET]} of {fitted['all']} rows for calibration)"
+            )
         if texts:
             sentences.append(f"{name} {', '.join(texts).replace(', (', ' (')}")
     return f"Of {len(rows)} rows {'; '.join(sentences)}."
@@ -283,7 +354,11 @@ def number_text(value: float) -> str:
     """Return a number with three significant digits, whole ones with all digits."""
     if value == 0:
         return "0"
-    return str(int(value)) if float(value).is_integer() and abs(value) < 1e6 else f"{value:.3g}"
+    return (
+        str(int(value))
+        if float(value).is_integer() and abs(value) < 1e6
+        else f"{value:.3g}"
+    )
 
 
 def error_text(claim: Claim, outcome: Outcome | None) -> str:
@@ -301,9 +376,17 @@ def verdict_text(row: JudgedClaim) -> str:
 
 
 _HEADINGS = (
-    "row", "statement", "published", "allowed", "analytical", "error", "twin", "error",
-    "could it have failed?", "cause of a miss",
-)  # fmt: skip
+    "row",
+    "statement",
+    "published",
+    "allowed",
+    "analytical",
+    "error",
+    "twin",
+    "error",
+    "could it have failed?",
+    "cause of a miss",
+)
 
 
 def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) -> None:
@@ -320,22 +403,31 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
     outcomes = outcomes_document(rows)
     document = {
         "summary": {
-            column: {use: count_verdicts(rows, column, (use,)) for use in USES} for column in COLUMNS
+            column: {use: count_verdicts(rows, column, (use,)) for use in USES}
+            for column in COLUMNS
         },
         "groups": {
-            column: {name: count_verdicts(group, column) for name, group in by_category(rows).items()}
+            column: {
+                name: count_verdicts(group, column)
+                for name, group in by_category(rows).items()
+            }
             for column in COLUMNS
         },
         "changed_from_baseline": list(changes),
         "rows": [_row(row, outcomes[row.claim.id]) for row in rows],
         "versions": versions(),
     }
-    write_text(path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    write_text(
+        path, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    )
 
 
 def _row(row: JudgedClaim, outcomes: object) -> dict[str, object]:
     claim = row.claim
-    names = "id source robot says use group could_fail tolerance fitted rule value unit allowed".split()
+    names = (
+        "id source robot says use group could_fail tolerance fitted rule value unit"
+        " allowed".split()
+    )
     return {name: getattr(claim, name) for name in names} | {"outcomes": outcomes}
 
 
@@ -357,7 +449,9 @@ def write_html(
         InputError: the path cannot be written.
     """
     sections = {
-        TITLES[name]: Table(_HEADINGS, [_cells(row) for row in group], range(2, 8), note=MEANINGS[name])
+        TITLES[name]: Table(
+            _HEADINGS, [_cells(row) for row in group], range(2, 8), note=MEANINGS[name]
+        )
         for name, group in by_category(rows).items()
     }
     content = render(
@@ -366,7 +460,10 @@ def write_html(
         subtitle=summary_line(rows),
         changes=changes,
         sections=sections,
-        figures=[picture(figure, f"Fig. {entry.figure}: {entry.caption}") for entry, figure in figures],
+        figures=[
+            picture(figure, f"Fig. {entry.figure}: {entry.caption}")
+            for entry, figure in figures
+        ],
         versions=Table(["package", "version"], list(versions().items())),
     )
     write_text(path, content)
@@ -375,7 +472,10 @@ def write_html(
 def _cells(row: JudgedClaim) -> list[str]:
     claim, outcomes = row.claim, row.outcomes
     unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
-    first, second = outcomes.get("analytical") or outcomes.get("alone"), outcomes.get("twin")
+    first, second = (
+        outcomes.get("analytical") or outcomes.get("alone"),
+        outcomes.get("twin"),
+    )
     reasons = dict.fromkeys(outcome.why for outcome in outcomes.values() if outcome.why)
     return [
         claim.id,
@@ -395,4 +495,6 @@ def _colored_outcome(outcome: Outcome | None) -> str:
     if outcome is None:
         return ""
     note = {MET: "", EXPLAINED: " (explained)", MISSED: " (missed)"}[outcome.verdict]
-    return colored(outcome_text(outcome) + note, "met" if outcome.verdict == MET else "missed")
+    return colored(
+        outcome_text(outcome) + note, "met" if outcome.verdict == MET else "missed"
+    )

@@ -14,10 +14,21 @@ from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import StrPath, folder_or_temporary
 from srs_twin.reproduction import verdicts
 from srs_twin.reproduction.claims import Claim, load_claims, select_claims
-from srs_twin.reproduction.figures import FigureEntry, draw_figures, figure_jobs, load_figures
+from srs_twin.reproduction.figures import (
+    FigureEntry,
+    draw_figures,
+    figure_jobs,
+    load_figures,
+)
 from srs_twin.reproduction.report import outcome_text, write_html, write_json
 from srs_twin.reproduction.runs import HTML, JSON, JUNIT, open_store
-from srs_twin.reproduction.verdicts import MET, JudgedClaim, Outcome, judge, load_baseline
+from srs_twin.reproduction.verdicts import (
+    MET,
+    JudgedClaim,
+    Outcome,
+    judge,
+    load_baseline,
+)
 from srs_twin.studies.sweep.execution import Progress, quiet
 
 
@@ -87,10 +98,21 @@ def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCa
     def test_case(claim: Claim, column: str, outcome: Outcome) -> TestCase:
         if outcome.verdict == MET:
             return TestCase(claim.id, column)
-        message = f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed}"
+        message = (
+            f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed}"
+        )
         text = "\n".join([claim.says, claim.source, outcome.why])
-        return TestCase(claim.id, column, 0.0, "failure", message, outcome.verdict, text)
+        return TestCase(
+            claim.id, column, 0.0, "failure", message, outcome.verdict, text
+        )
 
     for use in dict.fromkeys(row.claim.use for row in rows):
         suite = [row for row in rows if row.claim.use == use]
-        yield use, [test_case(row.claim, *outcome) for row in suite for outcome in row.outcomes.items()]
+        yield (
+            use,
+            [
+                test_case(row.claim, *outcome)
+                for row in suite
+                for outcome in row.outcomes.items()
+            ],
+        )

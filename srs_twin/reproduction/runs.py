@@ -1,6 +1,7 @@
 """Runs for claims, stored under a hash of all their inputs, so that claims share runs and keep finished ones.
 
-Missing runs are done by worker processes, and each result is stored as soon as it is finished.
+Missing runs are done by worker processes, and each result is stored as soon as it is
+finished.
 """
 
 from __future__ import annotations
@@ -62,7 +63,9 @@ class ReproductionJob:
         if self.experiment is None:
             return math.inf
         base = self.experiment.base
-        return float(base["duration_s"] / base["plants"].get("twin", {}).get("timestep_s", 0.001))
+        return float(
+            base["duration_s"] / base["plants"].get("twin", {}).get("timestep_s", 0.001)
+        )
 
 
 @cache
@@ -96,8 +99,15 @@ def _equal(one: Plain, other: Plain) -> bool:
 @cache
 def _data_digests() -> dict[str, str]:
     """Return the SHA-256 of the shipped robots and footprints, by name, as computations read them."""
-    files = [path for kind in ("robot", "footprint") for path in shipped_folder(kind).glob("*.yaml")]
-    return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in sorted(files)}
+    files = [
+        path
+        for kind in ("robot", "footprint")
+        for path in shipped_folder(kind).glob("*.yaml")
+    ]
+    return {
+        path.stem: hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(files)
+    }
 
 
 HTML = "reproduce.html"
@@ -106,7 +116,9 @@ JUNIT = "reproduce.xml"
 
 
 @contextmanager
-def open_store(folder: Path, change: DocumentChange | None = None) -> Iterator[RunStore]:
+def open_store(
+    folder: Path, change: DocumentChange | None = None
+) -> Iterator[RunStore]:
     """Open and lock a folder of stored runs.
 
     Args:
@@ -137,11 +149,14 @@ class RunStore:
         Raises:
             InputError: the scenario or sweep is invalid.
         """
-        text = json.dumps([request.kind, request.name, request.set, request.periods, request.where])
+        text = json.dumps(
+            [request.kind, request.name, request.set, request.periods, request.where]
+        )
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # A job that stores trajectories replaces an equal job that does not store them.
+                # A job that stores trajectories replaces an equal job that does not
+                # store them.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)
@@ -159,8 +174,12 @@ class RunStore:
             yield ReproductionJob(key, law=request.name, arguments=request.set)
             return
         sweep = sweep_of(request.name) if request.kind == "sweep" else None
-        experiment = sweep.experiment if sweep else _experiment(request.name, request.periods)
-        for changes in [point.changes for point in points_of(request)] if sweep else [{}]:
+        experiment = (
+            sweep.experiment if sweep else _experiment(request.name, request.periods)
+        )
+        for changes in (
+            [point.changes for point in points_of(request)] if sweep else [{}]
+        ):
             document = experiment.document({**changes, **request.set})  # type: ignore[dict-item]
             if self._change is not None:
                 document = self._change(document)
@@ -220,9 +239,16 @@ class RunStore:
         return Trajectory.from_parquet(path) if path.is_file() else None
 
     def _is_finished(self, job: ReproductionJob) -> bool:
-        if job.key not in self._rows or job.experiment is None or not job.stores_trajectories:
+        if (
+            job.key not in self._rows
+            or job.experiment is None
+            or not job.stores_trajectories
+        ):
             return job.key in self._rows
-        return all(self._store.trajectory_file(job.key, plant).is_file() for plant in job.experiment.plants)
+        return all(
+            self._store.trajectory_file(job.key, plant).is_file()
+            for plant in job.experiment.plants
+        )
 
 
 def run_job(job: ReproductionJob) -> Row:

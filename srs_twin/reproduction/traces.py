@@ -52,7 +52,8 @@ def third_harmonic(run: Trajectory) -> float | None:
     time, bends = run.time[in_window], run.stack("bend")[in_window]
     frequency = 1 / window.period
     shares = [
-        fit_sine(time, bend, 3 * frequency).amplitude / fit_sine(time, bend, frequency).amplitude
+        fit_sine(time, bend, 3 * frequency).amplitude
+        / fit_sine(time, bend, frequency).amplitude
         for bend in bends.T
     ]
     return float(max(shares))
@@ -76,8 +77,8 @@ def algorithm_1_error(run: Trajectory) -> float | None:
 def algorithm_2_error(run: Trajectory) -> float | None:
     """Return the largest relative error of the arc lengths of Algorithm 2 (Table 4).
 
-    The arcs go through the connectors with the curvature of Algorithm 1. This is only for robots without
-    rigid gaps, whose segments are complete arcs.
+    The arcs go through the connectors with the curvature of Algorithm 1. This is only
+    for robots without rigid gaps, whose segments are complete arcs.
     """
     length = body_length(run) / (run.position.shape[1] - 1)
     position, heading = run.position, _marker_headings(run)
@@ -140,8 +141,8 @@ def step_c(run: Trajectory) -> float:
 def _time_constants(run: Trajectory) -> tuple[float, float]:
     """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
 
-    ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², so that neither a fit nor initial values are
-    needed.
+    ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², so that neither a fit
+    nor initial values are needed.
     """
     remainder = 1 - run["bend_1"] / run["bend_1"][-1]
     total = float(np.trapezoid(remainder, run.time))
@@ -154,7 +155,8 @@ def _time_constants(run: Trajectory) -> tuple[float, float]:
 def learning_law_error(run: Trajectory) -> float:
     """Return the largest difference of a duty from that of Eq. 32 with k = 0.3 and the previous period.
 
-    The error and duty of each chamber in one period determine its duty in the next, clipped to 0 to 1.
+    The error and duty of each chamber in one period determine its duty in the next,
+    clipped to 0 to 1.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)

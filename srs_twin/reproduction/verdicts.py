@@ -36,7 +36,9 @@ def _json(value: float, info: SerializationInfo) -> float | None:
 
 
 Number = Annotated[
-    float, BeforeValidator(lambda value: math.nan if value is None else value), PlainSerializer(_json)
+    float,
+    BeforeValidator(lambda value: math.nan if value is None else value),
+    PlainSerializer(_json),
 ]
 """Number that is null in JSON if it is not finite."""
 
@@ -48,7 +50,8 @@ class Outcome:
     Attributes:
         verdict: "met", "missed", or "explained" if it is missed and the cause is shown.
         values: values of the measures in the claim's unit; NaN if missing.
-        value: number that is compared with the published one; NaN for an ordering or if missing.
+        value: number that is compared with the published one; NaN for an ordering or if
+            missing.
         error: (value − published)/|published|; NaN if undefined.
         why: cause of a miss, or reason why there is no value; empty if unknown.
     """
@@ -83,7 +86,9 @@ def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
     """
     values = tuple(_number(store, measure, column) for measure in claim.all_measures)
     if any(math.isnan(value) for value in values):
-        return Outcome(MISSED, values, math.nan, math.nan, _missing_reason(store, claim))
+        return Outcome(
+            MISSED, values, math.nan, math.nan, _missing_reason(store, claim)
+        )
     if claim.rule == "ordering":
         is_met = all(a > b for a, b in zip(values, values[1:], strict=False))
         return Outcome(MET if is_met else MISSED, values, math.nan, math.nan)
@@ -96,7 +101,9 @@ def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
 
 def _number(store: RunStore, measure: Measure, column: str) -> float:
     owner = measure.plant or column
-    values = np.array([_value(store, job, owner, measure.metric) for job in store.jobs(measure)])
+    values = np.array(
+        [_value(store, job, owner, measure.metric) for job in store.jobs(measure)]
+    )
     if measure.size:
         values = np.abs(values)
     if not len(values) or (measure.take is None and len(values) > 1):
@@ -119,7 +126,11 @@ def _value(store: RunStore, job: ReproductionJob, owner: str, metric: str) -> fl
 
 def _missing_reason(store: RunStore, claim: Claim) -> str:
     """Return the reason why a claim has no value."""
-    failures = (store.failure(job.key) for measure in claim.all_measures for job in store.jobs(measure))
+    failures = (
+        store.failure(job.key)
+        for measure in claim.all_measures
+        for job in store.jobs(measure)
+    )
     reason = next(filter(None, failures), "the run has no such number")
     return f"no value: {reason}"
 
@@ -128,7 +139,8 @@ def combine(combination: str, values: tuple[float, ...]) -> float:
     """Return the combination of one or two measures; NaN for a division by zero.
 
     Args:
-        combination: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or "unevenness" |a + b|/|a|.
+        combination: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or
+            "unevenness" |a + b|/|a|.
         values: values of the measures.
     """
     a, b = values[0], values[-1]
@@ -185,7 +197,10 @@ class Baseline:
             for column, outcome in row.outcomes.items():
                 before = self.outcomes.get(row.claim.id, {}).get(column)
                 if before is not None and outcome.verdict != before.verdict:
-                    lines.append(f"{row.claim.id}, {column}: {outcome.verdict}, was {before.verdict}")
+                    lines.append(
+                        f"{row.claim.id}, {column}: {outcome.verdict}, was"
+                        f" {before.verdict}"
+                    )
         return lines
 
 
@@ -203,9 +218,13 @@ def load_baseline(path: Path | None = None) -> Baseline:
     file = path or baseline_file()
     try:
         document = read_json(file)
-        return Baseline(_OUTCOMES.validate_python(document["rows"]), dict(document["versions"]))
+        return Baseline(
+            _OUTCOMES.validate_python(document["rows"]), dict(document["versions"])
+        )
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{display_path(file)}: not a baseline; --write-baseline writes one") from error
+        raise InputError(
+            f"{display_path(file)}: not a baseline; --write-baseline writes one"
+        ) from error
 
 
 def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Path:
@@ -220,7 +239,9 @@ def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Pat
     return file
 
 
-def outcomes_document(rows: Sequence[JudgedClaim], *, digits: int | None = None) -> dict[str, object]:
+def outcomes_document(
+    rows: Sequence[JudgedClaim], *, digits: int | None = None
+) -> dict[str, object]:
     """Return outcomes as JSON values: claim → column → verdict, values, value, error, why.
 
     Args:
@@ -228,7 +249,9 @@ def outcomes_document(rows: Sequence[JudgedClaim], *, digits: int | None = None)
         digits: number of significant digits; None: all.
     """
     outcomes = {row.claim.id: row.outcomes for row in rows}
-    document: dict[str, object] = _OUTCOMES.dump_python(outcomes, mode="json", context={"digits": digits})
+    document: dict[str, object] = _OUTCOMES.dump_python(
+        outcomes, mode="json", context={"digits": digits}
+    )
     return document
 
 
@@ -252,27 +275,46 @@ def judge(
     """
 
     def run(selected: Iterable[Claim]) -> None:
-        jobs = [job for claim in selected for measure in claim.all_measures for job in store.jobs(measure)]
+        jobs = [
+            job
+            for claim in selected
+            for measure in claim.all_measures
+            for job in store.jobs(measure)
+        ]
         store.run(jobs, workers=workers, progress=progress)
 
     run(claims)
     rows = [
-        JudgedClaim(claim, {column: judge_column(store, claim, column) for column in claim.columns})
+        JudgedClaim(
+            claim,
+            {column: judge_column(store, claim, column) for column in claim.columns},
+        )
         for claim in claims
     ]
-    run(row.claim.with_switch(cause) for row in rows for cause in _switchable_causes(row))
+    run(
+        row.claim.with_switch(cause)
+        for row in rows
+        for cause in _switchable_causes(row)
+    )
     return tuple(_explained(store, row) for row in rows)
 
 
 def _switchable_causes(row: JudgedClaim) -> list[Cause]:
     """Return the causes of missed columns that runs with a switched assumption must show."""
     missed = {name for name, outcome in row.outcomes.items() if outcome.verdict != MET}
-    return [cause for cause in row.claim.cause if cause.switch is not None and missed & set(cause.columns)]
+    return [
+        cause
+        for cause in row.claim.cause
+        if cause.switch is not None and missed & set(cause.columns)
+    ]
 
 
 def _explained(store: RunStore, row: JudgedClaim) -> JudgedClaim:
     """Return a row with the causes of its missed outcomes."""
-    outcomes = {name: _explain(store, row.claim, name, outcome) for name, outcome in row.outcomes.items()}
+    outcomes = {
+        name: _explain(store, row.claim, name, outcome)
+        for name, outcome in row.outcomes.items()
+    }
     return replace(row, outcomes=outcomes)
 
 
@@ -283,7 +325,9 @@ def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Ou
         return outcome
     for cause in causes:
         if cause.docs is not None:
-            return replace(outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})")
+            return replace(
+                outcome, verdict=EXPLAINED, why=f"{cause.says} ({cause.docs})"
+            )
         if cause.switch is None:
             return replace(outcome, why=f"presumed cause: {cause.says}")
         switched = judge_column(store, claim.with_switch(cause), column)
@@ -291,4 +335,6 @@ def _explain(store: RunStore, claim: Claim, column: str, outcome: Outcome) -> Ou
             why = f"{cause.switch}: {cause.says}; met with this assumption switched"
             return replace(outcome, verdict=EXPLAINED, why=why)
     switches = ", ".join(f"{cause.switch}" for cause in causes)
-    return replace(outcome, why=outcome.why or f"not met either with {switches} switched")
+    return replace(
+        outcome, why=outcome.why or f"not met either with {switches} switched"
+    )

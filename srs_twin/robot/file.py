@@ -1,6 +1,7 @@
 """Robot files: parameters of one snake with unit, status and source, given by name, path or override.
 
-The published robots are in calibration/robots; `sections` describes the sections of a file.
+The published robots are in calibration/robots; `sections` describes the sections of a
+file.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ _ROUND_TRACK = 1e-3
 """Half the distance of two contact points side by side over the width, 1: both are below the axis."""
 
 _ROUNDNESS = 0.01
-"""Relative difference of width and height at which a section still counts as round, 1."""
+"""Relative difference of width and height at which a section still counts as round, 1.
+"""
 
 _TWIST_RATIO = 2 / 3
 """GJ/EI of a solid, incompressible, round section: J = 2 I and G = E/3."""
@@ -115,7 +117,9 @@ class RobotFile(StrictModel):
     @property
     def scale(self) -> Scale:
         """Units of the numerical settings."""
-        return Scale.of_pitch(self.geometry.segment_length_m.value + self.geometry.rigid_gap_m.value)
+        return Scale.of_pitch(
+            self.geometry.segment_length_m.value + self.geometry.rigid_gap_m.value
+        )
 
     def spec(self, seed: int = 0) -> RobotSpec:
         """Return the robot in SI units.
@@ -126,7 +130,10 @@ class RobotFile(StrictModel):
         bending = self.bending.to_si()
         if self.is_spatial:
             stiffness = bending["stiffness"]
-            bending = {"pitch_stiffness": stiffness, "roll_stiffness": _TWIST_RATIO * stiffness} | bending
+            bending = {
+                "pitch_stiffness": stiffness,
+                "roll_stiffness": _TWIST_RATIO * stiffness,
+            } | bending
         if self.has_servos:
             actuator, rigid, chamber, supply = self._servo()
             bending |= rigid
@@ -135,21 +142,33 @@ class RobotFile(StrictModel):
             if self.bending.lead is False:
                 delay = bending["damping_time"] - actuator["tau_mode"]
                 actuator["tau_mode"] = bending["damping_time"]
-                actuator |= {name: actuator[name] - delay for name in ("tau_fill", "tau_vent")}
+                actuator |= {
+                    name: actuator[name] - delay for name in ("tau_fill", "tau_vent")
+                }
         gain = actuator.pop("bend") / actuator.pop("at_pressure")
         has_dead_zone = bool(actuator.keys() & {"onset", "onset_width"})
         segments = self.geometry.connectors.value - 1
-        geometry, friction, contact = self.geometry.to_si(), self.friction.to_si(), self.contact
+        geometry, friction, contact = (
+            self.geometry.to_si(),
+            self.friction.to_si(),
+            self.contact,
+        )
         if contact is None or not contact.is_skin:
-            mass, skin = Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())}), None
+            mass, skin = (
+                Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())}),
+                None,
+            )
         else:
             mass, skin = Mass.along_body(tuple(self.masses())), contact.skin()
             friction |= contact.friction()
-            # The section of a spatial robot is round and touches the floor along a line.
+            # The section of a spatial robot is round and touches the floor along a
+            # line.
             track = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
             geometry |= {
                 "half_track": geometry["width"] / track,
-                "wheel_radius": geometry["com_height"],  # spheres around the centre of the body
+                "wheel_radius": geometry[
+                    "com_height"
+                ],  # spheres around the centre of the body
             }
         return RobotSpec(
             name=self.name,
@@ -159,12 +178,18 @@ class RobotFile(StrictModel):
             friction=Friction(**friction),
             bending=Bending(**bending),
             actuator=Actuator(
-                **{"bend_limit": math.inf, "onset_share": float(has_dead_zone)} | actuator, gain=gain
+                **{"bend_limit": math.inf, "onset_share": float(has_dead_zone)}
+                | actuator,
+                gain=gain,
             ),
             chamber=chamber,
             supply=supply,
             phase_step=self.gait.phase_step_rad.value,
-            variation=self.modules.draw(segments, seed, self._chambers) if self.modules else None,
+            variation=(
+                self.modules.draw(segments, seed, self._chambers)
+                if self.modules
+                else None
+            ),
             tail=Tail(**self.tail.to_si()) if self.tail else None,
             skin=skin,
         )
@@ -191,7 +216,11 @@ class RobotFile(StrictModel):
         if self.has_skin:
             record, count = self.mass.segments_kg, count - 1
         assert record is not None, "`contradictions` reports a missing mass"
-        return list(record.value) if isinstance(record.value, list) else [record.value] * count
+        return (
+            list(record.value)
+            if isinstance(record.value, list)
+            else [record.value] * count
+        )
 
     @property
     def has_servos(self) -> bool:
@@ -201,17 +230,27 @@ class RobotFile(StrictModel):
     def _servo(self) -> tuple[dict[str, float], dict[str, float], Chamber, Supply]:
         """Return actuator, bending, chamber and supply of pneumatic modules that move like servos.
 
-        Two equal time constants make a critically damped response. The stiffness k is so high that loads do
-        not matter; with the damping k τ the joints of the twin follow the same response.
+        Two equal time constants make a critically damped response. The stiffness k is
+        so high that loads do not matter; with the damping k τ the joints of the twin
+        follow the same response.
         """
         time = self.actuator.response_time_s
         assert time is not None, "`contradictions` reports a missing key"
-        g, tau, pressure = self.geometry, float(time.value), SERVO_PRESSURE_KPA * PA_PER_KPA
-        body = (g.connectors.value - 1) * (g.segment_length_m.value + g.rigid_gap_m.value)
+        g, tau, pressure = (
+            self.geometry,
+            float(time.value),
+            SERVO_PRESSURE_KPA * PA_PER_KPA,
+        )
+        body = (g.connectors.value - 1) * (
+            g.segment_length_m.value + g.rigid_gap_m.value
+        )
         mass = sum(self.masses())
         actuator = {"bend": self.actuator.bend_rad.value, "at_pressure": pressure}
         actuator |= dict.fromkeys(("tau_fill", "tau_vent", "tau_mode"), tau)
-        bending = {"stiffness": _RIGID_RATIO * GRAVITY * mass * body, "damping_time": tau}
+        bending = {
+            "stiffness": _RIGID_RATIO * GRAVITY * mass * body,
+            "damping_time": tau,
+        }
         supply = Supply(pressure, pressure, pressure, "full command of a servo")
         return actuator, bending, Chamber(_SERVO_VOLUME_M3, _SERVO_VOLUME_M3), supply
 
@@ -223,9 +262,15 @@ class RobotFile(StrictModel):
         chamber = Chamber(
             dead_volume=self.chamber.dead_volume_ml.value * M3_PER_ML,
             displacement=self.chamber.air_volume_ml.value * M3_PER_ML / (math.pi / 2),
-            directions=None if directions is None else tuple(map(math.radians, directions.value)),
+            directions=(
+                None
+                if directions is None
+                else tuple(map(math.radians, directions.value))
+            ),
         )
-        return chamber, Supply(**self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source)
+        return chamber, Supply(
+            **self.supply.to_si(), limit_source=self.supply.pulsed_limit_kpa.source
+        )
 
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of keys that the kinds of contact and actuator lack or do not have."""
@@ -240,37 +285,56 @@ class RobotFile(StrictModel):
                 missing = getattr(getattr(self, name), key, None) is None
                 fits = kind in (contact, actuator)
                 if missing and fits and key in model.needed_by:
-                    yield (name, key), f"missing; a robot with {title_of[kind]} needs it"
+                    yield (
+                        (name, key),
+                        f"missing; a robot with {title_of[kind]} needs it",
+                    )
                 elif not missing and not fits:
-                    yield (name, key), f"a robot with {title_of[kind]} has no {key}; remove it"
+                    yield (
+                        (name, key),
+                        f"a robot with {title_of[kind]} has no {key}; remove it",
+                    )
         for key in ("pitch_stiffness_nm_per_rad", "roll_stiffness_nm_per_rad"):
             if not self.is_spatial and getattr(self.bending, key) is None:
                 yield ("bending", key), "missing; a planar robot needs it"
         if not self.is_spatial and self.actuator.extension_m_per_kpa is not None:
-            text = "segments of a planar robot keep their length; remove it, or give chamber.directions_deg"
+            text = (
+                "segments of a planar robot keep their length; remove it, or give"
+                " chamber.directions_deg"
+            )
             yield ("actuator", "extension_m_per_kpa"), text
         if self.is_spatial and not self.has_skin:
-            text = "a robot that bends in two directions needs contact skin: its wheels would leave the floor"
+            text = (
+                "a robot that bends in two directions needs contact skin: its wheels"
+                " would leave the floor"
+            )
             yield ("chamber", "directions_deg"), text
         if self.has_skin and self.tail is not None:
             yield ("tail",), "a robot with contact skin has no axles; remove the tail"
 
     def doubts(self) -> Iterator[Doubt]:
         """Return the numbers whose unit is in doubt."""
-        return find_doubts({path: record.value for path, record in self.records().items()}, self.masses())
+        return find_doubts(
+            {path: record.value for path, record in self.records().items()},
+            self.masses(),
+        )
 
     def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
         """Yield path and message of a damping with `lead: false` that leaves no time for the chambers."""
         if self.bending.lead is None:
             return
         if self.has_servos:
-            yield ("bending", "lead"), "a robot with actuator position has no lead; remove it"
+            yield (
+                ("bending", "lead"),
+                "a robot with actuator position has no lead; remove it",
+            )
             return
         numbers = self.bending.to_si() | self.actuator.to_si()
         longest = numbers["tau_mode"] + min(numbers["tau_fill"], numbers["tau_vent"])
         if not self.bending.lead and not numbers["damping_time"] < longest:
             text = (
-                f"{numbers['damping_time']:g} s is not allowed with lead: false; it must be below {longest:g}"
+                f"{numbers['damping_time']:g} s is not allowed with lead: false; it"
+                f" must be below {longest:g}"
             )
             yield ("bending", "damping_time_s", "value"), text
 
@@ -282,17 +346,29 @@ class RobotFile(StrictModel):
             return
         yield from self._contradictions_of_delay()
         connectors, masses = self.geometry.connectors.value, self.masses()
-        key, count = ("segments", connectors - 1) if self.has_skin else ("connectors", connectors)
+        key, count = (
+            ("segments", connectors - 1)
+            if self.has_skin
+            else ("connectors", connectors)
+        )
         if len(masses) != count:
             yield (
                 ("mass", f"{key}_kg", "value"),
-                f"{len(masses)} masses for {count} {key}; give {count}, or one number for all",
+                (
+                    f"{len(masses)} masses for {count} {key}; give {count}, or one"
+                    " number for all"
+                ),
             )
-        if self.mass.wheel_kg and 2 * (wheel := self.mass.wheel_kg.value) > WHEEL_SHARE * min(masses):
+        if self.mass.wheel_kg and 2 * (
+            wheel := self.mass.wheel_kg.value
+        ) > WHEEL_SHARE * min(masses):
             yield (
                 ("mass", "wheel_kg", "value"),
-                f"two wheels of {wheel:g} kg are too much for the lightest connector, {min(masses):g} kg; "
-                f"{WHEEL_SHARE * min(masses) / 2:g} kg each at most",
+                (
+                    f"two wheels of {wheel:g} kg are too much for the lightest"
+                    f" connector, {min(masses):g} kg; {WHEEL_SHARE * min(masses) / 2:g}"
+                    " kg each at most"
+                ),
             )
         for doubt in self.doubts():
             if doubt.is_certain:
@@ -301,13 +377,21 @@ class RobotFile(StrictModel):
             yield from self.modules.contradictions(connectors - 1, self._chambers)
         if self.is_spatial:
             yield from self._spatial_contradictions()
-        if self.tail is not None and (com := self.tail.com_m.value) > (axle := self.tail.axle_m.value):
-            text = f"{com:g} m is behind the second axle at {axle:g} m; the assembly would tip over"
+        if self.tail is not None and (com := self.tail.com_m.value) > (
+            axle := self.tail.axle_m.value
+        ):
+            text = (
+                f"{com:g} m is behind the second axle at {axle:g} m; the assembly would"
+                " tip over"
+            )
             yield ("tail", "com_m", "value"), text
         yield from self._invalid_priors()
         if self.supply is None:
             return
-        nominal, limit = self.supply.nominal_kpa.value, self.supply.pulsed_limit_kpa.value
+        nominal, limit = (
+            self.supply.nominal_kpa.value,
+            self.supply.pulsed_limit_kpa.value,
+        )
         if nominal > limit:
             text = f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa"
             if nominal > 5 * limit:
@@ -319,11 +403,17 @@ class RobotFile(StrictModel):
         assert self.chamber is not None and self.chamber.directions_deg is not None
         largest = widest_gap(self.chamber.directions_deg.value)
         if largest > 180.0 - 1e-6:
-            text = f"no chamber within {largest:g} degrees; neighbours must be less than 180 degrees apart"
+            text = (
+                f"no chamber within {largest:g} degrees; neighbours must be less than"
+                " 180 degrees apart"
+            )
             yield ("chamber", "directions_deg", "value"), text
         width, height = self.geometry.width_m.value, self.geometry.com_height_m.value
         if abs(width / (2 * height) - 1) > _ROUNDNESS:
-            text = f"{width:g} m is not twice com_height_m; a spatial robot has a round section"
+            text = (
+                f"{width:g} m is not twice com_height_m; a spatial robot has a round"
+                " section"
+            )
             yield ("geometry", "width_m", "value"), text
 
     def _invalid_priors(self) -> Iterator[tuple[Loc, str]]:
@@ -332,26 +422,39 @@ class RobotFile(StrictModel):
         for path, record in records.items():
             section, key = path.split(".")
             prior, value = record.uncertain, record.value
-            loc, bounds = (section, key, "uncertain"), getattr(self, section).bounds.get(key)
+            loc, bounds = (
+                (section, key, "uncertain"),
+                getattr(self, section).bounds.get(key),
+            )
             if prior is None:
                 continue
             if bounds is None or isinstance(value, list | int):
-                yield loc, "only a single number can be uncertain, not a list or a count"
+                yield (
+                    loc,
+                    "only a single number can be uncertain, not a list or a count",
+                )
             elif prior.kind == "lognormal" and value <= 0:
                 yield loc, f"lognormal needs a number above 0, not {value:g}"
             elif prior.low is not None and prior.high is not None:
                 low, high = max(bounds[0], prior.low), min(bounds[1], prior.high)
                 if (low, high) != (prior.low, prior.high):
                     text = (
-                        f"{prior.low:g} to {prior.high:g} exceeds the allowed {bounds[0]:g} to {bounds[1]:g}"
+                        f"{prior.low:g} to {prior.high:g} exceeds the allowed"
+                        f" {bounds[0]:g} to {bounds[1]:g}"
                     )
                     yield loc, text
                 elif not low <= value <= high:
-                    yield loc, f"the number itself, {value:g}, is outside {low:g} to {high:g}"
+                    yield (
+                        loc,
+                        f"the number itself, {value:g}, is outside {low:g} to {high:g}",
+                    )
         for i, pair in enumerate(self.correlated or ()):
             for k, path in enumerate(pair.of):
                 if path not in records:
-                    yield ("correlated", i, "of", k), str(UnknownNameError("number", path, records))
+                    yield (
+                        ("correlated", i, "of", k),
+                        str(UnknownNameError("number", path, records)),
+                    )
 
 
 _PLAIN_KEYS = ("seed", "kind", "law", "lead")
@@ -362,7 +465,14 @@ def _section_model(name: str) -> type[Records] | None:
     """Return the model of a section of records; None for any other name."""
     field = RobotFile.model_fields.get(name)
     types = (get_args(field.annotation) or (field.annotation,)) if field else ()
-    return next((kind for kind in types if isinstance(kind, type) and issubclass(kind, Records)), None)
+    return next(
+        (
+            kind
+            for kind in types
+            if isinstance(kind, type) and issubclass(kind, Records)
+        ),
+        None,
+    )
 
 
 def section_units(section: str) -> dict[str, str]:
@@ -391,7 +501,10 @@ def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
     file = validate(RobotFile, document, document.data)
     document.raise_problems()
     assert file is not None, "a document without problems has a model"
-    doubts = [document.describe((*parse_path(path), "value"), text) for path, text, _ in file.doubts()]
+    doubts = [
+        document.describe((*parse_path(path), "value"), text)
+        for path, text, _ in file.doubts()
+    ]
     return file, doubts
 
 
@@ -402,7 +515,8 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
     A loaded robot is returned unchanged.
 
     Raises:
-        InputError: the file was not found, cannot be read, or is not valid (`InputFileError`).
+        InputError: the file was not found, cannot be read, or is not valid
+            (`InputFileError`).
     """
     return robot if isinstance(robot, RobotSpec) else load_robot_file(robot).spec()
 
@@ -410,12 +524,13 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
 def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:
     """Return the robot of a scenario: a shipped robot, a file, an override or a full definition.
 
-    Problems in the scenario are reported to the document; the result is None then. Numbers whose unit is in
-    doubt are added to the warnings of the document.
+    Problems in the scenario are reported to the document; the result is None then.
+    Numbers whose unit is in doubt are added to the warnings of the document.
 
     Args:
         document: document of the scenario.
-        robot: a name, a path, an override (mapping with `base`), or a mapping with all parameters.
+        robot: a name, a path, an override (mapping with `base`), or a mapping with all
+            parameters.
         prefix: path of `robot` in the document.
 
     Raises:
@@ -428,7 +543,9 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
         return whole
     base_loc = (*prefix, "base") if isinstance(robot, Mapping) else prefix
     if not isinstance(base, str):
-        document.report(base_loc, "must be a robot's name, a path, or a block of keys with base")
+        document.report(
+            base_loc, "must be a robot's name, a path, or a block of keys with base"
+        )
         return None
     try:
         file, doubts = _read_robot_file(base)
@@ -441,10 +558,14 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
     if not isinstance(robot, Mapping):
         return file
     merged = _merge_override(
-        file.model_dump(), robot, lambda loc: f"{document.origin(prefix + loc)} over {base}"
+        file.model_dump(),
+        robot,
+        lambda loc: f"{document.origin(prefix + loc)} over {base}",
     )
     changed = validate(RobotFile, document, merged, prefix=prefix)
-    _add_warnings(document, prefix, find_unit_mistakes(changed, file, robot) if changed else {})
+    _add_warnings(
+        document, prefix, find_unit_mistakes(changed, file, robot) if changed else {}
+    )
     return changed
 
 
@@ -477,7 +598,9 @@ def find_unit_mistakes(
         override: changes, of which those by a factor of 300 are in doubt.
     """
     known = {doubt.path for doubt in base.doubts()} if base else ()
-    mistakes = {doubt.path: doubt.text for doubt in robot.doubts() if doubt.path not in known}
+    mistakes = {
+        doubt.path: doubt.text for doubt in robot.doubts() if doubt.path not in known
+    }
     for path, record in base.records().items() if base else ():
         section, key = path.split(".")
         new, old = child(child(override, section), key), record.value
@@ -486,7 +609,9 @@ def find_unit_mistakes(
             continue
         if not 1 / _SUSPICIOUS_RATIO < abs(new / old) < _SUSPICIOUS_RATIO:
             ratio = new / old
-            comparison = f"{ratio:.0f} times" if abs(ratio) > 1 else f"1/{1 / ratio:.0f} of"
+            comparison = (
+                f"{ratio:.0f} times" if abs(ratio) > 1 else f"1/{1 / ratio:.0f} of"
+            )
             comparison += f" the {old:.4g} of {override['base']}"
             hint = likely_unit(abs(new), record.unit, abs(old))
             mistakes[path] = f"{new:g} {record.unit} is {comparison}; {hint}"
@@ -501,10 +626,14 @@ def _merge_override(
     Args:
         base: data of the base robot.
         override: new records, or plain numbers that replace the value of a record.
-        source: function from the path of a plain number to the source of the new record.
+        source: function from the path of a plain number to the source of the new
+            record.
     """
     merged = dict(base)
-    if any(isinstance(value, Mapping) for value in override.values()) and "title" not in override:
+    if (
+        any(isinstance(value, Mapping) for value in override.values())
+        and "title" not in override
+    ):
         merged["title"] = f"{base['title']}, modified"
     for name, value in override.items():
         if name == "base":
@@ -519,6 +648,8 @@ def _merge_override(
         merged[name] = dict(section)
         for key, entry in value.items():
             if key in units and not isinstance(entry, Mapping):
-                entry = replace_value(section.get(key), entry, units[key], source((name, key)))
+                entry = replace_value(
+                    section.get(key), entry, units[key], source((name, key))
+                )
             merged[name][key] = entry
     return merged

@@ -1,14 +1,16 @@
 r"""Constant-curvature geometry of a segment and of the body.
 
-A segment of length l with the bend q is an arc; its chord is parallel to the mean heading of its two ends. A
-rigid gap L_o, half of it at each end, does not change this direction. The distance between the connectors is
+A segment of length l with the bend q is an arc; its chord is parallel to the mean
+heading of its two ends. A rigid gap L_o, half of it at each end, does not change this
+direction. The distance between the connectors is
 
 $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
-Signs: connectors are numbered from the head, and q_j = θ_j − θ_{j+1} > 0 turns the head end to the left
-(Eq. 2 and 3 with the signs of E9 and E20; Eq. 7 for the chord). The functions are elementwise, for arrays
-with any leading axes, and the kernels compile them. `pair_heading`, `measured_bend` and `arc_between` are
-Algorithms 1 and 2 of Section 3.4.1, which compute curvature and shape from markers.
+Signs: connectors are numbered from the head, and q_j = θ_j − θ_{j+1} > 0 turns the head
+end to the left (Eq. 2 and 3 with the signs of E9 and E20; Eq. 7 for the chord). The
+functions are elementwise, for arrays with any leading axes, and the kernels compile
+them. `pair_heading`, `measured_bend` and `arc_between` are Algorithms 1 and 2 of
+Section 3.4.1, which compute curvature and shape from markers.
 """
 
 from __future__ import annotations
@@ -25,14 +27,14 @@ Number = TypeVar("Number", float, Array)
 def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2, smooth through q = 0.
 
-    It uses a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or cancellation, which
-    satisfy
+    It uses a = (1 − A)/x² and b = (1 − cos x)/x², two even functions without a pole or
+    cancellation, which satisfy
 
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
 
-    Their series at x/4 and two doublings are faster than a sine, a cosine and the divisions. The result is
-    exact to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
+    Their series at x/4 and two doublings are faster than a sine, a cosine and the
+    divisions. The result is exact to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
 
     Args:
         bend: q, rad, any shape; a scalar when compiled.
@@ -40,8 +42,18 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     x = bend / 2
     # p = (x/4)²; the series have enough terms for |x/4| ≤ π/4.
     p = x * x / 16
-    a = (1 - p / 20 * (1 - p / 42 * (1 - p / 72 * (1 - p / 110 * (1 - p / 156 * (1 - p / 210)))))) / 6
-    b = (1 - p / 12 * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))) / 2
+    a = (
+        1
+        - p
+        / 20
+        * (1 - p / 42 * (1 - p / 72 * (1 - p / 110 * (1 - p / 156 * (1 - p / 210)))))
+    ) / 6
+    b = (
+        1
+        - p
+        / 12
+        * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
+    ) / 2
     arc = 1 - p * a
     a, b = (a + arc * b) / 4, arc * arc / 2
     arc = 1 - 4 * p * a
@@ -69,7 +81,9 @@ def chord_from_half_angle(
     )
 
 
-def chord_derivatives(bend: Number, length: float, gap: float) -> tuple[Number, Number, Number]:
+def chord_derivatives(
+    bend: Number, length: float, gap: float
+) -> tuple[Number, Number, Number]:
     """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) for the bend q, rad.
 
     Args:
@@ -81,13 +95,18 @@ def chord_derivatives(bend: Number, length: float, gap: float) -> tuple[Number, 
 
 
 def chord(bend: Array, length: float, gap: float) -> Array:
-    """Return the distance between the connectors of a segment, m. Arguments as in `chord_derivatives`."""
+    """Return the distance between the connectors of a segment, m.
+
+    Arguments as in `chord_derivatives`.
+    """
     return chord_derivatives(bend, length, gap)[0]
 
 
 def relative_headings(bend: Array) -> Array:
     """Return the connector headings about their mean, shape (…, N), rad, from bends (…, N − 1)."""
-    from_head = np.concatenate([np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1)
+    from_head = np.concatenate(
+        [np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1
+    )
     from_head -= from_head.mean(axis=-1, keepdims=True)
     return from_head
 
@@ -103,8 +122,12 @@ def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
     """
     headings = relative_headings(bend)
     direction = (headings[..., 1:] + headings[..., :-1]) / 2
-    links = chord(bend, length, gap)[..., None] * np.stack([np.cos(direction), np.sin(direction)], -1)
-    position = np.concatenate([np.zeros_like(links[..., :1, :]), -np.cumsum(links, axis=-2)], axis=-2)
+    links = chord(bend, length, gap)[..., None] * np.stack(
+        [np.cos(direction), np.sin(direction)], -1
+    )
+    position = np.concatenate(
+        [np.zeros_like(links[..., :1, :]), -np.cumsum(links, axis=-2)], axis=-2
+    )
     centre = np.einsum("i,...ij->...j", mass / mass.sum(), position)
     position -= centre[..., None, :]
     return position
@@ -136,14 +159,16 @@ def measured_bend(front: Array, rear: Array) -> Array:
 def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -> Array:
     r"""Return points on the arc of a given curvature between two ends (Algorithm 2 with E10 and E23).
 
-    With the distance d of the ends and the direction α from the rear end to the front end,
+    With the distance d of the ends and the direction α from the rear end to the front
+    end,
 
     $$ \sin\beta = \kappa d / 2, \qquad
-       P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc} \beta}\,
-       (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
+       P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc}
+       \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
 
-    which needs no centre and no special case for κ = 0. If noise makes |κ d / 2| larger than 1, which is
-    impossible for an arc, β is a right angle and the arc a half circle.
+    which needs no centre and no special case for κ = 0. If noise makes |κ d / 2| larger
+    than 1, which is impossible for an arc, β is a right angle and the arc a half
+    circle.
 
     Args:
         front: P_A, shape (…, 2), m.
@@ -160,5 +185,7 @@ def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -
     s = np.linspace(0.0, 1.0, points)
     angle = pair_heading(rear, front)[..., None] + half * (1 - s)
     along = distance[..., None] * s * np.sinc(half * s / np.pi) / np.sinc(half / np.pi)
-    arc: Array = front[..., None, :] - along[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    arc: Array = front[..., None, :] - along[..., None] * np.stack(
+        [np.cos(angle), np.sin(angle)], axis=-1
+    )
     return arc

@@ -1,9 +1,10 @@
 """Numbers of a robot that do not fit its other numbers, because they were written in another unit.
 
-Numbers of one quantity are compared with each other, so that a robot scaled as a whole is plausible. Each
-number divided by its usual multiple is an estimate of the robot's size. The median of these estimates is the
-size of the robot, which a single mistake does not change. A number is in doubt if its own estimate differs
-from the size by more than the factors `below` and `above` of the quantity.
+Numbers of one quantity are compared with each other, so that a robot scaled as a whole
+is plausible. Each number divided by its usual multiple is an estimate of the robot's
+size. The median of these estimates is the size of the robot, which a single mistake
+does not change. A number is in doubt if its own estimate differs from the size by more
+than the factors `below` and `above` of the quantity.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
 
-# Unit of a key → unit in which users may have the number instead → the latter in the former.
+# Unit of a key → unit in which users may have the number instead → the latter in the
+# former.
 _OTHER_UNITS = {
     "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
     "kg": {"g": 0.001},
@@ -68,12 +70,20 @@ _TIMES = {
 _PRESSURES = ("actuator.at_pressure_kpa",) + tuple(
     f"supply.{name}_kpa" for name in ("nominal", "continuous_limit", "pulsed_limit")
 )
-_STIFFNESSES = [f"bending.{name}stiffness_nm_per_rad" for name in ("", "pitch_", "roll_")]
+_STIFFNESSES = [
+    f"bending.{name}stiffness_nm_per_rad" for name in ("", "pitch_", "roll_")
+]
 _QUANTITIES = (
     _Quantity("lengths", "m", 36.0, 6.5, _LENGTHS),
     _Quantity("times", "s", 1600.0, 40.0, _TIMES),
     _Quantity("pressures", "kPa", 6.0, 6.0, dict.fromkeys(_PRESSURES, 1.0)),
-    _Quantity("volumes", "ml", 100.0, 100.0, {"chamber.dead_volume_ml": 0.05, "chamber.air_volume_ml": 0.18}),
+    _Quantity(
+        "volumes",
+        "ml",
+        100.0,
+        100.0,
+        {"chamber.dead_volume_ml": 0.05, "chamber.air_volume_ml": 0.18},
+    ),
     _Quantity("stiffnesses", "N*m/rad", 150.0, 150.0, dict.fromkeys(_STIFFNESSES, 1.0)),
 )
 
@@ -110,7 +120,9 @@ def likely_unit(value: float, unit: str, expected: float) -> str:
         expected: usual size of the number.
     """
     factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
-    other = min(factors, key=lambda name: abs(math.log(factors[name] * value / expected)))
+    other = min(
+        factors, key=lambda name: abs(math.log(factors[name] * value / expected))
+    )
     if other == unit:
         return "check its unit"
     given = f"{value:g} {other}" if other else "a tenth of it"
@@ -125,15 +137,26 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
         masses: mass of each connector, or of each segment of a robot with skin, kg.
     """
     pitch = values["geometry.segment_length_m"] + values["geometry.rigid_gap_m"]
-    stiffnesses = {"weight times body length": GRAVITY * sum(masses) * pitch * len(masses)}
+    stiffnesses = {
+        "weight times body length": GRAVITY * sum(masses) * pitch * len(masses)
+    }
     if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
         # p dV/dq over the bend q; kPa times ml are mJ.
-        moment = 1e-3 * values["actuator.at_pressure_kpa"] * values["chamber.air_volume_ml"] / (math.pi / 2)
-        stiffnesses["the moment of the air over the bend"] = moment / values["actuator.bend_rad"]
+        moment = (
+            1e-3
+            * values["actuator.at_pressure_kpa"]
+            * values["chamber.air_volume_ml"]
+            / (math.pi / 2)
+        )
+        stiffnesses["the moment of the air over the bend"] = (
+            moment / values["actuator.bend_rad"]
+        )
     lengths = list(_outliers(values, _QUANTITIES[0], {}))
     yield from lengths
     for quantity in _QUANTITIES[1:]:
-        yield from _outliers(values, quantity, stiffnesses if quantity.name == "stiffnesses" else {})
+        yield from _outliers(
+            values, quantity, stiffnesses if quantity.name == "stiffnesses" else {}
+        )
     if not lengths:
         yield from _wrong_masses(values, pitch, masses)
 
@@ -143,21 +166,30 @@ def _outliers(
 ) -> Iterator[Doubt]:
     given = {path: values[path] for path in quantity.usual if values.get(path)}
     numbers = {**given, **derived}
-    sizes = {name: number / quantity.usual.get(name, 1.0) for name, number in numbers.items()}
+    sizes = {
+        name: number / quantity.usual.get(name, 1.0) for name, number in numbers.items()
+    }
     size = statistics.median(sizes.values() or [1.0])
     for path, value in given.items():
         excess = sizes[path] / size
         excess = max(excess / quantity.above, 1 / (excess * quantity.below))
         if excess <= 1:
             continue
-        closest = min(sizes, key=lambda name: (name == path, abs(math.log(sizes[name] / size))))
-        text = f"{value:g} {quantity.unit} does not fit the other {quantity.name} of the robot, such as "
+        closest = min(
+            sizes, key=lambda name: (name == path, abs(math.log(sizes[name] / size)))
+        )
+        text = (
+            f"{value:g} {quantity.unit} does not fit the other {quantity.name} of the"
+            " robot, such as "
+        )
         text += f"{closest.rpartition('.')[2]}, {numbers[closest]:.4g} {quantity.unit}"
         hint = likely_unit(value, quantity.unit, quantity.usual[path] * size)
         yield Doubt(path, f"{text}; {hint}", excess > _CERTAIN)
 
 
-def _wrong_masses(values: Mapping[str, Any], pitch: float, masses: Sequence[float]) -> Iterator[Doubt]:
+def _wrong_masses(
+    values: Mapping[str, Any], pitch: float, masses: Sequence[float]
+) -> Iterator[Doubt]:
     width = values["geometry.width_m"]
     usual = _DENSITY * pitch * width**2
     (path,) = values.keys() & {"mass.segments_kg", "mass.connectors_kg"}

@@ -1,18 +1,20 @@
 r"""Scale of a robot: the unit of its numerical settings.
 
-Gravity does not scale. A snake whose lengths are multiplied by s, its masses by s³, its stiffness by s⁴ and
-its times by √s therefore makes the same motion, with speeds multiplied by √s, if its numerical settings scale
-with it: time steps and slip speeds by √s, the depths of contacts by s. The settings are declared for the
-shipped robots and multiplied by powers of the time unit
+Gravity does not scale. A snake whose lengths are multiplied by s, its masses by s³, its
+stiffness by s⁴ and its times by √s therefore makes the same motion, with speeds
+multiplied by √s, if its numerical settings scale with it: time steps and slip speeds by
+√s, the depths of contacts by s. The settings are declared for the shipped robots and
+multiplied by powers of the time unit
 
 $$ u = 2^{\operatorname{round}(\frac12 \log_2 (P / P_0))}, \qquad P_0 = 1/16\ \mathrm m, $$
 
 where P is the distance between connectors: times and speeds by u, lengths by u².
 
-u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots. A power of two multiplies without
-rounding, so that a robot scaled by a power of four repeats the motion of the original to the last digits.
-Between these powers the settings stay constant: they are at most √2 times too fine or too coarse, and change
-by a factor of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
+u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots. A power of two
+multiplies without rounding, so that a robot scaled by a power of four repeats the
+motion of the original to the last digits. Between these powers the settings stay
+constant: they are at most √2 times too fine or too coarse, and change by a factor of
+two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ class Scale(NamedTuple):
     """Units of the numerical settings of a robot, as multiples of those of the shipped robots.
 
     Attributes:
-        time: u, unit of times, and of speeds, because gravity does not scale; a power of two, 1.
+        time: u, unit of times, and of speeds, because gravity does not scale; a power
+            of two, 1.
     """
 
     time: float = 1.0
@@ -59,9 +62,10 @@ SHIPPED = Scale()
 def divide(interval: float, part: float) -> float:
     """Return the part into which an interval is divided, s.
 
-    It is `part` if the interval is a multiple of it, and the interval if that is shorter. Otherwise the
-    number of parts is 1, 2 or 5 times a power of ten, whichever gives the ratio to `part` closest to 1. The
-    tick of 20 ms scaled by any factor is then divided like the original.
+    It is `part` if the interval is a multiple of it, and the interval if that is
+    shorter. Otherwise the number of parts is 1, 2 or 5 times a power of ten, whichever
+    gives the ratio to `part` closest to 1. The tick of 20 ms scaled by any factor is
+    then divided like the original.
 
     Args:
         interval: s.
@@ -73,5 +77,7 @@ def divide(interval: float, part: float) -> float:
     if abs(ratio - round(ratio)) <= _ROUNDING * ratio:
         return part
     power = 10.0 ** math.floor(math.log10(ratio))
-    number = min((power * n for n in _ROUND_NUMBERS), key=lambda n: abs(math.log(n / ratio)))
+    number = min(
+        (power * n for n in _ROUND_NUMBERS), key=lambda n: abs(math.log(n / ratio))
+    )
     return interval / number

@@ -1,9 +1,10 @@
 """Sections of robot files: records of numbers with their bounds.
 
-A file may list individual properties of the modules, and standard deviations for random differences between
-them. Each quantity has its own random stream, so that a new standard deviation does not change the other
-draws. Draws are limited to three standard deviations. They are combined with the listed values: factors are
-multiplied, biases are added.
+A file may list individual properties of the modules, and standard deviations for random
+differences between them. Each quantity has its own random stream, so that a new
+standard deviation does not change the other draws. Draws are limited to three standard
+deviations. They are combined with the listed values: factors are multiplied, biases are
+added.
 """
 
 from __future__ import annotations
@@ -22,14 +23,24 @@ from srs_twin.robot.spec import PER_CHAMBER, Modules, Skin
 
 Factor = Annotated[float, bounded(0.1, 10.0)]
 ChamberPair = Annotated[list[Factor], Field(min_length=2, max_length=8)]
-ChamberFactors = Record[Annotated[list[ChamberPair], Field(min_length=1, max_length=63)], Literal["1"]]
-SegmentFactors = Record[Annotated[list[Factor], Field(min_length=1, max_length=63)], Literal["1"]]
+ChamberFactors = Record[
+    Annotated[list[ChamberPair], Field(min_length=1, max_length=63)], Literal["1"]
+]
+SegmentFactors = Record[
+    Annotated[list[Factor], Field(min_length=1, max_length=63)], Literal["1"]
+]
 Directions = Record[
-    Annotated[list[Annotated[float, bounded(-360.0, 360.0)]], Field(min_length=3, max_length=8)],
+    Annotated[
+        list[Annotated[float, bounded(-360.0, 360.0)]],
+        Field(min_length=3, max_length=8),
+    ],
     Literal["deg"],
 ]
 BendList = Record[
-    Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Field(min_length=1, max_length=63)], Literal["rad"]
+    Annotated[
+        list[Annotated[float, bounded(-1.0, 1.0)]], Field(min_length=1, max_length=63)
+    ],
+    Literal["rad"],
 ]
 RelativeStd = Record[Annotated[float, bounded(0.0, 0.3)], Literal["1"]]
 AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
@@ -37,8 +48,8 @@ AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 _MAX_DEVIATIONS = 3.0
 """Limit of random draws, in standard deviations."""
 
-# Bounds of files. They admit the shipped robots scaled by 1/40 to 100: lengths by s, masses by s³, and
-# stiffness by s⁴.
+# Bounds of files. They admit the shipped robots scaled by 1/40 to 100: lengths by s,
+# masses by s³, and stiffness by s⁴.
 LENGTHS_M = (1e-5, 100.0)
 """Smallest and largest length of a robot, m."""
 MASSES_KG = (1e-10, 1e6)
@@ -46,7 +57,8 @@ MASSES_KG = (1e-10, 1e6)
 STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
 """Smallest and largest stiffness of a segment, N·m/rad."""
 
-# Quantity → key of its standard deviation. The position is the number of the random stream: append new ones.
+# Quantity → key of its standard deviation. The position is the number of the random
+# stream: append new ones.
 SPREAD_KEYS = {
     "gain": "gain_spread",
     "tau_fill": "tau_spread",
@@ -72,9 +84,11 @@ class ModulesFile(Records):
     bias_rad: BendList | None = None
     """Rest bend, rad, -1 to 1 for each segment, head first."""
     sensor_gain: SegmentFactors | None = None
-    """Ratio of sensor reading to actual bend, 0.1 to 10 for each segment, head first."""
+    """Ratio of sensor reading to actual bend, 0.1 to 10 for each segment, head first.
+    """
     sensor_bias_rad: BendList | None = None
-    """Sensor reading of a straight segment, rad, -1 to 1 for each segment, head first."""
+    """Sensor reading of a straight segment, rad, -1 to 1 for each segment, head first.
+    """
     gain_spread: RelativeStd | None = None
     """Standard deviation of the relative gains of the chambers, 0 to 0.3."""
     tau_spread: RelativeStd | None = None
@@ -86,7 +100,8 @@ class ModulesFile(Records):
     sensor_bias_spread_rad: AngleStd | None = None
     """Standard deviation of the sensor biases, rad, 0 to 0.5."""
     seed: Annotated[int, bounded(0, 2**32 - 1)] | None = None
-    """Random seed of the differences, 0 to 4294967295 (default: seed of the scenario)."""
+    """Random seed of the differences, 0 to 4294967295 (default: seed of the scenario).
+    """
 
     def draw(self, segments: int, seed: int, chambers: int = 2) -> Modules:
         """Return modules with the listed properties and random differences.
@@ -101,10 +116,19 @@ class ModulesFile(Records):
         for stream, (name, std_name) in enumerate(SPREAD_KEYS.items()):
             per_chamber, additive = name in PER_CHAMBER, name.endswith("bias")
             shape = (segments, chambers) if per_chamber else (segments,)
-            listed, std = getattr(self, f"{name}_rad" if additive else name), getattr(self, std_name)
-            base = np.full(shape, 0.0 if additive else 1.0) if listed is None else np.array(listed.value)
+            listed, std = (
+                getattr(self, f"{name}_rad" if additive else name),
+                getattr(self, std_name),
+            )
+            base = (
+                np.full(shape, 0.0 if additive else 1.0)
+                if listed is None
+                else np.array(listed.value)
+            )
             normal = np.random.default_rng([seed, stream]).standard_normal(shape)
-            drawn = (std.value if std else 0.0) * np.clip(normal, -_MAX_DEVIATIONS, _MAX_DEVIATIONS)
+            drawn = (std.value if std else 0.0) * np.clip(
+                normal, -_MAX_DEVIATIONS, _MAX_DEVIATIONS
+            )
             arrays[name] = base + drawn if additive else base * (1.0 + drawn)
         return Modules.from_arrays(**arrays)
 
@@ -115,10 +139,16 @@ class ModulesFile(Records):
             if name in PER_CHAMBER and isinstance(values, list):
                 for j, row in enumerate(values):
                     if len(row) != chambers:
-                        text = f"{len(row)} factors for {chambers} chambers; give {chambers}"
+                        text = (
+                            f"{len(row)} factors for {chambers} chambers; give"
+                            f" {chambers}"
+                        )
                         yield ("modules", name, "value", j), text
             if isinstance(values, list) and len(values) != segments:
-                text = f"{len(values)} entries for {segments} segments; give {segments}, head first"
+                text = (
+                    f"{len(values)} entries for {segments} segments; give {segments},"
+                    " head first"
+                )
                 yield ("modules", name, "value"), text
 
 
@@ -129,7 +159,10 @@ def _mass_tag(value: object) -> str:
 def _one_or_each(value: Any) -> Any:
     """Return the type of one value for all connectors, or of a list with one for each."""
     many = Annotated[list[value], Field(min_length=2, max_length=64)]
-    return Annotated[Annotated[value, Tag("all")] | Annotated[many, Tag("each")], Discriminator(_mass_tag)]
+    return Annotated[
+        Annotated[value, Tag("all")] | Annotated[many, Tag("each")],
+        Discriminator(_mass_tag),
+    ]
 
 
 # Record with a float, an integer or a list; `number_field` defines which.
@@ -158,7 +191,9 @@ class GeometryFile(Records):
 class MassFile(Records):
     """Masses."""
 
-    connectors_kg: Number | None = number_field(*MASSES_KG, shape=_one_or_each, needed_by="wheels")
+    connectors_kg: Number | None = number_field(
+        *MASSES_KG, shape=_one_or_each, needed_by="wheels"
+    )
     """Mass of a connector with its wheels and its part of the body; one number for all, or a list, head
     first. Wheels only."""
     wheel_kg: Number | None = number_field(*MASSES_KG, needed_by="wheels")
@@ -166,7 +201,9 @@ class MassFile(Records):
     connector_gyration_m: Number | None = number_field(*LENGTHS_M, only_for="wheels")
     """Radius of gyration of a connector without its wheels (default: that of a uniform block with the length
     of the rigid gap and the width of the track); wheels only."""
-    segments_kg: Number | None = number_field(*MASSES_KG, shape=_one_or_each, needed_by="skin")
+    segments_kg: Number | None = number_field(
+        *MASSES_KG, shape=_one_or_each, needed_by="skin"
+    )
     """Mass of the body from one connector to the next, spread evenly over its length; one number for all, or
     a list, head first. Skin only."""
 
@@ -210,13 +247,24 @@ class ContactFile(Records):
 
     def friction(self) -> dict[str, float]:
         """Return the coefficients of a skin as arguments of `Friction`."""
-        names = {"mu_t": self.forward, "mu_back": self.backward, "mu_n": self.transverse}
-        return {name: record.value for name, record in names.items() if record is not None}
+        names = {
+            "mu_t": self.forward,
+            "mu_back": self.backward,
+            "mu_n": self.transverse,
+        }
+        return {
+            name: record.value for name, record in names.items() if record is not None
+        }
 
     def skin(self) -> Skin:
         """Return the skin."""
-        given = {"law": self.law, "points": self.points_per_segment and self.points_per_segment.value}
-        values: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
+        given = {
+            "law": self.law,
+            "points": self.points_per_segment and self.points_per_segment.value,
+        }
+        values: dict[str, Any] = {
+            name: value for name, value in given.items() if value is not None
+        }
         return Skin(**values)
 
 
@@ -225,16 +273,23 @@ class BendingFile(Records):
 
     lead: bool | None = None
     """Whether the moment of the air leads the pressures, so that a free segment obeys Eq. 14 whatever its
-    damping (default: true). With false the damping delays the free bend: damping_time_s takes the place of
-    tau_mode_s, and tau_fill_s and tau_vent_s are shorter by their difference; pressure only."""
-    stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, needed_by="pressure")
+    damping (default: true). With false the damping delays the free bend: damping_time_s
+    takes the place of tau_mode_s, and tau_fill_s and tau_vent_s are shorter by their
+    difference; pressure only."""
+    stiffness_nm_per_rad: Number | None = number_field(
+        *STIFFNESSES_NM_PER_RAD, needed_by="pressure"
+    )
     """Bending stiffness; pressure only."""
     damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
     """Damping of deviations from the free bend over stiffness (docs/damping.md); pressure only."""
-    pitch_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    pitch_stiffness_nm_per_rad: Number | None = number_field(
+        *STIFFNESSES_NM_PER_RAD, optional=True
+    )
     """Stiffness against bending out of the floor plane; a spatial robot may leave it out (default: that of
     bending)."""
-    roll_stiffness_nm_per_rad: Number | None = number_field(*STIFFNESSES_NM_PER_RAD, optional=True)
+    roll_stiffness_nm_per_rad: Number | None = number_field(
+        *STIFFNESSES_NM_PER_RAD, optional=True
+    )
     """Stiffness against twisting; a spatial robot may leave it out (default: two thirds of the bending
     stiffness, GJ = 2/3 EI of a solid, incompressible, round section)."""
     out_of_plane_damping_time_s: Number = number_field(1e-6, 100.0)
@@ -246,7 +301,8 @@ class ActuatorFile(Records):
 
     kind: Literal["pressure", "position"] | None = None
     """pressure: air in chambers bends the segment against its stiffness (default); position: a servo turns a
-    joint to the commanded angle regardless of the load, bend_rad where a valve would fill the + chamber."""
+    joint to the commanded angle regardless of the load, bend_rad where a valve would
+    fill the + chamber."""
     response_time_s: Number | None = number_field(1e-4, 100.0, needed_by="position")
     """Time constant of the critically damped response of a servo; position only."""
     tau_fill_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
@@ -282,7 +338,8 @@ class ChamberFile(Records, needed_by="pressure"):
     """Increase of the volume at a bend of 90 degrees."""
     directions_deg: Directions | None = None
     """Directions in which the chambers of a spatial robot bend a segment, -360 to 360, 0 to the left, 90
-    upwards; four make two antagonistic pairs (default: one chamber to the left and one to the right)."""
+    upwards; four make two antagonistic pairs (default: one chamber to the left and one
+    to the right)."""
 
 
 class SupplyFile(Records, needed_by="pressure"):

@@ -1,8 +1,8 @@
 """Units of keys in files, and records of numbers with unit, status and source.
 
-Keys end in the unit of their number: ``segment_length_m``, ``stiffness_nm_per_rad``. A `Record` repeats the
-unit next to the number. The two must agree, so that a number copied from a table with another unit is
-rejected.
+Keys end in the unit of their number: ``segment_length_m``, ``stiffness_nm_per_rad``. A
+`Record` repeats the unit next to the number. The two must agree, so that a number
+copied from a table with another unit is rejected.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ UNITS = {
 }
 """Suffix of a key → unit of its number; longer suffixes first."""
 
-# Unit → SI unit, numerator and denominator of the conversion. The division keeps decimal numbers exact:
-# 3.1 / 1000 is the double 0.0031, and 3.1 * 0.001 is not.
+# Unit → SI unit, numerator and denominator of the conversion. The division keeps
+# decimal numbers exact: 3.1 / 1000 is the double 0.0031, and 3.1 * 0.001 is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "m/kPa": ("m/Pa", 1, 1000),
@@ -65,7 +65,9 @@ _SI_CONVERSIONS = {
 def split_unit(key: str) -> tuple[str, str]:
     """Return a key without its unit suffix, and the unit, "1" if there is none."""
     # The n of mu_n is the normal direction, not the unit newton.
-    suffix = next((suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), "")
+    suffix = next(
+        (suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), ""
+    )
     return key.removesuffix(suffix), UNITS.get(suffix, "1")
 
 
@@ -92,7 +94,11 @@ Value = TypeVar("Value")
 Unit = TypeVar("Unit")
 
 
-_DISTRIBUTION_KEYS = {"normal": ("sd",), "lognormal": ("factor",), "uniform": ("low", "high")}
+_DISTRIBUTION_KEYS = {
+    "normal": ("sd",),
+    "lognormal": ("factor",),
+    "uniform": ("low", "high"),
+}
 
 
 MIN_PROBABILITY = 1e-9
@@ -111,7 +117,8 @@ class Uncertain(StrictModel):
     """Geometric standard deviation: two thirds of the values are between the number divided by this factor
     and the number times it."""
     median: float | None = Field(None, gt=0.0, le=1e9)
-    """Median of a lognormal distribution, in the number's unit (default: the number)."""
+    """Median of a lognormal distribution, in the number's unit (default: the number).
+    """
     low: float | None = Field(None, ge=-1e9, le=1e9)
     """Lower end of the range, in the number's unit."""
     high: float | None = Field(None, ge=-1e9, le=1e9)
@@ -122,7 +129,11 @@ class Uncertain(StrictModel):
     @model_validator(mode="after")
     def _check_keys(self) -> Uncertain:
         required = _DISTRIBUTION_KEYS[self.kind]
-        present = tuple(name for name in ("sd", "factor", "low", "high") if getattr(self, name) is not None)
+        present = tuple(
+            name
+            for name in ("sd", "factor", "low", "high")
+            if getattr(self, name) is not None
+        )
         if present != required:
             needs, has = " and ".join(required), ", ".join(present) or "nothing"
             raise ValueError(f"{self.kind} takes {needs}, not {has}")
@@ -136,12 +147,15 @@ class Uncertain(StrictModel):
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
         return {key: value for key, value in inner(self).items() if value is not None}
 
-    def quantile(self, value: float, bounds: tuple[float, float], probabilities: np.ndarray) -> np.ndarray:
+    def quantile(
+        self, value: float, bounds: tuple[float, float], probabilities: np.ndarray
+    ) -> np.ndarray:
         """Return the values at cumulative probabilities.
 
         Args:
             value: number in the file.
-            bounds: lowest and highest allowed number, at which all but uniform distributions are truncated.
+            bounds: lowest and highest allowed number, at which all but uniform
+                distributions are truncated.
             probabilities: cumulative probabilities, array of any shape.
         """
         if self.low is not None and self.high is not None:
@@ -150,7 +164,9 @@ class Uncertain(StrictModel):
             # A bound of 0 has no logarithm; 1e-300 is far below any parameter.
             median = value if self.median is None else self.median
             ends = np.log(np.maximum(bounds, 1e-300) / median) / np.log(self.factor)
-            return np.asarray(median * self.factor ** _truncated_normal(ends, probabilities))
+            return np.asarray(
+                median * self.factor ** _truncated_normal(ends, probabilities)
+            )
         assert self.sd is not None, "the model of the file requires it"
         ends = (np.array(bounds) - value) / self.sd
         return np.asarray(value + self.sd * _truncated_normal(ends, probabilities))
@@ -182,7 +198,11 @@ class Record(StrictModel, Generic[Value, Unit]):
 
     @model_serializer(mode="wrap")
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        return {key: value for key, value in inner(self).items() if key != "uncertain" or value is not None}
+        return {
+            key: value
+            for key, value in inner(self).items()
+            if key != "uncertain" or value is not None
+        }
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
@@ -214,9 +234,10 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
         low: lowest allowed number.
         high: highest allowed number.
         kind: type of the number, float or int.
-        **options: `shape`, a function from the type of one number to the type of the record's value (default:
-            one number); `optional`, whether the key may be missing; `needed_by`, the kind of robots that
-            need the key, while others do not have it; `only_for`, the kind of robots that may have it.
+        **options: `shape`, a function from the type of one number to the type of the
+            record's value (default: one number); `optional`, whether the key may be
+            missing; `needed_by`, the kind of robots that need the key, while others do
+            not have it; `only_for`, the kind of robots that may have it.
     """
     return _NumberField(low, high, kind, **options)
 
@@ -245,16 +266,32 @@ class Records(StrictModel):
 
     def __init_subclass__(cls, needed_by: str | None = None, **options: Any) -> None:
         super().__init_subclass__(**options)
-        fields = {key: field for key, field in vars(cls).items() if isinstance(field, _NumberField)}
+        fields = {
+            key: field
+            for key, field in vars(cls).items()
+            if isinstance(field, _NumberField)
+        }
         cls.bounds = {key: (field.low, field.high) for key, field in fields.items()}
-        cls.needed_by = {key: kind for key, field in fields.items() if (kind := field.needed_by or needed_by)}
-        cls.only_for = cls.only_for | {key: field.only_for for key, field in fields.items() if field.only_for}
+        cls.needed_by = {
+            key: kind
+            for key, field in fields.items()
+            if (kind := field.needed_by or needed_by)
+        }
+        cls.only_for = cls.only_for | {
+            key: field.only_for for key, field in fields.items() if field.only_for
+        }
         for key, field in fields.items():
-            unit, value = split_unit(key)[1], Annotated[field.kind, bounded(field.low, field.high)]
+            unit, value = (
+                split_unit(key)[1],
+                Annotated[field.kind, bounded(field.low, field.high)],
+            )
             record: Any = Record[field.shape(value), Literal[unit]]  # type: ignore[misc]
             optional = field.optional or field.needed_by or field.only_for
             cls.__annotations__[key] = record | None if optional else record
-            text = f"{'' if unit == '1' else f', {unit}'}, {field.low:.10g} to {field.high:.10g}"
+            text = (
+                f"{'' if unit == '1' else f', {unit}'}, {field.low:.10g} to"
+                f" {field.high:.10g}"
+            )
             setattr(cls, key, Field(None if optional else ..., description=text))
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -264,7 +301,9 @@ class Records(StrictModel):
     def to_si(self) -> dict[str, Any]:
         """Return the numbers in SI units, by key without unit suffix."""
         return {
-            split_unit(key)[0]: to_si(key, record.value) for key, record in self if isinstance(record, Record)
+            split_unit(key)[0]: to_si(key, record.value)
+            for key, record in self
+            if isinstance(record, Record)
         }
 
 
@@ -274,10 +313,15 @@ def replace_value(
     """Return plain data of a record with a new number, with status "estimated" and without uncertainty.
 
     Args:
-        before: plain data of the old record, whose unit is kept; None or empty for a new record.
+        before: plain data of the old record, whose unit is kept; None or empty for a
+            new record.
         value: the number.
         unit: unit of the key, for a new record.
         source: origin of the number.
     """
-    record = {key: entry for key, entry in (before or {"unit": unit}).items() if key != "uncertain"}
+    record = {
+        key: entry
+        for key, entry in (before or {"unit": unit}).items()
+        if key != "uncertain"
+    }
     return {**record, "value": value, "status": "estimated", "source": source}

@@ -1,11 +1,13 @@
 """RobotSpec: validated parameters of one snake in SI units, frozen.
 
-`Modules` are the differences between the modules of a snake (Section 5.1): moulded chambers differ in their
-gain and air flow, a body at rest is not perfectly straight, and sensors drift after their calibration.
+`Modules` are the differences between the modules of a snake (Section 5.1): moulded
+chambers differ in their gain and air flow, a body at rest is not perfectly straight,
+and sensors drift after their calibration.
 
-The numbers come from ``calibration/robots/*.yaml``, where each has a source and a status; here they are plain
-floats. Signs and frames: connectors i = 1…N from head to tail; segment j between connectors j and j+1; a bend
-q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
+The numbers come from ``calibration/robots/*.yaml``, where each has a source and a
+status; here they are plain floats. Signs and frames: connectors i = 1…N from head to
+tail; segment j between connectors j and j+1; a bend q_j = θ_j − θ_{j+1} > 0 turns the
+head end to the left.
 """
 
 from __future__ import annotations
@@ -36,10 +38,13 @@ class Modules:
     A spatial robot has the chambers of `Chamber.directions` instead of two.
 
     Attributes:
-        gain: gain of each chamber as a multiple of the nominal gain, shape (segments, 2).
+        gain: gain of each chamber as a multiple of the nominal gain, shape (segments,
+            2).
         bias: rest bend of each segment, shape (segments,), rad.
-        tau_fill: fill time constant τ₁ as a multiple of the nominal one, shape (segments, 2).
-        tau_vent: vent time constant τ₁ as a multiple of the nominal one, shape (segments, 2).
+        tau_fill: fill time constant τ₁ as a multiple of the nominal one, shape
+            (segments, 2).
+        tau_vent: vent time constant τ₁ as a multiple of the nominal one, shape
+            (segments, 2).
         sensor_gain: ratio of sensor reading to actual bend, shape (segments,).
         sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
@@ -55,24 +60,37 @@ class Modules:
         for name in (field.name for field in fields(self)):
             values = np.asarray(getattr(self, name), dtype=float)
             chambers = len(self.gain[0])
-            shape = (len(self.gain), chambers) if name in PER_CHAMBER else (len(self.gain),)
+            shape = (
+                (len(self.gain), chambers) if name in PER_CHAMBER else (len(self.gain),)
+            )
             low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
             if values.shape != shape:
-                raise InputError(f"modules.{name} has shape {values.shape}; allowed: {shape}")
+                raise InputError(
+                    f"modules.{name} has shape {values.shape}; allowed: {shape}"
+                )
             if not ((values >= low) & (values <= high)).all():
                 wrong = values[~((values >= low) & (values <= high))][0]
-                raise InputError(f"modules.{name} {wrong:g} is not allowed; it must be {low:g} to {high:g}")
+                raise InputError(
+                    f"modules.{name} {wrong:g} is not allowed; it must be {low:g} to"
+                    f" {high:g}"
+                )
 
     @classmethod
     def nominal(cls, segments: int, chambers: int = 2) -> Modules:
         """Return identical nominal modules."""
-        per_chamber, ones, zeros = ((1.0,) * chambers,) * segments, (1.0,) * segments, (0.0,) * segments
+        per_chamber, ones, zeros = (
+            ((1.0,) * chambers,) * segments,
+            (1.0,) * segments,
+            (0.0,) * segments,
+        )
         return cls(per_chamber, zeros, per_chamber, per_chamber, ones, zeros)
 
     @classmethod
     def from_arrays(cls, **arrays: np.ndarray) -> Modules:
         """Return modules from arrays with the shapes of the attributes."""
-        tuples: dict[str, Any] = {field.name: _tuples(arrays[field.name]) for field in fields(cls)}
+        tuples: dict[str, Any] = {
+            field.name: _tuples(arrays[field.name]) for field in fields(cls)
+        }
         return cls(**tuples)
 
     def array(self, name: str) -> np.ndarray:
@@ -96,13 +114,23 @@ def _require(ok: bool, name: str, value: float, allowed: str) -> None:
 def _positive(owner: object, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
-        _require(math.isfinite(value) and value > 0, name, value, "it must be finite and above 0")
+        _require(
+            math.isfinite(value) and value > 0,
+            name,
+            value,
+            "it must be finite and above 0",
+        )
 
 
 def _not_negative(owner: object, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
-        _require(math.isfinite(value) and value >= 0, name, value, "it must be finite and 0 or more")
+        _require(
+            math.isfinite(value) and value >= 0,
+            name,
+            value,
+            "it must be finite and 0 or more",
+        )
 
 
 @dataclass(frozen=True)
@@ -112,13 +140,16 @@ class Geometry:
     Attributes:
         connectors: N, number of connectors ("links" in the dissertation), at least 2.
         segment_length: l, length of the bending part of a segment, m.
-        rigid_gap: L_o, length of the straight part of a segment, half of it at each end, m (Fig. 35).
-        half_track: distance of each contact point from the centre line, m. For a skin it is w/(2√3) with the
-            width w of the body: the two points are those of a Gauss rule across the belly.
-        wheel_radius: radius of a wheel, or of the spheres with which the skin of the twin touches the floor,
-            m.
+        rigid_gap: L_o, length of the straight part of a segment, half of it at each
+            end, m (Fig. 35).
+        half_track: distance of each contact point from the centre line, m. For a skin
+            it is w/(2√3) with the width w of the body: the two points are those of a
+            Gauss rule across the belly.
+        wheel_radius: radius of a wheel, or of the spheres with which the skin of the
+            twin touches the floor, m.
         com_height: height of the centre of mass of a connector above the floor, m.
-        width: width of the soft body in pictures and collision checks, m; no effect on the motion.
+        width: width of the soft body in pictures and collision checks, m; no effect on
+            the motion.
     """
 
     connectors: int
@@ -130,8 +161,12 @@ class Geometry:
     width: float
 
     def __post_init__(self) -> None:
-        _require(self.connectors >= 2, "connectors", self.connectors, "a snake has 2 or more")
-        _positive(self, "segment_length", "half_track", "wheel_radius", "com_height", "width")
+        _require(
+            self.connectors >= 2, "connectors", self.connectors, "a snake has 2 or more"
+        )
+        _positive(
+            self, "segment_length", "half_track", "wheel_radius", "com_height", "width"
+        )
         _not_negative(self, "rigid_gap")
 
     @property
@@ -159,12 +194,15 @@ class Mass:
     """Masses of connectors and wheels.
 
     Attributes:
-        connectors: mass of each connector including its wheels, head first, shape (N,), kg.
-        wheel: mass of one wheel, included in that of its connector, kg; 0 for a robot with skin.
-        connector_gyration: radius of gyration of a connector without its wheels, m; None for the value
-            derived in `RobotSpec.connector_gyration`.
-        segments: mass of each segment of a robot with skin, spread evenly over its length, head first, kg;
-            None for a robot on wheels, whose mass is at the connectors.
+        connectors: mass of each connector including its wheels, head first, shape (N,),
+            kg.
+        wheel: mass of one wheel, included in that of its connector, kg; 0 for a robot
+            with skin.
+        connector_gyration: radius of gyration of a connector without its wheels, m;
+            None for the value derived in `RobotSpec.connector_gyration`.
+        segments: mass of each segment of a robot with skin, spread evenly over its
+            length, head first, kg; None for a robot on wheels, whose mass is at the
+            connectors.
     """
 
     connectors: tuple[float, ...]
@@ -177,15 +215,27 @@ class Mass:
         if self.connector_gyration is not None:
             _positive(self, "connector_gyration")
         for i, mass in enumerate(self.connectors, start=1):
-            _require(math.isfinite(mass) and mass > 0, f"mass of connector {i}", mass, "it must be above 0")
+            _require(
+                math.isfinite(mass) and mass > 0,
+                f"mass of connector {i}",
+                mass,
+                "it must be above 0",
+            )
             heaviest = WHEEL_SHARE * mass / 2
-            _require(self.wheel <= heaviest, "wheel", self.wheel, f"it must weigh at most {heaviest:g} kg")
+            _require(
+                self.wheel <= heaviest,
+                "wheel",
+                self.wheel,
+                f"it must weigh at most {heaviest:g} kg",
+            )
 
     @classmethod
     def along_body(cls, segments: tuple[float, ...]) -> Mass:
         """Return the masses of a robot with skin: each connector stands for the adjacent half segments."""
         halves = (0.0, *segments), (*segments, 0.0)
-        connectors = tuple((front + rear) / 2 for front, rear in zip(*halves, strict=True))
+        connectors = tuple(
+            (front + rear) / 2 for front, rear in zip(*halves, strict=True)
+        )
         return cls(connectors, wheel=0.0, segments=segments)
 
     @property
@@ -203,12 +253,13 @@ class Friction:
     """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading (axle drag of a rolling wheel); that of a skin for slip
-            towards the head.
+        mu_t: friction coefficient along the heading (axle drag of a rolling wheel);
+            that of a skin for slip towards the head.
         mu_n: friction coefficient across the heading (a wheel that slides sideways).
-        drag: total axial drag of tubes and belly, N. Equal parts act on the connectors against their motion
-            along the heading, independent of the wheel loads.
-        mu_back: friction coefficient of a skin for slip towards the tail; None for mu_t.
+        drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
+            against their motion along the heading, independent of the wheel loads.
+        mu_back: friction coefficient of a skin for slip towards the tail; None for
+            mu_t.
     """
 
     mu_t: float
@@ -217,7 +268,13 @@ class Friction:
     mu_back: float | None = None
 
     def __post_init__(self) -> None:
-        _not_negative(self, "mu_t", "mu_n", "drag", *(["mu_back"] if self.mu_back is not None else []))
+        _not_negative(
+            self,
+            "mu_t",
+            "mu_n",
+            "drag",
+            *(["mu_back"] if self.mu_back is not None else []),
+        )
 
     @property
     def backward(self) -> float:
@@ -231,7 +288,8 @@ class Skin:
 
     Attributes:
         law: friction law, "ellipse" or "cosine" (`robot.friction`).
-        points: number of contact points along a segment, each of them two points side by side.
+        points: number of contact points along a segment, each of them two points side
+            by side.
     """
 
     law: SkinLaw = "ellipse"
@@ -248,8 +306,8 @@ class Bending:
 
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
-        damping_time: c/k, damping of deviations from the free bend over stiffness, s. The loss factor of the
-            material at the frequency f is 2π f times this value.
+        damping_time: c/k, damping of deviations from the free bend over stiffness, s.
+            The loss factor of the material at the frequency f is 2π f times this value.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
         out_of_plane_damping_time: damping over stiffness of pitch and roll, s.
@@ -262,7 +320,9 @@ class Bending:
     out_of_plane_damping_time: float
 
     def __post_init__(self) -> None:
-        _positive(self, "stiffness", "damping_time", "pitch_stiffness", "roll_stiffness")
+        _positive(
+            self, "stiffness", "damping_time", "pitch_stiffness", "roll_stiffness"
+        )
         _positive(self, "out_of_plane_damping_time")
 
     @property
@@ -287,13 +347,18 @@ class Actuator:
     Attributes:
         tau_fill: fill time constant τ₁, s.
         tau_vent: vent time constant τ₁, s.
-        tau_mode: mode time constant τ₂, with which the free bend follows the pressures, s.
-        gain: free bend per pressure difference of the chambers, rad/Pa (C₀ over its pressure).
-        bend_limit: q_m, limit of the free bend at high pressure, rad; infinite for a linear gain.
-        onset_share: s, missing fraction of the gain in the dead zone around zero pressure.
+        tau_mode: mode time constant τ₂, with which the free bend follows the pressures,
+            s.
+        gain: free bend per pressure difference of the chambers, rad/Pa (C₀ over its
+            pressure).
+        bend_limit: q_m, limit of the free bend at high pressure, rad; infinite for a
+            linear gain.
+        onset_share: s, missing fraction of the gain in the dead zone around zero
+            pressure.
         onset: d, free bend of the linear law at the end of the dead zone, rad.
         onset_width: w, width of the transition at the end of the dead zone, rad.
-        extension: e, extension of a segment of a spatial robot over the mean pressure of its chambers, m/Pa.
+        extension: e, extension of a segment of a spatial robot over the mean pressure
+            of its chambers, m/Pa.
     """
 
     tau_fill: float
@@ -307,9 +372,18 @@ class Actuator:
     extension: float = 0.0
 
     def __post_init__(self) -> None:
-        _positive(self, "tau_fill", "tau_vent", "tau_mode", "gain", "onset", "onset_width")
-        _require(0 <= self.onset_share <= 1, "onset_share", self.onset_share, "it must be 0 to 1")
-        _require(self.bend_limit > 0, "bend_limit", self.bend_limit, "it must be above 0")
+        _positive(
+            self, "tau_fill", "tau_vent", "tau_mode", "gain", "onset", "onset_width"
+        )
+        _require(
+            0 <= self.onset_share <= 1,
+            "onset_share",
+            self.onset_share,
+            "it must be 0 to 1",
+        )
+        _require(
+            self.bend_limit > 0, "bend_limit", self.bend_limit, "it must be above 0"
+        )
         _not_negative(self, "extension")
 
 
@@ -324,10 +398,13 @@ class Chamber:
     """Air space of one chamber of a segment: V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: volume of the chamber of a straight segment with its tube, m³; also the smallest volume.
-        displacement: increase of the volume per bend towards the side of the chamber, m³/rad.
-        directions: direction in which each chamber of a spatial robot bends its segment, rad: 0 to the left,
-            π/2 upwards; None for a planar robot, whose chambers bend it to the left and to the right.
+        dead_volume: volume of the chamber of a straight segment with its tube, m³; also
+            the smallest volume.
+        displacement: increase of the volume per bend towards the side of the chamber,
+            m³/rad.
+        directions: direction in which each chamber of a spatial robot bends its
+            segment, rad: 0 to the left, π/2 upwards; None for a planar robot, whose
+            chambers bend it to the left and to the right.
     """
 
     dead_volume: float
@@ -338,13 +415,22 @@ class Chamber:
         _positive(self, "dead_volume", "displacement")
         if self.directions is not None:
             gap = widest_gap(np.degrees(self.directions))
-            _require(gap < 180 - 1e-6, "directions", gap, "neighbouring chambers are less than 180° apart")
+            _require(
+                gap < 180 - 1e-6,
+                "directions",
+                gap,
+                "neighbouring chambers are less than 180° apart",
+            )
 
     @property
     def axes(self) -> np.ndarray:
         """Bend to the left and upwards per unit bend of each chamber, shape (chambers, 2)."""
-        angles = np.array((0.0, math.pi) if self.directions is None else self.directions)
-        axes: np.ndarray = np.round(np.stack([np.cos(angles), np.sin(angles)], axis=-1), 15)
+        angles = np.array(
+            (0.0, math.pi) if self.directions is None else self.directions
+        )
+        axes: np.ndarray = np.round(
+            np.stack([np.cos(angles), np.sin(angles)], axis=-1), 15
+        )
         return axes
 
 
@@ -374,7 +460,8 @@ class Tail:
 
     Attributes:
         axle: distance of the second axle behind the axle of the last connector, m.
-        com: distance of the centre of mass behind the axle of the last connector, m; at most `axle`.
+        com: distance of the centre of mass behind the axle of the last connector, m; at
+            most `axle`.
         com_height: height of the centre of mass above the floor, m.
         gyration: radius of gyration of the assembly including its wheels, m.
     """
@@ -387,7 +474,10 @@ class Tail:
     def __post_init__(self) -> None:
         _positive(self, "axle", "com_height", "gyration")
         _require(
-            0 <= self.com <= self.axle, "com", self.com, f"it must be between the axles, 0 to {self.axle:g}"
+            0 <= self.com <= self.axle,
+            "com",
+            self.com,
+            f"it must be between the axles, 0 to {self.axle:g}",
         )
 
 
@@ -420,7 +510,8 @@ class RobotSpec:
         chamber: air space of a chamber.
         supply: pressures and their limits.
         phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
-        variation: individual properties of the modules; None for identical nominal modules.
+        variation: individual properties of the modules; None for identical nominal
+            modules.
         tail: tail assembly; None if the last connector has one axle.
         skin: contact of a body without wheels; None for a robot on wheels.
     """
@@ -441,24 +532,57 @@ class RobotSpec:
 
     def __post_init__(self) -> None:
         count, connectors = len(self.mass.connectors), self.geometry.connectors
-        _require(count == connectors, "mass.connectors", count, f"the robot has {connectors} connectors")
-        _require(math.isfinite(self.phase_step), "phase_step", self.phase_step, "it must be finite")
+        _require(
+            count == connectors,
+            "mass.connectors",
+            count,
+            f"the robot has {connectors} connectors",
+        )
+        _require(
+            math.isfinite(self.phase_step),
+            "phase_step",
+            self.phase_step,
+            "it must be finite",
+        )
         if self.variation is not None:
             count = len(self.variation.gain)
-            _require(count == self.segments, "modules", count, f"the robot has {self.segments}")
+            _require(
+                count == self.segments,
+                "modules",
+                count,
+                f"the robot has {self.segments}",
+            )
             count = len(self.variation.gain[0])
-            _require(count == self.chambers, "modules", count, f"a segment has {self.chambers} chambers")
+            _require(
+                count == self.chambers,
+                "modules",
+                count,
+                f"a segment has {self.chambers} chambers",
+            )
         if self.is_spatial and self.skin is None:
-            raise InputError("a spatial robot needs contact skin: its wheels would leave the floor")
+            raise InputError(
+                "a spatial robot needs contact skin: its wheels would leave the floor"
+            )
         if self.actuator.extension and not self.is_spatial:
             raise InputError(
-                "actuator.extension needs a spatial robot; segments of planar ones keep their length"
+                "actuator.extension needs a spatial robot; segments of planar ones keep"
+                " their length"
             )
-        if (self.skin is None) != (self.mass.segments is None) or (self.skin and self.tail):
-            raise InputError("a robot has either a skin and masses of segments, or wheels and perhaps a tail")
+        if (self.skin is None) != (self.mass.segments is None) or (
+            self.skin and self.tail
+        ):
+            raise InputError(
+                "a robot has either a skin and masses of segments, or wheels and"
+                " perhaps a tail"
+            )
         if self.mass.segments is not None:
             count = len(self.mass.segments)
-            _require(count == self.segments, "mass.segments", count, f"the robot has {self.segments}")
+            _require(
+                count == self.segments,
+                "mass.segments",
+                count,
+                f"the robot has {self.segments}",
+            )
 
     @property
     def segments(self) -> int:
@@ -479,7 +603,8 @@ class RobotSpec:
     def axial_stiffness(self) -> float:
         """Stiffness of a segment of a spatial robot along its axis, N/m.
 
-        E A / l = (E I / l) · A / I with A / I = 4 / r² of a solid round section of radius r.
+        E A / l = (E I / l) · A / I with A / I = 4 / r² of a solid round section of
+        radius r.
         """
         return 4 * self.bending.stiffness / self.geometry.com_height**2
 
@@ -494,8 +619,9 @@ class RobotSpec:
         """
         if self.is_spatial:
             raise InputError(
-                f"{feature} does not support the spatial robot {self.name} (chamber.directions_deg); "
-                "use a robot whose chambers bend it to the left and right only"
+                f"{feature} does not support the spatial robot {self.name}"
+                " (chamber.directions_deg); use a robot whose chambers bend it to the"
+                " left and right only"
             )
 
     @cached_property
@@ -524,10 +650,12 @@ class RobotSpec:
     @cached_property
     def axles(self) -> tuple[Axle, ...]:
         """All axles of a robot on wheels, head first."""
-        axles = [Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)]
+        axles = [
+            Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)
+        ]
         if self.tail is not None:
-            # Lever rule: each axle carries mass in proportion to the distance of the other axle from the
-            # centre of mass.
+            # Lever rule: each axle carries mass in proportion to the distance of the
+            # other axle from the centre of mass.
             last, share = axles.pop(), self.tail.com / self.tail.axle
             axles.append(last._replace(mass=(1 - share) * last.mass))
             axles.append(last._replace(mass=share * last.mass, behind=self.tail.axle))
@@ -537,17 +665,24 @@ class RobotSpec:
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without its wheels, m.
 
-        The default is that of a uniform block with the length of the rigid gap and the width of the track,
-        2 w: √((L_o² + (2 w)²)/12).
+        The default is that of a uniform block with the length of the rigid gap and the
+        width of the track, 2 w: √((L_o² + (2 w)²)/12).
         """
         g = self.geometry
         derived = math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
-        return derived if self.mass.connector_gyration is None else self.mass.connector_gyration
+        return (
+            derived
+            if self.mass.connector_gyration is None
+            else self.mass.connector_gyration
+        )
 
     def yaw_inertia(self) -> np.ndarray:
         """Return the yaw inertia of each connector about its centre, wheels included, (N,), kg·m²."""
         wheel, g = self.mass.wheel, self.geometry
-        # A wheel is a thin disc: r²/4 about a diameter, and the parallel-axis term of the half track.
+        # A wheel is a thin disc: r²/4 about a diameter, and the parallel-axis term of
+        # the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
-        inertia: np.ndarray = (self.mass.array() - 2 * wheel) * self.connector_gyration**2 + wheels
+        inertia: np.ndarray = (
+            self.mass.array() - 2 * wheel
+        ) * self.connector_gyration**2 + wheels
         return inertia

@@ -1,6 +1,7 @@
 """World around the snake: floor, obstacles, objects, bounds and goal, in SI units and the world frame.
 
-Random obstacles are posts in rows, uniformly distributed circles, and the 18 sites of the dissertation.
+Random obstacles are posts in rows, uniformly distributed circles, and the 18 sites of
+the dissertation.
 """
 
 from __future__ import annotations
@@ -14,7 +15,10 @@ import numpy as np
 from srs_twin.errors import InputError
 
 OBSTACLE_FRICTION = 0.5
-"""Default friction coefficient of silicone on a smooth obstacle, 1. Estimate; the dissertation gives none."""
+"""Default friction coefficient of silicone on a smooth obstacle, 1.
+
+Estimate; the dissertation gives none.
+"""
 
 WALL_M = 0.001
 """Rounding radius of the sides of a polygon, m; the solid polygon extends this far beyond its corners."""
@@ -59,7 +63,8 @@ class Polygon:
     """Obstacle with straight sides that do not cross each other.
 
     Attributes:
-        corners: (x, y) of three or more corners, m, in either sense of rotation; the polygon is closed.
+        corners: (x, y) of three or more corners, m, in either sense of rotation; the
+            polygon is closed.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -113,7 +118,11 @@ class Floor:
     def down(self) -> tuple[float, float, float]:
         """Unit vector of gravity; exactly (0, 0, −1) on a level floor."""
         slope = math.sin(self.tilt)
-        return 0.0 - slope * math.cos(self.uphill), 0.0 - slope * math.sin(self.uphill), -math.cos(self.tilt)
+        return (
+            0.0 - slope * math.cos(self.uphill),
+            0.0 - slope * math.sin(self.uphill),
+            -math.cos(self.tilt),
+        )
 
 
 @dataclass(frozen=True)
@@ -122,7 +131,8 @@ class Step:
 
     Attributes:
         x: position of the step, m.
-        height: height of the floor beyond x relative to the floor before it, m; negative for a step down.
+        height: height of the floor beyond x relative to the floor before it, m;
+            negative for a step down.
     """
 
     x: float
@@ -139,7 +149,8 @@ class MovableObject:
         friction: friction coefficient between object and floor, 1.
         x: initial position of the centre, m.
         y: initial position of the centre, m.
-        heading: initial direction of the length of a box, counter-clockwise from x, rad.
+        heading: initial direction of the length of a box, counter-clockwise from x,
+            rad.
     """
 
     size: tuple[float, ...]
@@ -157,15 +168,20 @@ class MovableObject:
     @property
     def gyration(self) -> float:
         """Radius of gyration about the vertical axis of a uniform body, m."""
-        return math.hypot(*self.size) / math.sqrt(12) if self.is_box else self.size[0] / math.sqrt(2)
+        return (
+            math.hypot(*self.size) / math.sqrt(12)
+            if self.is_box
+            else self.size[0] / math.sqrt(2)
+        )
 
     @property
     def supports(self) -> tuple[tuple[float, float], ...]:
         """Places of the four points that carry equal loads, in the frame of the object, m.
 
-        For a box they are those of a Gauss rule, with the second moments of a uniform pressure. For a
-        cylinder they are at two thirds of the radius, so that friction resists a pure spin with the moment of
-        a uniform pressure, 2/3 μ m g R. For a square this moment is 7 % too large.
+        For a box they are those of a Gauss rule, with the second moments of a uniform
+        pressure. For a cylinder they are at two thirds of the radius, so that friction
+        resists a pure spin with the moment of a uniform pressure, 2/3 μ m g R. For a
+        square this moment is 7 % too large.
         """
         reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
         a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
@@ -225,14 +241,17 @@ FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
 """Border in the definition of the h score; its position in the lost figure is our assumption."""
 
 FIG54_SITES = tuple(
-    Circle(0.4 + 0.3 * column, 0.5 + 0.4 * (row - 1) + 0.1 * (1 if column % 2 else -1), 0.1)
+    Circle(
+        0.4 + 0.3 * column, 0.5 + 0.4 * (row - 1) + 0.1 * (1 if column % 2 else -1), 0.1
+    )
     for column in range(5)
     for row in range(3)
 ) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))
 """18 sites of circles with a diameter of 200 mm between start and goal; assumed, as Fig. 54 is lost."""
 
 _MAX_TRIES = 200
-"""Largest mean number of tries per circle; with more, the circles count as not fitting."""
+"""Largest mean number of tries per circle; with more, the circles count as not fitting.
+"""
 
 
 def fig54_world(count: int, seed: int) -> World:
@@ -246,8 +265,12 @@ def fig54_world(count: int, seed: int) -> World:
         InputError: the count is not 0 to 18.
     """
     if not 0 <= count <= len(FIG54_SITES):
-        raise InputError(f"{count} obstacles cannot be drawn from {len(FIG54_SITES)} sites")
-    drawn = np.random.default_rng((seed, count)).choice(len(FIG54_SITES), count, replace=False)
+        raise InputError(
+            f"{count} obstacles cannot be drawn from {len(FIG54_SITES)} sites"
+        )
+    drawn = np.random.default_rng((seed, count)).choice(
+        len(FIG54_SITES), count, replace=False
+    )
     return World(tuple(FIG54_SITES[i] for i in sorted(drawn)), FIG54_BOUNDS, FIG54_GOAL)
 
 
@@ -271,7 +294,8 @@ def peg_field(
         columns: number of columns, along x.
         first: x of the first column, and y of the middle of all columns, m.
         seed: random seed of the displacements.
-        jitter: largest displacement of a post along x and along y, uniformly distributed, m.
+        jitter: largest displacement of a post along x and along y, uniformly
+            distributed, m.
         staggered: shift every second column by half a pitch, to alternate sides.
 
     Raises:
@@ -279,16 +303,22 @@ def peg_field(
     """
     if not 2 * (radius + jitter) < pitch:
         raise InputError(
-            f"pegs of radius {radius:g} m that are displaced by up to {jitter:g} m overlap at a pitch of "
-            f"{pitch:g} m; the pitch must be above {2 * (radius + jitter):g} m"
+            f"pegs of radius {radius:g} m that are displaced by up to {jitter:g} m"
+            f" overlap at a pitch of {pitch:g} m; the pitch must be above"
+            f" {2 * (radius + jitter):g} m"
         )
     shifts = np.random.default_rng(seed).uniform(-jitter, jitter, (columns, rows, 2))
     pegs = []
     for i in range(columns):
         stagger = ((i + 1) % 2 - 0.5) / 2 * pitch if staggered else 0.0
         for j in range(rows):
-            x, y = first[0] + i * pitch, first[1] + (j - (rows - 1) / 2) * pitch + stagger
-            pegs.append(Circle(x + float(shifts[i, j, 0]), y + float(shifts[i, j, 1]), radius))
+            x, y = (
+                first[0] + i * pitch,
+                first[1] + (j - (rows - 1) / 2) * pitch + stagger,
+            )
+            pegs.append(
+                Circle(x + float(shifts[i, j, 0]), y + float(shifts[i, j, 1]), radius)
+            )
     return tuple(pegs)
 
 
@@ -308,7 +338,8 @@ def random_circles(
         bounds: rectangle of the centres.
         seed: random seed.
         radius: smallest and largest radius, m.
-        gap: smallest distance between the edges of two circles, m; a negative gap allows an overlap.
+        gap: smallest distance between the edges of two circles, m; a negative gap
+            allows an overlap.
         clear: discs (x, y, radius) that no circle may touch, such as start and goal.
 
     Raises:
@@ -320,11 +351,16 @@ def random_circles(
         if len(circles) == count:
             break
         x, y, r = rng.uniform(*bounds.x), rng.uniform(*bounds.y), rng.uniform(*radius)
-        separate = all(math.hypot(x - c.x, y - c.y) >= r + c.radius + gap for c in circles)
-        if separate and all(math.hypot(x - cx, y - cy) >= r + cr for cx, cy, cr in clear):
+        separate = all(
+            math.hypot(x - c.x, y - c.y) >= r + c.radius + gap for c in circles
+        )
+        if separate and all(
+            math.hypot(x - cx, y - cy) >= r + cr for cx, cy, cr in clear
+        ):
             circles.append(Circle(x, y, r))
     if len(circles) < count:
         raise InputError(
-            f"{count} circles do not fit with gaps of {gap:g} m: {len(circles)} did; take fewer or smaller"
+            f"{count} circles do not fit with gaps of {gap:g} m: {len(circles)} did;"
+            " take fewer or smaller"
         )
     return tuple(circles)

@@ -12,9 +12,20 @@ import numpy as np
 from srs_twin.comparison.metrics import MEASURED_UNITS
 from srs_twin.control.gait import Gait
 from srs_twin.control.replay import HoldValves
-from srs_twin.errors import InputError, SamplingGrid, TimeStepError, count_steps, nearest_rate
+from srs_twin.errors import (
+    InputError,
+    SamplingGrid,
+    TimeStepError,
+    count_steps,
+    nearest_rate,
+)
 from srs_twin.io.documents import Document, Loc
-from srs_twin.plants.clearance import PENETRATION_M, TOUCHING_M, hull_lines, start_overlaps
+from srs_twin.plants.clearance import (
+    PENETRATION_M,
+    TOUCHING_M,
+    hull_lines,
+    start_overlaps,
+)
 from srs_twin.plants.twin.mjcf.numerics import MAX_STEP_RATIO
 from srs_twin.pneumatics.base import Pneumatics
 from srs_twin.pneumatics.chambers import largest_bend
@@ -45,7 +56,9 @@ _PSI_TOLERANCE = 0.1
 def check(document: Document, file: ScenarioFile) -> None:
     """Report contradictions between the sections of a file that do not depend on the robot."""
     start = ((("start", *loc), text, True) for loc, text in file.start.contradictions())
-    sections = [section.contradictions_with(file) for section in file.sections().values()]
+    sections = [
+        section.contradictions_with(file) for section in file.sections().values()
+    ]
     own = (
         _times(file),
         start,
@@ -75,24 +88,34 @@ def _floor(file: ScenarioFile) -> Iterator[Contradiction]:
     preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
     if preloaded and (world.steps or world.floor.tilt_deg):
         uneven = "steps" if world.steps else "floor"
-        yield ("world", uneven), "a twin on this floor needs contact: loaded (plants.twin)", False
+        yield (
+            ("world", uneven),
+            "a twin on this floor needs contact: loaded (plants.twin)",
+            False,
+        )
 
 
 def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     """Report a supply pressure above the robot's limit, or return a warning if the scenario allows it.
 
-    The check reads the document itself, so that it also runs if other keys are not valid.
+    The check reads the document itself, so that it also runs if other keys are not
+    valid.
     """
     pressure = document.get("supply", "pressure_kpa")
     if robot.supply is None:
         if pressure not in (None, SERVO_PRESSURE_KPA):
             document.report(
-                ("supply", "pressure_kpa"), f"{robot.name} has servos and no supply; remove this key"
+                ("supply", "pressure_kpa"),
+                f"{robot.name} has servos and no supply; remove this key",
             )
         return []
     held = document.get("controller", "kind") == HoldValves.kind
     limit = robot.supply.continuous_limit_kpa if held else robot.supply.pulsed_limit_kpa
-    number = isinstance(pressure, (int, float)) and not isinstance(pressure, bool) and math.isfinite(pressure)
+    number = (
+        isinstance(pressure, (int, float))
+        and not isinstance(pressure, bool)
+        and math.isfinite(pressure)
+    )
     if not number:
         return []
     nominal, hint = robot.supply.nominal_kpa.value, ""
@@ -100,13 +123,25 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     if pressure > 0 and (in_psi or not 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL):
         hint = f"; {likely_unit(pressure, 'kPa', nominal)}"
     if pressure <= limit.value * (_ROUNDING if held else 1.0):
-        text = f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of {robot.name}{hint}"
+        text = (
+            f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of"
+            f" {robot.name}{hint}"
+        )
         return [document.describe(("supply", "pressure_kpa"), text)] if hint else []
     use = "with valves held open" if held else "in pulses of a gait"
-    text = f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g} kPa ({limit.source})"
-    if True in (document.get("allow_overpressure"), document.get("supply", "allow_overpressure")):
+    text = (
+        f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g}"
+        f" kPa ({limit.source})"
+    )
+    if True in (
+        document.get("allow_overpressure"),
+        document.get("supply", "allow_overpressure"),
+    ):
         return [f"supply.pressure_kpa: {text}"]
-    document.report(("supply", "pressure_kpa"), f"{text}; lower it, or set allow_overpressure: true{hint}")
+    document.report(
+        ("supply", "pressure_kpa"),
+        f"{text}; lower it, or set allow_overpressure: true{hint}",
+    )
     return []
 
 
@@ -115,14 +150,21 @@ def check_robot(document: Document, file: ScenarioFile, robot: RobotFile) -> Non
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
-            text = f"{fault.segment} is not allowed; {robot.name} has {segments} segments"
+            text = (
+                f"{fault.segment} is not allowed; {robot.name} has {segments} segments"
+            )
             document.report(("faults", k, "segment"), text)
     with document.report_errors("sensor"):
         file.sensor.sensor(robot.spec())
-    _report(document, chain(_kinds(file, robot), _contact(file, robot), _timestep(file, robot)))
+    _report(
+        document,
+        chain(_kinds(file, robot), _contact(file, robot), _timestep(file, robot)),
+    )
 
 
-def check_start(file: ScenarioFile, loading: Loading, begin: InitialState | None) -> None:
+def check_start(
+    file: ScenarioFile, loading: Loading, begin: InitialState | None
+) -> None:
     """Report obstacles and objects that overlap the body at the start."""
     world, allowed = loading.world, TOUCHING_M
     if file.bench or not world.is_solid:
@@ -132,20 +174,35 @@ def check_start(file: ScenarioFile, loading: Loading, begin: InitialState | None
         allowed = PENETRATION_M * spec.scale.length
     texts: dict[Loc, str] = {}
     for kind, plant in file.plants.running.items():
-        geometry = spec.geometry if plant.gaps else replace(spec.geometry, rigid_gap=0.0)
-        com, heading, bend = np.array([pose.x, pose.y]), pose.heading, spec.modules.array("bias")
+        geometry = (
+            spec.geometry if plant.gaps else replace(spec.geometry, rigid_gap=0.0)
+        )
+        com, heading, bend = (
+            np.array([pose.x, pose.y]),
+            pose.heading,
+            spec.modules.array("bias"),
+        )
         if begin is not None:
             state = begin.states[kind]
             com, heading, bend = state.com, state.heading, state.bend
-        shape = body_shape(bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap)
+        shape = body_shape(
+            bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
+        )
         cos, sin = math.cos(heading), math.sin(heading)
         position = com + shape @ np.array([[cos, sin], [-sin, cos]])
-        theta, hinges = heading + relative_headings(bend), getattr(plant, "hinges_per_segment", 2)
+        theta, hinges = (
+            heading + relative_headings(bend),
+            getattr(plant, "hinges_per_segment", 2),
+        )
         lines = hull_lines(position[None], theta[None], geometry, hinges)
-        for overlap in start_overlaps(world, lines, geometry.width / 2, allowed=allowed):
+        for overlap in start_overlaps(
+            world, lines, geometry.width / 2, allowed=allowed
+        ):
             loc = file.world.place_of(overlap.number, world)
             # Drawn and mapped obstacles have no place of their own in the file.
-            texts.setdefault(loc, overlap.text if len(loc) > 1 else f"{overlap.name} {overlap.text}")
+            texts.setdefault(
+                loc, overlap.text if len(loc) > 1 else f"{overlap.name} {overlap.text}"
+            )
     for loc, text in texts.items():
         loading.document.report(("world", *loc), text)
 
@@ -155,9 +212,13 @@ def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     bending, twin = robot.spec().bending, file.plants.twin
     shortest = min(bending.damping_time, bending.out_of_plane_damping_time)
     if twin is not None and not twin.timestep_s < MAX_STEP_RATIO * shortest:
-        text = f"{twin.timestep_s:g} s is too long: it must be below {MAX_STEP_RATIO:g} times the shortest "
+        text = (
+            f"{twin.timestep_s:g} s is too long: it must be below {MAX_STEP_RATIO:g}"
+            " times the shortest "
+        )
         text += (
-            f"damping time of the robot, {shortest:g} s (bending.damping_time_s, out_of_plane_damping_time_s)"
+            f"damping time of the robot, {shortest:g} s (bending.damping_time_s,"
+            " out_of_plane_damping_time_s)"
         )
         yield ("plants", "twin", "timestep_s"), text, False
 
@@ -167,7 +228,9 @@ def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     if robot.is_spatial:
         yield from _spatial(file, robot)
     elif file.plants.analytical and file.plants.analytical.model == "quasistatic":
-        text = f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
+        text = (
+            f"{robot.name} bends in one plane; quasistatic needs chamber.directions_deg"
+        )
         yield ("plants", "analytical", "model"), text, False
     if robot.has_servos and file.pneumatics.kind != "lag":
         text = f"{robot.name} has servos, which respond like lag; use lag"
@@ -179,21 +242,34 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     model, twin = file.plants.analytical, file.plants.twin
     if not robot.has_skin:
         if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
-            text = f"friction {model.friction} acts at one point per connector; momentary loads need two"
+            text = (
+                f"friction {model.friction} acts at one point per connector; momentary"
+                " loads need two"
+            )
             yield ("plants", "analytical"), text, False
         return
     for kind, plant in file.plants.running.items():
         for key in plant.wheel_keys:
             if key in plant.model_fields_set:
                 law = "has a skin with its own friction law (robot: contact.law)"
-                yield ("plants", kind, key), f"{robot.name} {law}; remove this key", True
+                yield (
+                    ("plants", kind, key),
+                    f"{robot.name} {law}; remove this key",
+                    True,
+                )
     if twin and twin.contact == "preloaded":
-        yield ("plants", "twin", "contact"), "a robot with skin needs contact: loaded", False
+        yield (
+            ("plants", "twin", "contact"),
+            "a robot with skin needs contact: loaded",
+            False,
+        )
     if model and model.model == "simplified":
         text = "a body with skin has no frozen chords; use complete or compliant"
         yield ("plants", "analytical", "model"), text, False
     if model and model.inertia == "lumped":
-        text = "the mass of a body with skin is along its length; use point or connector"
+        text = (
+            "the mass of a body with skin is along its length; use point or connector"
+        )
         yield ("plants", "analytical", "inertia"), text, False
 
 
@@ -201,35 +277,63 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     """Yield sections that do not support a robot whose segments bend in two directions."""
     model, world = file.plants.analytical, file.world
     if model is not None and model.model != "quasistatic":
-        text = f"{robot.name} is spatial; only model: quasistatic bends in two directions"
+        text = (
+            f"{robot.name} is spatial; only model: quasistatic bends in two directions"
+        )
         yield ("plants", "analytical"), text, True
     if file.start.moves:
-        text = f"{robot.name} is spatial and starts straight and at rest; set its pose only"
+        text = (
+            f"{robot.name} is spatial and starts straight and at rest; set its pose"
+            " only"
+        )
         yield ("start",), text, True
-    things = (world.steps, world.floor.tilt_deg, world.objects, world.obstacles, world.polygons, world.random)
+    things = (
+        world.steps,
+        world.floor.tilt_deg,
+        world.objects,
+        world.obstacles,
+        world.polygons,
+        world.random,
+    )
     if any(things):
         text = f"{robot.name} is spatial and crawls on a level floor without obstacles"
         yield ("world",), text, True
     if file.pneumatics.kind != "lag":
-        yield ("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag", False
+        yield (
+            ("pneumatics", "kind"),
+            f"{robot.name} is spatial and needs pneumatics lag",
+            False,
+        )
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
     """Set the layout of the valves, and report why a controller does not suit the scenario."""
     document, spec, controller = loading.document, loading.robot.spec(), file.controller
     try:
-        loading.warnings += list(controller.warnings(largest_bend(spec, loading.supply_pa)))
+        loading.warnings += list(
+            controller.warnings(largest_bend(spec, loading.supply_pa))
+        )
     except InputError as error:
-        document.report(("controller", "reference"), f"{error} (beyond_range: saturate)")
-    if spec.is_spatial and not any(getattr(each, "spatial", False) for each in controller.constructors):
         document.report(
-            ("controller", "kind"), f"{spec.name} is spatial; only {Gait.kind} drives its chambers"
+            ("controller", "reference"), f"{error} (beyond_range: saturate)"
+        )
+    if spec.is_spatial and not any(
+        getattr(each, "spatial", False) for each in controller.constructors
+    ):
+        document.report(
+            ("controller", "kind"),
+            f"{spec.name} is spatial; only {Gait.kind} drives its chambers",
         )
     possible = controller.layouts(loading.products)
     loading.layout = layout = file.valves.layout or possible[0]
     if layout not in possible:
-        reason = "3/2 valves cannot hold" if layout == "3/2" else "it does not hold valves"
-        text = f"{controller.kind} drives valves of layout {', '.join(possible)}, not {layout}; {reason}"
+        reason = (
+            "3/2 valves cannot hold" if layout == "3/2" else "it does not hold valves"
+        )
+        text = (
+            f"{controller.kind} drives valves of layout {', '.join(possible)}, not"
+            f" {layout}; {reason}"
+        )
         document.report(("valves", "layout"), text)
     with document.report_errors("pneumatics"):
         chambers = file.pneumatics.chambers(spec, loading.supply_pa, layout)
@@ -246,9 +350,14 @@ def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contrad
     twin, longest = file.plants.twin, chambers.coupling_step_s * (1 + 1e-9)
     if twin is not None and chambers.depends_on_bend and twin.timestep_s > longest:
         text = (
-            f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on the bends; it must be "
+            f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on"
+            " the bends; it must be "
         )
-        yield ("plants", "twin", "timestep_s"), f"{text}at most {chambers.coupling_step_s:g} s", False
+        yield (
+            ("plants", "twin", "timestep_s"),
+            f"{text}at most {chambers.coupling_step_s:g} s",
+            False,
+        )
 
 
 def _times(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -268,11 +377,20 @@ def _times(file: ScenarioFile) -> Iterator[Contradiction]:
             else:
                 count_steps(tick_name, tick, "recording interval", interval)
                 if isinstance(plant, TwinFile):
-                    count_steps("recording interval", interval, "the twin's time step", plant.timestep_s)
+                    count_steps(
+                        "recording interval",
+                        interval,
+                        "the twin's time step",
+                        plant.timestep_s,
+                    )
         except TimeStepError as error:
             yield (
                 key,
-                str(error) if key != ("record_hz",) else f"{error.problem}; {_rate_remedy(file)}",
+                (
+                    str(error)
+                    if key != ("record_hz",)
+                    else f"{error.problem}; {_rate_remedy(file)}"
+                ),
                 False,
             )
 
@@ -280,12 +398,16 @@ def _times(file: ScenarioFile) -> Iterator[Contradiction]:
 def _rate_remedy(file: ScenarioFile) -> str:
     """Return a message with the nearest recording rate that suits all plants."""
     clocks = [
-        SamplingGrid(file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None)
+        SamplingGrid(
+            file.tick(kind), plant.timestep_s if isinstance(plant, TwinFile) else None
+        )
         for kind, plant in file.plants.running.items()
     ]
     rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)
     return (
-        "no rate suits the plants' ticks; change tick_s" if rate is None else f"record_hz: {rate} is possible"
+        "no rate suits the plants' ticks; change tick_s"
+        if rate is None
+        else f"record_hz: {rate} is possible"
     )
 
 
@@ -294,33 +416,55 @@ def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
     if not file.bench:
         return
     if "start" in file.model_fields_set:
-        yield ("start",), "a module on a bench starts at its clamp; remove start or bench", True
+        yield (
+            ("start",),
+            "a module on a bench starts at its clamp; remove start or bench",
+            True,
+        )
     for kind, plant in file.plants.running.items():
         for key in plant.floor_keys:
             if key in plant.model_fields_set:
                 text = "there is no floor on a bench; remove this key, or bench: true"
                 yield ("plants", kind, key), text, True
     if file.plants.analytical and file.plants.analytical.model == "compliant":
-        text = "compliant needs a free snake; on a bench use complete, which has the bends of a free module"
+        text = (
+            "compliant needs a free snake; on a bench use complete, which has the bends"
+            " of a free module"
+        )
         yield ("plants", "analytical", "model"), text, False
 
 
 def _world(file: ScenarioFile) -> Iterator[Contradiction]:
     """Yield random obstacles without an area, and pegs and objects that a plant does not support."""
     world, plants = file.world, file.plants
-    if world.random and world.random.kind == "strewn" and not (world.random.area or world.bounds):
-        yield ("world", "random"), "strewn needs an area; set area, or bounds of the world", False
+    if (
+        world.random
+        and world.random.kind == "strewn"
+        and not (world.random.area or world.bounds)
+    ):
+        yield (
+            ("world", "random"),
+            "strewn needs an area; set area, or bounds of the world",
+            False,
+        )
     if world.pegs and plants.analytical and not plants.analytical.touch:
-        text = "pegs need an analytical plant that touches them; set model: compliant and touch: true"
+        text = (
+            "pegs need an analytical plant that touches them; set model: compliant and"
+            " touch: true"
+        )
         yield ("plants", "analytical"), text, False
     if world.objects and plants.analytical is not None:
         text = (
-            "the analytical plant has no movable objects; only the twin does: remove analytical from plants"
+            "the analytical plant has no movable objects; only the twin does: remove"
+            " analytical from plants"
         )
         yield ("world", "objects"), text, False
     preloaded = plants.twin is not None and plants.twin.contact == "preloaded"
     if world.objects and (file.bench or world.steps or preloaded):
-        text = "objects need a free snake on a plane floor and contact: loaded (plants.twin)"
+        text = (
+            "objects need a free snake on a plane floor and contact: loaded"
+            " (plants.twin)"
+        )
         yield ("world", "objects"), text, False
 
 
@@ -329,20 +473,39 @@ def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
     measured = any(section.measures for section in file.sections().values())
     for i, item in enumerate(file.expect):
         if item.metric in MEASURED_UNITS and not measured:
-            yield ("expect", i, "metric"), f"{item.metric} needs the section recording", False
+            yield (
+                ("expect", i, "metric"),
+                f"{item.metric} needs the section recording",
+                False,
+            )
         if item.plant and item.plant not in file.plants.running:
-            yield ("expect", i, "plant"), f"{item.plant} does not run here; add it to plants", False
+            yield (
+                ("expect", i, "plant"),
+                f"{item.plant} does not run here; add it to plants",
+                False,
+            )
         if item.of and len(file.plants.running) < 2:
-            yield ("expect", i, "of"), "a comparison needs both plants; add the other to plants", False
+            yield (
+                ("expect", i, "of"),
+                "a comparison needs both plants; add the other to plants",
+                False,
+            )
 
 
 def _gap_factor(file: ScenarioFile) -> Iterator[Contradiction]:
     """Yield a gap factor without both plants, or for an analytical model that already has rigid gaps."""
-    analytical, twin, key = file.plants.analytical, file.plants.twin, ("comparison", "gap_factor")
+    analytical, twin, key = (
+        file.plants.analytical,
+        file.plants.twin,
+        ("comparison", "gap_factor"),
+    )
     if not file.comparison.gap_factor:
         return
     if analytical is None or twin is None:
         yield key, "a comparison needs both plants; add the other to plants", False
     elif analytical.gaps:
-        text = "the analytical plant already has gaps in its geometry; set plants.analytical.gaps: false"
+        text = (
+            "the analytical plant already has gaps in its geometry; set"
+            " plants.analytical.gaps: false"
+        )
         yield key, text, False

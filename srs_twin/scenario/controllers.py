@@ -15,19 +15,34 @@ from srs_twin.control.gait import Gait, PitchWave
 from srs_twin.control.grasp import Grasp, check_hold, check_release
 from srs_twin.control.learning import ILC, MIN_PULSES
 from srs_twin.control.pwm import PulseWidthModulator
-from srs_twin.control.reference import Constant, Reference, Sine, Square, Staircase, Step
+from srs_twin.control.reference import (
+    Constant,
+    Reference,
+    Sine,
+    Square,
+    Staircase,
+    Step,
+)
 from srs_twin.control.replay import STATES, HoldValves, layouts_for
 from srs_twin.control.smc import DirectSMC, IterativeSMC
 from srs_twin.pneumatics.chambers import largest_bend
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.scenario.fields import Contradiction, FileSections, Section, constructor_default, quantity
+from srs_twin.scenario.fields import (
+    Contradiction,
+    FileSections,
+    Section,
+    constructor_default,
+    quantity,
+)
 
 _RIGHT_ANGLE = math.pi / 2
 """Largest bend, rad."""
 
 _FREQUENCY = quantity(0.01, 50.0)
 _PHASE = quantity(-6.3, 6.3)
-_Phases = Annotated[list[Annotated[float, Field(ge=-6.3, le=6.3)]], Field(max_length=200)]
+_Phases = Annotated[
+    list[Annotated[float, Field(ge=-6.3, le=6.3)]], Field(max_length=200)
+]
 _CARRIER = quantity(1.0, 1000.0)
 _SLOPE = quantity(0.001, 1000.0)
 
@@ -193,7 +208,9 @@ class LearningFile(ControllerSection):
             raise ValueError("give either target or target_rad, not both")
         least = 2 * MIN_PULSES * self.frequency_hz
         if self.carrier_hz < least:
-            raise ValueError(f"a gait of this frequency needs a carrier_hz of at least {least:g}")
+            raise ValueError(
+                f"a gait of this frequency needs a carrier_hz of at least {least:g}"
+            )
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
@@ -204,8 +221,8 @@ class LearningFile(ControllerSection):
         """See `ControllerSection.warnings`."""
         if self.target_rad and self.target_rad > limit:
             yield (
-                f"controller.target_rad: {self.target_rad:.4g} rad is above {limit:.4g} rad, the largest "
-                "bend at this supply pressure; duties will stay at 1"
+                f"controller.target_rad: {self.target_rad:.4g} rad is above {limit:.4g}"
+                " rad, the largest bend at this supply pressure; duties will stay at 1"
             )
 
 
@@ -280,7 +297,8 @@ class StaircaseFile(Section):
 
 
 ReferenceFile = Annotated[
-    ConstantFile | StepFile | SineFile | SquareFile | StaircaseFile, Field(discriminator="kind")
+    ConstantFile | StepFile | SineFile | SquareFile | StaircaseFile,
+    Field(discriminator="kind"),
 ]
 
 
@@ -295,7 +313,9 @@ class _TrackingFile(ControllerSection):
     def controller(self, context: ControllerContext) -> Controller:
         """See `ControllerSection.controller`."""
         reference = self.within(largest_bend(context.robot, context.supply_pa))
-        controller: Controller = self.constructors[0](**self.arguments() | {"reference": reference})
+        controller: Controller = self.constructors[0](
+            **self.arguments() | {"reference": reference}
+        )
         return controller
 
     def within(self, limit: float) -> Reference:
@@ -311,8 +331,8 @@ class _TrackingFile(ControllerSection):
         """See `ControllerSection.warnings`."""
         if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
-                f"controller.reference: {unlimited.peak:.4g} rad is limited to {limit:.4g} rad, the largest "
-                "bend at this supply pressure"
+                f"controller.reference: {unlimited.peak:.4g} rad is limited to"
+                f" {limit:.4g} rad, the largest bend at this supply pressure"
             )
 
 
@@ -389,7 +409,8 @@ class GraspFile(ControllerSection):
     release_after_s: float | None = quantity(0.0, 1e6)
     """Time of the release after the start of the drag (default: never)."""
     drag_m: float | None = quantity(0.001, 1000.0)
-    """Distance of the drag after which the object is released (sensed; default: any)."""
+    """Distance of the drag after which the object is released (sensed; default: any).
+    """
     phase_step_rad: float | None = _PHASE
     """Lag of each segment behind the one before it (default: the robot's)."""
 
@@ -399,5 +420,12 @@ class GraspFile(ControllerSection):
         check_release(self.mode, self.drag_m)
 
 
-CORE_CONTROLLERS = (GaitFile, LearningFile, DirectFile, IterativeFile, HoldFile, GraspFile)
+CORE_CONTROLLERS = (
+    GaitFile,
+    LearningFile,
+    DirectFile,
+    IterativeFile,
+    HoldFile,
+    GraspFile,
+)
 """Controller sections of the core."""

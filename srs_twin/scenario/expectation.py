@@ -1,8 +1,8 @@
 """Expected values of metrics, and the verdicts on them.
 
-An expectation is met, missed, missed for a known reason, or not judged. It is not judged if the metric is
-undefined for the run, if its stored interval is for another run, or if the error of an end of the interval is
-too large for a decision.
+An expectation is met, missed, missed for a known reason, or not judged. It is not
+judged if the metric is undefined for the run, if its stored interval is for another
+run, or if the error of an end of the interval is too large for a decision.
 """
 
 from __future__ import annotations
@@ -12,7 +12,13 @@ from collections.abc import Mapping, Sequence
 from enum import Enum
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, PlainSerializer, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainSerializer,
+    field_validator,
+    model_validator,
+)
 
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
@@ -78,7 +84,10 @@ MetricName = Annotated[
 ]
 """Name of a metric, in a file with its module if that is a plug-in."""
 
-_METRIC_SCHEMAS: list[Any] = [{"enum": [*METRIC_UNITS, *COMPARISON_UNITS]}, {"pattern": f"^{PART_PATTERN}$"}]
+_METRIC_SCHEMAS: list[Any] = [
+    {"enum": [*METRIC_UNITS, *COMPARISON_UNITS]},
+    {"pattern": f"^{PART_PATTERN}$"},
+]
 
 
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
@@ -122,29 +131,47 @@ class Expectation(Section):
     @classmethod
     def _is_a_metric(cls, metric: str) -> str:
         if metric not in known_metrics() and not READING.get():
-            raise ValueError(str(UnknownNameError("metric", metric, known_metrics(), METRICS_LISTED)))
+            raise ValueError(
+                str(UnknownNameError("metric", metric, known_metrics(), METRICS_LISTED))
+            )
         return metric
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Expectation:
         if (self.plant is None) == (self.of is None):
             raise ValueError("give either plant (analytical or twin) or of: comparison")
-        if self.metric in known_metrics() and self.metric not in known_metrics(self.subject):
-            required = "plant: analytical or plant: twin" if self.of else f"of: {COMPARISON}"
+        if self.metric in known_metrics() and self.metric not in known_metrics(
+            self.subject
+        ):
+            required = (
+                "plant: analytical or plant: twin" if self.of else f"of: {COMPARISON}"
+            )
             raise ValueError(f"{self.metric} needs {required}")
-        if sum(value is not None for value in (self.near, self.below, self.above, self.published)) != 1:
+        if (
+            sum(
+                value is not None
+                for value in (self.near, self.below, self.above, self.published)
+            )
+            != 1
+        ):
             raise ValueError("give exactly one of near, below, above and published")
         if (self.within is None) != (self.published is None):
-            raise ValueError("published needs within: interval_50 or interval_95, and the reverse")
+            raise ValueError(
+                "published needs within: interval_50 or interval_95, and the reverse"
+            )
         if self.published is None and self.scatter is not None:
             raise ValueError("scatter needs published")
         if self.published is not None and self.of is not None:
             raise ValueError("published needs plant: analytical or plant: twin")
         tolerances = sum(value is not None for value in (self.rel, self.abs))
         if tolerances != (self.near is not None):
-            raise ValueError("near needs either rel or abs; below and above take neither")
+            raise ValueError(
+                "near needs either rel or abs; below and above take neither"
+            )
         if self.near == 0 and self.rel is not None:
-            raise ValueError("near: 0 needs an absolute tolerance; use abs instead of rel")
+            raise ValueError(
+                "near: 0 needs an absolute tolerance; use abs instead of rel"
+            )
         return self
 
     @property
@@ -155,7 +182,13 @@ class Expectation(Section):
     @property
     def stated(self) -> float | None:
         """Published value of the metric; None without one."""
-        return self.published if self.published is not None else self.near if self.source else None
+        return (
+            self.published
+            if self.published is not None
+            else self.near
+            if self.source
+            else None
+        )
 
     @property
     def allowed(self) -> tuple[float, float]:
@@ -163,30 +196,45 @@ class Expectation(Section):
         if self.near is None:
             low = -math.inf if self.above is None else self.above
             return low, math.inf if self.below is None else self.below
-        tolerance = self.abs if self.abs is not None else (self.rel or 0.0) * math.fabs(self.near)
+        tolerance = (
+            self.abs
+            if self.abs is not None
+            else (self.rel or 0.0) * math.fabs(self.near)
+        )
         return self.near - tolerance, self.near + tolerance
 
-    def check(self, metrics: Mapping[str, Any], undefined: Undefined | None = None) -> dict[str, Any]:
+    def check(
+        self, metrics: Mapping[str, Any], undefined: Undefined | None = None
+    ) -> dict[str, Any]:
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: metrics as in metrics.json: "plants" → plant → metric, "comparison" → metric, and
-                "intervals", the stored intervals of `experiment.stored_intervals`.
-            undefined: reason why the metric has no value; None if it has one, or if the missing value is the
-                outcome of the run.
+            metrics: metrics as in metrics.json: "plants" → plant → metric, "comparison"
+                → metric, and "intervals", the stored intervals of
+                `experiment.stored_intervals`.
+            undefined: reason why the metric has no value; None if it has one, or if the
+                missing value is the outcome of the run.
 
         Returns:
-            Row of the expectations in metrics.json: `metric`, `of`, the `value` or None, the `allowed` values
-            as text, `state` ("met", "missed", "known" or "not_judged"), the `reason` why it is not judged,
-            whether it is `met` (never without a value), `near`, `source` and `known`.
+            Row of the expectations in metrics.json: `metric`, `of`, the `value` or
+                None, the `allowed` values
+            as text, `state` ("met", "missed", "known" or "not_judged"), the `reason`
+            why it is not judged, whether it is `met` (never without a value), `near`,
+            `source` and `known`.
         """
         (low, high), subject = self.allowed, self.subject
-        values = metrics.get(COMPARISON) if self.of else (metrics.get("plants") or {}).get(subject)
+        values = (
+            metrics.get(COMPARISON)
+            if self.of
+            else (metrics.get("plants") or {}).get(subject)
+        )
         value = (values or {}).get(self.metric)
         row: dict[str, Any] = {"metric": self.metric, "of": subject, "value": value}
         row |= {"allowed": _range_text(low, high), "met": False, "reason": None}
         if self.within is not None:
-            within = f"published {self.published:.4g} within the {_INTERVALS[self.within]}"
+            within = (
+                f"published {self.published:.4g} within the {_INTERVALS[self.within]}"
+            )
             row |= {"allowed": within, "within": self.within}
         if value is None or not math.isfinite(value):
             limit = high if self.published is None else self.published
@@ -197,49 +245,95 @@ class Expectation(Section):
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
         missed = "missed" if self.known is None else "known"
-        state = "not_judged" if row["reason"] is not None else "met" if row["met"] else missed
+        state = (
+            "not_judged"
+            if row["reason"] is not None
+            else "met"
+            if row["met"]
+            else missed
+        )
         stated = self.near if self.published is None else self.published
-        return row | {"state": state, "near": stated, "source": self.source, "known": self.known}
+        return row | {
+            "state": state,
+            "near": stated,
+            "source": self.source,
+            "known": self.known,
+        }
 
-    def _judge_interval(self, value: float, stored: Mapping[str, Any]) -> dict[str, Any]:
+    def _judge_interval(
+        self, value: float, stored: Mapping[str, Any]
+    ) -> dict[str, Any]:
         """Return the part of a row that depends on a stored interval, or the `reason` why it is not judged.
 
-        The `verdict` is "within", "undecided" or "outside". It is undecided, and the expectation is not
-        judged, if the published value is within two standard errors of an end of the interval.
+        The `verdict` is "within", "undecided" or "outside". It is undecided, and the
+        expectation is not judged, if the published value is within two standard errors
+        of an end of the interval.
 
-        The other terms are those of ASME V&V 20: the `error` E = value − published, the standard
-        uncertainties `u_num` of the time step, `u_input` of the robot parameters and `u_d` of the published
-        value, the name of the `largest` one, and the `largest_parameter` of the robot. `interval`, `width`
-        and `score` describe the interval; the interval score (Gneiting and Raftery 2007) is low for narrow
+        The other terms are those of ASME V&V 20: the `error` E = value − published, the
+        standard uncertainties `u_num` of the time step, `u_input` of the robot
+        parameters and `u_d` of the published value, the name of the `largest` one, and
+        the `largest_parameter` of the robot. `interval`, `width` and `score` describe
+        the interval; the interval score (Gneiting and Raftery 2007) is low for narrow
         intervals that contain the published value.
         """
-        assert self.within is not None and self.published is not None, "see _is_consistent()"
+        assert self.within is not None and self.published is not None, (
+            "see _is_consistent()"
+        )
         spread = ((stored.get("plants") or {}).get(self.subject) or {}).get(self.metric)
         if stored.get("stale") is not None or spread is None:
-            missing = f"the stored intervals have no {self.metric} of the {self.subject} plant"
+            missing = (
+                f"the stored intervals have no {self.metric} of the {self.subject}"
+                " plant"
+            )
             return {"reason": stored.get("stale") or missing}
         low, high = spread[self.within]
         # Allow for differences in the last digits between processors.
         if not abs(value - spread["value"]) <= max(
-            _INTERVAL_TOLERANCE * (high - low), _STORAGE_TOLERANCE * abs(spread["value"])
+            _INTERVAL_TOLERANCE * (high - low),
+            _STORAGE_TOLERANCE * abs(spread["value"]),
         ):
-            other = f"the stored interval is for {spread['value']:.4g} (other laws, duration or seed)"
+            other = (
+                f"the stored interval is for {spread['value']:.4g} (other laws,"
+                " duration or seed)"
+            )
             return {"reason": f"{other}; {stored['renew']} renews it"}
-        u_d = _PUBLISHED_STD * abs(self.published) if self.scatter is None else self.scatter
-        terms = {"u_num": spread["u_num"] or 0.0, "u_input": spread["u_input"], "u_d": u_d}
+        u_d = (
+            _PUBLISHED_STD * abs(self.published)
+            if self.scatter is None
+            else self.scatter
+        )
+        terms = {
+            "u_num": spread["u_num"] or 0.0,
+            "u_input": spread["u_input"],
+            "u_d": u_d,
+        }
         largest = max(terms, key=lambda name: terms[name])
-        parameter = largest_parameter(spread.get("sensitivity") or {}) if largest == "u_input" else None
+        parameter = (
+            largest_parameter(spread.get("sensitivity") or {})
+            if largest == "u_input"
+            else None
+        )
         distance = max(low - self.published, self.published - high, 0.0)
         errors = spread.get(f"{self.within}_error")
         verdict = interval_verdict(self.published, (low, high), errors)
         undecided = verdict is IntervalVerdict.UNDECIDED
-        cause = {"u_num": "the time step", "u_d": "the published value"}.get(largest, _parameter(parameter))
-        lies = f"lies {'near an end of' if undecided else verdict.value} the {_INTERVALS[self.within]}"
+        cause = {"u_num": "the time step", "u_d": "the published value"}.get(
+            largest, _parameter(parameter)
+        )
+        lies = (
+            f"lies {'near an end of' if undecided else verdict.value} the"
+            f" {_INTERVALS[self.within]}"
+        )
         ends = _ends(low, high, self.published)
         return {
-            "allowed": f"published {self.published:.4g} {lies} {ends} (largest uncertainty: {cause})",
+            "allowed": (
+                f"published {self.published:.4g} {lies} {ends} (largest uncertainty:"
+                f" {cause})"
+            ),
             "met": verdict is IntervalVerdict.WITHIN,
-            "reason": self._undecided_reason((low, high), errors) if undecided else None,
+            "reason": (
+                self._undecided_reason((low, high), errors) if undecided else None
+            ),
             "verdict": verdict.value,
             "error": value - self.published,
             **terms,
@@ -251,27 +345,34 @@ class Expectation(Section):
             "interval_error": errors,
         }
 
-    def _undecided_reason(self, interval: Sequence[float], errors: Sequence[float]) -> str:
+    def _undecided_reason(
+        self, interval: Sequence[float], errors: Sequence[float]
+    ) -> str:
         """Return the reason why the verdict on an interval is undecided."""
-        assert self.published is not None, "only published values are compared with intervals"
+        assert self.published is not None, (
+            "only published values are compared with intervals"
+        )
         distance, error, end = min(
             (abs(self.published - end) / error if error else math.inf, error, end)
             for end, error in zip(interval, errors, strict=True)
         )
         return (
-            f"undecided: published {self.published:.4g} is {distance:.2g} standard errors from the end "
-            f"{end:.4g} (± {error:.2g}) of the interval, and a verdict needs {UNDECIDED_ERRORS:g} "
-            "(more --samples and --twin make the error smaller)"
+            f"undecided: published {self.published:.4g} is {distance:.2g} standard"
+            f" errors from the end {end:.4g} (± {error:.2g}) of the interval, and a"
+            f" verdict needs {UNDECIDED_ERRORS:g} (more --samples and --twin make the"
+            " error smaller)"
         )
 
 
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
     """Return the path of the parameter with the largest total Sobol index; None if it is not significant.
 
-    It is not significant if another index differs from the largest by less than the error of the latter.
+    It is not significant if another index differs from the largest by less than the
+    error of the latter.
 
     Args:
-        sensitivity: path → `total` index and `total_error`, half the width of its 95 % interval.
+        sensitivity: path → `total` index and `total_error`, half the width of its 95 %
+            interval.
     """
     ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
     if not ranked:
@@ -293,7 +394,11 @@ def _ends(low: float, high: float, inside: float) -> str:
     """Return the ends of an interval with enough digits to show on which side of them `inside` is."""
     within = low <= inside <= high
     texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
-    return " to ".join(next(two for two in texts if (float(two[0]) <= inside <= float(two[1])) == within))
+    return " to ".join(
+        next(
+            two for two in texts if (float(two[0]) <= inside <= float(two[1])) == within
+        )
+    )
 
 
 def _range_text(low: float, high: float) -> str:
@@ -319,11 +424,13 @@ def verdict(checked: Mapping[str, Any]) -> str:
         checked: row of `Expectation.check`; rows of earlier versions have no `state`.
 
     Returns:
-        The state "met", "missed", "known" (missed for a known reason) or "not_judged"; or "holds": met
-        although `known` is set.
+        The state "met", "missed", "known" (missed for a known reason) or "not_judged";
+        or "holds": met although `known` is set.
     """
     known = checked.get("known") is not None
-    state = checked.get("state") or ("met" if checked["met"] else "known" if known else "missed")
+    state = checked.get("state") or (
+        "met" if checked["met"] else "known" if known else "missed"
+    )
     return "holds" if state == "met" and known else str(state)
 
 
@@ -336,19 +443,31 @@ def result_text(checked: Mapping[str, Any]) -> str:
     if not checked.get("within"):
         return f"= {'none' if value is None else f'{value:.4g}'}, allowed {allowed}"
     unit = (metric_units() | COMPARISON_UNITS).get(metric, "1")
-    text = "none" if value is None else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
+    text = (
+        "none"
+        if value is None
+        else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
+    )
     return f"= {text}; {checked['allowed']}"
 
 
 def allowed_text(checked: Mapping[str, Any]) -> str:
     """Return the text of the allowed values: a range, one value, or yes or no."""
     metric, allowed = checked["metric"], str(checked["allowed"])
-    return str(tidy(metric, int(allowed))) if is_yes_no(metric) and allowed in ("0", "1") else allowed
+    return (
+        str(tidy(metric, int(allowed)))
+        if is_yes_no(metric) and allowed in ("0", "1")
+        else allowed
+    )
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
     """Return how many expectations have each verdict, as text."""
-    counted = [f"{verdicts[name]} {text}" for name, text in _TALLY.items() if verdicts.get(name)]
+    counted = [
+        f"{verdicts[name]} {text}"
+        for name, text in _TALLY.items()
+        if verdicts.get(name)
+    ]
     return ", ".join(counted) or "none"
 
 
@@ -378,4 +497,6 @@ def interval_verdict(
     for end, error in zip(interval, errors or (0.0, 0.0), strict=True):
         if abs(published - end) < UNDECIDED_ERRORS * error:
             return IntervalVerdict.UNDECIDED
-    return IntervalVerdict.WITHIN if low <= published <= high else IntervalVerdict.OUTSIDE
+    return (
+        IntervalVerdict.WITHIN if low <= published <= high else IntervalVerdict.OUTSIDE
+    )

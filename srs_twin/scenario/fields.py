@@ -1,13 +1,15 @@
 """Sections of files: keys with units and bounds, and conversion to SI objects.
 
-The unit of a number is part of its key: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A section builds an
-object by a constructor whose parameters have the names of the keys without units (``frequency``, ``k`` or
-``K``, ``distance``). Defaults of the constructor are defaults of the file. The docstring of a key is its
-description in JSON Schemas. Unit and range of a number are appended, and ``{default}`` is replaced by the
-default of the constructor.
+The unit of a number is part of its key: ``frequency_hz``, ``k_per_rad``,
+``distance_mm``. A section builds an object by a constructor whose parameters have the
+names of the keys without units (``frequency``, ``k`` or ``K``, ``distance``). Defaults
+of the constructor are defaults of the file. The docstring of a key is its description
+in JSON Schemas. Unit and range of a number are appended, and ``{default}`` is replaced
+by the default of the constructor.
 
-When a scenario is loaded, each section of an extension reads its keys and files and returns a product, for
-example a planner or a recording. The products are stored in `Scenario.products` by the name of the section.
+When a scenario is loaded, each section of an extension reads its keys and files and
+returns a product, for example a planner or a recording. The products are stored in
+`Scenario.products` by the name of the section.
 """
 
 from __future__ import annotations
@@ -37,17 +39,26 @@ PathOrName = Annotated[str, Field(min_length=1, max_length=4096)]
 FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
-def quantity(low: float, high: float, default: Any = ..., *, unit: str | None = None) -> Any:
+def quantity(
+    low: float, high: float, default: Any = ..., *, unit: str | None = None
+) -> Any:
     """Return the field of a bounded number of a `Section`.
 
     Args:
         low: smallest allowed value.
         high: largest allowed value.
-        default: default value; without it, the default of the constructor, or a required key if it has none.
+        default: default value; without it, the default of the constructor, or a
+            required key if it has none.
         unit: unit, if the key does not contain it.
     """
     options = {} if default is ... else {"default": default}
-    return partial(Field, ge=low, le=high, json_schema_extra={"unit": unit} if unit else None, **options)
+    return partial(
+        Field,
+        ge=low,
+        le=high,
+        json_schema_extra={"unit": unit} if unit else None,
+        **options,
+    )
 
 
 def constructor_default() -> Any:
@@ -62,10 +73,18 @@ def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
         title = text.partition(";")[0].rstrip(".")
         for bounds in (node, *node.get("anyOf", ())):
             if "minimum" in bounds:
-                parameter, unit = cls.parameter(key), node.setdefault("unit", split_unit(key)[1])
-                title = text.rstrip(".").format(default=from_si(key, parameter and parameter.default))
+                parameter, unit = (
+                    cls.parameter(key),
+                    node.setdefault("unit", split_unit(key)[1]),
+                )
+                title = text.rstrip(".").format(
+                    default=from_si(key, parameter and parameter.default)
+                )
                 low, high = bounds["minimum"], bounds["maximum"]
-                text = f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to {high:.10g}."
+                text = (
+                    f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to"
+                    f" {high:.10g}."
+                )
         node |= {"title": title, "description": text}
 
 
@@ -73,10 +92,11 @@ class Section(StrictModel):
     """Block of keys of a file.
 
     Attributes:
-        constructors: constructors whose parameters the keys set; the first takes precedence and is called by
-            `build`.
+        constructors: constructors whose parameters the keys set; the first takes
+            precedence and is called by `build`.
         parameters: parameters of the constructors, by name in lower case.
-        only: keys that are allowed only if another key has a given value: (key, value) → keys.
+        only: keys that are allowed only if another key has a given value: (key, value)
+            → keys.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -87,13 +107,22 @@ class Section(StrictModel):
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        signatures = [inspect.signature(function).parameters for function in reversed(cls.constructors)]
-        cls.parameters = {name.lower(): p for signature in signatures for name, p in signature.items()}
+        signatures = [
+            inspect.signature(function).parameters
+            for function in reversed(cls.constructors)
+        ]
+        cls.parameters = {
+            name.lower(): p for signature in signatures for name, p in signature.items()
+        }
         for key, value in list(vars(cls).items()):
             if isinstance(value, partial):
                 parameter = cls.parameter(key)
-                has_default = parameter is not None and parameter.default is not parameter.empty
-                options = {"default": parameter.default} if parameter and has_default else {}
+                has_default = (
+                    parameter is not None and parameter.default is not parameter.empty
+                )
+                options = (
+                    {"default": parameter.default} if parameter and has_default else {}
+                )
                 setattr(cls, key, Field(**options | value.keywords))
 
     @classmethod
@@ -106,7 +135,10 @@ class Section(StrictModel):
         for (key, required), names in self.only.items():
             present = [name for name in names if getattr(self, name) is not None]
             if present and getattr(self, key) != required:
-                raise ValueError(f"{present[0]} requires {key}: {required}; set that, or remove {present[0]}")
+                raise ValueError(
+                    f"{present[0]} requires {key}: {required}; set that, or remove"
+                    f" {present[0]}"
+                )
         return self
 
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
@@ -115,7 +147,11 @@ class Section(StrictModel):
         Args:
             constructors: constructors whose parameters are returned; none: all.
         """
-        known = {name for function in constructors for name in inspect.signature(function).parameters}
+        known = {
+            name
+            for function in constructors
+            for name in inspect.signature(function).parameters
+        }
         arguments = {}
         for key, value in self:
             parameter = self.parameter(key)
@@ -133,9 +169,12 @@ class Section(StrictModel):
         """Return the object that the section describes.
 
         Args:
-            context: arguments that are not keys; those that the constructor does not have are left out.
+            context: arguments that are not keys; those that the constructor does not
+                have are left out.
         """
-        given = {name: value for name, value in context.items() if name in self.parameters}
+        given = {
+            name: value for name, value in context.items() if name in self.parameters
+        }
         return self.constructors[0](**given, **self.arguments())
 
     def written(self) -> dict[str, Any]:
@@ -152,15 +191,25 @@ class Section(StrictModel):
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
             value = getattr(self, key)
-            changed[key] = tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+            changed[key] = (
+                tuple(factor * x for x in value)
+                if isinstance(value, tuple)
+                else factor * value
+            )
         copied = self.model_copy()
-        copied.__dict__.update(changed)  # `model_fields_set` still contains the keys of the file only
+        copied.__dict__.update(
+            changed
+        )  # `model_fields_set` still contains the keys of the file only
         return copied
 
     def with_defaults(self, *keys: str) -> Self:
         """Return the section with the constructor's defaults for keys that are None."""
-        missing = {key: self.parameter(key) for key in keys if getattr(self, key) is None}
-        return self.model_copy(update={key: from_si(key, p.default) for key, p in missing.items() if p})
+        missing = {
+            key: self.parameter(key) for key in keys if getattr(self, key) is None
+        }
+        return self.model_copy(
+            update={key: from_si(key, p.default) for key, p in missing.items() if p}
+        )
 
 
 Contradiction = tuple[Loc, str, bool]
@@ -200,7 +249,8 @@ class Loading:
         warnings: warnings for the user.
         supply_pa: supply pressure, gauge, Pa.
         layout: layout of the valves.
-        begin: initial state of the plants, a `start.InitialState`; None: straight and at rest.
+        begin: initial state of the plants, a `start.InitialState`; None: straight and
+            at rest.
     """
 
     document: Document
@@ -230,17 +280,27 @@ class ExtensionSection(Section):
         return iter(())
 
     def read(self, loading: Loading) -> Any:
-        """Return the product; called before the controller is checked. Report problems to the document."""
+        """Return the product; called before the controller is checked.
+
+        Report problems to the document.
+        """
         return None
 
     def prepare(self, loading: Loading) -> Any:
-        """Return the product; called after all other sections. Problems are reported to the document."""
+        """Return the product; called after all other sections.
+
+        Problems are reported to the document.
+        """
         return None
 
-    def resolve(self, document: dict[str, Any], file: FileSections, product: Any) -> None:
+    def resolve(
+        self, document: dict[str, Any], file: FileSections, product: Any
+    ) -> None:
         """Write defaults and absolute paths into the resolved document; the product may be None."""
 
-    def chambers(self, product: Any, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics | None:
+    def chambers(
+        self, product: Any, robot: RobotSpec, supply_pa: float, layout: str
+    ) -> Pneumatics | None:
         """Return chambers that replace those of `pneumatics`, or None."""
         return None
 
@@ -267,8 +327,8 @@ class SectionEntry:
     Attributes:
         annotation: type of the section in the pydantic model of the file.
         description: description for the reference and the JSON Schema.
-        input_files: function of a section as plain data; yields the paths of the files that the section
-            reads.
+        input_files: function of a section as plain data; yields the paths of the files
+            that the section reads.
         paths: keys that name a file → kind of shipped files, see `Document.locate`.
     """
 
@@ -300,7 +360,11 @@ def path_fields(sections: Container[str]) -> dict[Loc, str]:
     """
     used = (name for name in SECTIONS if name in sections)
     entries = {name: load(SECTIONS[name]) for name in used}
-    more = {(name, key): kind for name in entries for key, kind in entries[name].paths.items()}
+    more = {
+        (name, key): kind
+        for name in entries
+        for key, kind in entries[name].paths.items()
+    }
     return _CORE_PATHS | more
 
 

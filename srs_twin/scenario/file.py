@@ -19,9 +19,21 @@ from srs_twin.robot.scale import Scale
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.controllers import CORE_CONTROLLERS, ControllerSection
 from srs_twin.scenario.expectation import Expectation
-from srs_twin.scenario.fields import ExtensionSection, Line, Section, quantity, section_entries
+from srs_twin.scenario.fields import (
+    ExtensionSection,
+    Line,
+    Section,
+    quantity,
+    section_entries,
+)
 from srs_twin.scenario.modified import ChangedField
-from srs_twin.scenario.plants import BENCH_TICK_S, PLANTS, AnalyticalFile, PlantsFile, TwinFile
+from srs_twin.scenario.plants import (
+    BENCH_TICK_S,
+    PLANTS,
+    AnalyticalFile,
+    PlantsFile,
+    TwinFile,
+)
 from srs_twin.scenario.start import StartFile
 from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
@@ -56,7 +68,8 @@ class SensorFile(SensorSection):
     span_rad: float | None = quantity(0.1, 1.6, None)
     """Largest bend of trimming and calibration (hall; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)
-    """Distance between magnet and element along the strip (hall; default {default:g})."""
+    """Distance between magnet and element along the strip (hall; default {default:g}).
+    """
     orientation: Literal["up", "side"] | None = None
     """Orientation of the magnet's north pole (hall; default up)."""
     chamber: Literal["semicircular", "rectangular"] | None = None
@@ -73,11 +86,17 @@ class SensorFile(SensorSection):
 
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has all defaults."""
-        section = self.with_defaults(*self.only["kind", "hall"]) if self.kind == "hall" else self
+        section = (
+            self.with_defaults(*self.only["kind", "hall"])
+            if self.kind == "hall"
+            else self
+        )
         return section.model_dump(exclude_none=True)
 
 
-SensorFile.only["kind", "hall"] = tuple(key for key in SensorFile.model_fields if key != "kind")
+SensorFile.only["kind", "hall"] = tuple(
+    key for key in SensorFile.model_fields if key != "kind"
+)
 
 
 class _FaultFile(Section):
@@ -116,7 +135,9 @@ class StuckValveFile(_FaultFile):
     def build(self) -> StuckValve:
         """Return the fault in SI."""
         side = 0 if self.chamber == "plus" else 1
-        return StuckValve(self.segment, side, 1 if self.stuck == "open" else -1, self.from_s)
+        return StuckValve(
+            self.segment, side, 1 if self.stuck == "open" else -1, self.from_s
+        )
 
 
 FaultFile = Annotated[DeadSensorFile | StuckValveFile, Field(discriminator="kind")]
@@ -136,7 +157,9 @@ class PneumaticsSection(Section):
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Return new chambers of a robot."""
-        chambers: Pneumatics = self.build_with(spec=robot, supply_pa=supply_pa, layout=layout)
+        chambers: Pneumatics = self.build_with(
+            spec=robot, supply_pa=supply_pa, layout=layout
+        )
         return chambers
 
 
@@ -145,7 +168,12 @@ class PneumaticsFile(PneumaticsSection):
 
     constructors = (make_pneumatics, OrificePneumatics)
     only = {
-        ("kind", "orifice"): ("critical_ratio", "flow_limit_l_per_min", "line_volume_ml", "line_begins_kpa")
+        ("kind", "orifice"): (
+            "critical_ratio",
+            "flow_limit_l_per_min",
+            "line_volume_ml",
+            "line_begins_kpa",
+        )
     }
 
     kind: Literal["lag", "orifice"] = "lag"
@@ -166,7 +194,11 @@ class PneumaticsFile(PneumaticsSection):
 
     @model_validator(mode="after")
     def _line_is_limited(self) -> PneumaticsFile:
-        present = [key for key in ("line_volume_ml", "line_begins_kpa") if getattr(self, key) is not None]
+        present = [
+            key
+            for key in ("line_volume_ml", "line_begins_kpa")
+            if getattr(self, key) is not None
+        ]
         if present and self.flow_limit_l_per_min is None:
             raise ValueError(f"{present[0]} requires flow_limit_l_per_min")
         return self
@@ -174,7 +206,11 @@ class PneumaticsFile(PneumaticsSection):
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has the relevant defaults."""
         limited = self.flow_limit_l_per_min is not None
-        names = ("critical_ratio", "line_volume_ml")[: 1 + limited] if self.kind == "orifice" else ()
+        names = (
+            ("critical_ratio", "line_volume_ml")[: 1 + limited]
+            if self.kind == "orifice"
+            else ()
+        )
         return self.with_defaults(*names).model_dump(exclude_none=True)
 
 
@@ -194,10 +230,16 @@ class ComparisonFile(Section):
     gaps (Section 3.4.2); the analytical plant needs gaps: false."""
 
 
-CONTROLLERS = (*CORE_CONTROLLERS, *(section for _, section in objects(extensions.CONTROLLERS)))
+CONTROLLERS = (
+    *CORE_CONTROLLERS,
+    *(section for _, section in objects(extensions.CONTROLLERS)),
+)
 """Controller sections of the core and of the installed extensions."""
 
-CONTROLLER_KINDS = {get_args(section.model_fields["kind"].annotation)[0]: section for section in CONTROLLERS}
+CONTROLLER_KINDS = {
+    get_args(section.model_fields["kind"].annotation)[0]: section
+    for section in CONTROLLERS
+}
 """Kinds of `controller` → their sections."""
 
 if TYPE_CHECKING:
@@ -209,11 +251,15 @@ else:
 class CoreScenarioFile(Section):
     """Experiment with a soft snake."""
 
-    name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = None
+    name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
+        None
+    )
     """Name of the output folder (default: name of the file)."""
     title: Line | None = None
     """Title of one line (default: the name)."""
-    robot: Annotated[Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})]
+    robot: Annotated[
+        Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
+    ]
     """Robot: a shipped name (gen1 to gen4, gen4_module), the path of a robot file, {base: a name or
     path} with fields to change, or a whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
@@ -235,7 +281,8 @@ class CoreScenarioFile(Section):
     faults: Annotated[list[FaultFile], Field(max_length=200)] = []
     """Faults of sensors and valves."""
     bench: bool = False
-    """Clamp the head in the air, as on a test bench, without a floor; on both plants."""
+    """Clamp the head in the air, as on a test bench, without a floor; on both plants.
+    """
     controller: ControllerFile
     """Controller of the valves."""
     start: StartFile = StartFile()
@@ -252,7 +299,9 @@ class CoreScenarioFile(Section):
     """Fields changed by --set and similar options; written into scenario.resolved.yaml by a run."""
 
     elsewhere: ClassVar[dict[str, str]] = {
-        key: f"robot.{key}" for key in RobotFile.model_fields if key not in ("name", "title", "supply")
+        key: f"robot.{key}"
+        for key in RobotFile.model_fields
+        if key not in ("name", "title", "supply")
     } | {
         f"plants.{plant}.{key}": f"{key} (beside plants)"
         for plant in PLANTS
@@ -262,14 +311,21 @@ class CoreScenarioFile(Section):
     def tick(self, plant: str) -> float:
         """Return the control tick of a plant, s; also for a plant that is not in the file."""
         section = getattr(self.plants, plant)
-        default = BENCH_TICK_S if self.bench else self.controller.gait_section.tick or TICK_S
-        return default if section is None or section.tick_s is None else float(section.tick_s)
+        default = (
+            BENCH_TICK_S if self.bench else self.controller.gait_section.tick or TICK_S
+        )
+        return (
+            default
+            if section is None or section.tick_s is None
+            else float(section.tick_s)
+        )
 
     def scaled_to(self, scale: Scale) -> Self:
         """Return the scenario with numerical defaults in the units of a robot."""
         plants = {
             kind: section.scaled_to(
-                scale, self.tick(kind) * (1.0 if section.tick_s is not None else scale.time)
+                scale,
+                self.tick(kind) * (1.0 if section.tick_s is not None else scale.time),
             )
             for kind, section in self.plants.running.items()
         }
@@ -286,7 +342,9 @@ class CoreScenarioFile(Section):
     def sections(self) -> dict[str, ExtensionSection]:
         """Return the sections of extensions in the file by name."""
         sections = {name: self.section(name) for name in section_entries()}
-        return {name: section for name, section in sections.items() if section is not None}
+        return {
+            name: section for name, section in sections.items() if section is not None
+        }
 
 
 if TYPE_CHECKING:
@@ -298,7 +356,10 @@ else:
         __module__=__name__,
         __doc__=CoreScenarioFile.__doc__,
         **{
-            name: (entry.annotation, Field(None, title=entry.description, description=entry.description))
+            name: (
+                entry.annotation,
+                Field(None, title=entry.description, description=entry.description),
+            )
             for name, entry in section_entries().items()
         },
     )

@@ -1,8 +1,9 @@
 """Loading of scenario files, and their JSON Schema; all problems of a file are reported together.
 
-The file is validated twice. The first validation checks what the user wrote. The second validation reads the
-resolved document, with all defaults and the robot written out. It ensures that a run can be repeated from its
-folder, and it returns the sections of that document.
+The file is validated twice. The first validation checks what the user wrote. The second
+validation reads the resolved document, with all defaults and the robot written out. It
+ensures that a run can be repeated from its folder, and it returns the sections of that
+document.
 """
 
 from __future__ import annotations
@@ -43,19 +44,26 @@ def load_scenario(scenario: StrPath | Scenario, *, set: Overrides = ()) -> Scena
 
     Args:
         scenario: name or path of the scenario, or a loaded scenario to modify.
-        set: values that override fields of the file, by dotted path: ``{"controller.frequency_hz": 1.5}``.
+        set: values that override fields of the file, by dotted path:
+            ``{"controller.frequency_hz": 1.5}``.
 
     Raises:
         InputError: the file is not found or cannot be read.
         InputFileError: the scenario is not valid; lists all problems.
     """
     if isinstance(scenario, Scenario):
-        return parse_scenario(scenario.document, name=scenario.name, set=set) if set else scenario
+        return (
+            parse_scenario(scenario.document, name=scenario.name, set=set)
+            if set
+            else scenario
+        )
     path = find_file("scenario", scenario)
     return _scenario(load_yaml(path), results_name(path), set)
 
 
-def parse_scenario(data: Mapping[str, Any], *, name: str = "scenario", set: Overrides = ()) -> Scenario:
+def parse_scenario(
+    data: Mapping[str, Any], *, name: str = "scenario", set: Overrides = ()
+) -> Scenario:
     """Return the scenario of plain data, as in `Scenario.document`.
 
     Args:
@@ -64,9 +72,12 @@ def parse_scenario(data: Mapping[str, Any], *, name: str = "scenario", set: Over
         set: values that override fields, as for `load_scenario`.
 
     Raises:
-        InputFileError: the scenario is not valid; lists all problems, without line numbers.
+        InputFileError: the scenario is not valid; lists all problems, without line
+            numbers.
     """
-    return _scenario(Document(name, copy.deepcopy(dict(data)) if set else data), name, set)
+    return _scenario(
+        Document(name, copy.deepcopy(dict(data)) if set else data), name, set
+    )
 
 
 def _scenario(document: Document, name: str, changes: Overrides) -> Scenario:
@@ -79,13 +90,21 @@ def _scenario(document: Document, name: str, changes: Overrides) -> Scenario:
     robot, world = loading.robot, loading.world
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
-        text = "world: goal and bounds have no effect; only a controller of kind: follow uses them"
+        text = (
+            "world: goal and bounds have no effect; only a controller of kind: follow"
+            " uses them"
+        )
         loading.warnings.append(text)
     loading.warnings += ignored_obstacles(file, world, file.plants.running)
-    resolved = _resolved(file, robot, file.name or name, loading.layout, loading.products)
+    resolved = _resolved(
+        file, robot, file.name or name, loading.layout, loading.products
+    )
     before = _resolved_or_raw(unmodified, loading.products) if changes else resolved
     if changed := changed_fields(
-        before, resolved, [change.loc for change in changes], document.get("changes") or ()
+        before,
+        resolved,
+        [change.loc for change in changes],
+        document.get("changes") or (),
     ):
         resolved["changes"] = changed
     file = read_resolved(resolved)
@@ -119,7 +138,9 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
-    warnings = document.warnings + (check_supply_pressure(document, robot) if robot else [])
+    warnings = document.warnings + (
+        check_supply_pressure(document, robot) if robot else []
+    )
     if file and robot:
         file = file.scaled_to(robot.scale)
     world, loading = World(), None
@@ -148,7 +169,9 @@ def _build_parts(file: ScenarioFile, loading: Loading) -> None:
     if not document.problems:
         with document.report_errors("start"):
             segments = robot.spec(file.seed).segments
-            loading.begin = file.start.initial_state(segments, loading.supply_pa, file.plants.running)
+            loading.begin = file.start.initial_state(
+                segments, loading.supply_pa, file.plants.running
+            )
             check_start(file, loading, loading.begin)
     for key, section in file.sections().items():
         products[key] = products[key] or section.prepare(loading)
@@ -159,8 +182,15 @@ def _set(document: Document, change: Override) -> None:
     _check_field(change)
     before = document.get(*change.loc)
     # If a plain number replaces a record, keep the unit of the record.
-    if isinstance(before, Mapping) and "unit" in before and not isinstance(change.value, Mapping):
-        change = replace(change, value=replace_value(before, change.value, None, f"set by {change.label}"))
+    if (
+        isinstance(before, Mapping)
+        and "unit" in before
+        and not isinstance(change.value, Mapping)
+    ):
+        change = replace(
+            change,
+            value=replace_value(before, change.value, None, f"set by {change.label}"),
+        )
     if change.loc == PRESET and isinstance(twin := document.get(*PRESET[:-1]), Mapping):
         document.data["plants"]["twin"] = with_preset(twin, change.value)
     document.apply(change)
@@ -172,7 +202,9 @@ def _locate_files(document: Document) -> None:
             document.locate(loc, kind)
 
 
-def _resolved_or_raw(document: Document, products: Mapping[str, object]) -> dict[str, Any]:
+def _resolved_or_raw(
+    document: Document, products: Mapping[str, object]
+) -> dict[str, Any]:
     """Return the resolved data of an unmodified scenario, or the data unchanged if they are not valid.
 
     Args:
@@ -182,7 +214,10 @@ def _resolved_or_raw(document: Document, products: Mapping[str, object]) -> dict
     plain: dict[str, Any] = document.data if isinstance(document.data, dict) else {}
     document.data = plain
     _locate_files(document)
-    file, (robot, _) = validate(scenario_model(document), document, plain), _robot(document)
+    file, (robot, _) = (
+        validate(scenario_model(document), document, plain),
+        _robot(document),
+    )
     if file is None or robot is None:
         return plain
     file = file.scaled_to(robot.scale)
@@ -195,16 +230,28 @@ def _check_field(change: Override) -> None:
     """Check that a changed field exists in scenarios; the error suggests similar names."""
     first, *more = change.loc
     if first == "changes":
-        raise InputError(f"{change.label}: this list is written by srs_twin; set the fields themselves")
+        raise InputError(
+            f"{change.label}: this list is written by srs_twin; set the fields"
+            " themselves"
+        )
     sections = {*RobotFile.model_fields, "base"}
-    if first not in ScenarioFile.model_fields or (first == "robot" and more and more[0] not in sections):
+    if first not in ScenarioFile.model_fields or (
+        first == "robot" and more and more[0] not in sections
+    ):
         path = format_path(change.loc)
-        close = did_you_mean(path, field_paths()) or "; `srs-twin show SCENARIO` prints all fields"
+        close = (
+            did_you_mean(path, field_paths())
+            or "; `srs-twin show SCENARIO` prints all fields"
+        )
         raise InputError(f"{change.label}: there is no field {path}{close}")
 
 
 def _resolved(
-    file: ScenarioFile, robot: RobotFile, name: str, layout: str, products: Mapping[str, object]
+    file: ScenarioFile,
+    robot: RobotFile,
+    name: str,
+    layout: str,
+    products: Mapping[str, object],
 ) -> dict[str, Any]:
     """Return the plain data of a scenario with all defaults and the robot written out.
 
@@ -218,7 +265,9 @@ def _resolved(
     # supply.allow_overpressure is an alias of allow_overpressure.
     excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
     excluded |= {"start": True} if file.bench else {}
-    plain = file.model_dump(mode="json", exclude_none=True, exclude=excluded, by_alias=True)
+    plain = file.model_dump(
+        mode="json", exclude_none=True, exclude=excluded, by_alias=True
+    )
     document = plain | {
         "name": name,
         "title": file.title or name,
@@ -257,7 +306,9 @@ def _resolved(
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
     """Return the supply pressure of a scenario, by default the nominal pressure of the robot, kPa."""
     pressure = file.supply.pressure_kpa
-    nominal = SERVO_PRESSURE_KPA if robot.supply is None else robot.supply.nominal_kpa.value
+    nominal = (
+        SERVO_PRESSURE_KPA if robot.supply is None else robot.supply.nominal_kpa.value
+    )
     return float(nominal) if pressure is None else pressure
 
 
@@ -276,9 +327,11 @@ def scenario_json_schema() -> dict[str, Any]:
     """Return a schema (draft 2020-12) with title, description, unit and range of every key."""
     schema = ScenarioFile.model_json_schema()
     robot_schema = RobotFile.model_json_schema()
-    # Use numbered names, because the generated names of records contain their bounds and are long.
+    # Use numbered names, because the generated names of records contain their bounds
+    # and are long.
     names = {
-        name: f"Robot{i}_{name.partition('_')[0]}" for i, name in enumerate(robot_schema["$defs"], start=1)
+        name: f"Robot{i}_{name.partition('_')[0]}"
+        for i, name in enumerate(robot_schema["$defs"], start=1)
     }
     text = json.dumps(robot_schema)
     for name, short in names.items():
@@ -317,7 +370,9 @@ def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, A
     """Return the schema of {base: …}, where a field is a plain number or a whole record."""
 
     def reference(node: dict[str, Any]) -> str | None:
-        return next((n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None)
+        return next(
+            (n["$ref"] for n in (node, *node.get("anyOf", ())) if "$ref" in n), None
+        )
 
     def definition(node: dict[str, Any]) -> dict[str, Any] | None:
         name = reference(node)
@@ -327,15 +382,33 @@ def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, A
         record = definition(node)
         if record is None:
             return node
-        plain = {k: v for k, v in record["properties"]["value"].items() if k not in ("title", "description")}
-        return {"description": node["description"], "anyOf": [plain, {"$ref": reference(node)}]}
+        plain = {
+            k: v
+            for k, v in record["properties"]["value"].items()
+            if k not in ("title", "description")
+        }
+        return {
+            "description": node["description"],
+            "anyOf": [plain, {"$ref": reference(node)}],
+        }
 
-    properties: dict[str, Any] = {"base": {"type": "string", "description": "Name or path of the robot."}}
+    properties: dict[str, Any] = {
+        "base": {"type": "string", "description": "Name or path of the robot."}
+    }
     for name, node in robot["properties"].items():
         section = definition(node)
         if section is None:
             properties[name] = node
             continue
         fields = {key: field(child) for key, child in section["properties"].items()}
-        properties[name] = {"type": "object", "properties": fields, "additionalProperties": False}
-    return {"type": "object", "properties": properties, "required": ["base"], "additionalProperties": False}
+        properties[name] = {
+            "type": "object",
+            "properties": fields,
+            "additionalProperties": False,
+        }
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": ["base"],
+        "additionalProperties": False,
+    }

@@ -1,13 +1,14 @@
 """Obstacles from ROS occupancy maps and from CSV lists of circles.
 
-A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the pose of its lower left
-corner. With the mean c of the colour channels and the value w of white (255, 65535 or the maxval of a PGM
-file), the occupancy of a pixel is (w − c)/w, or c/w with `negate`. A cell is free
+A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the
+pose of its lower left corner. With the mean c of the colour channels and the value w of
+white (255, 65535 or the maxval of a PGM file), the occupancy of a pixel is (w − c)/w,
+or c/w with `negate`. A cell is free
 
-- in mode ``trinary`` if occupancy < `free_thresh`. In a picture with transparency, c is the mean of red,
-  green, blue and alpha, as in ROS;
-- in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` − `free_thresh`) rounds to 0 or less
-  and the pixel is opaque.
+- in mode ``trinary`` if occupancy < `free_thresh`. In a picture with transparency, c is
+  the mean of red, green, blue and alpha, as in ROS;
+- in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
+  `free_thresh`) rounds to 0 or less and the pixel is opaque.
 
 All other cells are obstacles, including unknown ones, which the snake must not enter.
 """
@@ -41,7 +42,9 @@ MAX_RECTANGLES = 20_000
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 """Signature of PNG files."""
-_PGM = re.compile(rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"(?:#[^\r\n]*)?\s")
+_PGM = re.compile(
+    rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"(?:#[^\r\n]*)?\s"
+)
 """Header of PGM files: format, width, height and maxval, with comments."""
 _OTHERS = re.compile(
     rb"(?P<PBM>P[14]\s)|(?P<PPM>P[36]\s)|(?P<JPEG>\xff\xd8\xff)|(?P<BMP>BM)|(?P<GIF>GIF8)|(?P<PDF>%PDF)|"
@@ -50,7 +53,9 @@ _OTHERS = re.compile(
 )
 """Signatures of other formats, for error messages."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-_QUOTED_LIST = re.compile(rf"\s*\[?\s*{_NUMBER.pattern}(?:\s*,\s*{_NUMBER.pattern}){{2}}\s*\]?\s*")
+_QUOTED_LIST = re.compile(
+    rf"\s*\[?\s*{_NUMBER.pattern}(?:\s*,\s*{_NUMBER.pattern}){{2}}\s*\]?\s*"
+)
 _BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
 _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
 """Booleans of YAML 1.1."""
@@ -89,17 +94,30 @@ class MapFile(StrictModel):
     def _boolean(cls, text: object) -> bool:
         """Return the value of a YAML 1.1 boolean, quoted or not, as ROS does."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
-            raise ValueError(f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}")
+            raise ValueError(
+                f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}"
+            )
         return value
 
     def contradictions(self) -> Iterator[tuple[tuple[str], str]]:
         """Yield path and message of contradictions between the keys."""
         if (count := len(self.origin)) != 3:
-            yield ("origin",), f"must be a list of 3 numbers, x, y and rotation, not a list of {count}"
+            yield (
+                ("origin",),
+                (
+                    "must be a list of 3 numbers, x, y and rotation, not a list of"
+                    f" {count}"
+                ),
+            )
         if self.free_thresh >= self.occupied_thresh:
-            yield ("free_thresh",), f"must be below occupied_thresh, {self.occupied_thresh:g}"
+            yield (
+                ("free_thresh",),
+                f"must be below occupied_thresh, {self.occupied_thresh:g}",
+            )
 
-    def blocked(self, colour: np.ndarray, alpha: np.ndarray | None, white: int) -> np.ndarray:
+    def blocked(
+        self, colour: np.ndarray, alpha: np.ndarray | None, white: int
+    ) -> np.ndarray:
         """Return a mask of occupied and unknown cells; the arguments are the results of `_picture`."""
         whole = 3 * white
         if self.mode == "trinary" and alpha is not None:
@@ -108,7 +126,9 @@ class MapFile(StrictModel):
         above = (levels if self.negate else whole - levels) / whole - self.free_thresh
         occupied = above >= 0
         if self.mode != "trinary":
-            occupied = 200 * above > self.occupied_thresh - self.free_thresh  # not rounded to 0 %
+            occupied = (
+                200 * above > self.occupied_thresh - self.free_thresh
+            )  # not rounded to 0 %
         wall: np.ndarray = occupied[colour]
         if self.mode != "trinary" and alpha is not None:
             wall |= alpha < white
@@ -138,7 +158,9 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
     for column, row, right, top in rectangles:
         corners = ((column, row), (right, row), (right, top), (column, top))
         places = ((size * u, size * v) for u, v in corners)
-        polygons.append(Polygon(tuple((x + c * u - s * v, y + s * u + c * v) for u, v in places)))
+        polygons.append(
+            Polygon(tuple((x + c * u - s * v, y + s * u + c * v) for u, v in places))
+        )
     return tuple(polygons)
 
 
@@ -160,13 +182,17 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     """Return the circles of a CSV file with the columns x_m, y_m and radius_m.
 
     Raises:
-        InputError: the file cannot be read, a column is missing, or a row is not a circle.
+        InputError: the file cannot be read, a column is missing, or a row is not a
+            circle.
     """
     name, rows = display_path(path), csv.DictReader(read_text(path).splitlines())
-    missing = [column for column in CIRCLE_COLUMNS if column not in (rows.fieldnames or ())]
+    missing = [
+        column for column in CIRCLE_COLUMNS if column not in (rows.fieldnames or ())
+    ]
     if missing:
         raise InputError(
-            f"{name}:1: columns {', '.join(CIRCLE_COLUMNS)} are required; {missing[0]} is missing"
+            f"{name}:1: columns {', '.join(CIRCLE_COLUMNS)} are required; {missing[0]}"
+            " is missing"
         )
     circles = []
     for line, row in enumerate(rows, start=2):
@@ -175,7 +201,9 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
         except (TypeError, ValueError):
             raise InputError(f"{name}:{line}: not three numbers") from None
         if not (math.isfinite(x) and math.isfinite(y) and 0 < radius < math.inf):
-            raise InputError(f"{name}:{line}: numbers must be finite and the radius above 0")
+            raise InputError(
+                f"{name}:{line}: numbers must be finite and the radius above 0"
+            )
         circles.append(Circle(x, y, radius))
     return tuple(circles)
 
@@ -188,7 +216,9 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
     Raises:
         InputError: the file is not a PNG or PGM file, is damaged, or is too large.
     """
-    name = display_path(require_file(path, suffix=".png" if path.suffix == ".png" else ".pgm"))
+    name = display_path(
+        require_file(path, suffix=".png" if path.suffix == ".png" else ".pgm")
+    )
     header = None
     try:
         with path.open("rb") as stream:
@@ -199,23 +229,34 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
                 width, height = int(header[2]), int(header[3])
             else:
                 other = _OTHERS.match(raw)
-                what = f"{other.lastgroup} is not read" if other else "neither PNG nor PGM"
+                what = (
+                    f"{other.lastgroup} is not read" if other else "neither PNG nor PGM"
+                )
                 raise InputError(f"{name}: {what}; save it as PNG or PGM")
             if not 0 < width * height <= MAX_PIXELS:
                 allowed = f"1 to {MAX_PIXELS:,} are allowed; crop it or reduce its size"
                 raise InputError(f"{name}: {width} x {height} pixels; {allowed}")
-            # A pixel takes at most 8 bytes in a PNG file, and 5 digits with blanks in a text PGM file.
+            # A pixel takes at most 8 bytes in a PNG file, and 5 digits with blanks in a
+            # text PGM file.
             raw += stream.read(12 * width * height + 2**24)
     except OSError as error:
         raise InputError(f"{name}: cannot be read ({error.strerror})") from error
     try:
-        values, white = _decoded_pgm(raw, header) if header else _decoded_png(raw, (width, height))
+        values, white = (
+            _decoded_pgm(raw, header) if header else _decoded_png(raw, (width, height))
+        )
     except Exception as error:  # decoders may raise any exception for a damaged file
         reason = re.sub(" <.*", "", str(error))  # without the stream that Pillow names
-        raise InputError(f"{name}: damaged ({reason}); save it again as PNG or PGM") from error
+        raise InputError(
+            f"{name}: damaged ({reason}); save it again as PNG or PGM"
+        ) from error
     channels = values.shape[2]
     colour = values[..., : 3 if channels > 2 else 1].sum(axis=2, dtype=np.uint32)
-    return colour * (1 if channels > 2 else 3), None if channels % 2 else values[..., -1], white
+    return (
+        colour * (1 if channels > 2 else 3),
+        None if channels % 2 else values[..., -1],
+        white,
+    )
 
 
 def _decoded_pgm(raw: bytes, header: re.Match[bytes]) -> tuple[np.ndarray, int]:
@@ -224,7 +265,9 @@ def _decoded_pgm(raw: bytes, header: re.Match[bytes]) -> tuple[np.ndarray, int]:
     if not 0 < white < 65536:
         raise ValueError(f"maxval {white}; 1 to 65535 is allowed")
     if header[1] == b"5":
-        grey = np.frombuffer(raw, ">u2" if white > 255 else "u1", width * height, header.end())
+        grey = np.frombuffer(
+            raw, ">u2" if white > 255 else "u1", width * height, header.end()
+        )
     else:
         text = re.sub(rb"#[^\r\n]*", b"", raw[header.end() :])
         if text.translate(None, b"0123456789 \t\n\v\f\r"):
@@ -253,10 +296,18 @@ def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
     depth, kind = raw[24:26]
     picture = opened()
     if depth in (2, 4) and kind == 0 and "transparency" in picture.info:
-        picture.info["transparency"] *= 255 // (2**depth - 1)  # Pillow scales the pixels only
+        picture.info["transparency"] *= 255 // (
+            2**depth - 1
+        )  # Pillow scales the pixels only
     if depth < 16:
-        return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB")), 255
-    # Pillow returns the upper bytes of 16-bit colours; read as little-endian, it returns the lower bytes.
+        return (
+            np.asarray(
+                picture.convert("RGBA" if picture.has_transparency_data else "RGB")
+            ),
+            255,
+        )
+    # Pillow returns the upper bytes of 16-bit colours; read as little-endian, it
+    # returns the lower bytes.
     if kind == 0:
         values = np.asarray(picture)[..., None]
     elif kind == 4:
@@ -273,13 +324,16 @@ def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
 def _rectangles(full: np.ndarray) -> list[list[int]]:
     """Return left, bottom, right and top of rectangles that cover the occupied cells, each cell once.
 
-    A rectangle is a run of occupied cells in a row, together with equal runs in the rows above it.
+    A rectangle is a run of occupied cells in a row, together with equal runs in the
+    rows above it.
 
     Raises:
         InputError: there are more than `MAX_RECTANGLES`.
     """
     width = full.shape[1] + 1
-    edges = np.flatnonzero(np.diff(np.pad(full, ((0, 0), (0, 1))).ravel(), prepend=False))
+    edges = np.flatnonzero(
+        np.diff(np.pad(full, ((0, 0), (0, 1))).ravel(), prepend=False)
+    )
     begin, end = edges[::2], edges[1::2]
 
     def has_equal(shift: int) -> np.ndarray:
@@ -290,11 +344,15 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
     if len(first) > MAX_RECTANGLES:
         raise InputError(
-            f"{len(first):,} rectangles are needed for its occupied cells; {MAX_RECTANGLES:,} are allowed: "
-            "remove specks (median filter), crop it or reduce its size"
+            f"{len(first):,} rectangles are needed for its occupied cells;"
+            f" {MAX_RECTANGLES:,} are allowed: remove specks (median filter), crop it"
+            " or reduce its size"
         )
-    # Rectangles with the same columns do not overlap: sorted starts and ends belong together.
-    first, last = (x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last))
+    # Rectangles with the same columns do not overlap: sorted starts and ends belong
+    # together.
+    first, last = (
+        x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last)
+    )
     left, bottom = begin[first] % width, begin[first] // width
     corners = np.transpose([left, bottom, end[first] % width, begin[last] // width + 1])
     rectangles: list[list[int]] = corners.tolist()

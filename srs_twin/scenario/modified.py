@@ -1,7 +1,8 @@
 """Fields that differ from the scenario file, and the expectations that they invalidate.
 
-A run of a modified scenario is no longer the published experiment. Its titles name the changed fields, and an
-expectation that refers to the unmodified scenario is omitted if a changed field affects its metric.
+A run of a modified scenario is no longer the published experiment. Its titles name the
+changed fields, and an expectation that refers to the unmodified scenario is omitted if
+a changed field affects its metric.
 """
 
 from __future__ import annotations
@@ -58,14 +59,20 @@ class ChangedField(Section):
     field: Line
     """Path of the field, in the format of --set."""
     before: Any = Field(
-        default=None, alias="from", title="From", description="Value in the file, or the default."
+        default=None,
+        alias="from",
+        title="From",
+        description="Value in the file, or the default.",
     )
     to: Any = None
     """New value."""
 
 
 def changed_fields(
-    before: Mapping[str, Any], after: Mapping[str, Any], locs: Iterable[Loc], earlier: Changes = ()
+    before: Mapping[str, Any],
+    after: Mapping[str, Any],
+    locs: Iterable[Loc],
+    earlier: Changes = (),
 ) -> list[dict[str, Any]]:
     """Return the fields in which two resolved scenarios differ.
 
@@ -73,13 +80,18 @@ def changed_fields(
         before: plain data of the unmodified scenario.
         after: plain data of the modified scenario.
         locs: paths that were set; the values within a block are compared one by one.
-        earlier: changes that `before` already contains; a field with its original value is omitted.
+        earlier: changes that `before` already contains; a field with its original value
+            is omitted.
     """
     known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
     for loc in locs:
         paths |= {format_path(leaf): leaf for leaf in _leaves(loc, before, after)}
-    changes = [change for change in map(dict, earlier) if change["field"] == PLANTS and PLANTS not in paths]
+    changes = [
+        change
+        for change in map(dict, earlier)
+        if change["field"] == PLANTS and PLANTS not in paths
+    ]
     for field, path in paths.items():
         was, now = known.get(field, _value(before, path)), _value(after, path)
         if was != now:
@@ -87,7 +99,9 @@ def changed_fields(
     return changes
 
 
-def with_plants(changes: Changes, named: Sequence[str], run: Sequence[str]) -> list[dict[str, Any]]:
+def with_plants(
+    changes: Changes, named: Sequence[str], run: Sequence[str]
+) -> list[dict[str, Any]]:
     """Return changes with an entry for the plants if those of the run differ from the scenario.
 
     Args:
@@ -132,13 +146,21 @@ def text_of(value: object) -> str:
 def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
     """Return the changed fields that invalidate an expectation.
 
-    An expectation with `source`, `published` or `known` refers to the unmodified scenario. Other expectations
-    are bounds that apply to modified scenarios too.
+    An expectation with `source`, `published` or `known` refers to the unmodified
+    scenario. Other expectations are bounds that apply to modified scenarios too.
     """
-    if expectation.source is None and expectation.published is None and expectation.known is None:
+    if (
+        expectation.source is None
+        and expectation.published is None
+        and expectation.known is None
+    ):
         return []
     fields = (str(change["field"]) for change in changes)
-    return [field for field in fields if affects(field, expectation.metric, expectation.subject)]
+    return [
+        field
+        for field in fields
+        if affects(field, expectation.metric, expectation.subject)
+    ]
 
 
 def affects(field: str, metric: str, subject: str) -> bool:
@@ -167,11 +189,15 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
     """
     if not left_out:
         return []
-    metrics = ", ".join(dict.fromkeys(f"{row['of']} {row['metric']}" for row in left_out))
+    metrics = ", ".join(
+        dict.fromkeys(f"{row['of']} {row['metric']}" for row in left_out)
+    )
     fields = dict.fromkeys(field for row in left_out for field in row["because"])
     count = "1 expectation" if len(left_out) == 1 else f"{len(left_out)} expectations"
     changed = f"{', '.join(fields)} {'was' if len(fields) == 1 else 'were'} changed"
-    return [f"left out: {count} of the unmodified scenario ({metrics}), because {changed}"]
+    return [
+        f"left out: {count} of the unmodified scenario ({metrics}), because {changed}"
+    ]
 
 
 def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
@@ -209,7 +235,8 @@ def _at(document: Any, loc: Loc) -> Any:
 def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
-    That is the name of a robot, the names of plants, the number of a record, or a digest of many values.
+    That is the name of a robot, the names of plants, the number of a record, or a
+    digest of many values.
     """
     value = _at(document, loc)
     if loc == ("robot",) and isinstance(value, Mapping):

@@ -1,8 +1,9 @@
 """Sections of parts from outside the package: ``kind: module:Name``, or a name that a package registers.
 
-If the name is a class of a controller, of chambers or of a sensor, its section is made from the signature of
-the class. The other keys of the section are its arguments, without conversion of units. The name may also be
-a section, which is used like those of the package. See `srs_twin.extensions` for what is imported when.
+If the name is a class of a controller, of chambers or of a sensor, its section is made
+from the signature of the class. The other keys of the section are its arguments,
+without conversion of units. The name may also be a section, which is used like those of
+the package. See `srs_twin.extensions` for what is imported when.
 """
 
 from __future__ import annotations
@@ -25,7 +26,12 @@ from srs_twin.io.documents import Document
 from srs_twin.pneumatics import KINDS as PNEUMATICS, Pneumatics
 from srs_twin.scenario.controllers import ControllerSection
 from srs_twin.scenario.fields import Section
-from srs_twin.scenario.file import CONTROLLER_KINDS, PneumaticsSection, ScenarioFile, SensorSection
+from srs_twin.scenario.file import (
+    CONTROLLER_KINDS,
+    PneumaticsSection,
+    ScenarioFile,
+    SensorSection,
+)
 from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
@@ -83,7 +89,10 @@ class _ArgumentsSection(Section):
 
 
 class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
-    """Section of a part that is not imported. Its keys are not checked, and nothing can be built."""
+    """Section of a part that is not imported.
+
+    Its keys are not checked, and nothing can be built.
+    """
 
     model_config = ConfigDict(extra="allow")
     constructors = (Gait,)  # it drives all valve layouts and robots
@@ -114,7 +123,9 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
         except InputError as error:
             document.report((key, "kind"), str(error))
         sections[key] = (own, ...)
-    return _model("ScenarioFile", ScenarioFile, **sections) if sections else ScenarioFile
+    return (
+        _model("ScenarioFile", ScenarioFile, **sections) if sections else ScenarioFile
+    )
 
 
 def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:
@@ -151,10 +162,15 @@ def _section(key: str, name: str, found: type) -> type[Section]:
             if not _is_read_back(adapter, default):
                 not_written.add(field)
         elif default is ...:
-            raise InputError(f"{name}: no file can give {parameter.name}; set a default, or write a section")
+            raise InputError(
+                f"{name}: no file can give {parameter.name}; set a default, or write a"
+                " section"
+            )
     fields["constructors"] = (ClassVar[Any], (found,))
     fields["not_written"] = (ClassVar[Any], not_written)
-    return create_model(name, __base__=(_ArgumentsSection, PARTS[key].section), **fields)
+    return create_model(
+        name, __base__=(_ArgumentsSection, PARTS[key].section), **fields
+    )
 
 
 def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
@@ -165,13 +181,19 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
         if parameter.name not in _CONTEXT
         and parameter.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
     ]
-    annotations = {key.name: key.annotation for key in keys if key.annotation is not key.empty}
+    annotations = {
+        key.name: key.annotation for key in keys if key.annotation is not key.empty
+    }
     namespace = getattr(found.__init__, "__globals__", {})  # type: ignore[misc]
     try:
-        hints = get_type_hints(SimpleNamespace(__annotations__=annotations), namespace, include_extras=True)
+        hints = get_type_hints(
+            SimpleNamespace(__annotations__=annotations), namespace, include_extras=True
+        )
     except (NameError, SyntaxError, TypeError) as error:
         text = f"{name}: the types of its arguments cannot be read ({error})"
-        raise InputError(f"{text}; import them outside of `if TYPE_CHECKING`") from error
+        raise InputError(
+            f"{text}; import them outside of `if TYPE_CHECKING`"
+        ) from error
     for key in keys:
         yield key, hints.get(key.name, Any)
 

@@ -7,7 +7,12 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import model_validator
 
-from srs_twin.plants.analytical import SLIP_SPEED_M_S, TIMESTEP_S, AnalyticalSnake, default_timestep
+from srs_twin.plants.analytical import (
+    SLIP_SPEED_M_S,
+    TIMESTEP_S,
+    AnalyticalSnake,
+    default_timestep,
+)
 from srs_twin.plants.twin.mjcf.numerics import (
     LAW_OF,
     PRESETS,
@@ -32,9 +37,11 @@ class _PlantFile(Section):
     """Base class of the plant sections.
 
     Attributes:
-        floor_keys: keys that describe the contact with the floor, not allowed on a bench.
+        floor_keys: keys that describe the contact with the floor, not allowed on a
+            bench.
         scaled_keys: keys whose defaults are multiplied by the time unit of the robot.
-        wheel_keys: keys that describe wheels or skids, not allowed for a robot with skin.
+        wheel_keys: keys that describe wheels or skids, not allowed for a robot with
+            skin.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
@@ -70,11 +77,14 @@ class AnalyticalFile(_PlantFile):
     scaled_keys = ("timestep_s", "slip_speed_m_s")
 
     timestep_s: float = quantity(1e-6, 1.0, TIMESTEP_S)
-    """Largest time step of the integrator (default: 0.002 times the robot's time unit)."""
-    model: Literal["complete", "simplified", "compliant", "quasistatic"] = constructor_default()
+    """Largest time step of the integrator (default: 0.002 times the robot's time unit).
+    """
+    model: Literal["complete", "simplified", "compliant", "quasistatic"] = (
+        constructor_default()
+    )
     """complete: prescribed bends; simplified: prescribed bends, and chords of constant length; compliant:
-    bends that depend on load and inertia; quasistatic: bends in two directions without inertia, for robots
-    with chamber.directions_deg only."""
+    bends that depend on load and inertia; quasistatic: bends in two directions without
+    inertia, for robots with chamber.directions_deg only."""
     friction_torque: bool = constructor_default()
     """Whether friction exerts a moment about the centre of mass; false only with simplified."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
@@ -82,7 +92,8 @@ class AnalyticalFile(_PlantFile):
     of the dissertation, which counts the segments twice."""
     friction: Law = constructor_default()
     """Friction law; axis: one contact per connector (dissertation), wheel: two wheels at the track, ellipse
-    or cosine: two skids at the track, viscous: a law for tests. A robot with skin has its own law."""
+    or cosine: two skids at the track, viscous: a law for tests. A robot with skin has
+    its own law."""
     load: Literal["static", "momentary"] = constructor_default()
     """Load of a wheel or skid; static: half the weight of its connector, momentary: with load transfer by
     lateral forces (not with axis). A skin has such pairs along the whole body."""
@@ -102,9 +113,15 @@ class AnalyticalFile(_PlantFile):
     @model_validator(mode="after")
     def _options_are_consistent(self) -> AnalyticalFile:
         if not self.friction_torque and self.model != "simplified":
-            raise ValueError(f"model {self.model} needs friction_torque: true; only simplified allows false")
+            raise ValueError(
+                f"model {self.model} needs friction_torque: true; only simplified"
+                " allows false"
+            )
         if self.touch and self.model != "compliant":
-            raise ValueError(f"model {self.model} needs touch: false; only compliant touches obstacles")
+            raise ValueError(
+                f"model {self.model} needs touch: false; only compliant touches"
+                " obstacles"
+            )
         return self
 
 
@@ -137,7 +154,8 @@ class TwinFile(_PlantFile):
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
         if "timestep_s" not in self.model_fields_set:
-            # The model is frozen; `model_fields_set` still contains the keys of the file only.
+            # The model is frozen; `model_fields_set` still contains the keys of the
+            # file only.
             self.__dict__["timestep_s"] = preset_timestep(self.preset)
         return self
 
@@ -155,7 +173,11 @@ class TwinFile(_PlantFile):
 
     def build_contact(self) -> Contact:
         """Return the contact."""
-        return LoadedContact(self.law) if self.contact == "loaded" else PreloadedContact(self.wheels)
+        return (
+            LoadedContact(self.law)
+            if self.contact == "loaded"
+            else PreloadedContact(self.wheels)
+        )
 
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
         """Return the arguments of `TwinSnake`."""
@@ -167,18 +189,27 @@ class TwinFile(_PlantFile):
         if self.preset != "fast":
             return None
         override = f" with timestep_s {self.timestep_s}"
-        return self.preset + override * (self.timestep_s != preset_timestep(self.preset))
+        return self.preset + override * (
+            self.timestep_s != preset_timestep(self.preset)
+        )
 
     @model_validator(mode="after")
     def _friction_is_loaded(self) -> TwinFile:
         if self.friction is not None and self.contact == "preloaded":
-            raise ValueError("friction needs contact: loaded; with preloaded, wheels determine the law")
+            raise ValueError(
+                "friction needs contact: loaded; with preloaded, wheels determine"
+                " the law"
+            )
         return self
 
 
 def preset_timestep(preset: object) -> float | None:
     """Return the time step of a preset, s; the default without one, None for an unknown one."""
-    return PRESETS.get(str(preset), {}).get("timestep") if preset else ModelSettings.timestep
+    return (
+        PRESETS.get(str(preset), {}).get("timestep")
+        if preset
+        else ModelSettings.timestep
+    )
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
@@ -206,13 +237,25 @@ class PlantsFile(Section):
     @property
     def running(self) -> dict[str, PlantFile]:
         """Sections of the plants that run, by name."""
-        return {kind: getattr(self, kind) for kind in PLANTS if getattr(self, kind) is not None}
+        return {
+            kind: getattr(self, kind)
+            for kind in PLANTS
+            if getattr(self, kind) is not None
+        }
 
     @model_validator(mode="after")
     def _has_a_plant(self) -> PlantsFile:
-        empty = [name for name in PLANTS if name in self.model_fields_set and getattr(self, name) is None]
+        empty = [
+            name
+            for name in PLANTS
+            if name in self.model_fields_set and getattr(self, name) is None
+        ]
         if empty:
-            raise ValueError(f"{empty[0]} is empty; write '{empty[0]}: {{}}' for its defaults")
+            raise ValueError(
+                f"{empty[0]} is empty; write '{empty[0]}: {{}}' for its defaults"
+            )
         if not self.model_fields_set:
-            raise ValueError("names no plant; write 'analytical: {}', 'twin: {}' or both")
+            raise ValueError(
+                "names no plant; write 'analytical: {}', 'twin: {}' or both"
+            )
         return self

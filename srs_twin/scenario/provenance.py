@@ -1,7 +1,8 @@
 """Provenance of a run: everything that determines its numbers.
 
-That is the scenario, its files, the source code, package versions and the arithmetic of the processor. Their
-SHA-256 is the key under which a result is stored. Names, displays and expectations are not included.
+That is the scenario, its files, the source code, package versions and the arithmetic of
+the processor. Their SHA-256 is the key under which a result is stored. Names, displays
+and expectations are not included.
 """
 
 from __future__ import annotations
@@ -47,7 +48,10 @@ _VIEWING = "srs_twin.viewing"
 """Package that only displays results; it is not part of keys."""
 
 _TYPE_CHECKING_BLOCK = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
-_IMPORT = re.compile(r"^\s*(?:from (srs_twin[\w.]*) import (\([^)]*\)|[^\n]*)|import (srs_twin[\w.]*))", re.M)
+_IMPORT = re.compile(
+    r"^\s*(?:from (srs_twin[\w.]*) import (\([^)]*\)|[^\n]*)|import (srs_twin[\w.]*))",
+    re.M,
+)
 
 
 @cache
@@ -66,16 +70,24 @@ def versions() -> dict[str, str]:
 def arithmetic() -> str:
     """Return the name of the arithmetic, which determines the last digits of results.
 
-    It has three parts: the processor for which kernels are compiled (overridden by `NUMBA_CPU_NAME`), the
-    kernels of the BLAS libraries of NumPy and SciPy (overridden by `OPENBLAS_CORETYPE`), and a digest of the
-    processor's features and of function values of the C library, NumPy and BLAS, which select code by
-    processor.
+    It has three parts: the processor for which kernels are compiled (overridden by
+    `NUMBA_CPU_NAME`), the kernels of the BLAS libraries of NumPy and SciPy (overridden
+    by `OPENBLAS_CORETYPE`), and a digest of the processor's features and of function
+    values of the C library, NumPy and BLAS, which select code by processor.
     """
     from numba.core.registry import cpu_target
 
     _, processor, features = cpu_target.target_context.codegen().magic_tuple()
     x = np.linspace(-3.0, 3.0, 4001)
-    functions = (math.sin, math.cos, math.tan, math.exp, math.atan, math.asinh, math.cbrt)
+    functions = (
+        math.sin,
+        math.cos,
+        math.tan,
+        math.exp,
+        math.atan,
+        math.asinh,
+        math.cbrt,
+    )
     values = [[function(value) for value in x.tolist()] for function in functions]
     values += [function(x).tolist() for function in (np.sin, np.cos, np.exp, np.arctan)]
     square = np.cos(np.arange(1600.0) ** 1.5).reshape(40, 40)
@@ -95,7 +107,9 @@ def run_key(document: Mapping[str, object], plants: Iterable[str], runner: str) 
         runner: dotted name of the module that runs the scenario.
     """
     return digest_of(
-        scenario={key: value for key, value in document.items() if key not in NOT_PHYSICS},
+        scenario={
+            key: value for key, value in document.items() if key not in NOT_PHYSICS
+        },
         plants=list(plants),
         files=list(file_digests(document).values()),
         sources=run_sources(document, runner),
@@ -112,10 +126,16 @@ def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
         used |= installed(FORMATS)
         formats = registered("format")
     controller = document.get("controller")
-    if isinstance(controller, Mapping) and (entry := CONTROLLERS.get(str(controller.get("kind")))):
+    if isinstance(controller, Mapping) and (
+        entry := CONTROLLERS.get(str(controller.get("kind")))
+    ):
         used |= installed({"controller": entry})
     modules = [runner, *map(module_of, used.values())]
-    digests = {name: digest for module in modules for name, digest in source_digests(module).items()}
+    digests = {
+        name: digest
+        for module in modules
+        for name, digest in source_digests(module).items()
+    }
     outside = {*plugins(), *map(module_of, formats.values()), *_named_parts(document)}
     return digests | _plugin_digests(outside)
 
@@ -135,7 +155,10 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
         spec = find_spec(package)
         digests[package] = _sha256(str(spec and spec.origin))
         for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
-            files = {path.relative_to(folder.parent): str(path) for path in folder.rglob("*.py")}
+            files = {
+                path.relative_to(folder.parent): str(path)
+                for path in folder.rglob("*.py")
+            }
             digests |= {str(name): _sha256(path) for name, path in files.items()}
         if package in owners():
             digests[f"{package}, version"] = owners()[package].version
@@ -145,12 +168,15 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 def judged_digest(document: Mapping[str, object]) -> str:
     """Return a digest of a scenario with its robot and input files, to check stored intervals.
 
-    Code, duration and seed are not included: their effect on a result is visible in its value. Texts that
-    explain values are not included either, so that a reworded source does not make an interval stale.
+    Code, duration and seed are not included: their effect on a result is visible in its
+    value. Texts that explain values are not included either, so that a reworded source
+    does not make an interval stale.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(
-        scenario=_without_words({key: value for key, value in document.items() if key not in skipped}),
+        scenario=_without_words(
+            {key: value for key, value in document.items() if key not in skipped}
+        ),
         files=list(file_digests(document).values()),
     )
 
@@ -158,8 +184,16 @@ def judged_digest(document: Mapping[str, object]) -> str:
 def _without_words(data: object) -> object:
     """Return nested data without the texts that explain its values."""
     if isinstance(data, Mapping):
-        return {key: _without_words(value) for key, value in data.items() if key not in WORDS}
-    return [_without_words(item) for item in data] if isinstance(data, list | tuple) else data
+        return {
+            key: _without_words(value)
+            for key, value in data.items()
+            if key not in WORDS
+        }
+    return (
+        [_without_words(item) for item in data]
+        if isinstance(data, list | tuple)
+        else data
+    )
 
 
 def digest_of(**data: object) -> str:
@@ -170,8 +204,9 @@ def digest_of(**data: object) -> str:
 def file_digests(document: Mapping[str, object]) -> dict[str, str]:
     """Return the SHA-256 of the files that a run reads in addition to its document, by path, hexadecimal.
 
-    The robot is part of the document; footprints, recordings and logs are given by name or path. The digest
-    of a file that cannot be read is empty; the run will report the error.
+    The robot is part of the document; footprints, recordings and logs are given by name
+    or path. The digest of a file that cannot be read is empty; the run will report the
+    error.
     """
     return {path: _sha256(path) for path in _files(document)}
 
@@ -180,13 +215,19 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
     """Yield the paths of the input files of a scenario."""
     start = document.get("start")
     if isinstance(start, Mapping) and start.get("from"):
-        yield from (str(Path(start["from"]) / f"{plant}.parquet") for plant in document.get("plants", ()))
+        yield from (
+            str(Path(start["from"]) / f"{plant}.parquet")
+            for plant in document.get("plants", ())
+        )
     world = document.get("world")
     if isinstance(world, Mapping):
         from srs_twin.scenario.map_file import pictures_of
 
         yield from (str(world[key]) for key in ("map", "circles") if world.get(key))
-        yield from (str(path) for path in (pictures_of(Path(world["map"])) if world.get("map") else ()))
+        yield from (
+            str(path)
+            for path in (pictures_of(Path(world["map"])) if world.get("map") else ())
+        )
     yield from input_files(document)
 
 
@@ -209,8 +250,9 @@ def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -
 def source_digests(module: str) -> dict[str, str]:
     """Return the SHA-256 of the sources of a module and of its imports from this package, hexadecimal.
 
-    Imports are read from the source text, including those inside functions and excluding those for type
-    checkers. The ``__init__`` of a package counts only if the package itself is imported.
+    Imports are read from the source text, including those inside functions and
+    excluding those for type checkers. The ``__init__`` of a package counts only if the
+    package itself is imported.
 
     Args:
         module: dotted name of the module.
@@ -223,12 +265,18 @@ def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
     to_read, seen = [module], set()
     while to_read:
         name = to_read.pop()
-        if name in seen or name.startswith(_VIEWING) or (path := _source(root, name)) is None:
+        if (
+            name in seen
+            or name.startswith(_VIEWING)
+            or (path := _source(root, name)) is None
+        ):
             continue
         seen.add(name)
         text = path.read_text("utf-8")
         yield name, hashlib.sha256(text.encode()).hexdigest()
-        for package, names, whole in _IMPORT.findall(_TYPE_CHECKING_BLOCK.sub("", text)):
+        for package, names, whole in _IMPORT.findall(
+            _TYPE_CHECKING_BLOCK.sub("", text)
+        ):
             to_read.append(package or whole)
             to_read += [f"{package}.{name}" for name in re.findall(r"\w+", names)]
 
@@ -236,4 +284,11 @@ def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
 def _source(root: Path, module: str) -> Path | None:
     """Return the source file of a module; None if it has none."""
     place = root / module.replace(".", "/")
-    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+    return next(
+        (
+            path
+            for path in (place.with_suffix(".py"), place / "__init__.py")
+            if path.is_file()
+        ),
+        None,
+    )

@@ -29,16 +29,20 @@ if TYPE_CHECKING:
 
 
 IGNORED_OBSTACLES = (
-    "plants.analytical: the model ignores the obstacles of this world and passes through them; "
-    "only model: compliant with touch: true touches them"
+    "plants.analytical: the model ignores the obstacles of this world and passes"
+    " through them; only model: compliant with touch: true touches them"
 )
 """Warning about an analytical plant that ignores obstacles."""
 
 
-def ignored_obstacles(file: ScenarioFile, world: World, plants: Iterable[str]) -> tuple[str, ...]:
+def ignored_obstacles(
+    file: ScenarioFile, world: World, plants: Iterable[str]
+) -> tuple[str, ...]:
     """Return a warning if an analytical plant runs and ignores obstacles."""
     touches = file.plants.analytical is not None and file.plants.analytical.touch
-    ignores = "analytical" in plants and world.has_obstacles and not (touches or file.bench)
+    ignores = (
+        "analytical" in plants and world.has_obstacles and not (touches or file.bench)
+    )
     return (IGNORED_OBSTACLES,) if ignores else ()
 
 
@@ -55,10 +59,12 @@ class Scenario:
         record_hz: recorded samples per second.
         supply_pa: supply pressure, gauge, Pa.
         pose: initial centre of mass x, y (m) and mean heading (rad).
-        begin: function that sets the initial state of a plant; None: straight and at rest at `pose`.
+        begin: function that sets the initial state of a plant; None: straight and at
+            rest at `pose`.
         world: obstacles, bounds and goal.
         file: sections of the file, with all defaults written out.
-        document: plain data of a file that loads as an equal scenario, with defaults and robot written out.
+        document: plain data of a file that loads as an equal scenario, with defaults
+            and robot written out.
         warnings: warnings for the user.
         products: products of the extension sections, by section.
         source: name of the file in messages.
@@ -77,14 +83,17 @@ class Scenario:
     file: ScenarioFile
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = field(default=(), compare=False)
-    products: Mapping[str, object] = field(default_factory=dict, compare=False, repr=False)
+    products: Mapping[str, object] = field(
+        default_factory=dict, compare=False, repr=False
+    )
     source: str = field(default="", compare=False)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in vars(self).items() if name != "file"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Sections of parts from outside are classes without a home, so they are made again.
+        # Sections of parts from outside are classes without a home, so they are made
+        # again.
         vars(self).update(state, file=read_resolved(state["document"]))
 
     @property
@@ -120,27 +129,42 @@ class Scenario:
     @property
     def expect(self) -> tuple[Expectation, ...]:
         """Expectations that are valid in spite of changed fields."""
-        return tuple(item for item in self.file.expect if not invalidated_by(item, self.changes))
+        return tuple(
+            item for item in self.file.expect if not invalidated_by(item, self.changes)
+        )
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
         """Invalidated expectations: `metric`, `of`, `source`, and the changed fields (`because`)."""
-        pairs = ((item, invalidated_by(item, self.changes)) for item in self.file.expect)
+        pairs = (
+            (item, invalidated_by(item, self.changes)) for item in self.file.expect
+        )
         return [
-            {"metric": item.metric, "of": item.subject, "source": item.source, "because": fields}
+            {
+                "metric": item.metric,
+                "of": item.subject,
+                "source": item.source,
+                "because": fields,
+            }
             for item, fields in pairs
             if fields
         ]
 
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
         """Return the scenario for a run on given plants (None: its own); other plants are a changed field."""
-        changes = with_plants(self.changes, tuple(self.plants), plants or tuple(self.plants))
+        changes = with_plants(
+            self.changes, tuple(self.plants), plants or tuple(self.plants)
+        )
         if changes == list(self.changes):
             return self
-        document = {key: value for key, value in self.document.items() if key != "changes"}
+        document = {
+            key: value for key, value in self.document.items() if key != "changes"
+        }
         document |= {"changes": changes} if changes else {}
         warnings = tuple(text for text in self.warnings if text != IGNORED_OBSTACLES)
-        warnings += ignored_obstacles(self.file, self.world, plants or tuple(self.plants))
+        warnings += ignored_obstacles(
+            self.file, self.world, plants or tuple(self.plants)
+        )
         title = marked(document["title"], changes)
         return replace(self, document=document, title=title, warnings=warnings)
 
@@ -153,13 +177,21 @@ class Scenario:
     @property
     def timing(self) -> dict[str, Any]:
         """Arguments of `rollout` and `Job` that the scenario sets."""
-        names = ("duration", "pose" if self.begin is None else "begin", "seed", "record_hz")
+        names = (
+            "duration",
+            "pose" if self.begin is None else "begin",
+            "seed",
+            "record_hz",
+        )
         return {name: getattr(self, name) for name in names}
 
     @property
     def measured(self) -> Trajectory | None:
         """Measured trajectory in the time of the run; None without a recording."""
-        measured = (section.measured(self.products[key]) for key, section in self.file.sections().items())
+        measured = (
+            section.measured(self.products[key])
+            for key, section in self.file.sections().items()
+        )
         trajectory = next(filter(None, measured), None)
         if trajectory is None:
             return None
@@ -181,13 +213,16 @@ class Scenario:
             error.args = (f"{self.source}: {error}",)
             raise
 
-    def build_plant(self, kind: str, *, robot: RobotSpec | None = None, **changes: Any) -> Plant:
+    def build_plant(
+        self, kind: str, *, robot: RobotSpec | None = None, **changes: Any
+    ) -> Plant:
         """Return a new plant at rest; a plant that the file does not name has its defaults.
 
         Args:
             kind: "analytical" or "twin".
             robot: robot instead of the one of the scenario.
-            changes: arguments of the plant, and `gaps`, instead of those of the scenario.
+            changes: arguments of the plant, and `gaps`, instead of those of the
+                scenario.
 
         Raises:
             UnknownNameError: the kind is unknown.
@@ -195,7 +230,9 @@ class Scenario:
         if kind not in PLANTS:
             raise UnknownNameError("plant", kind, PLANTS)
         robot = robot or self.robot
-        settings = self.plants.get(kind) or (AnalyticalFile() if kind == "analytical" else TwinFile())
+        settings = self.plants.get(kind) or (
+            AnalyticalFile() if kind == "analytical" else TwinFile()
+        )
         arguments: dict[str, Any] = {
             "supply_pa": self.supply_pa,
             "tick": self.file.tick(kind),
@@ -208,7 +245,9 @@ class Scenario:
             robot = replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))
         if "pneumatics" not in changes:
             arguments["pneumatics"] = self._chambers(robot)
-        arguments["world"] = None if self.file.bench else arguments.get("world", self.world)
+        arguments["world"] = (
+            None if self.file.bench else arguments.get("world", self.world)
+        )
         if kind == "analytical":
             return AnalyticalSnake(robot, **arguments)
         from srs_twin.plants.twin.snake import TwinSnake
@@ -245,7 +284,9 @@ class Scenario:
         if chambers is None:
             chambers = self.file.pneumatics.chambers(robot, self.supply_pa, self.layout)
         faults = (fault.build() for fault in self.file.faults)
-        chambers.stuck = tuple(fault for fault in faults if isinstance(fault, StuckValve))
+        chambers.stuck = tuple(
+            fault for fault in faults if isinstance(fault, StuckValve)
+        )
         return chambers
 
     def _sensors(self, robot: RobotSpec) -> Sensor:

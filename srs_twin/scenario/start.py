@@ -41,13 +41,17 @@ class StartFile(Section):
     """y of the centre of mass."""
     heading_rad: float = quantity(-6.3, 6.3, 0.0)
     """Mean heading, counter-clockwise from x."""
-    velocity_m_s: Annotated[tuple[Speed, ...], Field(min_length=2, max_length=2)] | None = None
+    velocity_m_s: (
+        Annotated[tuple[Speed, ...], Field(min_length=2, max_length=2)] | None
+    ) = None
     """[x, y] velocity of the centre of mass in the world, m/s, -10 to 10."""
     yaw_rate_rad_s: float | None = quantity(-100.0, 100.0, None)
     """Rate of the mean heading."""
     bend_rad: Annotated[tuple[Bend, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
     """Bend of each segment from the head, positive to the left, rad, -3.2 to 3.2."""
-    bend_rate_rad_s: Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
+    bend_rate_rad_s: (
+        Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None
+    ) = None
     """Bend rate of each segment, rad/s, -100 to 100; ignored if the bends follow the pressures."""
     pressure_kpa: (
         Annotated[
@@ -61,7 +65,9 @@ class StartFile(Section):
         default=None,
         alias="from",
         title="From",
-        description="Folder of a run; each plant starts in the state of its trajectory there.",
+        description=(
+            "Folder of a run; each plant starts in the state of its trajectory there."
+        ),
     )
     time_s: float | None = quantity(0.0, 1e6, None)
     """Time in that run."""
@@ -80,7 +86,9 @@ class StartFile(Section):
     @property
     def moves(self) -> bool:
         """Whether the initial state differs from straight and at rest."""
-        return self.run is not None or any(getattr(self, name) is not None for name in _AT_REST)
+        return self.run is not None or any(
+            getattr(self, name) is not None for name in _AT_REST
+        )
 
     def initial_state(
         self, segments: int, supply_pa: float, plants: Mapping[str, object]
@@ -93,28 +101,41 @@ class StartFile(Section):
             plants: plants that run, by name.
 
         Raises:
-            InputError: a list has another number of entries than the robot has segments, a pressure is above
-                the supply pressure, or the run has no such time.
+            InputError: a list has another number of entries than the robot has
+                segments, a pressure is above the supply pressure, or the run has no
+                such time.
         """
         if not self.moves:
             return None
         if self.run is not None:
             assert self.time_s is not None, "see contradictions()"
-            states = {name: _state_at(Path(self.run), name, self.time_s, segments) for name in plants}
+            states = {
+                name: _state_at(Path(self.run), name, self.time_s, segments)
+                for name in plants
+            }
             return InitialState(states)
         for name in _PER_SEGMENT:
             values = getattr(self, name)
             if values is not None and len(values) != segments:
-                raise InputError(f"{name} has {len(values)} entries; the robot has {segments} segments")
+                raise InputError(
+                    f"{name} has {len(values)} entries; the robot has {segments}"
+                    " segments"
+                )
 
         def per_segment(name: str, *shape: int) -> np.ndarray:
             values = getattr(self, name)
-            return np.zeros((segments, *shape)) if values is None else to_si(name, np.array(values))
+            return (
+                np.zeros((segments, *shape))
+                if values is None
+                else to_si(name, np.array(values))
+            )
 
         pressure = per_segment("pressure_kpa", 2)
         if pressure.max() > supply_pa * (1 + 1e-9):
             given, limit = pressure.max() / 1000, supply_pa / 1000
-            raise InputError(f"pressure_kpa {given:g} is above the supply pressure, {limit:g} kPa")
+            raise InputError(
+                f"pressure_kpa {given:g} is above the supply pressure, {limit:g} kPa"
+            )
         velocity = np.array(self.velocity_m_s or (0.0, 0.0))
         state = _MotionState(
             np.array([self.x_m, self.y_m]),
@@ -166,31 +187,56 @@ class InitialState:
         moving = self.states[plant.name]
         x, y = map(float, moving.com)
         resting = plant.reset(pose=(x, y, moving.heading), seed=seed)
-        fields = {name: value for name, value in vars(moving).items() if name != "yaw_rate"}
-        return plant.place(replace(resting, **fields), yaw_rate=moving.yaw_rate, seed=seed)
+        fields = {
+            name: value for name, value in vars(moving).items() if name != "yaw_rate"
+        }
+        return plant.place(
+            replace(resting, **fields), yaw_rate=moving.yaw_rate, seed=seed
+        )
 
 
 def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionState:
     """Return the state of a plant at a time (s) of its trajectory, with rates from interpolation."""
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
-        raise InputError(f"{display_path(folder)} has no trajectory of the {plant} plant ({path.name})")
+        raise InputError(
+            f"{display_path(folder)} has no trajectory of the {plant} plant"
+            f" ({path.name})"
+        )
     trajectory = Trajectory.from_parquet(path)
     times = trajectory.time
     if len(times) < 2 or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
-        raise InputError(f"time_s {time:g} is outside {display_path(path)}, {times[0]:g} to {times[-1]:g} s")
+        raise InputError(
+            f"time_s {time:g} is outside {display_path(path)}, {times[0]:g} to"
+            f" {times[-1]:g} s"
+        )
     bend = trajectory.stack("bend")
     if bend.shape[1] != segments:
-        raise InputError(f"{display_path(path)} has {bend.shape[1]} segments; the robot has {segments}")
-    pressure = np.stack([trajectory.stack("pressure_plus"), trajectory.stack("pressure_minus")], axis=-1)
-    columns = np.column_stack([trajectory.com, trajectory["heading"], bend, pressure.reshape(len(times), -1)])
+        raise InputError(
+            f"{display_path(path)} has {bend.shape[1]} segments; the robot has"
+            f" {segments}"
+        )
+    pressure = np.stack(
+        [trajectory.stack("pressure_plus"), trajectory.stack("pressure_minus")], axis=-1
+    )
+    columns = np.column_stack(
+        [trajectory.com, trajectory["heading"], bend, pressure.reshape(len(times), -1)]
+    )
     k = min(max(int(np.searchsorted(times, time - 1e-9)), 1), len(times) - 1)
     near = slice(max(k - 2, 0), min(k + 2, len(times)))
-    # Parabola or cubic through the samples around the time: coefficients 0 and 1 are value and rate.
-    fit = np.polynomial.polynomial.polyfit(times[near] - time, columns[near], len(times[near]) - 1)
+    # Parabola or cubic through the samples around the time: coefficients 0 and 1 are
+    # value and rate.
+    fit = np.polynomial.polynomial.polyfit(
+        times[near] - time, columns[near], len(times[near]) - 1
+    )
     now, rate = fit[0], fit[1]
     count = 3 + segments
     return _MotionState(
-        now[:2], rate[:2], float(now[2]), float(rate[2]), now[3:count], rate[3:count],
+        now[:2],
+        rate[:2],
+        float(now[2]),
+        float(rate[2]),
+        now[3:count],
+        rate[3:count],
         np.maximum(now[count:], 0.0).reshape(segments, 2),
-    )  # fmt: skip
+    )

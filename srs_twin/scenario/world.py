@@ -63,7 +63,9 @@ class PolygonFile(Section):
         from shapely import Polygon
 
         if not Polygon(corners).is_valid:
-            raise ValueError("these corners do not bound an area: sides cross or overlap")
+            raise ValueError(
+                "these corners do not bound an area: sides cross or overlap"
+            )
         return corners
 
 
@@ -81,7 +83,9 @@ class BoundsFile(Section):
     @classmethod
     def _ordered(cls, ends: Pair) -> Pair:
         if not ends[0] < ends[1]:
-            raise ValueError(f"the minimum comes first, but {ends[0]:g} is not below {ends[1]:g}")
+            raise ValueError(
+                f"the minimum comes first, but {ends[0]:g} is not below {ends[1]:g}"
+            )
         return ends
 
 
@@ -115,7 +119,9 @@ class RandomFile(Section):
     """Random seed (default: seed of the scenario)."""
     area: BoundsFile | None = None
     """Area of the centres (strewn; default: the bounds)."""
-    radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = constructor_default()
+    radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = (
+        constructor_default()
+    )
     """Smallest and largest radius (strewn), m."""
     gap_m: float = quantity(0.0, 100.0)
     """Smallest distance between two circles (strewn)."""
@@ -126,10 +132,14 @@ class RandomFile(Section):
     @classmethod
     def _ordered(cls, ends: tuple[float, ...]) -> tuple[float, ...]:
         if not ends[0] <= ends[1]:
-            raise ValueError(f"the smallest radius comes first, but {ends[0]:g} is above {ends[1]:g}")
+            raise ValueError(
+                f"the smallest radius comes first, but {ends[0]:g} is above {ends[1]:g}"
+            )
         return ends
 
-    def draw(self, bounds: BoundsFile | None, seed: int, places: list[Pose | Goal]) -> tuple[Circle, ...]:
+    def draw(
+        self, bounds: BoundsFile | None, seed: int, places: list[Pose | Goal]
+    ) -> tuple[Circle, ...]:
         """Return the circles.
 
         Args:
@@ -176,7 +186,9 @@ class PegsFile(Section):
     @model_validator(mode="after")
     def _fits(self) -> PegsFile:
         if (count := self.rows * self.columns) > MAX_PEGS:
-            raise ValueError(f"{count} pegs are too many; at most {MAX_PEGS} are allowed")
+            raise ValueError(
+                f"{count} pegs are too many; at most {MAX_PEGS} are allowed"
+            )
         return self
 
     def draw(self, start: Pose, seed: int, length: float) -> tuple[Circle, ...]:
@@ -192,7 +204,10 @@ class PegsFile(Section):
         """
         x = start.x + PEG_DISTANCE_M * length if self.x_m is None else self.x_m
         first = x, start.y if self.y_m is None else self.y_m
-        arguments = self.arguments() | {"first": first, "seed": seed if self.seed is None else self.seed}
+        arguments = self.arguments() | {
+            "first": first,
+            "seed": seed if self.seed is None else self.seed,
+        }
         return peg_field(**arguments)
 
 
@@ -281,7 +296,8 @@ class WorldFile(Section):
     """Polygonal obstacles."""
     random: RandomFile | None = None
     """Random round obstacles."""
-    # None instead of values, so that documents of scenarios without these keys keep their digests.
+    # None instead of values, so that documents of scenarios without these keys keep
+    # their digests.
     pegs: PegsFile | None = None
     """Field of posts."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
@@ -290,7 +306,8 @@ class WorldFile(Section):
     """Slope of the floor."""
     steps: Annotated[list[StepFile], Field(max_length=100)] = []
     """Steps of the floor."""
-    # None instead of an empty list, so that documents of scenarios without objects keep their digests.
+    # None instead of an empty list, so that documents of scenarios without objects keep
+    # their digests.
     objects: Annotated[list[ObjectFile], Field(max_length=10)] | None = None
     """Movable objects; on the twin only."""
     bounds: BoundsFile | None = None
@@ -305,7 +322,9 @@ class WorldFile(Section):
         if goal is not None:
             scaled.__dict__["goal"] = goal.with_scaled_defaults(["radius_m"], unit)
         if random is not None:
-            scaled.__dict__["random"] = random.with_scaled_defaults(["radius_m", "gap_m", "clear_m"], unit)
+            scaled.__dict__["random"] = random.with_scaled_defaults(
+                ["radius_m", "gap_m", "clear_m"], unit
+            )
         return scaled
 
     @field_validator("circles", "map")
@@ -326,11 +345,17 @@ class WorldFile(Section):
             world: result of `build_world`.
         """
         round_ones, polygons = len(world.obstacles), len(world.polygons)
-        firsts = {"obstacles": 0, "polygons": round_ones, "objects": round_ones + polygons}
+        firsts = {
+            "obstacles": 0,
+            "polygons": round_ones,
+            "objects": round_ones + polygons,
+        }
         for key, first in firsts.items():
             if 0 <= number - first < len(getattr(self, key) or ()):
                 return key, number - first
-        drawn = [key for key in ("pegs", "random", "circles", "map") if getattr(self, key)]
+        drawn = [
+            key for key in ("pegs", "random", "circles", "map") if getattr(self, key)
+        ]
         return tuple(drawn) if len(drawn) == 1 else ()
 
     def build_world(self, start: Pose, seed: int, length: float = 1.0) -> World:
@@ -342,7 +367,8 @@ class WorldFile(Section):
             length: length unit of the robot, 1.
 
         Raises:
-            InputError: random circles or pegs do not fit into their area, or a file cannot be used.
+            InputError: random circles or pegs do not fit into their area, or a file
+                cannot be used.
         """
         goal = self.goal.build() if self.goal else None
         places = [start, goal] if goal else [start]
@@ -350,7 +376,10 @@ class WorldFile(Section):
         pegs = self.pegs.draw(start, seed, length) if self.pegs else ()
         listed = read_circles(Path(self.circles)) if self.circles else ()
         return World(
-            obstacles=tuple(circle.build() for circle in self.obstacles) + listed + random + pegs,
+            obstacles=tuple(circle.build() for circle in self.obstacles)
+            + listed
+            + random
+            + pegs,
             bounds=self.bounds.build() if self.bounds else None,
             goal=goal,
             polygons=tuple(polygon.build() for polygon in self.polygons)
@@ -358,5 +387,9 @@ class WorldFile(Section):
             floor=self.floor.build(),
             steps=tuple(step.build() for step in self.steps),
             objects=tuple(item.build() for item in self.objects or ()),
-            friction=OBSTACLE_FRICTION if self.obstacle_friction is None else self.obstacle_friction,
+            friction=(
+                OBSTACLE_FRICTION
+                if self.obstacle_friction is None
+                else self.obstacle_friction
+            ),
         )

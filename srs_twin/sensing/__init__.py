@@ -8,7 +8,12 @@ from typing import Any
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.extensions import part
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.sensing.hall import SPAN, HallSensor as HallSensor, Strip as Strip, calibrate as calibrate
+from srs_twin.sensing.hall import (
+    SPAN,
+    HallSensor as HallSensor,
+    Strip as Strip,
+    calibrate as calibrate,
+)
 from srs_twin.sensing.sensors import (
     CurvatureSensor as CurvatureSensor,
     DeadSensor as DeadSensor,
@@ -25,20 +30,24 @@ _STRIP_OPTIONS = {field.name for field in fields(Strip)} - {"segment_length"}
 _HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
 
 
-def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any) -> Sensor:
+def make_sensor(
+    kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any
+) -> Sensor:
     """Return the curvature sensors of a robot; those of a spatial robot have two axes.
 
     Args:
-        kind: a name in `KINDS`, a part from outside (`extensions.part`), or an existing `Sensor`, which is
-            used as it is.
-        spec: the robot, which determines the length of the strips and the drift of each module's sensor.
-        span: largest bend to both sides for which a Hall sensor is trimmed (unless `gain` is given) and
-            calibrated, rad; other sensors ignore it.
+        kind: a name in `KINDS`, a part from outside (`extensions.part`), or an existing
+            `Sensor`, which is used as it is.
+        spec: the robot, which determines the length of the strips and the drift of each
+            module's sensor.
+        span: largest bend to both sides for which a Hall sensor is trimmed (unless
+            `gain` is given) and calibrated, rad; other sensors ignore it.
         **options: attributes of `Strip` and `HallSensor`.
 
     Raises:
         UnknownNameError: the kind is unknown, or does not have an option.
-        InputError: options were given for a sensor that has none, or as raised by the class.
+        InputError: options were given for a sensor that has none, or as raised by the
+            class.
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
         raise InputError(f"this sensor has no options; leave out {', '.join(options)}")
@@ -59,8 +68,13 @@ def make_sensor(kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **op
 
 def _hall_sensor(spec: RobotSpec, span: float, options: dict[str, Any]) -> Sensor:
     for name in options.keys() - _STRIP_OPTIONS - _HALL_OPTIONS:
-        raise UnknownNameError("option of sensor 'hall'", name, _STRIP_OPTIONS | _HALL_OPTIONS)
-    strip = Strip(spec.geometry.segment_length, **{k: v for k, v in options.items() if k in _STRIP_OPTIONS})
+        raise UnknownNameError(
+            "option of sensor 'hall'", name, _STRIP_OPTIONS | _HALL_OPTIONS
+        )
+    strip = Strip(
+        spec.geometry.segment_length,
+        **{k: v for k, v in options.items() if k in _STRIP_OPTIONS},
+    )
     electronics = {k: v for k, v in options.items() if k in _HALL_OPTIONS}
     if "gain" in electronics:
         hall = HallSensor(strip, **electronics)

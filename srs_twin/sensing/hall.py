@@ -1,31 +1,35 @@
 r"""Hall sensor and its calibration: a magnet and a Hall element on the neutral axis of a segment.
 
-**Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate frame is at the magnet: x
-points along the strip towards the element and the head, y is normal to it, to the left. At the arc length L
-the strip has turned by θ = κL. The element is h_s and the centre of the magnet h_m to the left of the neutral
-axis; negative values are to its right:
+**Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate
+frame is at the magnet: x points along the strip towards the element and the head, y is
+normal to it, to the left. At the arc length L the strip has turned by θ = κL. The
+element is h_s and the centre of the magnet h_m to the left of the neutral axis;
+negative values are to its right:
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
 M = \begin{pmatrix} 0 \\ h_m \end{pmatrix}. $$
 
-The magnet is a point dipole with moment m along y (`up`) or x (`side`). With r = S − M its field is
+The magnet is a point dipole with moment m along y (`up`) or x (`side`). With r = S − M
+its field is
 
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$
 
-and the element measures its normal component, B_n = B_y cos θ − B_x sin θ (Eq. 1). θ in Eq. 1 is interpreted
-as the local angle κL. With the whole bend q instead, the reading over ±90° would be neither linear nor
-monotonic (docs/sensor.md).
+and the element measures its normal component, B_n = B_y cos θ − B_x sin θ (Eq. 1). θ in
+Eq. 1 is interpreted as the local angle κL. With the whole bend q instead, the reading
+over ±90° would be neither linear nor monotonic (docs/sensor.md).
 
-**Chambers.** A rectangular chamber becomes round when it is filled and presses on the adjacent strip (Section
-2.2.2, Fig. 14a, c). The filled chamber is on the outside of the bend, so it bows the strip against the bend.
-Once the chamber is round, it presses no further. The bend of the strip is
+**Chambers.** A rectangular chamber becomes round when it is filled and presses on the
+adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
+bend, so it bows the strip against the bend. Once the chamber is round, it presses no
+further. The bend of the strip is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
-Its slope is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The dissertation states that such
-readings are not monotonic at small angles. Its figure with the values is lost, so that b and q_c are
-estimates. The effect depends on the bend, not on the momentary pressure.
+Its slope is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The dissertation
+states that such readings are not monotonic at small angles. Its figure with the values
+is lost, so that b and q_c are estimates. The effect depends on the bend, not on the
+momentary pressure.
 
 **Electronics.** Hall element, amplifier and converter:
 
@@ -33,19 +37,20 @@ estimates. The effect depends on the bend, not on the momentary pressure.
     amplifier    V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n), limited to the rails
     converter    centre of the quantisation step of V, with 2^bits steps over the converter's range
 
-The amplifier is balanced on the straight strip, as after assembly: otherwise the amplified field at rest (54
-gauss) would far exceed the rails. `bias` and the gain error e are changes since the calibration (temperature,
-supply, a magnet that slipped).
+The amplifier is balanced on the straight strip, as after assembly: otherwise the
+amplified field at rest (54 gauss) would far exceed the rails. `bias` and the gain error
+e are changes since the calibration (temperature, supply, a magnet that slipped).
 
-**Calibration** is the straight line from the voltage to the bend. As in the dissertation (Section 3.4.3, a
-line fit to the bending angle against the voltage), the module is held at evenly spaced angles over ± span.
-The reading at each angle is averaged until the noise vanishes, and the angle is regressed on the voltage by
-least squares:
+**Calibration** is the straight line from the voltage to the bend. As in the
+dissertation (Section 3.4.3, a line fit to the bending angle against the voltage), the
+module is held at evenly spaced angles over ± span. The reading at each angle is
+averaged until the noise vanishes, and the angle is regressed on the voltage by least
+squares:
 
 $$ q \approx a V + b. $$
 
-All nonlinearity of the sensor (field, rails, a pressing chamber) remains in the readings as an error; its
-largest value is `worst_error`.
+All nonlinearity of the sensor (field, rails, a pressing chamber) remains in the
+readings as an error; its largest value is `worst_error`.
 """
 
 from __future__ import annotations
@@ -63,7 +68,10 @@ STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
 """b by cross-section, 1. Estimate: 2 reverses the slope of the reading at q = 0."""
 
 ROUNDING_BEND_RAD = 0.15
-"""q_c, the bend at which a rectangular chamber has become nearly round, rad. Estimate (8.6°)."""
+"""q_c, the bend at which a rectangular chamber has become nearly round, rad.
+
+Estimate (8.6°).
+"""
 
 
 def strip_bend(bend: Array, chamber: str) -> Array:
@@ -76,7 +84,9 @@ def strip_bend(bend: Array, chamber: str) -> Array:
     factor = STRIP_PRESSURE_FACTOR[chamber]
     if factor == 0.0:
         return bend
-    bend_of_strip: Array = bend - factor * ROUNDING_BEND_RAD * np.tanh(bend / ROUNDING_BEND_RAD)
+    bend_of_strip: Array = bend - factor * ROUNDING_BEND_RAD * np.tanh(
+        bend / ROUNDING_BEND_RAD
+    )
     return bend_of_strip
 
 
@@ -92,12 +102,22 @@ MAGNET_HEIGHT = INCH / 32
 """Height of the cylindrical magnet, m (Section 2.2.2)."""
 
 MAGNET_DIAMETER = INCH / 16
-"""Diameter of the magnet, m. Estimate: a stock size with that height; the dissertation gives none."""
+"""Diameter of the magnet, m.
+
+Estimate: a stock size with that height; the dissertation gives none.
+"""
 
 REMANENCE = 1.32
 """Remanence of the magnet, T. Estimate for NdFeB of grade N42, 1.29 to 1.33 T."""
 
-MOMENT = REMANENCE * math.pi / 4 * MAGNET_DIAMETER**2 * MAGNET_HEIGHT / (4 * math.pi * _MU0_4PI)
+MOMENT = (
+    REMANENCE
+    * math.pi
+    / 4
+    * MAGNET_DIAMETER**2
+    * MAGNET_HEIGHT
+    / (4 * math.pi * _MU0_4PI)
+)
 """Magnetic moment, A·m²: remanence times volume over μ₀, 1.65e-3."""
 
 
@@ -105,20 +125,20 @@ MOMENT = REMANENCE * math.pi / 4 * MAGNET_DIAMETER**2 * MAGNET_HEIGHT / (4 * mat
 class Strip:
     """Magnet and Hall element on a strip (module docstring).
 
-    The heights are estimates. That of the magnet is half of the flexible board (0.05 mm) and half of the
-    magnet; that of the element is the board and 0.65 mm up to the element in a SOT-23 package. The
-    dissertation gives none.
+    The heights are estimates. That of the magnet is half of the flexible board (0.05
+    mm) and half of the magnet; that of the element is the board and 0.65 mm up to the
+    element in a SOT-23 package. The dissertation gives none.
 
     Attributes:
         segment_length: length l that bends by q, m.
-        distance: arc length L from magnet to element, m. The dissertation studied 3.1 to 4.6 mm and chose
-            3.1.
+        distance: arc length L from magnet to element, m. The dissertation studied 3.1
+            to 4.6 mm and chose 3.1.
         orientation: orientation of the magnet, one of `ORIENTATIONS`.
         moment: |m|, A·m².
         magnet_height: h_m, m.
         element_height: h_s, m.
-        chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`; a rectangular chamber
-            presses on the strip.
+        chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`; a
+            rectangular chamber presses on the strip.
     """
 
     segment_length: float
@@ -133,20 +153,23 @@ class Strip:
         if self.orientation not in ORIENTATIONS:
             raise UnknownNameError("magnet orientation", self.orientation, ORIENTATIONS)
         if self.chamber not in STRIP_PRESSURE_FACTOR:
-            raise UnknownNameError("chamber cross-section", self.chamber, STRIP_PRESSURE_FACTOR)
+            raise UnknownNameError(
+                "chamber cross-section", self.chamber, STRIP_PRESSURE_FACTOR
+            )
         for name in ("segment_length", "distance", "moment"):
             _check(name, getattr(self, name), getattr(self, name) > 0, "above 0")
         if self.distance > self.segment_length:
             raise InputError(
-                f"distance {self.distance:g} m from magnet to element is not allowed; it must be at most the "
-                f"segment's length, {self.segment_length:g} m"
+                f"distance {self.distance:g} m from magnet to element is not allowed;"
+                f" it must be at most the segment's length, {self.segment_length:g} m"
             )
         for name in ("magnet_height", "element_height"):
             value = getattr(self, name)
             if not abs(value) < self.distance / math.pi:
                 raise InputError(
-                    f"{name} {value!r} m is not allowed; at this distance it must be within "
-                    f"±{self.distance / math.pi:.3g} m, so that magnet and element never touch"
+                    f"{name} {value!r} m is not allowed; at this distance it must be"
+                    f" within ±{self.distance / math.pi:.3g} m, so that magnet and"
+                    " element never touch"
                 )
 
 
@@ -170,12 +193,19 @@ def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Arra
 
     Arguments as in `field`.
     """
-    theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (strip.distance / strip.segment_length)
+    theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (
+        strip.distance / strip.segment_length
+    )
     theta = np.where(np.abs(theta) <= math.pi, theta, np.nan)
-    # (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2, smooth at κ = 0; np.sinc(x) is sin(πx)/(πx).
+    # (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2, smooth at κ = 0; np.sinc(x)
+    # is sin(πx)/(πx).
     chord = strip.distance * np.sinc(theta / (2 * math.pi))
     x = chord * np.cos(theta / 2) - strip.element_height * np.sin(theta)
-    y = chord * np.sin(theta / 2) + strip.element_height * np.cos(theta) - strip.magnet_height
+    y = (
+        chord * np.sin(theta / 2)
+        + strip.element_height * np.cos(theta)
+        - strip.magnet_height
+    )
     return x, y, theta
 
 
@@ -183,8 +213,9 @@ def field(bend: Array | float, strip: Strip) -> Array:
     """Return the field component normal to the element, B_n, T.
 
     Args:
-        bend: bend q of the segment, any shape, rad. The result is NaN for a NaN, and for a bend that turns
-            the strip by more than half a revolution between magnet and element.
+        bend: bend q of the segment, any shape, rad. The result is NaN for a NaN, and
+            for a bend that turns the strip by more than half a revolution between
+            magnet and element.
         strip: geometry of magnet and element.
     """
     x, y, theta = element_place(bend, strip)
@@ -208,10 +239,10 @@ RAIL_SHARE = 0.8
 class HallSensor:
     """Strip with its electronics (module docstring).
 
-    Sensitivity and noise are estimates from data sheets of the 49E class, to which the AH49E of the
-    dissertation belongs: 1.6 to 2.0 mV/G at 5 V, and 90 µV in 10 kHz, which is 25 µV in the 500 Hz of the
-    amplifier. Rails and converter are those of an Arduino Pro Mini (Section 2.3.2 for generation 3): 5 V,
-    10 bits.
+    Sensitivity and noise are estimates from data sheets of the 49E class, to which the
+    AH49E of the dissertation belongs: 1.6 to 2.0 mV/G at 5 V, and 90 µV in 10 kHz,
+    which is 25 µV in the 500 Hz of the amplifier. Rails and converter are those of an
+    Arduino Pro Mini (Section 2.3.2 for generation 3): 5 V, 10 bits.
 
     Attributes:
         strip: geometry and magnet.
@@ -219,7 +250,8 @@ class HallSensor:
         sensitivity: s, V/T.
         offset: V₀, output of the straight segment, V.
         rails: lowest and highest output of the amplifier, V.
-        noise: RMS of the element's noise within the amplifier's bandwidth, V at the element's output.
+        noise: RMS of the element's noise within the amplifier's bandwidth, V at the
+            element's output.
         bits: bits of the converter; None for no quantisation.
         converter_range: V.
         bias: change since the calibration, V at the amplifier's output.
@@ -239,21 +271,35 @@ class HallSensor:
 
     def __post_init__(self) -> None:
         _check("gain", self.gain, self.gain > 0, "above 0")
-        _check("sensitivity", self.sensitivity, self.sensitivity != 0, "other than 0 V/T")
+        _check(
+            "sensitivity", self.sensitivity, self.sensitivity != 0, "other than 0 V/T"
+        )
         _check("noise", self.noise, self.noise >= 0, "0 V or more")
         _check("bias", self.bias, True, "a voltage")
         _check("gain_error", self.gain_error, self.gain_error > -1, "above -1")
         for name in ("rails", "converter_range"):
             low, high = getattr(self, name)
             if not (math.isfinite(low) and math.isfinite(high) and low < high):
-                raise InputError(f"{name} {low!r} to {high!r} V is not allowed; it must be a finite range")
+                raise InputError(
+                    f"{name} {low!r} to {high!r} V is not allowed; it must be a finite"
+                    " range"
+                )
         low, high = self.rails
-        _check("offset", self.offset, low < self.offset < high, f"between the rails, {low:g} and {high:g} V")
+        _check(
+            "offset",
+            self.offset,
+            low < self.offset < high,
+            f"between the rails, {low:g} and {high:g} V",
+        )
         if self.bits is not None and not 1 <= self.bits <= 32:
-            raise InputError(f"bits {self.bits!r} is not allowed; it must be 1 to 32, or none")
+            raise InputError(
+                f"bits {self.bits!r} is not allowed; it must be 1 to 32, or none"
+            )
 
     @classmethod
-    def trimmed(cls, strip: Strip, *, span: float = SPAN, **electronics: object) -> HallSensor:
+    def trimmed(
+        cls, strip: Strip, *, span: float = SPAN, **electronics: object
+    ) -> HallSensor:
         """Return a sensor whose gain uses `RAIL_SHARE` of the rails over ± span.
 
         Args:
@@ -262,16 +308,21 @@ class HallSensor:
             **electronics: other attributes.
 
         Raises:
-            InputError: the field of the strip does not change with the bend, or an attribute is out of range.
+            InputError: the field of the strip does not change with the bend, or an
+                attribute is out of range.
         """
         unit = cls(strip, gain=1.0, **electronics)  # type: ignore[arg-type]
         low, high = unit.rails
         allowed = RAIL_SHARE * (high - low) / 2 - abs((high + low) / 2 - unit.offset)
-        swing = abs(unit.sensitivity) * np.abs(unit.field_change(np.linspace(-span, span, 181))).max()
+        swing = (
+            abs(unit.sensitivity)
+            * np.abs(unit.field_change(np.linspace(-span, span, 181))).max()
+        )
         if not (allowed > 0 and swing > 0):
             raise InputError(
-                f"no gain suits this sensor: the element's output changes by {swing:g} V over ±{span:g} rad, "
-                f"and the amplifier's may change by {allowed:g} V about {unit.offset:g} V"
+                f"no gain suits this sensor: the element's output changes by {swing:g}"
+                f" V over ±{span:g} rad, and the amplifier's may change by {allowed:g}"
+                f" V about {unit.offset:g} V"
             )
         return cls(strip, gain=allowed / swing, **electronics)  # type: ignore[arg-type]
 
@@ -293,11 +344,13 @@ class HallSensor:
         """Return the voltage that the controller reads, V.
 
         Args:
-            bend: rad, any shape. The reading of a NaN is NaN: a diverged state must not become a plausible
-                voltage.
+            bend: rad, any shape. The reading of a NaN is NaN: a diverged state must not
+                become a plausible voltage.
             noise: standard normal numbers that broadcast with the bends.
         """
-        element = self.sensitivity * self.field_change(bend) + self.noise * np.asarray(noise)
+        element = self.sensitivity * self.field_change(bend) + self.noise * np.asarray(
+            noise
+        )
         output = self.offset + self.bias + self.gain * (1 + self.gain_error) * element
         output = _within(output, *self.rails)
         low, high = self.converter_range
@@ -316,7 +369,9 @@ def _within(values: Array, low: float, high: float) -> Array:
 
 def _check(name: str, value: float, ok: bool, allowed: str) -> None:
     if not (math.isfinite(value) and ok):
-        raise InputError(f"{name} {value!r} is not allowed; it must be finite and {allowed}")
+        raise InputError(
+            f"{name} {value!r} is not allowed; it must be finite and {allowed}"
+        )
 
 
 ANGLES = 181
@@ -361,20 +416,22 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
         angle: ascending, shape (angles,), rad.
 
     Raises:
-        InputError: there are fewer than 3 pairs, a value is not finite, or all voltages are equal.
+        InputError: there are fewer than 3 pairs, a value is not finite, or all voltages
+            are equal.
     """
     voltage, angle = np.asarray(voltage, dtype=float), np.asarray(angle, dtype=float)
     if voltage.ndim != 1 or voltage.shape != angle.shape or len(voltage) < 3:
         raise InputError(
-            f"a calibration needs 3 or more pairs of voltage and angle, not {voltage.shape} and {angle.shape}"
+            "a calibration needs 3 or more pairs of voltage and angle, not"
+            f" {voltage.shape} and {angle.shape}"
         )
     if not (np.isfinite(voltage).all() and np.isfinite(angle).all()):
         raise InputError("voltages and angles of a calibration must be finite")
     low, high = float(voltage.min()), float(voltage.max())
     if low == high or (np.diff(angle) <= 0).any():
         raise InputError(
-            f"voltages from {low:g} to {high:g} V do not give a line: the voltage must change, and the "
-            "angles must ascend"
+            f"voltages from {low:g} to {high:g} V do not give a line: the voltage must"
+            " change, and the angles must ascend"
         )
     v, q = voltage - voltage.mean(), angle - angle.mean()
     slope = float(v @ q / (v @ v))
@@ -395,19 +452,25 @@ def calibrate(sensor: HallSensor, span: float = SPAN) -> Calibration:
     """Calibrate a sensor in its state before it drifted (module docstring).
 
     Args:
-        sensor: sensor; its `bias` and `gain_error`, which arise after the calibration, are ignored.
+        sensor: sensor; its `bias` and `gain_error`, which arise after the calibration,
+            are ignored.
         span: largest angle to both sides, rad.
 
     Raises:
-        InputError: the span is not a positive angle, or the readings do not follow a line.
+        InputError: the span is not a positive angle, or the readings do not follow a
+            line.
     """
     if not (math.isfinite(span) and span > 0):
-        raise InputError(f"calibration span {span!r} rad is not allowed; it must be finite and above 0")
+        raise InputError(
+            f"calibration span {span!r} rad is not allowed; it must be finite and"
+            " above 0"
+        )
     angle = np.linspace(-span, span, ANGLES)
     line = fit_line(replace(sensor, bias=0.0, gain_error=0.0).voltage(angle), angle)
     if line.r_squared < LEAST_R_SQUARED:
         raise InputError(
-            f"this sensor cannot be calibrated over ±{span:g} rad: a line explains {line.r_squared:.1%} of "
-            f"the variance, less than {LEAST_R_SQUARED:.0%}; change its heights, distance or orientation"
+            f"this sensor cannot be calibrated over ±{span:g} rad: a line explains"
+            f" {line.r_squared:.1%} of the variance, less than {LEAST_R_SQUARED:.0%};"
+            " change its heights, distance or orientation"
         )
     return line

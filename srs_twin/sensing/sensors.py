@@ -1,16 +1,19 @@
 """Curvature sensors with noise and faults.
 
-`IdealSensor` returns the bend, and `CurvatureSensor` reads a Hall sensor in each segment through its
-calibration. `DriftedSensor` and `FaultySensor` add drift and faults of single modules.
+`IdealSensor` returns the bend, and `CurvatureSensor` reads a Hall sensor in each
+segment through its calibration. `DriftedSensor` and `FaultySensor` add drift and faults
+of single modules.
 
-**Noise without state.** A random number depends only on the seed, the segment and the time. A controller that
-reads once per tick and a recorder that reads a whole run at once therefore get the same values, on any number
-of threads. The numbers of a segment are the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea,
-Flood, 2014), where n is the time in slots of 0.1 ms, transformed to a normal distribution by Box and Muller.
-Each pair of seed and segment starts at a different position in the sequence.
+**Noise without state.** A random number depends only on the seed, the segment and the
+time. A controller that reads once per tick and a recorder that reads a whole run at
+once therefore get the same values, on any number of threads. The numbers of a segment
+are the outputs 2n and 2n + 1 of a SplitMix64 sequence (Steele, Lea, Flood, 2014), where
+n is the time in slots of 0.1 ms, transformed to a normal distribution by Box and
+Muller. Each pair of seed and segment starts at a different position in the sequence.
 
-Computing a single number takes as long as computing a thousand at once, and a controller requests one time
-after another. Numbers are therefore computed in blocks of slots and cached.
+Computing a single number takes as long as computing a thousand at once, and a
+controller requests one time after another. Numbers are therefore computed in blocks of
+slots and cached.
 """
 
 from __future__ import annotations
@@ -28,13 +31,13 @@ from srs_twin.sensing.hall import SPAN, Calibration, HallSensor, calibrate
 class Sensor(ABC):
     """Abstract curvature sensors of a robot.
 
-    Sensors have no state: a reading depends only on the arguments of `read`, so that it is the same for every
-    caller, in every order, for one time or a whole run.
+    Sensors have no state: a reading depends only on the arguments of `read`, so that it
+    is the same for every caller, in every order, for one time or a whole run.
 
     Attributes:
         kind: short name.
-        axes: number of readings per segment, 1 or 2; with 2, bends and readings have a last axis with the
-            components to the left and upwards.
+        axes: number of readings per segment, 1 or 2; with 2, bends and readings have a
+            last axis with the components to the left and upwards.
     """
 
     kind: str = "own"
@@ -45,8 +48,8 @@ class Sensor(ABC):
         """Return sensor readings, rad, shape (…, segments).
 
         Args:
-            bend: actual bends, shape (…, segments), rad. The reading of a NaN is NaN: a lost reading, which
-                the controller must handle.
+            bend: actual bends, shape (…, segments), rad. The reading of a NaN is NaN: a
+                lost reading, which the controller must handle.
             time: s, shape (…,).
             seed: random seed of the noise.
 
@@ -70,9 +73,11 @@ class IdealSensor(Sensor):
 
 
 SLOT = 1e-4
-"""Time within which readings have the same noise, s; different slots are independent."""
+"""Time within which readings have the same noise, s; different slots are independent.
+"""
 
-# Constants of SplitMix64: increment of the state, and multipliers of the output function.
+# Constants of SplitMix64: increment of the state, and multipliers of the output
+# function.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
@@ -89,14 +94,17 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
     Args:
         seed: any integer; seeds that are equal modulo 2⁶⁴ give the same numbers.
         time: s, shape (…,), rounded to the nearest slot.
-        segments: number of segments; the numbers of the first segments do not depend on it.
+        segments: number of segments; the numbers of the first segments do not depend on
+            it.
 
     Raises:
         InputError: a time is not finite, or too large for exact slots.
     """
     time = np.asarray(time, dtype=float)
     if not (np.abs(time) < _MAX_TIME).all():
-        raise InputError(f"times of sensor noise must be finite and at most {_MAX_TIME:g} s")
+        raise InputError(
+            f"times of sensor noise must be finite and at most {_MAX_TIME:g} s"
+        )
     slot = np.rint(time / SLOT).astype(np.int64)
     if slot.size == 1:
         number, place = divmod(slot.item(), _BLOCK)
@@ -108,7 +116,9 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
 @lru_cache(maxsize=64)
 def _block(seed: int, number: int, segments: int) -> np.ndarray:
     """Return the numbers for the slots of a block, shape (_BLOCK, segments)."""
-    numbers = _normal_numbers(seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments)
+    numbers = _normal_numbers(
+        seed, np.arange(number * _BLOCK, (number + 1) * _BLOCK), segments
+    )
     numbers.setflags(write=False)  # the cache returns the same array to other callers
     return numbers
 
@@ -121,7 +131,9 @@ def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
     radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1  # 1 … 2⁵³, never 0
     angle = (_splitmix(place + _GOLDEN) >> np.uint64(11)).astype(float)
-    return np.asarray(np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * angle))
+    return np.asarray(
+        np.sqrt(-2 * np.log(radius * 2.0**-53)) * np.cos(2 * np.pi * 2.0**-53 * angle)
+    )
 
 
 def _splitmix(word: np.ndarray) -> np.ndarray:
@@ -162,7 +174,9 @@ class CurvatureSensor(Sensor):
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
         bend = np.asarray(bend, dtype=float)
-        noise = standard_normal(seed, time, bend.shape[-1]) if self.hall.noise > 0 else 0.0
+        noise = (
+            standard_normal(seed, time, bend.shape[-1]) if self.hall.noise > 0 else 0.0
+        )
         return self.calibration.angle(self.hall.voltage(bend, noise))
 
     def describe(self) -> dict[str, object]:
@@ -195,9 +209,9 @@ class _AlteredSensor(Sensor):
 class TwoAxisSensor(_AlteredSensor):
     """Two equal sensors in each segment of a spatial robot, one per direction of bending.
 
-    The strips lie in the neutral axis at right angles, so each of them reads one component of the bend. Their
-    noise is independent; that of the first one is the noise of a planar robot's sensor with the same seed.
-    Drift is the same for both.
+    The strips lie in the neutral axis at right angles, so each of them reads one
+    component of the bend. Their noise is independent; that of the first one is the
+    noise of a planar robot's sensor with the same seed. Drift is the same for both.
 
     Attributes:
         sensor: sensors of one direction.
@@ -212,7 +226,11 @@ class TwoAxisSensor(_AlteredSensor):
         """See `Sensor.read`."""
         bend = np.asarray(bend, dtype=float)
         return np.stack(
-            [self.sensor.read(bend[..., axis], time, seed + axis * _SEED_STEP) for axis in range(2)], axis=-1
+            [
+                self.sensor.read(bend[..., axis], time, seed + axis * _SEED_STEP)
+                for axis in range(2)
+            ],
+            axis=-1,
         )
 
     def describe(self) -> dict[str, object]:
@@ -235,11 +253,17 @@ class DriftedSensor(_AlteredSensor):
 
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
         """See `Sensor.read`."""
-        return np.asarray(np.array(self.gain) * self.sensor.read(bend, time, seed) + np.array(self.bias))
+        return np.asarray(
+            np.array(self.gain) * self.sensor.read(bend, time, seed)
+            + np.array(self.bias)
+        )
 
     def describe(self) -> dict[str, object]:
         """See `Sensor.describe`."""
-        return self.sensor.describe() | {"drift_gain": list(self.gain), "drift_bias_rad": list(self.bias)}
+        return self.sensor.describe() | {
+            "drift_gain": list(self.gain),
+            "drift_bias_rad": list(self.bias),
+        }
 
 
 @dataclass(frozen=True)
@@ -275,7 +299,9 @@ class FaultySensor(_AlteredSensor):
             # The start of a tick and the sum of its steps may differ by rounding.
             failed = np.asarray(time) >= fault.since - 1e-9
             segment = sensed if self.axes == 1 else np.moveaxis(sensed, -1, 0)  # a view
-            segment[..., fault.segment - 1] = np.where(failed, fault.reading, segment[..., fault.segment - 1])
+            segment[..., fault.segment - 1] = np.where(
+                failed, fault.reading, segment[..., fault.segment - 1]
+            )
         return sensed
 
     def describe(self) -> dict[str, object]:

@@ -49,7 +49,9 @@ class FollowedSignal(NamedTuple):
 
 
 class RunPictures:
-    """Additions to the plots and recordings of one kind of run. By default, all methods add nothing.
+    """Additions to the plots and recordings of one kind of run.
+
+    By default, all methods add nothing.
 
     Attributes:
         kind: kind of experiment.
@@ -65,7 +67,9 @@ class RunPictures:
         """Return whether a run is of this kind."""
         return False
 
-    def figures(self, runs: Mapping[str, Trajectory], spec: RobotSpec) -> dict[str, Figure]:
+    def figures(
+        self, runs: Mapping[str, Trajectory], spec: RobotSpec
+    ) -> dict[str, Figure]:
         """Return caption → figure for the report, given plant → trajectory."""
         return {}
 

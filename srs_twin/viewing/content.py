@@ -19,7 +19,8 @@ class RunContent:
 
     Attributes:
         spec: robot.
-        trajectories: plant → trajectory. If there is a twin, all other plants are ghosts in the recording.
+        trajectories: plant → trajectory. If there is a twin, all other plants are
+            ghosts in the recording.
         comparison: difference of the plants over time; None: not plotted.
         measured: plant → difference from the measured robot; empty: not plotted.
         world: obstacles and movable objects.
@@ -36,18 +37,29 @@ class RunContent:
 
     def __post_init__(self) -> None:
         if not self.trajectories:
-            raise InputError("nothing to draw: there is no trajectory; run the scenario first")
+            raise InputError(
+                "nothing to draw: there is no trajectory; run the scenario first"
+            )
         for plant, run in self.trajectories.items():
             if not len(run):
-                raise InputError(f"nothing to draw: the trajectory of '{plant}' has no samples")
+                raise InputError(
+                    f"nothing to draw: the trajectory of '{plant}' has no samples"
+                )
 
 
 def events_of(run: Trajectory) -> list[Event]:
     """Return the events of a run and its contacts with obstacles, ordered by time."""
-    return sorted([*run.events, *contact_events(run), *end_event(run)], key=lambda event: event.time)
+    return sorted(
+        [*run.events, *contact_events(run), *end_event(run)],
+        key=lambda event: event.time,
+    )
 
 
 def end_event(run: Trajectory) -> list[Event]:
     """Return the end of a run as an event if the run ended early."""
     by = run.metadata.get("ended_by")
-    return [] if by is None else [Event(float(run.time[-1]), "ended", f"the run, by its {by}")]
+    return (
+        []
+        if by is None
+        else [Event(float(run.time[-1]), "ended", f"the run, by its {by}")]
+    )

@@ -2,4 +2,6 @@
 
 import warp
 
-warp.config.log_level = warp.LOG_ERROR  # Warp would print a greeting and the name of each kernel to stdout
+warp.config.log_level = (
+    warp.LOG_ERROR
+)  # Warp would print a greeting and the name of each kernel to stdout

@@ -1,7 +1,8 @@
 """WarpBatch: many twins stepped together by MuJoCo Warp, on a GPU or, for tests, on the CPU.
 
-Engine, chambers and friction are those of `TwinSnake`, in single precision. The model of each distinct robot
-is built on the CPU and copied to the device, so that no formula of the model is repeated here.
+Engine, chambers and friction are those of `TwinSnake`, in single precision. The model
+of each distinct robot is built on the CPU and copied to the device, so that no formula
+of the model is repeated here.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ contact."""
 _MAX_START_DISTANCE = 16.0
 """Largest distance of a start from the origin of the device coordinates, m.
 
-Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 2⁻²⁰ m or 1 µm at 16 m. A snake with 0.1 m/s
-travels 0.1 mm per step of 1 ms, so that the error is 1 % of a step at 16 m, and a whole step at 2 km.
+Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 2⁻²⁰ m or 1 µm at 16 m.
+A snake with 0.1 m/s travels 0.1 mm per step of 1 ms, so that the error is 1 % of a step
+at 16 m, and a whole step at 2 km.
 """
 
 
@@ -40,13 +42,16 @@ class WarpBatch(Claimable):
     """Many twins with the same number of connectors and the same tick on a device; used like `TwinBatch`.
 
     Attributes:
-        twins: twin of each run, which holds its settings; runs with the same robot share one twin.
+        twins: twin of each run, which holds its settings; runs with the same robot
+            share one twin.
         tick: control tick, s.
-        state: the latest state of every run, with a leading axis of runs on every field.
+        state: the latest state of every run, with a leading axis of runs on every
+            field.
         errors: None or the error that ended it, for each run.
         device: the Warp device.
-        origins: origin of each run's device coordinates in the world, shape (runs, 2), m. Runs that start
-            more than 16 m from the world's origin have their origin at the start, for single precision.
+        origins: origin of each run's device coordinates in the world, shape (runs, 2),
+            m. Runs that start more than 16 m from the world's origin have their origin
+            at the start, for single precision.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -57,32 +62,47 @@ class WarpBatch(Claimable):
     _theta: np.ndarray
 
     def __init__(
-        self, twins: Sequence[TwinSnake], *, device: str | None = None, deterministic: bool = False
+        self,
+        twins: Sequence[TwinSnake],
+        *,
+        device: str | None = None,
+        deterministic: bool = False,
     ) -> None:
         """Copy twins to a device.
 
         Args:
             twins: twin of each run; runs with the same robot may share one object.
-            device: Warp's name of the device, such as "cuda:0"; None for Warp's default.
-            deterministic: sum in a fixed order, so that repeated runs give the same bits.
+            device: Warp's name of the device, such as "cuda:0"; None for Warp's
+                default.
+            deterministic: sum in a fixed order, so that repeated runs give the same
+                bits.
 
         Raises:
-            InputError: there is no twin, the twins differ in settings that all runs share, or the device
-                engine does not support a setting.
+            InputError: there is no twin, the twins differ in settings that all runs
+                share, or the device engine does not support a setting.
         """
         self.device = wp.get_device(device)
         if device is None and not self.device.is_cuda:
-            message = "engine 'warp' finds no GPU and runs on the CPU, slower than engine 'cpu'"
+            message = (
+                "engine 'warp' finds no GPU and runs on the CPU, slower than engine"
+                " 'cpu'"
+            )
             warnings.warn(message, EngineWarning, stacklevel=2)
         self.twins = tuple(twins)
         numbers: dict[int, int] = {}
-        self._robot_of_run = np.array([numbers.setdefault(id(twin), len(numbers)) for twin in self.twins])
-        distinct = self._robots = tuple({id(twin): twin for twin in self.twins}.values())
+        self._robot_of_run = np.array(
+            [numbers.setdefault(id(twin), len(numbers)) for twin in self.twins]
+        )
+        distinct = self._robots = tuple(
+            {id(twin): twin for twin in self.twins}.values()
+        )
         for twin in distinct:
             _check_supported(twin, distinct[0])
         self.tick, self._h = distinct[0].tick, distinct[0].timestep
         self.origins = np.zeros((len(self), 2))
-        self._engine = DeviceEngine(self._robots, self._robot_of_run, self.device, deterministic)
+        self._engine = DeviceEngine(
+            self._robots, self._robot_of_run, self.device, deterministic
+        )
         self.reset()
 
     @staticmethod
@@ -106,8 +126,8 @@ class WarpBatch(Claimable):
             InputError: always.
         """
         raise InputError(
-            "a batch of engine 'warp' can be neither copied nor pickled; use engine 'cpu', or save() and "
-            "restore() of its twins"
+            "a batch of engine 'warp' can be neither copied nor pickled; use engine"
+            " 'cpu', or save() and restore() of its twins"
         )
 
     def __len__(self) -> int:
@@ -119,7 +139,8 @@ class WarpBatch(Claimable):
 
         Args:
             steps: number of steps.
-            gait: whether the gaits of `set_gaits` command the valves, instead of the latest commands.
+            gait: whether the gaits of `set_gaits` command the valves, instead of the
+                latest commands.
         """
         self._time += steps * self._h
         self._unobserved_steps += steps
@@ -132,37 +153,59 @@ class WarpBatch(Claimable):
             InputError: the number of gaits differs from the number of runs.
         """
         if len(gaits) != len(self):
-            raise InputError(f"gaits: {len(gaits)} were given for {len(self)} runs; give one per run")
+            raise InputError(
+                f"gaits: {len(gaits)} were given for {len(self)} runs; give one per run"
+            )
         for gait, twin in zip(gaits, self.twins, strict=True):
             gait.reset(twin.spec, self.tick)
-        waves = [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits]
+        waves = [
+            GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits
+        ]
         self._engine.set_waves(waves)
 
     def reset(
-        self, *, poses: Sequence[Pose] | None = None, seed: int = 0, worlds: Sequence[int] | None = None
+        self,
+        *,
+        poses: Sequence[Pose] | None = None,
+        seed: int = 0,
+        worlds: Sequence[int] | None = None,
     ) -> SnakeState:
         """Lay snakes straight and at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run that is reset; default the
-                origin.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run that is
+                reset; default the origin.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset; None for all, which also resets the time.
+            worlds: indices of the runs to reset; None for all, which also resets the
+                time.
 
         Raises:
-            InputError: the number of poses is wrong, or a start is too far from the origin in a world with
-                obstacles.
+            InputError: the number of poses is wrong, or a start is too far from the
+                origin in a world with obstacles.
         """
-        chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, dtype=int)
-        places = np.zeros((len(chosen), 3)) if poses is None else np.array(poses, dtype=float).reshape(-1, 3)
+        chosen = (
+            np.arange(len(self)) if worlds is None else np.asarray(worlds, dtype=int)
+        )
+        places = (
+            np.zeros((len(chosen), 3))
+            if poses is None
+            else np.array(poses, dtype=float).reshape(-1, 3)
+        )
         if len(places) != len(chosen):
-            raise InputError(f"poses: {len(places)} were given for {len(chosen)} runs; give one per run")
+            raise InputError(
+                f"poses: {len(places)} were given for {len(chosen)} runs; give one"
+                " per run"
+            )
         origins = self._origins_of(places, chosen)
         for k in np.unique(self._robot_of_run[chosen]):
             self._robots[k].reset(seed=seed)
         if worlds is None:
             self.errors = [None] * len(self)
-            self._time, self._begun, self._unobserved_steps = 0.0, np.zeros(len(self)), 0
+            self._time, self._begun, self._unobserved_steps = (
+                0.0,
+                np.zeros(len(self)),
+                0,
+            )
             self._engine.count.zero_()
         self._begun[chosen] = self._time
         for k in chosen:
@@ -173,20 +216,33 @@ class WarpBatch(Claimable):
         x, y = (places[:, :2] - origins).T
         yaw = places[:, 2]
         c, s = np.cos(yaw), np.sin(yaw)
-        qpos[:, 0], qpos[:, 1] = x + c * qpos[:, 0] - s * qpos[:, 1], y + s * qpos[:, 0] + c * qpos[:, 1]
+        qpos[:, 0], qpos[:, 1] = (
+            x + c * qpos[:, 0] - s * qpos[:, 1],
+            y + s * qpos[:, 0] + c * qpos[:, 1],
+        )
         qpos[:, 2] += _INITIAL_LIFT
         # Quaternion of the yaw times the present one.
         w, i, j, k = qpos[:, 3:7].T
         a, b = np.cos(yaw / 2), np.sin(yaw / 2)
-        qpos[:, 3:7] = np.stack([a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1)
-        states = [physics.stepper.contact_state for physics in rest if physics.stepper is not None]
+        qpos[:, 3:7] = np.stack(
+            [a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1
+        )
+        states = [
+            physics.stepper.contact_state
+            for physics in rest
+            if physics.stepper is not None
+        ]
         self._engine.rest(chosen, qpos, states)
         theta = (
-            np.zeros((len(self), self.twins[0].spec.geometry.connectors)) if worlds is None else self._theta
+            np.zeros((len(self), self.twins[0].spec.geometry.connectors))
+            if worlds is None
+            else self._theta
         )
         theta[chosen] = yaw[:, None]
         self._theta = theta
-        self.state = self._last_state(self._history([self._observe()], np.array([self._time]), np.ones(1)))
+        self.state = self._last_state(
+            self._history([self._observe()], np.array([self._time]), np.ones(1))
+        )
         return self.state
 
     def _origins_of(self, places: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -199,9 +255,11 @@ class WarpBatch(Claimable):
         for place, k in zip(places[far], chosen[far], strict=True):
             if self.twins[k].touches:
                 raise InputError(
-                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine 'warp' has single "
-                    f"precision and needs starts within {_MAX_START_DISTANCE:g} m of the origin in a world "
-                    "with obstacles; move the world closer to the origin, or use engine 'cpu'"
+                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine"
+                    " 'warp' has single precision and needs starts within"
+                    f" {_MAX_START_DISTANCE:g} m of the origin in a world with"
+                    " obstacles; move the world closer to the origin, or use engine"
+                    " 'cpu'"
                 )
         return np.where(far[:, None], places[:, :2], 0.0)
 
@@ -218,7 +276,8 @@ class WarpBatch(Claimable):
         """Advance all runs by one tick; see `TwinBatch.advance`.
 
         Args:
-            valves: see `TwinBatch.step`; an array, or an object with the DLPack interface.
+            valves: see `TwinBatch.step`; an array, or an object with the DLPack
+                interface.
             samples: number of equally spaced samples.
         """
         self.command(valves)
@@ -228,17 +287,22 @@ class WarpBatch(Claimable):
         """Set the valve states of each tick from now on.
 
         Args:
-            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), −1 or 1; a NumPy array, or an
-                int32 array on the device with the DLPack interface, whose values are not checked.
+            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), −1 or 1; a
+                NumPy array, or an int32 array on the device with the DLPack interface,
+                whose values are not checked.
 
         Raises:
             InputError: wrong shape or type, or a state that the valves do not have.
         """
         shape, segments = tuple(valves.shape), self.twins[0].spec.segments
-        if len(shape) not in (3, 4) or shape[0] != len(self) or shape[-2:] != (segments, 2):
+        if (
+            len(shape) not in (3, 4)
+            or shape[0] != len(self)
+            or shape[-2:] != (segments, 2)
+        ):
             raise InputError(
-                f"valves of shape {shape} are not allowed; give ({len(self)}, {segments}, 2) or "
-                f"({len(self)}, slots, {segments}, 2)"
+                f"valves of shape {shape} are not allowed; give ({len(self)},"
+                f" {segments}, 2) or ({len(self)}, slots, {segments}, 2)"
             )
         if isinstance(valves, np.ndarray):
             self.twins[0].pneumatics.check(valves)
@@ -246,31 +310,53 @@ class WarpBatch(Claimable):
         else:
             commands = wp.from_dlpack(valves)
             if commands.dtype is not wp.int32:
-                raise InputError(f"valves on a device must be int32, not {commands.dtype.__name__}")
-        commands = commands if commands.ndim == 4 else commands.reshape((len(self), 1, segments, 2))
+                raise InputError(
+                    f"valves on a device must be int32, not {commands.dtype.__name__}"
+                )
+        commands = (
+            commands
+            if commands.ndim == 4
+            else commands.reshape((len(self), 1, segments, 2))
+        )
         most = self._engine.slots * self._engine.steps
         if commands.shape[1] > most:
-            raise InputError(f"{commands.shape[1]} slots per tick are not allowed; at most {most}")
+            raise InputError(
+                f"{commands.shape[1]} slots per tick are not allowed; at most {most}"
+            )
         self._engine.command(commands)
 
-    def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
+    def play(
+        self, schedules: Sequence[Schedule | None], samples: int
+    ) -> list[SnakeState | None]:
         """Follow schedules without feedback; see `TwinBatch.play`."""
         if len(schedules) != len(self):
-            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one per run")
+            raise InputError(
+                f"schedules: {len(schedules)} were given for {len(self)} runs; give one"
+                " per run"
+            )
         if not any(schedules):
             return [None] * len(self)
         span = max(schedule.span for schedule in schedules if schedule is not None)
-        ticks, slots = count_steps("span", span, "tick", self.tick), self._engine.slots * self._engine.steps
+        ticks, slots = (
+            count_steps("span", span, "tick", self.tick),
+            self._engine.slots * self._engine.steps,
+        )
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(
-                f"{samples} samples in {ticks} ticks are not possible with engine 'warp'; one number must "
-                "be a multiple of the other"
+                f"{samples} samples in {ticks} ticks are not possible with engine"
+                " 'warp'; one number must be a multiple of the other"
             )
         middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
-        idle = np.full((len(middles), self.twins[0].spec.segments, 2), -1, dtype=np.int8)
+        idle = np.full(
+            (len(middles), self.twins[0].spec.segments, 2), -1, dtype=np.int8
+        )
         valves = np.stack(
             [
-                idle if s is None else s.states[np.searchsorted(s.starts, middles, "right") - 1]
+                (
+                    idle
+                    if s is None
+                    else s.states[np.searchsorted(s.starts, middles, "right") - 1]
+                )
                 for s in schedules
             ]
         )
@@ -280,7 +366,9 @@ class WarpBatch(Claimable):
             if samples < ticks and (tick + 1) % (ticks // samples):
                 self.run(self._engine.steps)
                 continue
-            ticked = self._run_observed(self._engine.steps, max(samples // ticks, 1), gait=False)
+            ticked = self._run_observed(
+                self._engine.steps, max(samples // ticks, 1), gait=False
+            )
             for pieces, piece in zip(histories, ticked, strict=True):
                 if piece is not None:
                     pieces.append(piece)
@@ -288,7 +376,9 @@ class WarpBatch(Claimable):
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
         """Follow the gaits of `set_gaits`; the samples are equally spaced, the last one at the end."""
-        return self._run_observed(count_steps("duration", duration, "time step", self._h), samples, gait=True)
+        return self._run_observed(
+            count_steps("duration", duration, "time step", self._h), samples, gait=True
+        )
 
     def arrays(self) -> dict[str, Any]:
         """Return arrays on the device with a leading axis of runs: qpos, qvel, pressure, valves.
@@ -311,9 +401,13 @@ class WarpBatch(Claimable):
         """Return the settings of the batch for the provenance of a run, in addition to those of its twins."""
         return {"engine": "warp", "device": self.device.name}
 
-    def _run_observed(self, steps: int, samples: int, *, gait: bool) -> list[SnakeState | None]:
+    def _run_observed(
+        self, steps: int, samples: int, *, gait: bool
+    ) -> list[SnakeState | None]:
         """Make steps with equally spaced observations; return the history of each run that has not ended."""
-        interval = count_steps("sample interval", steps * self._h / samples, "time step", self._h)
+        interval = count_steps(
+            "sample interval", steps * self._h / samples, "time step", self._h
+        )
         rows, times, passed = [], np.empty(samples), np.empty(samples)
         for k in range(samples):
             self.run(interval, gait=gait)
@@ -321,9 +415,15 @@ class WarpBatch(Claimable):
             rows.append(self._observe())
         running = [error is None for error in self.errors]
         together = self._history(rows, times, passed)
-        histories = [self._history_of_run(together, k) if running[k] else None for k in range(len(self))]
+        histories = [
+            self._history_of_run(together, k) if running[k] else None
+            for k in range(len(self))
+        ]
         if any(self.errors):
-            last = [self.state.at(k) if own is None else own.at(-1) for k, own in enumerate(histories)]
+            last = [
+                self.state.at(k) if own is None else own.at(-1)
+                for k, own in enumerate(histories)
+            ]
             self.state = SnakeState.history(last)
         else:
             self.state = self._last_state(together)
@@ -339,12 +439,16 @@ class WarpBatch(Claimable):
             together.time - self._begun[k],
             *(getattr(together, f.name)[:, k] for f in fields(SnakeState)[1:]),
         )
-        fine = np.isfinite(history.qpos).all(axis=1) & np.isfinite(history.com).all(axis=1)
+        fine = np.isfinite(history.qpos).all(axis=1) & np.isfinite(history.com).all(
+            axis=1
+        )
         if fine.all():
             return history
         last = int(np.argmin(fine))
         self.errors[k] = DivergedError(
-            "twin", float(np.asarray(history.time)[last]), "the state is no longer finite"
+            "twin",
+            float(np.asarray(history.time)[last]),
+            "the state is no longer finite",
         )
         return history.at(slice(0, last)) if last else None
 
@@ -352,24 +456,32 @@ class WarpBatch(Claimable):
         self._unobserved_steps = 0
         return self._engine.observe()
 
-    def _history(self, rows: list[Any], times: np.ndarray, steps: np.ndarray) -> SnakeState:
+    def _history(
+        self, rows: list[Any], times: np.ndarray, steps: np.ndarray
+    ) -> SnakeState:
         """Return the history of all runs, with axes of samples and runs.
 
         Args:
             rows: observations, one per sample.
             times: shape (samples,), s.
-            steps: time steps before each sample, over which forces are averaged, shape (samples,).
+            steps: time steps before each sample, over which forces are averaged, shape
+                (samples,).
         """
         table = np.stack([row.numpy() for row in rows]).astype(float)
         widths = self._engine.widths
         ends = np.cumsum([0, *widths.values()])
-        cut = {name: table[..., a:b] for name, a, b in zip(widths, ends[:-1], ends[1:], strict=True)}
+        cut = {
+            name: table[..., a:b]
+            for name, a, b in zip(widths, ends[:-1], ends[1:], strict=True)
+        }
         shape = table.shape[:2]
         physics, spec = self._robots[0].physics, self._robots[0].spec
         connectors = cut["connectors"].reshape(*shape, -1, 4)
         chambers = cut["chambers"].reshape(*shape, -1, 7)
         bend, rate = physics.bends_and_rates(cut["qpos"], cut["qvel"])
-        theta = np.unwrap(np.concatenate([self._theta[None], connectors[..., 3]]), axis=0)[1:]
+        theta = np.unwrap(
+            np.concatenate([self._theta[None], connectors[..., 3]]), axis=0
+        )[1:]
         self._theta = theta[-1].copy()
         force = cut["force"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         wheels = len(physics.sensor_addresses.floor_force)
@@ -382,8 +494,12 @@ class WarpBatch(Claimable):
             mine = self._robot_of_run == number
             own = chambers[:, mine]
             free, free_rate = own[..., 5] + twin.spec.modules.array("bias"), own[..., 6]
-            torque[:, mine] = twin.spec.bending.moment(free - bend[:, mine], free_rate - rate[:, mine])
-            stored[:, mine] = twin.physics.internal_joints.stored(cut["qpos"][:, mine], free)
+            torque[:, mine] = twin.spec.bending.moment(
+                free - bend[:, mine], free_rate - rate[:, mine]
+            )
+            stored[:, mine] = twin.physics.internal_joints.stored(
+                cut["qpos"][:, mine], free
+            )
         for k in range(len(self)) if self._robots[0].sensor.kind != "ideal" else ():
             twin = self.twins[k]
             sensed[:, k] = twin.sensor.read(bend[:, k], times, twin.seed + k)
@@ -401,7 +517,9 @@ class WarpBatch(Claimable):
             pressure=chambers[..., :2],
             valves=chambers[..., 2:4].astype(np.int8),
             sensed=sensed,
-            contact_force=np.add.reduceat(floor, np.arange(spec.geometry.connectors), axis=-2),
+            contact_force=np.add.reduceat(
+                floor, np.arange(spec.geometry.connectors), axis=-2
+            ),
             obstacle_force=physics.connector_forces(obstacles)[..., :2],
             torque=torque,
             work=cut["energy"].sum(axis=-1) + stored,
@@ -428,13 +546,18 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
         "base 'clamped'": not twin.physics.free,
         "a floor that slopes or has steps": twin.uneven,
         "objects": twin.objects > 0,
-        "obstacles with contact 'preloaded'": twin.touches and not isinstance(twin.contact, LoadedContact),
+        "obstacles with contact 'preloaded'": (
+            twin.touches and not isinstance(twin.contact, LoadedContact)
+        ),
     }
     settings, first_settings = twin.identity(), first.identity()
     same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
-    same -= set() if twin.touches or first.touches else {"world"}  # goals and bounds do not affect the motion
+    same -= (
+        set() if twin.touches or first.touches else {"world"}
+    )  # goals and bounds do not affect the motion
     unsupported |= {
-        f"runs that differ in {name}": settings[name] != first_settings[name] for name in sorted(same)
+        f"runs that differ in {name}": settings[name] != first_settings[name]
+        for name in sorted(same)
     }
     for name, present in unsupported.items():
         if present:

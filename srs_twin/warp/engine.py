@@ -29,7 +29,8 @@ from srs_twin.warp.kernels import (
 from srs_twin.warp.translation import WarpStruct, stack_records, warp_struct
 
 _CAPACITY_FACTOR = 4
-"""Capacity for contacts and constraint rows, as a multiple of those of a snake at rest."""
+"""Capacity for contacts and constraint rows, as a multiple of those of a snake at rest.
+"""
 
 _UNUSED_FIELDS = ("dof_length",)
 """Model fields that may differ between runs: they matter for sleeping bodies only, and no body sleeps."""
@@ -54,7 +55,11 @@ class DeviceEngine:
     """
 
     def __init__(
-        self, robots: Sequence[TwinSnake], robot_of_run: np.ndarray, device: Any, deterministic: bool
+        self,
+        robots: Sequence[TwinSnake],
+        robot_of_run: np.ndarray,
+        device: Any,
+        deterministic: bool,
     ) -> None:
         """Copy models, states and records to the device, and compile the kernels.
 
@@ -62,7 +67,8 @@ class DeviceEngine:
             robots: the distinct twins.
             robot_of_run: index of each run's twin.
             device: Warp's device.
-            deterministic: sum in a fixed order, so that repeated runs give the same bits.
+            deterministic: sum in a fixed order, so that repeated runs give the same
+                bits.
 
         Raises:
             InputError: the robots differ in a property that all worlds share.
@@ -73,7 +79,10 @@ class DeviceEngine:
         models = [twin.physics.model for twin in self._robots]
         raw = copy.copy(models[0])
         raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
-        raw.opt.solver, raw.opt.iterations = mujoco.mjtSolver.mjSOL_NEWTON, _MAX_ITERATIONS
+        raw.opt.solver, raw.opt.iterations = (
+            mujoco.mjtSolver.mjSOL_NEWTON,
+            _MAX_ITERATIONS,
+        )
         data = mujoco.MjData(raw)
         mujoco.mj_resetDataKeyframe(raw, data, 0)
         mujoco.mj_forward(raw, data)
@@ -90,7 +99,9 @@ class DeviceEngine:
             self._model = mjw.put_model(raw)
             self._model.opt.deterministic = deterministic
             self.data = mjw.put_data(raw, data, nworld=self._worlds, **capacity)
-            _set_individual_parameters(self._model, [models[k] for k in self._robot_of_run])
+            _set_individual_parameters(
+                self._model, [models[k] for k in self._robot_of_run]
+            )
             structs = self._copy_records(data.qpos)
             self.count = wp.zeros(1, dtype=int)
             self._valves = wp.zeros((self._worlds, self.slots, segments, 2), dtype=int)
@@ -98,8 +109,12 @@ class DeviceEngine:
             self._energy_loss = wp.zeros(self._worlds, dtype=wp.float64)
             self._internal_loss = wp.zeros(self._worlds, dtype=wp.float64)
             damping = [twin.physics.internal_joints.damping for twin in self._robots]
-            self._damping = wp.array(np.stack([damping[k] for k in self._robot_of_run]), dtype=float)
-        settings = StepSettings(h, slot, self.slots, self.steps, mean_control=self.loaded)
+            self._damping = wp.array(
+                np.stack([damping[k] for k in self._robot_of_run]), dtype=float
+            )
+        settings = StepSettings(
+            h, slot, self.slots, self.steps, mean_control=self.loaded
+        )
         self._kernels = build_kernels(structs, settings)
         self._graphs: dict[bool, Any] = {}
 
@@ -109,13 +124,17 @@ class DeviceEngine:
         hulls = len(addresses.obstacle_force)
         contacts = len(addresses.floor_force) + (hulls if self.loaded else 0)
         self._chambers = [
-            twin.pneumatics for twin in self._robots if isinstance(twin.pneumatics, LagPneumatics)
+            twin.pneumatics
+            for twin in self._robots
+            if isinstance(twin.pneumatics, LagPneumatics)
         ]
         empty, rest = np.zeros((segments, 2)), np.zeros(segments)
         whole = empty.astype(int)
         forces = np.zeros((contacts, 3))
         records: dict[str, Sequence[Any]] = {
-            "relaxation": [chambers.relaxation(self._slot) for chambers in self._chambers],
+            "relaxation": [
+                chambers.relaxation(self._slot) for chambers in self._chambers
+            ],
             "chambers": [
                 ChamberState(
                     pressure=empty,
@@ -130,7 +149,11 @@ class DeviceEngine:
             "accumulators": [Accumulators(qpos, forces, forces, np.zeros((hulls, 3)))],
             "wave": [GaitWave(1.0, 0.0, 0.0, empty[:, 0])],
         }
-        solves = [twin.physics.stepper.records for twin in self._robots if twin.physics.stepper is not None]
+        solves = [
+            twin.physics.stepper.records
+            for twin in self._robots
+            if twin.physics.stepper is not None
+        ]
         if self.loaded:
             names = "contacts", "sparsity", "contact_state", "work"
             records |= {name: [solve[name] for solve in solves] for name in names}
@@ -138,30 +161,44 @@ class DeviceEngine:
         # There is one record for all robots, or one per robot.
         self.structs = {
             name: stack_records(
-                structs[name], [v[k] if len(v) > 1 else v[0] for k in self._robot_of_run], self._device
+                structs[name],
+                [v[k] if len(v) > 1 else v[0] for k in self._robot_of_run],
+                self._device,
             )
             for name, v in records.items()
         }
-        bodies = BodyViews(*(np.zeros(self._view(name).shape[1:]) for name in BodyViews._fields))
+        bodies = BodyViews(
+            *(np.zeros(self._view(name).shape[1:]) for name in BodyViews._fields)
+        )
         structs |= {"addresses": warp_struct(addresses), "bodies": warp_struct(bodies)}
         self.structs["bodies"] = self._views(structs["bodies"], BodyViews._fields)
         self.structs["addresses"] = structs["addresses"].single()
         for name, value in addresses._asdict().items():
-            on_device = wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
+            on_device = (
+                wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
+            )
             setattr(self.structs["addresses"], name, on_device)
         if self.loaded:
             engine = solves[0]["engine"]
-            structs["engine"] = warp_struct(engine, without=("model", "data", "objects"))
+            structs["engine"] = warp_struct(
+                engine, without=("model", "data", "objects")
+            )
             self.structs["engine"] = self._views(structs["engine"], engine._fields[3:])
-            # The solve needs c(v₋) and c(v̄), so copy the first: the engine overwrites its array with the
-            # second.
+            # The solve needs c(v₋) and c(v̄), so copy the first: the engine overwrites
+            # its array with the second.
             self.structs["engine"].qfrc_bias = wp.zeros_like(self.data.qfrc_bias)
             self.structs["work"].residual = self.data.qfrc_bias
         # Columns of an observation (kernel `observe`).
         self.widths = {
-            "qpos": len(qpos), "qvel": self._model.nv, "com": 6, "connectors": 4 * len(addresses.connectors),
-            "chambers": 7 * segments, "force": 3 * contacts, "obstacles": 3 * hulls, "energy": 3,
-        }  # fmt: skip
+            "qpos": len(qpos),
+            "qvel": self._model.nv,
+            "com": 6,
+            "connectors": 4 * len(addresses.connectors),
+            "chambers": 7 * segments,
+            "force": 3 * contacts,
+            "obstacles": 3 * hulls,
+            "energy": 3,
+        }
         return structs
 
     def _view(self, name: str) -> wp.array:
@@ -170,7 +207,9 @@ class DeviceEngine:
         size = wp.types.type_size(array.dtype)
         if size == 1:
             return array
-        return wp.array(ptr=array.ptr, shape=(*array.shape, size), dtype=float, device=self._device)
+        return wp.array(
+            ptr=array.ptr, shape=(*array.shape, size), dtype=float, device=self._device
+        )
 
     def _views(self, struct: WarpStruct, names: Sequence[str]) -> Any:
         views = struct.batched()
@@ -184,13 +223,26 @@ class DeviceEngine:
         segments, worlds = (self._worlds, self._segments), self._worlds
         accumulators = structs["accumulators"]
         if gait:
-            wp.launch(k.set_gait, dim=segments, inputs=[self.count, structs["wave"], self._valves])
+            wp.launch(
+                k.set_gait,
+                dim=segments,
+                inputs=[self.count, structs["wave"], self._valves],
+            )
         else:
-            wp.launch(k.set_commands, dim=segments, inputs=[self.count, self._commands, self._valves])
+            wp.launch(
+                k.set_commands,
+                dim=segments,
+                inputs=[self.count, self._commands, self._valves],
+            )
         wp.launch(
             k.advance_chambers,
             dim=segments,
-            inputs=[structs["relaxation"], structs["chambers"], self._valves, data.ctrl],
+            inputs=[
+                structs["relaxation"],
+                structs["chambers"],
+                self._valves,
+                data.ctrl,
+            ],
         )
         if not self.loaded:
             mjw.step(model, data)
@@ -202,20 +254,37 @@ class DeviceEngine:
             mjw.step1(model, data)
             wp.launch(k.apply_friction, dim=worlds, inputs=friction)
             mjw.step2(model, data)
-            wp.launch(k.return_to_middle, dim=worlds, inputs=[engine, work, accumulators, data.qfrc_bias])
+            wp.launch(
+                k.return_to_middle,
+                dim=worlds,
+                inputs=[engine, work, accumulators, data.qfrc_bias],
+            )
             mjw.com_vel(model, data)
             mjw.rne(model, data)
-            wp.launch(k.finish_step, dim=worlds, inputs=[*friction, accumulators, self._energy_loss])
+            wp.launch(
+                k.finish_step,
+                dim=worlds,
+                inputs=[*friction, accumulators, self._energy_loss],
+            )
         wp.launch(
             k.accumulate,
             dim=worlds,
             inputs=[
-                self.count, data.sensordata, structs["addresses"], accumulators, structs["chambers"],
-                data.qvel, self._damping, self._energy_loss, self._internal_loss,
+                self.count,
+                data.sensordata,
+                structs["addresses"],
+                accumulators,
+                structs["chambers"],
+                data.qvel,
+                self._damping,
+                self._energy_loss,
+                self._internal_loss,
             ],
-        )  # fmt: skip
+        )
 
-    def rest(self, chosen: np.ndarray, qpos: np.ndarray, contacts: Sequence[ContactState]) -> None:
+    def rest(
+        self, chosen: np.ndarray, qpos: np.ndarray, contacts: Sequence[ContactState]
+    ) -> None:
         """Set worlds to rest with empty chambers.
 
         Args:
@@ -224,7 +293,12 @@ class DeviceEngine:
             contacts: their states of loaded contacts; empty for others.
         """
         self._set(self.data.qpos, chosen, qpos)
-        for array in (self.data.qvel, self.data.qacc_warmstart, self._energy_loss, self._internal_loss):
+        for array in (
+            self.data.qvel,
+            self.data.qacc_warmstart,
+            self._energy_loss,
+            self._internal_loss,
+        ):
             self._set(array, chosen, 0.0)
         chambers, accumulators = self.structs["chambers"], self.structs["accumulators"]
         for name in ("pressure", "linear", "bend", "bend_rate", "openings", "drawn"):
@@ -262,7 +336,10 @@ class DeviceEngine:
         """Copy the supply pressures of the twins' chambers to the device after they have changed."""
         relaxations = [chambers.relaxation(self._slot) for chambers in self._chambers]
         for name in ("asymptotes", "worth"):
-            rows = np.array([getattr(relaxations[k], name) for k in self._robot_of_run], dtype=np.float32)
+            rows = np.array(
+                [getattr(relaxations[k], name) for k in self._robot_of_run],
+                dtype=np.float32,
+            )
             getattr(self.structs["relaxation"], name).assign(rows)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
@@ -270,7 +347,8 @@ class DeviceEngine:
 
         Args:
             steps: number of steps.
-            gait: whether the gaits of `set_waves` command the valves, instead of the latest commands.
+            gait: whether the gaits of `set_waves` command the valves, instead of the
+                latest commands.
         """
         with wp.ScopedDevice(self._device):
             if not self._device.is_cuda:
@@ -289,19 +367,27 @@ class DeviceEngine:
     def observe(self) -> Any:
         """Return an observation of all worlds on the device, one row per world; reset the accumulators."""
         structs, data, model = self.structs, self.data, self._model
-        out = wp.zeros((self._worlds, sum(self.widths.values())), dtype=float, device=self._device)
+        out = wp.zeros(
+            (self._worlds, sum(self.widths.values())), dtype=float, device=self._device
+        )
         with wp.ScopedDevice(self._device):
             mjw.kinematics(model, data)
             mjw.com_pos(model, data)
             mjw.com_vel(model, data)
             mjw.subtree_vel(model, data)
             wp.launch(
-                self._kernels.observe, dim=self._worlds,
+                self._kernels.observe,
+                dim=self._worlds,
                 inputs=[
-                    structs["bodies"], structs["addresses"], structs["chambers"], structs["accumulators"],
-                    self._energy_loss, self._internal_loss, out,
+                    structs["bodies"],
+                    structs["addresses"],
+                    structs["chambers"],
+                    structs["accumulators"],
+                    self._energy_loss,
+                    self._internal_loss,
+                    out,
                 ],
-            )  # fmt: skip
+            )
         return out
 
 
@@ -319,15 +405,23 @@ def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None
     if len(distinct) == 1:
         return
     for name, array in vars(model).items():
-        if not isinstance(array, wp.array) or not hasattr(models[0], name) or name in _UNUSED_FIELDS:
+        if (
+            not isinstance(array, wp.array)
+            or not hasattr(models[0], name)
+            or name in _UNUSED_FIELDS
+        ):
             continue
-        values = {key: np.asarray(getattr(world_model, name)) for key, world_model in distinct.items()}
+        values = {
+            key: np.asarray(getattr(world_model, name))
+            for key, world_model in distinct.items()
+        }
         first = next(iter(values.values()))
         if all(np.array_equal(first, value) for value in values.values()):
             continue
         if array.shape[0] != 1:
             raise InputError(
-                f"robots that differ in {name} cannot run together on engine 'warp'; use engine 'cpu'"
+                f"robots that differ in {name} cannot run together on engine 'warp';"
+                " use engine 'cpu'"
             )
         rows = np.stack([values[id(world_model)] for world_model in models])
         inner = array.shape[1:]

@@ -1,7 +1,7 @@
 """Warp kernels around the steps of MuJoCo Warp: chambers, friction of loaded contacts, accumulation.
 
-A kernel has one thread per world, or one per world and segment. The struct of one world is a view of that of
-all worlds.
+A kernel has one thread per world, or one per world and segment. The struct of one world
+is a view of that of all worlds.
 """
 
 # No `from __future__ import annotations`: Warp needs the types themselves.
@@ -26,7 +26,8 @@ class StepSettings(NamedTuple):
         slot: length of a valve slot, s.
         slots: slots per time step.
         tick: time steps per tick.
-        mean_control: whether the mean control over a step drives it, instead of that at its beginning.
+        mean_control: whether the mean control over a step drives it, instead of that at
+            its beginning.
     """
 
     h: float
@@ -91,9 +92,12 @@ class Accumulators(NamedTuple):
 
     Attributes:
         mid_qpos: qpos at mid-step, shape (nq,).
-        step_force: forces on wheels and hulls in the latest step, shape (contacts, 3), N.
-        force_sum: sum of `step_force` over the steps since the latest sample, shape (contacts, 3), N.
-        obstacle_sum: sum of the normal forces of obstacles since then, shape (hulls, 3), N.
+        step_force: forces on wheels and hulls in the latest step, shape (contacts, 3),
+            N.
+        force_sum: sum of `step_force` over the steps since the latest sample, shape
+            (contacts, 3), N.
+        obstacle_sum: sum of the normal forces of obstacles since then, shape (hulls,
+            3), N.
     """
 
     mid_qpos: np.ndarray
@@ -103,25 +107,37 @@ class Accumulators(NamedTuple):
 
 
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
-"""Options of the kernels. Each is compiled separately, because its constants depend on the batch."""
+"""Options of the kernels.
+
+Each is compiled separately, because its constants depend on the batch.
+"""
 
 Kernels = dict[str, Any]
 """Kernels by name."""
 
 
-def build_kernels(structs: Mapping[str, WarpStruct], settings: StepSettings) -> SimpleNamespace:
+def build_kernels(
+    structs: Mapping[str, WarpStruct], settings: StepSettings
+) -> SimpleNamespace:
     """Return the kernels for structs of given shapes.
 
     Args:
-        structs: struct by name: `relaxation`, `chambers`, `wave`, `accumulators`, `addresses`, `bodies`, and
-            under loaded contact `engine`, `contacts`, `sparsity`, `contact_state` and `work`.
+        structs: struct by name: `relaxation`, `chambers`, `wave`, `accumulators`,
+            `addresses`, `bodies`, and under loaded contact `engine`, `contacts`,
+            `sparsity`, `contact_state` and `work`.
         settings: constants that are the same for all worlds.
     """
     functions, loaded = warp_functions(), "work" in structs
     kernels = _valve_kernels(structs["wave"], settings)
-    kernels |= _chamber_kernel(structs["relaxation"], structs["chambers"], settings, functions)
+    kernels |= _chamber_kernel(
+        structs["relaxation"], structs["chambers"], settings, functions
+    )
     kernels |= _accumulation_kernel(
-        structs["accumulators"], structs["chambers"], structs["addresses"].single, settings.h, loaded
+        structs["accumulators"],
+        structs["chambers"],
+        structs["addresses"].single,
+        settings.h,
+        loaded,
     )
     kernels |= _observation_kernel(structs)
     if loaded:
@@ -137,7 +153,11 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
     SLOT, SLOTS, TICK = settings.slot, settings.slots, settings.tick
 
     @wp.kernel(**_OPTIONS)
-    def set_commands(count: wp.array(dtype=int), commands: wp.array4d(dtype=int), out: wp.array4d(dtype=int)):
+    def set_commands(
+        count: wp.array(dtype=int),
+        commands: wp.array4d(dtype=int),
+        out: wp.array4d(dtype=int),
+    ):
         """Set the valve states of a step's slots from the commands of its tick."""
         i, j = wp.tid()
         begun = (count[0] % TICK) * SLOTS
@@ -147,14 +167,20 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
             out[i, s, j, 1] = commands[i, row, j, 1]
 
     @wp.kernel(**_OPTIONS)
-    def set_gait(count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)):
+    def set_gait(
+        count: wp.array(dtype=int), waves: GaitWaves, out: wp.array4d(dtype=int)
+    ):
         """Set the valve states of a step's slots from a gait, evaluated in the middle of each slot."""
         i, j = wp.tid()
         gait = wave_of(waves, i)
         for s in range(SLOTS):
-            time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(SLOT)
+            time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(
+                SLOT
+            )
             turns = wp.float64(gait.frequency) * time
-            angle = wp.float64(6.283185307179586) * (turns - wp.floor(turns)) - wp.float64(gait.lag[j])
+            angle = wp.float64(6.283185307179586) * (
+                turns - wp.floor(turns)
+            ) - wp.float64(gait.lag[j])
             value = wp.sin(angle) + wp.float64(gait.offset)
             edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
@@ -164,7 +190,10 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
 
 
 def _chamber_kernel(
-    relaxation: WarpStruct, chambers: WarpStruct, settings: StepSettings, functions: Mapping[str, Any]
+    relaxation: WarpStruct,
+    chambers: WarpStruct,
+    settings: StepSettings,
+    functions: Mapping[str, Any],
 ) -> Kernels:
     """Return the kernel that advances the chambers over a step."""
     bend_law = functions["apply_bend_law"]
@@ -184,15 +213,26 @@ def _chamber_kernel(
         i, j = wp.tid()
         law, air = relaxation_of(relaxations, i), chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        driven = air.bend[j] + law.damping_time * air.bend_rate[j]  # at the beginning of the step
+        driven = (
+            air.bend[j] + law.damping_time * air.bend_rate[j]
+        )  # at the beginning of the step
         before = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
             state = valves[i, s, j]
-            content_before = filling(state, pressure[0], pressure[1], before, law.space, AMBIENT_PA)
+            content_before = filling(
+                state, pressure[0], pressure[1], before, law.space, AMBIENT_PA
+            )
             plus, minus, x = segment(
-                state, law.kinds[j], pressure, air.linear[j], law.asymptotes, law.gain[j], law.decay, law.lag,
+                state,
+                law.kinds[j],
+                pressure,
+                air.linear[j],
+                law.asymptotes,
+                law.gain[j],
+                law.decay,
+                law.lag,
                 law.mode,
-            )  # fmt: skip
+            )
             after, _, _ = bend_law(x, law.law)
             after += law.bias[j]
             content = filling(state, plus, minus, after, law.space, AMBIENT_PA)
@@ -218,7 +258,11 @@ def _chamber_kernel(
 
 
 def _accumulation_kernel(
-    accumulators: WarpStruct, chambers: WarpStruct, addresses: Any, h: float, loaded: bool
+    accumulators: WarpStruct,
+    chambers: WarpStruct,
+    addresses: Any,
+    h: float,
+    loaded: bool,
 ) -> Kernels:
     """Return the kernel that adds up what samples are means or integrals of.
 
@@ -235,11 +279,16 @@ def _accumulation_kernel(
 
     @wp.kernel(**_OPTIONS)
     def accumulate(
-        count: wp.array(dtype=int), sensors: wp.array2d(dtype=float), at: Addresses,
-        all_accumulators: AllAccumulators, all_chambers: ChamberStates, qvel: wp.array2d(dtype=float),
+        count: wp.array(dtype=int),
+        sensors: wp.array2d(dtype=float),
+        at: Addresses,
+        all_accumulators: AllAccumulators,
+        all_chambers: ChamberStates,
+        qvel: wp.array2d(dtype=float),
         damping: wp.array2d(dtype=float),
-        energy_loss: wp.array(dtype=wp.float64), internal_loss: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        energy_loss: wp.array(dtype=wp.float64),
+        internal_loss: wp.array(dtype=wp.float64),
+    ):
         """Add the forces and energy losses of a step; under a preloaded contact from the engine's sensors."""
         i = wp.tid()
         air = chambers_of(all_chambers, i)
@@ -256,7 +305,8 @@ def _accumulation_kernel(
         sums, power = accumulators_of(all_accumulators, i), float(0.0)
         for w in range(at.floor_force.shape[0]):
             if not LOADED:
-                # The force of the previous step acts with the velocity that the sensors report now.
+                # The force of the previous step acts with the velocity that the sensors
+                # report now.
                 for k in range(2):
                     power -= sums.step_force[w, k] * sensors[i, at.foot_velocity[w] + k]
                 for k in range(3):
@@ -266,9 +316,13 @@ def _accumulation_kernel(
                 sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
         for w in range(at.obstacle_force.shape[0]):
             for k in range(3):
-                sums.obstacle_sum[w, k] = sums.obstacle_sum[w, k] + sensors[i, at.obstacle_force[w] + k]
+                sums.obstacle_sum[w, k] = (
+                    sums.obstacle_sum[w, k] + sensors[i, at.obstacle_force[w] + k]
+                )
         for w in range(at.external_force.shape[0]):
-            power -= sensors[i, at.external_force[w]] * sensors[i, at.external_velocity[w]]
+            power -= (
+                sensors[i, at.external_force[w]] * sensors[i, at.external_velocity[w]]
+            )
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)
         if i == 0:
             count[0] = count[0] + 1
@@ -280,15 +334,22 @@ def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
     """Return the kernel that writes an observation."""
     AllBodies, bodies_of = structs["bodies"].batched, structs["bodies"].select
     ChamberStates, chambers_of = structs["chambers"].batched, structs["chambers"].select
-    AllAccumulators, accumulators_of = structs["accumulators"].batched, structs["accumulators"].select
+    AllAccumulators, accumulators_of = (
+        structs["accumulators"].batched,
+        structs["accumulators"].select,
+    )
     Addresses = structs["addresses"].single
 
     @wp.kernel(**_OPTIONS)
     def observe(
-        bodies: AllBodies, at: Addresses, all_chambers: ChamberStates, all_accumulators: AllAccumulators,
-        energy_loss: wp.array(dtype=wp.float64), internal_loss: wp.array(dtype=wp.float64),
+        bodies: AllBodies,
+        at: Addresses,
+        all_chambers: ChamberStates,
+        all_accumulators: AllAccumulators,
+        energy_loss: wp.array(dtype=wp.float64),
+        internal_loss: wp.array(dtype=wp.float64),
         out: wp.array2d(dtype=float),
-    ):  # fmt: skip
+    ):
         """Write the observation of each world into a row of `out`, and reset the accumulators."""
         i = wp.tid()
         body, air = bodies_of(bodies, i), chambers_of(all_chambers, i)
@@ -306,7 +367,9 @@ def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
         for c in range(at.connectors.shape[0]):
             for n in range(3):
                 out[i, k + n] = body.xpos[at.connectors[c], n]
-            out[i, k + 3] = wp.atan2(body.xmat[at.connectors[c], 3], body.xmat[at.connectors[c], 0])
+            out[i, k + 3] = wp.atan2(
+                body.xmat[at.connectors[c], 3], body.xmat[at.connectors[c], 0]
+            )
             k += 4
         for j in range(air.linear.shape[0]):
             for side in range(2):
@@ -334,7 +397,9 @@ def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
 
 
 @wp.func
-def integrate_position(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float):
+def integrate_position(
+    qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float
+):
     """Advance qpos by qvel over the time h: the free joint, which is first, and the hinges."""
     for k in range(3):
         qpos[k] = qpos[k] + h * qvel[k]
@@ -344,8 +409,14 @@ def integrate_position(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float),
     axis = rotation / wp.max(speed, 1e-20)
     w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
     c, u = wp.cos(half), wp.sin(half) * axis
-    a, b = c * w - x * u[0] - y * u[1] - z * u[2], c * x + w * u[0] + y * u[2] - z * u[1]
-    d, e = c * y + w * u[1] + z * u[0] - x * u[2], c * z + w * u[2] + x * u[1] - y * u[0]
+    a, b = (
+        c * w - x * u[0] - y * u[1] - z * u[2],
+        c * x + w * u[0] + y * u[2] - z * u[1],
+    )
+    d, e = (
+        c * y + w * u[1] + z * u[0] - x * u[2],
+        c * z + w * u[2] + x * u[1] - y * u[0],
+    )
     size = 1.0 / wp.sqrt(a * a + b * b + d * d + e * e)
     qpos[3] = size * a
     qpos[4] = size * b
@@ -355,14 +426,18 @@ def integrate_position(qpos: wp.array(dtype=float), qvel: wp.array(dtype=float),
         qpos[i + 1] = qpos[i + 1] + h * qvel[i]
 
 
-def _middle_kernels(structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any) -> Kernels:
+def _middle_kernels(
+    structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any
+) -> Kernels:
     """Return the kernels of loaded contact that move to mid-step, before and after the engine's step."""
     Engines, engine_of = structs["engine"].batched, structs["engine"].select
     Workspaces, work_of = structs["work"].batched, structs["work"].select
     AllAccumulators, H = structs["accumulators"].batched, h
 
     @wp.kernel(**_OPTIONS)
-    def begin_step(engines: Engines, works: Workspaces, all_accumulators: AllAccumulators):
+    def begin_step(
+        engines: Engines, works: Workspaces, all_accumulators: AllAccumulators
+    ):
         """Store v₋ and move to mid-step."""
         i = wp.tid()
         engine, work = engine_of(engines, i), work_of(works, i)
@@ -374,7 +449,10 @@ def _middle_kernels(structs: Mapping[str, WarpStruct], h: float, set_mid_velocit
 
     @wp.kernel(**_OPTIONS)
     def return_to_middle(
-        engines: Engines, works: Workspaces, all_accumulators: AllAccumulators, bias: wp.array2d(dtype=float)
+        engines: Engines,
+        works: Workspaces,
+        all_accumulators: AllAccumulators,
+        bias: wp.array2d(dtype=float),
     ):
         """Take v̂ from the engine's step and restore the positions at mid-step."""
         i = wp.tid()
@@ -389,7 +467,9 @@ def _middle_kernels(structs: Mapping[str, WarpStruct], h: float, set_mid_velocit
     return {"begin_step": begin_step, "return_to_middle": return_to_middle}
 
 
-def _friction_kernels(structs: Mapping[str, WarpStruct], h: float, functions: Mapping[str, Any]) -> Kernels:
+def _friction_kernels(
+    structs: Mapping[str, WarpStruct], h: float, functions: Mapping[str, Any]
+) -> Kernels:
     """Return the kernels of loaded contact that apply and solve for friction."""
     apply_stored_friction = functions["apply_stored_friction"]
     solve_friction = functions["solve_friction"]
@@ -405,24 +485,40 @@ def _friction_kernels(structs: Mapping[str, WarpStruct], h: float, functions: Ma
 
     @wp.kernel(**_OPTIONS)
     def apply_friction(
-        engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
+        engines: Engines,
+        contacts: AllContacts,
+        sparsities: Sparsities,
+        states: ContactStates,
         works: Workspaces,
-    ):  # fmt: skip
+    ):
         """Apply the friction of the previous step."""
         i = wp.tid()
         apply_stored_friction(
-            engine_of(engines, i), contacts_of(contacts, i), sparsity_of(sparsities, i), state_of(states, i),
-            work_of(works, i), H,
-        )  # fmt: skip
+            engine_of(engines, i),
+            contacts_of(contacts, i),
+            sparsity_of(sparsities, i),
+            state_of(states, i),
+            work_of(works, i),
+            H,
+        )
 
     @wp.kernel(**_OPTIONS)
     def finish_step(
-        engines: Engines, contacts: AllContacts, sparsities: Sparsities, states: ContactStates,
-        works: Workspaces, all_accumulators: AllAccumulators, energy_loss: wp.array(dtype=wp.float64),
-    ):  # fmt: skip
+        engines: Engines,
+        contacts: AllContacts,
+        sparsities: Sparsities,
+        states: ContactStates,
+        works: Workspaces,
+        all_accumulators: AllAccumulators,
+        energy_loss: wp.array(dtype=wp.float64),
+    ):
         """Solve for friction, move to the end of the step, and record the friction."""
         i = wp.tid()
-        engine, contact, state = engine_of(engines, i), contacts_of(contacts, i), state_of(states, i)
+        engine, contact, state = (
+            engine_of(engines, i),
+            contacts_of(contacts, i),
+            state_of(states, i),
+        )
         work, sums = work_of(works, i), accumulators_of(all_accumulators, i)
         solve_friction(engine, contact, sparsity_of(sparsities, i), state, work, H)
         power = store_friction(contact, state, work, sums.step_force)

@@ -1,9 +1,10 @@
 """Translation of numba kernels and their records for Warp.
 
-Warp needs argument types, the Warp versions of called functions under their names, and single precision. A
-function that uses only the common subset of both compilers is copied with these; its tolerances are replaced
-by those of single precision. A record, a named tuple of arrays and numbers, becomes a Warp struct of one
-world and one of all worlds.
+Warp needs argument types, the Warp versions of called functions under their names, and
+single precision. A function that uses only the common subset of both compilers is
+copied with these; its tolerances are replaced by those of single precision. A record, a
+named tuple of arrays and numbers, becomes a Warp struct of one world and one of all
+worlds.
 """
 
 from __future__ import annotations
@@ -22,12 +23,16 @@ from srs_twin.pneumatics import chambers, lag
 
 _TOLERANCES = {
     "_RIM_TOLERANCE": 1e-6,  # relative, of the rim speed (`stick_slip`)
-    "_ABSOLUTE_TOLERANCE": 1e-15,  # (kg·m/s)², of the squared residual (`friction_solve`)
+    "_ABSOLUTE_TOLERANCE": (
+        1e-15
+    ),  # (kg·m/s)², of the squared residual (`friction_solve`)
 }
 """Module constants in the translated functions → their values in single precision."""
 
 
-def as_warp_functions(functions: Sequence[Callable[..., Any]], **translated: Any) -> dict[str, Any]:
+def as_warp_functions(
+    functions: Sequence[Callable[..., Any]], **translated: Any
+) -> dict[str, Any]:
     """Return the Warp versions of functions by name, with those given as `translated`.
 
     Args:
@@ -37,7 +42,9 @@ def as_warp_functions(functions: Sequence[Callable[..., Any]], **translated: Any
     namespace: dict[str, Any] = _TOLERANCES | translated
     for function in functions:
         plain = getattr(function, "py_func", function)
-        copy = FunctionType(plain.__code__, {**plain.__globals__, **namespace}, plain.__name__)
+        copy = FunctionType(
+            plain.__code__, {**plain.__globals__, **namespace}, plain.__name__
+        )
         copy.__module__, copy.__qualname__ = plain.__module__, f"warp_{plain.__name__}"
         copy.__annotations__ = dict.fromkeys(inspect.signature(plain).parameters, Any)
         namespace[plain.__name__] = wp.func(copy)
@@ -86,9 +93,17 @@ def _no_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
 
 def warp_functions() -> dict[str, Any]:
     """Return the Warp versions of the chamber laws, friction laws and friction solve, by name."""
-    laws: list[Any] = [stick_slip.stick_slip_friction, stick_slip.skin_friction, stick_slip.rolling_friction]
+    laws: list[Any] = [
+        stick_slip.stick_slip_friction,
+        stick_slip.skin_friction,
+        stick_slip.rolling_friction,
+    ]
     functions = as_warp_functions([*laws, chambers.volume, chambers._log_cosh])
-    chamber_laws: list[Any] = [chambers.apply_bend_law, lag.advance_segment, lag.filling_content]
+    chamber_laws: list[Any] = [
+        chambers.apply_bend_law,
+        lag.advance_segment,
+        lag.filling_content,
+    ]
     functions = as_warp_functions(chamber_laws, **functions)
     linear_algebra = [
         friction_solve._factor,
@@ -96,10 +111,14 @@ def warp_functions() -> dict[str, Any]:
         friction_solve.solve_direction_portably,
     ]
     functions = as_warp_functions(linear_algebra, **functions)
-    functions |= dict.fromkeys(_OBJECT_FUNCTIONS, as_warp_functions([_no_objects])["_no_objects"])
+    functions |= dict.fromkeys(
+        _OBJECT_FUNCTIONS, as_warp_functions([_no_objects])["_no_objects"]
+    )
     # The CPU version calls the engine's C functions.
     functions["_solve_direction"] = functions["solve_direction_portably"]
-    return as_warp_functions([getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions)
+    return as_warp_functions(
+        [getattr(friction_solve, name) for name in _FRICTION_SOLVE], **functions
+    )
 
 
 class WarpStruct(NamedTuple):
@@ -108,7 +127,8 @@ class WarpStruct(NamedTuple):
     Attributes:
         single: struct of one world, the argument of translated functions.
         batched: struct of all worlds; its fields have a leading axis of worlds.
-        select: Warp function that maps a batched struct and an index to the struct of that world.
+        select: Warp function that maps a batched struct and an index to the struct of
+            that world.
     """
 
     single: Any
@@ -127,16 +147,43 @@ def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
     names = [name for name in example._fields if name not in without]
     shapes = {name: _type_and_ndim(getattr(example, name)) for name in names}
     single, batched = (
-        wp.struct(type(f"{kind.__name__}{suffix}", (), {"__annotations__": fields, "__module__": __name__}))
+        wp.struct(
+            type(
+                f"{kind.__name__}{suffix}",
+                (),
+                {"__annotations__": fields, "__module__": __name__},
+            )
+        )
         for suffix, fields in (
-            ("Single", {name: wp.array(dtype=t, ndim=d) if d else t for name, (t, d) in shapes.items()}),
-            ("Batched", {name: wp.array(dtype=t, ndim=d + 1) for name, (t, d) in shapes.items()}),
+            (
+                "Single",
+                {
+                    name: wp.array(dtype=t, ndim=d) if d else t
+                    for name, (t, d) in shapes.items()
+                },
+            ),
+            (
+                "Batched",
+                {
+                    name: wp.array(dtype=t, ndim=d + 1)
+                    for name, (t, d) in shapes.items()
+                },
+            ),
         )
     )
-    lines = [f"def select_{kind.__name__}(batched: Batched, i: int):", "    single = Single()"]
-    lines += [f"    single.{name} = batched.{name}[i]" for name in names] + ["    return single"]
+    lines = [
+        f"def select_{kind.__name__}(batched: Batched, i: int):",
+        "    single = Single()",
+    ]
+    lines += [f"    single.{name} = batched.{name}[i]" for name in names] + [
+        "    return single"
+    ]
     source = "\n".join(lines) + "\n"
-    return WarpStruct(single, batched, _function_from_source(source, {"Single": single, "Batched": batched}))
+    return WarpStruct(
+        single,
+        batched,
+        _function_from_source(source, {"Single": single, "Batched": batched}),
+    )
 
 
 def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:
@@ -145,7 +192,11 @@ def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> An
     for name in records[0]._fields:
         values = [getattr(record, name) for record in records]
         rows = np.stack([np.asarray(value) for value in values])
-        setattr(batched, name, wp.array(rows, dtype=_type_and_ndim(values[0])[0], device=device))
+        setattr(
+            batched,
+            name,
+            wp.array(rows, dtype=_type_and_ndim(values[0])[0], device=device),
+        )
     return batched
 
 

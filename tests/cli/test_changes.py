@@ -30,17 +30,24 @@ SHORT = {"duration_s": 1.0}
 
 
 def test_override_equals_the_same_value_in_a_file():
-    soft = load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": 0.22, "seed": 7})
+    soft = load_scenario(
+        "gen2_straight", set={"robot.bending.stiffness_nm_per_rad": 0.22, "seed": 7}
+    )
     assert (soft.robot.bending.stiffness, soft.seed) == (0.22, 7)
     record = soft.document["robot"]["bending"]["stiffness_nm_per_rad"]
     assert (record["status"], record["unit"]) == ("estimated", "N*m/rad")
-    assert record["source"] == "set by set robot.bending.stiffness_nm_per_rad=0.22 over gen2"
+    assert (
+        record["source"]
+        == "set by set robot.bending.stiffness_nm_per_rad=0.22 over gen2"
+    )
     assert soft.robot.friction == robot().friction
 
 
 def test_a_resolved_scenario_can_be_changed_again():
     first = load_scenario("gen2_straight")
-    changed = parse_scenario(first.document, name="again", set={"robot.friction.mu_t": 0.1})
+    changed = parse_scenario(
+        first.document, name="again", set={"robot.friction.mu_t": 0.1}
+    )
     assert changed.robot.friction.mu_t == 0.1
     assert changed.document["robot"]["friction"]["mu_t"]["source"].startswith(
         "set by set robot.friction.mu_t"
@@ -51,18 +58,39 @@ def test_a_resolved_scenario_can_be_changed_again():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("controller.frequency=3", "controller.frequency: unknown key; did you mean frequency_hz?"),
+        (
+            "controller.frequency=3",
+            "controller.frequency: unknown key; did you mean frequency_hz?",
+        ),
         (
             "controler.frequency_hz=3",
-            "there is no field controler.frequency_hz; did you mean controller.frequency",
+            (
+                "there is no field controler.frequency_hz; did you mean"
+                " controller.frequency"
+            ),
         ),
         ("stiffness=0.2", "did you mean robot.bending.stiffness_nm_per_rad?"),
-        ("robot.stiffness_nm_per_rad=1", "did you mean robot.bending.stiffness_nm_per_rad?"),
-        ("bending.stiffness_nm_per_rad=1", "did you mean robot.bending.stiffness_nm_per_rad?"),
-        ("controller.frequency_hz=fast", "must be a number from 0.01 to 50, not text 'fast'"),
+        (
+            "robot.stiffness_nm_per_rad=1",
+            "did you mean robot.bending.stiffness_nm_per_rad?",
+        ),
+        (
+            "bending.stiffness_nm_per_rad=1",
+            "did you mean robot.bending.stiffness_nm_per_rad?",
+        ),
+        (
+            "controller.frequency_hz=fast",
+            "must be a number from 0.01 to 50, not text 'fast'",
+        ),
         ("controller.frequency_hz=", "must be a number from 0.01 to 50, not nothing"),
-        ("robot.bending.stiffness=1", "unknown key; did you mean stiffness_nm_per_rad?"),
-        ("robot.friction.mu_t=-1", "robot.friction.mu_t: must be a number from 0 to 10, not -1"),
+        (
+            "robot.bending.stiffness=1",
+            "unknown key; did you mean stiffness_nm_per_rad?",
+        ),
+        (
+            "robot.friction.mu_t=-1",
+            "robot.friction.mu_t: must be a number from 0 to 10, not -1",
+        ),
         ("robot=gen9", "unknown robot 'gen9'"),
         ("expect[40].near=1", "expect[40]: there are 7 entries, counted from 0"),
         ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
@@ -93,18 +121,28 @@ def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, sa
 )
 def test_a_shell_completes_commands_options_and_shipped_names(typed, offered):
     count = str(len(typed.split()) - 1)
-    more = {"_SRS_TWIN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": count}
+    more = {
+        "_SRS_TWIN_COMPLETE": "complete_bash",
+        "COMP_WORDS": typed,
+        "COMP_CWORD": count,
+    }
     words = [sys.executable, "-c", "from srs_twin.cli import main; main()"]
-    done = subprocess.run(words, env=os.environ | more, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        words, env=os.environ | more, capture_output=True, text=True, check=False
+    )
     assert set(done.stdout.split()) == offered, done.stderr
 
 
 def test_value_with_a_likely_unit_error_is_reported():
     def warned(value):
-        return load_scenario("gen2_straight", set={"robot.bending.stiffness_nm_per_rad": value}).warnings
+        return load_scenario(
+            "gen2_straight", set={"robot.bending.stiffness_nm_per_rad": value}
+        ).warnings
 
     path = "robot.bending.stiffness_nm_per_rad"
-    reason = "440 N*m/rad is 1000 times the 0.44 of gen2; 440 mN*m/rad would be 0.44 N*m/rad"
+    reason = (
+        "440 N*m/rad is 1000 times the 0.44 of gen2; 440 mN*m/rad would be 0.44 N*m/rad"
+    )
     assert warned(440.0) == (f"set {path}=440.0: {path}: {reason}",)
     assert warned(44.0) == ()
 
@@ -118,22 +156,45 @@ def test_a_change_of_a_list_and_of_a_new_block():
     document.report(("a", "b", 0), "wrong")
     with pytest.raises(InputError) as caught:
         document.raise_problems()
-    assert str(caught.value).splitlines() == ["second: c.d.e: wrong", "x.yaml:1:9: a.b[0]: wrong"]
+    assert str(caught.value).splitlines() == [
+        "second: c.d.e: wrong",
+        "x.yaml:1:9: a.b[0]: wrong",
+    ]
 
 
 def test_single_plant_has_no_expectations_of_the_other(srs_twin, tmp_path):
-    words = ["run", "gen2_straight", "--plants", "analytical", "--duration", "3", "--json", "--check"]
+    words = [
+        "run",
+        "gen2_straight",
+        "--plants",
+        "analytical",
+        "--duration",
+        "3",
+        "--json",
+        "--check",
+    ]
     done = srs_twin(*words, cwd=tmp_path)
     found = json.loads(done.stdout)
     assert done.returncode == 0
     assert list(found["plants"]) == ["analytical"]
     assert {each["of"] for each in found["expectations"]} == {"analytical"}
-    stored = json.loads((tmp_path / "runs/gen2_straight/metrics.json").read_text("utf-8"))
+    stored = json.loads(
+        (tmp_path / "runs/gen2_straight/metrics.json").read_text("utf-8")
+    )
     assert found == stored
 
 
 def test_json_of_several_runs_includes_errors(srs_twin, tmp_path):
-    words = ["run", "gen2_straight", "gen2_strait", "--duration", "0.5", "--plants", "analytical", "--json"]
+    words = [
+        "run",
+        "gen2_straight",
+        "gen2_strait",
+        "--duration",
+        "0.5",
+        "--plants",
+        "analytical",
+        "--json",
+    ]
     done = srs_twin(*words, cwd=tmp_path)
     first, second = json.loads(done.stdout)["runs"]
     assert done.returncode == 2
@@ -150,21 +211,41 @@ def test_every_metric_is_listed_with_unit_and_meaning(srs_twin, tmp_path):
     assert list(found) == ["scenarios", "robots", "sweeps", "controllers", "metrics"]
     units = {each["name"]: each["unit"] for each in found["metrics"]}
     assert units["com_speed_m_s"] == "m/s" and units["yaw_rate_abs"] == "rad/s"
-    assert {"name": "gen2_straight", "title": "Generation 2, straight, 2 Hz, 48.3 kPa"} in found["scenarios"]
-    assert {each["name"] for each in found["controllers"]} >= {"gait", "ilc", "follow", "replay"}
-    assert all(set(each) == {"name", "title"} and all(each.values()) for each in found["robots"])
+    assert {
+        "name": "gen2_straight",
+        "title": "Generation 2, straight, 2 Hz, 48.3 kPa",
+    } in found["scenarios"]
+    assert {each["name"] for each in found["controllers"]} >= {
+        "gait",
+        "ilc",
+        "follow",
+        "replay",
+    }
+    assert all(
+        set(each) == {"name", "title"} and all(each.values())
+        for each in found["robots"]
+    )
 
 
 def test_list_starts_with_six_scenarios_and_groups_all(srs_twin, tmp_path):
-    first, *rest = re.split(r"^Scenarios: .* \(\d+\)$", srs_twin("list", cwd=tmp_path).stdout, flags=re.M)
+    first, *rest = re.split(
+        r"^Scenarios: .* \(\d+\)$", srs_twin("list", cwd=tmp_path).stdout, flags=re.M
+    )
     names = shipped_names("scenario")
-    beginning = [line.split()[0] for line in first.splitlines() if re.match("  \\S", line)]
+    beginning = [
+        line.split()[0] for line in first.splitlines() if re.match("  \\S", line)
+    ]
     assert len(beginning) == 6 and set(beginning) <= set(names)
     groups = scenario_groups({"name": name} for name in names)
     assert "other" not in groups and len(groups) == len(rest) == 8
-    assert [len(group) for group in groups.values()] == [len(set(names) & set(text.split())) for text in rest]
+    assert [len(group) for group in groups.values()] == [
+        len(set(names) & set(text.split())) for text in rest
+    ]
     # At most one scenario per group to begin with; the studies are listed as well.
-    assert all(len({*beginning} & {row["name"] for row in group}) <= 1 for group in groups.values())
+    assert all(
+        len({*beginning} & {row["name"] for row in group}) <= 1
+        for group in groups.values()
+    )
     assert set(shipped_names("study")) <= set(rest[-1].split())
 
 
@@ -175,7 +256,8 @@ def test_show_prints_every_value_with_its_source(srs_twin, tmp_path, name):
     assert snake["friction"]["mu_t"]["source"]
     text = " ".join(srs_twin("show", name, cwd=tmp_path).stdout.split())
     assert (
-        f"friction.mu_t: {snake['friction']['mu_t']['value']}; {snake['friction']['mu_t']['status']}:" in text
+        f"friction.mu_t: {snake['friction']['mu_t']['value']};"
+        f" {snake['friction']['mu_t']['status']}:" in text
     )
 
 
@@ -190,35 +272,50 @@ def test_show_of_an_unknown_name_is_refused(srs_twin, tmp_path):
 def both(speeds, rates=(0.0, 0.0), **more):
     plants = {
         plant: {"com_speed_m_s": speed, "yaw_rate_rad_s": rate}
-        for plant, speed, rate in zip(("analytical", "twin"), speeds, rates, strict=True)
+        for plant, speed, rate in zip(
+            ("analytical", "twin"), speeds, rates, strict=True
+        )
     }
     return {"plants": plants, "comparison": {}} | more
 
 
-COMPLIANCE = "Compliance: the segments of the twin yield to loads, those of the model do not."
+COMPLIANCE = (
+    "Compliance: the segments of the twin yield to loads, those of the model do not."
+)
 CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
 
 
 @pytest.mark.parametrize(
     ("metrics", "said"),
     [
-        (both((0.2, 0.15)), "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s)."),
+        (
+            both((0.2, 0.15)),
+            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s).",
+        ),
         (both((0.2, 0.201)), "The twin crawls like the model (0.201 against 0.2 m/s)."),
         (both((0.2, -0.1)), "The twin crawls unlike the model (-0.1 against 0.2 m/s)."),
         (
             both((0.2, 0.15), cause=CAUSE),
-            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
-            f"it by 15 %, other effects by another 10 %). {COMPLIANCE}",
+            (
+                "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s;"
+                " compliance alone would slow it by 15 %, other effects by another 10"
+                f" %). {COMPLIANCE}"
+            ),
         ),
         (
             both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": -0.062}),
-            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
-            f"it by 31 %, other effects offset 6 %). {COMPLIANCE}",
+            (
+                "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s;"
+                " compliance alone would slow it by 31 %, other effects offset 6 %)."
+                f" {COMPLIANCE}"
+            ),
         ),
         (
             both((0.2, 0.15), cause=CAUSE | {"com_speed_m_s": -0.05}),
-            "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s; compliance alone would slow "
-            f"it by 25 %). {COMPLIANCE}",
+            (
+                "The twin crawls 25 % slower than the model (0.15 against 0.2 m/s;"
+                f" compliance alone would slow it by 25 %). {COMPLIANCE}"
+            ),
         ),
         # An assumption with the opposite effect is not a main cause.
         (
@@ -227,8 +324,10 @@ CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
         ),
         (
             both((0.2, 0.2), (1.0, 1.5)),
-            "The twin crawls like the model (0.2 against 0.2 m/s), and turns 50 % faster than the model "
-            "(1.5 against 1 rad/s).",
+            (
+                "The twin crawls like the model (0.2 against 0.2 m/s), and turns 50 %"
+                " faster than the model (1.5 against 1 rad/s)."
+            ),
         ),
     ],
 )
@@ -245,26 +344,49 @@ def test_headline_names_difference_and_main_cause(metrics, said):
     ],
 )
 def test_headline_states_the_range_over_plausible_segments(speeds, said):
-    metrics = both((0.2, 0.16), intervals={"segments": {"stiffness_and_damping": speeds}})
-    sentence = f"For plausible values of the stiffness and damping of its segments, it is {said}."
+    metrics = both(
+        (0.2, 0.16), intervals={"segments": {"stiffness_and_damping": speeds}}
+    )
+    sentence = (
+        "For plausible values of the stiffness and damping of its segments, it is"
+        f" {said}."
+    )
     assert sentence in headline(metrics)
 
 
 @pytest.mark.parametrize("averaged", [False, True])
 @pytest.mark.parametrize("twin", [0.05, 0.1234, 0.15, 0.196, 0.2049, 0.25, 0.31])
-@pytest.mark.parametrize("effect", [-1.7, -1.0, -0.5049, -0.26, 0.26, 0.505, 1.0, 1.004, 1.243, 2.5])
+@pytest.mark.parametrize(
+    "effect", [-1.7, -1.0, -0.5049, -0.26, 0.26, 0.505, 1.0, 1.004, 1.243, 2.5]
+)
 def test_percentages_of_the_headline_add_up(averaged, twin, effect):
     change = effect * (twin - 0.2)
     share = {"name": "compliance", "value": [change, 0.0]}
-    why = {"attribution": {"measures": ["com_speed_m_s", "yaw_rate_rad_s"], "shares": [share]}}
-    said = headline(both((0.2, twin), **why if averaged else {"cause": CAUSE | {"com_speed_m_s": change}}))
+    why = {
+        "attribution": {
+            "measures": ["com_speed_m_s", "yaw_rate_rad_s"],
+            "shares": [share],
+        }
+    }
+    said = headline(
+        both(
+            (0.2, twin),
+            **why if averaged else {"cause": CAUSE | {"com_speed_m_s": change}},
+        )
+    )
     whole, direction = re.search(r"(\d+) % (slower|faster)", said).groups()
     assert (direction == "slower") == (twin < 0.2)
     cause = re.search(r"compliance.* (?:slows?|speeds?) it(?: up)? by (\d+) %", said)
-    assert (cause is None) == (effect < 0), "a cause that acts the other way is not named"
+    assert (cause is None) == (effect < 0), (
+        "a cause that acts the other way is not named"
+    )
     if cause is not None:
         others = re.search(r"other effects (by another|offset) (\d+) %", said)
-        rest = 0 if others is None else int(others[2]) * (1 if others[1] == "by another" else -1)
+        rest = (
+            0
+            if others is None
+            else int(others[2]) * (1 if others[1] == "by another" else -1)
+        )
         assert int(cause[1]) + rest == int(whole)
         assert int(cause[1]) == pytest.approx(100 * abs(change / 0.2), abs=0.5001)
         assert ("alone would" in said) != averaged
@@ -272,33 +394,46 @@ def test_percentages_of_the_headline_add_up(averaged, twin, effect):
 
 def test_only_expectations_of_plants_are_published_values():
     row = {"metric": "com_speed_m_s", "of": "twin", "near": 0.2, "source": "Table 10"}
-    agreement = {"metric": "com_speed_rel", "of": "comparison", "near": 0, "source": "docs/agreement.md"}
+    agreement = {
+        "metric": "com_speed_rel",
+        "of": "comparison",
+        "near": 0,
+        "source": "docs/agreement.md",
+    }
     assert published([row, agreement]) == {"com_speed_m_s": (0.2, "Table 10")}
 
 
 def test_headline_tells_of_objects_and_of_a_body_that_passes_through_itself():
     speed = {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.0}
     said = headline({"plants": {"twin": speed | {"object_moved_m": 0.42}}})
-    assert said == "The twin crawls at 0.1 m/s, straight on; it moves an object by 0.42 m."
+    assert (
+        said == "The twin crawls at 0.1 m/s, straight on; it moves an object by 0.42 m."
+    )
     said = headline({"plants": {"twin": speed}, "body_overlap_m": {"twin": 0.0384}})
     assert "overlap by up to 38 mm (twin)" in said
 
 
 def test_headline_of_every_run_names_its_plants():
-    assert headline({"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.3}}}) == (
-        "The twin crawls at 0.1 m/s, turning by 0.3 rad/s."
+    assert (
+        headline({"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.3}}})
+        == "The twin crawls at 0.1 m/s, turning by 0.3 rad/s."
     )
     followed = {"goal_reached": 1, "cross_track_rms_m": 0.01}
     both_of = {"analytical": followed, "twin": followed | {"goal_reached": 0}}
-    assert headline({"plants": both_of, "comparison": None}) == (
-        "The twin does not reach its goal, 10 mm RMS from its path; the model reaches its goal, 10 mm RMS "
-        "from its path."
+    assert (
+        headline({"plants": both_of, "comparison": None})
+        == "The twin does not reach its goal, 10 mm RMS from its path; the model"
+        " reaches its goal, 10 mm RMS from its path."
     )
 
 
 @pytest.mark.parametrize(
     ("rate", "said"),
-    [(0.0499, "straight on"), (0.05, "turning by 0.05 rad/s"), (-0.05, "turning by -0.05 rad/s")],
+    [
+        (0.0499, "straight on"),
+        (0.05, "turning by 0.05 rad/s"),
+        (-0.05, "turning by -0.05 rad/s"),
+    ],
 )
 def test_a_run_turns_from_0_05_rad_per_s(rate, said):
     metrics = {"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": rate}}}
@@ -308,7 +443,12 @@ def test_a_run_turns_from_0_05_rad_per_s(rate, said):
 def test_a_scenario_is_compared_by_its_name():
     found = srs.compare("gen2_straight", set=SHORT)
     assert set(found.trajectories) == {"analytical", "twin"}
-    assert found.metrics == srs.compare(found.trajectories["analytical"], found.trajectories["twin"]).metrics
+    assert (
+        found.metrics
+        == srs.compare(
+            found.trajectories["analytical"], found.trajectories["twin"]
+        ).metrics
+    )
     page = found._repr_html_()
     assert "<table>" in page and "data:image/svg+xml" in page and str(found) in page
     for each in (found.trajectories["twin"], srs.compare(*found.trajectories.values())):

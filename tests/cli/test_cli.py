@@ -27,26 +27,54 @@ from srs_twin.experiment import RunResult
 from srs_twin.scenario.expectation import Expectation
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
-HEAVY = ("mujoco", "dm_control", "rerun", "numpy", "scipy", "matplotlib", "pyarrow", "pydantic", "numba")
+HEAVY = (
+    "mujoco",
+    "dm_control",
+    "rerun",
+    "numpy",
+    "scipy",
+    "matplotlib",
+    "pyarrow",
+    "pydantic",
+    "numba",
+)
 METRICS = {
     "plants": {
-        "analytical": {"com_speed_m_s": 0.25, "yaw_rate_rad_s": 0.001, "realtime_factor": 1234.5},
-        "twin": {"com_speed_m_s": 0.2, "yaw_rate_rad_s": -0.002, "realtime_factor": 12.3},
+        "analytical": {
+            "com_speed_m_s": 0.25,
+            "yaw_rate_rad_s": 0.001,
+            "realtime_factor": 1234.5,
+        },
+        "twin": {
+            "com_speed_m_s": 0.2,
+            "yaw_rate_rad_s": -0.002,
+            "realtime_factor": 12.3,
+        },
     },
     "comparison": {"com_speed_rel": -0.2, "shape_rms_m": 0.00321},
     "expectations": [
         {
-            "metric": "com_speed_m_s", "of": "twin", "near": 0.214, "value": 0.2,
-            "allowed": "0.1819 to 0.2461", "met": True, "source": "Table 10",
+            "metric": "com_speed_m_s",
+            "of": "twin",
+            "near": 0.214,
+            "value": 0.2,
+            "allowed": "0.1819 to 0.2461",
+            "met": True,
+            "source": "Table 10",
         },
         {
-            "metric": "com_speed_rel", "of": "comparison", "near": None, "value": -0.2,
-            "allowed": "-0.12 to 0.12", "met": False, "source": None,
+            "metric": "com_speed_rel",
+            "of": "comparison",
+            "near": None,
+            "value": -0.2,
+            "allowed": "-0.12 to 0.12",
+            "met": False,
+            "source": None,
         },
     ],
     "changes": [],
     "left_out": [],
-}  # fmt: skip
+}
 
 
 REASON = "the drag was never measured (docs/models.md)"
@@ -55,18 +83,35 @@ REASON = "the drag was never measured (docs/models.md)"
 def marked(*numbers):
     """Return metrics in which the expectations with these numbers are marked as known misses."""
     expectations = METRICS["expectations"]
-    known = [each | {"known": REASON if k in numbers else None} for k, each in enumerate(expectations)]
+    known = [
+        each | {"known": REASON if k in numbers else None}
+        for k, each in enumerate(expectations)
+    ]
     return {**METRICS, "expectations": known}
 
 
 MET = {**METRICS, "expectations": METRICS["expectations"][:1]}
-UNJUDGED = {"state": "not_judged", "reason": "the run is short", "value": None, "met": False}
-NOT_JUDGED = {**METRICS, "expectations": [each | UNJUDGED for each in marked(1)["expectations"]]}
+UNJUDGED = {
+    "state": "not_judged",
+    "reason": "the run is short",
+    "value": None,
+    "met": False,
+}
+NOT_JUDGED = {
+    **METRICS,
+    "expectations": [each | UNJUDGED for each in marked(1)["expectations"]],
+}
 GIVEN = {
-    "met": MET, "missed": METRICS, "known": marked(1), "holds": marked(0, 1), "not_judged": NOT_JUDGED,
-}  # fmt: skip
+    "met": MET,
+    "missed": METRICS,
+    "known": marked(1),
+    "holds": marked(0, 1),
+    "not_judged": NOT_JUDGED,
+}
 EXPECTED = (
-    Expectation(metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"),
+    Expectation(
+        metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"
+    ),
     Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.12),
 )
 
@@ -83,10 +128,14 @@ class Job:
     def execute(self, progress, main_cause=None):
         self.log.append(f"run {self.name}")
         if isinstance(self.outcome, DivergedError):
-            return RunResult(self.name, self.folder, {"twin": object()}, diverged=(self.outcome,))
+            return RunResult(
+                self.name, self.folder, {"twin": object()}, diverged=(self.outcome,)
+            )
         if isinstance(self.outcome, BaseException):
             raise self.outcome
-        return RunResult(self.name, self.folder, {"twin": object()}, GIVEN[self.outcome])
+        return RunResult(
+            self.name, self.folder, {"twin": object()}, GIVEN[self.outcome]
+        )
 
 
 def last_first(task, arguments, *, workers):
@@ -116,7 +165,9 @@ def start(monkeypatch, capsys, tmp_path):
                 raise endings[name]
             expect = EXPECTED[:1] if endings[name] == "met" else EXPECTED
             warned = (f"{name} is warned of",)
-            scenario = SimpleNamespace(name=name, label=name, expect=expect, warnings=warned)
+            scenario = SimpleNamespace(
+                name=name, label=name, expect=expect, warnings=warned
+            )
             scenario.run_on = lambda plants: scenario
             return scenario
 
@@ -124,27 +175,36 @@ def start(monkeypatch, capsys, tmp_path):
             return Job(scenario.name, folder, log, endings[scenario.name])
 
         monkeypatch.setattr("srs_twin.scenario.loading.load_scenario", load)
-        monkeypatch.setattr("srs_twin.experiment.check_run", lambda scenario, folder: None)
+        monkeypatch.setattr(
+            "srs_twin.experiment.check_run", lambda scenario, folder: None
+        )
         monkeypatch.setattr("srs_twin.experiment.prepare", prepare)
         monkeypatch.setattr("srs_twin.compute.workers.run_tasks", last_first)
         with pytest.raises(SystemExit) as left:
             main(list(words))
         said = capsys.readouterr()
-        return SimpleNamespace(code=left.value.code or 0, out=said.out, err=said.err, log=log)
+        return SimpleNamespace(
+            code=left.value.code or 0, out=said.out, err=said.err, log=log
+        )
 
     return run
 
 
 def test_command_line_imports_nothing_heavy():
-    code = f"import sys, srs_twin.cli.app as a; a.command(); print([m for m in {HEAVY} if m in sys.modules])"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+    code = (
+        f"import sys, srs_twin.cli.app as a; a.command(); print([m for m in {HEAVY} if"
+        " m in sys.modules])"
+    )
+    assert (
+        subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
+    )
 
 
 def test_exit_collects_no_garbage():
     """The collections at the end of the interpreter would take a quarter of the time of `compare`."""
     code = (
-        "import atexit, gc; atexit.register(lambda: print(gc.get_count()[0] < gc.get_freeze_count()))\n"
-        "from srs_twin.cli import main; main(['--version'])"
+        "import atexit, gc; atexit.register(lambda: print(gc.get_count()[0] <"
+        " gc.get_freeze_count()))\nfrom srs_twin.cli import main; main(['--version'])"
     )
     said = subprocess.check_output([sys.executable, "-c", code], text=True)
     assert said.splitlines()[1:] == ["True"]
@@ -167,7 +227,9 @@ def test_help_is_complete_and_not_truncated(start, monkeypatch, words):
     assert left.code == 0
     listed = left.out.partition("Commands:")[2]
     assert "..." not in listed
-    assert "......" not in left.out and "...}..." not in left.out and "[[" not in left.out
+    assert (
+        "......" not in left.out and "...}..." not in left.out and "[[" not in left.out
+    )
     # Types of Python are no words for a value.
     assert not re.findall(r"--[a-z-]+ +<", left.out)
     assert not re.findall(r"\[default: [^]]*\]\s+\[default", left.out)
@@ -231,19 +293,30 @@ def test_invalid_scenario_is_reported_first_and_does_not_stop_the_rest(start):
 @pytest.mark.parametrize("jobs", ["1", "2", "7"])
 def test_exit_code_is_the_highest_of_all_scenarios(start, jobs):
     diverged = DivergedError("twin", 1.5, "qpos is not finite", history=[1])
-    left = start("run", "a", "b", "c", "--check", "-j", jobs, a="missed", b=diverged, c="met")
+    left = start(
+        "run", "a", "b", "c", "--check", "-j", jobs, a="missed", b=diverged, c="met"
+    )
     assert left.code == 3
     assert "twin diverged at t = 1.5 s: qpos is not finite" in left.err
     assert {"run a", "run b", "run c"} <= set(left.log)
 
 
 def test_output_follows_the_order_of_the_scenarios(start):
-    endings = {name: "met" for name in "abcd"} | {"b": DivergedError("twin", 1.5, "b flew")}
-    one, many = (start("run", *"abcd", "--jobs", jobs, **endings) for jobs in ("1", "4"))
-    assert one.log == [*(f"load {name}" for name in "abcd"), *(f"run {name}" for name in "abcd")]
+    endings = {name: "met" for name in "abcd"} | {
+        "b": DivergedError("twin", 1.5, "b flew")
+    }
+    one, many = (
+        start("run", *"abcd", "--jobs", jobs, **endings) for jobs in ("1", "4")
+    )
+    assert one.log == [
+        *(f"load {name}" for name in "abcd"),
+        *(f"run {name}" for name in "abcd"),
+    ]
     assert many.log[4:] == one.log[:3:-1]
     assert (many.out, many.err) == (one.out, one.err)
-    assert [line.strip() for line in many.out.splitlines() if len(line.strip()) == 1] == ["a", "c", "d"]
+    assert [
+        line.strip() for line in many.out.splitlines() if len(line.strip()) == 1
+    ] == ["a", "c", "d"]
     assert [text for text in many.err.splitlines() if "warn" not in text] == [
         "files in runs/a; `srs-twin view runs/a` shows the run",
         "twin diverged at t = 1.5 s: b flew",
@@ -263,7 +336,10 @@ def test_output_follows_the_order_of_the_scenarios(start):
     ],
 )
 def test_unexpected_difference_needs_explanation(metric, met, more, asks):
-    assert needs_explanation({"expectations": [{"metric": metric, "met": met}], **more}) is asks
+    assert (
+        needs_explanation({"expectations": [{"metric": metric, "met": met}], **more})
+        is asks
+    )
 
 
 KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON}"
@@ -272,26 +348,47 @@ KNOWN = f"comparison com_speed_rel = -0.2, allowed -0.12 to 0.12; known: {REASON
 def test_known_misses_are_counted_separately(start):
     left = start("run", *"abc", "--check", a="missed", b="known", c="holds")
     assert left.code == 1
-    lines = [line for line in left.out.splitlines() if line.startswith(("met", "MISSED", "known", "HOLDS"))]
-    assert [line.split()[0] for line in lines] == ["met", "MISSED", "met", "known", "HOLDS", "known"]
-    summary = "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be missed"
+    lines = [
+        line
+        for line in left.out.splitlines()
+        if line.startswith(("met", "MISSED", "known", "HOLDS"))
+    ]
+    assert [line.split()[0] for line in lines] == [
+        "met",
+        "MISSED",
+        "met",
+        "known",
+        "HOLDS",
+        "known",
+    ]
+    summary = (
+        "expectations: 2 met, 1 missed, 2 known to be missed, 1 met though known to be"
+        " missed"
+    )
     assert f"{summary} (take `known` out)\n" in left.err
 
 
 def test_quiet_prints_failed_and_newly_met_expectations(start):
     left = start("run", *"ab", "--check", "-q", a="known", b="holds")
     assert (left.code, left.out) == (0, "")
-    holds = f"twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10); known: {REASON}"
+    holds = (
+        "twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10); known:"
+        f" {REASON}"
+    )
     assert left.err == f"HOLDS  {holds}\n"
     left = start("run", *"ab", "--strict", "-q", a="known", b="holds")
-    assert (left.code, left.err) == (1, f"known  {KNOWN}\nHOLDS  {holds}\nknown  {KNOWN}\n")
+    assert (left.code, left.err) == (
+        1,
+        f"known  {KNOWN}\nHOLDS  {holds}\nknown  {KNOWN}\n",
+    )
 
 
 def test_expectations_not_judged_are_counted_with_their_reason(start):
     left = start("run", *"ab", "--check", a="met", b="not_judged")
     assert left.code == 0 and "expectations: 1 met, 2 not judged\n" in left.err
     words = (
-        "not judged twin com_speed_m_s = none, allowed 0.1819 to 0.2461 (Table 10); reason: the run is short"
+        "not judged twin com_speed_m_s = none, allowed 0.1819 to 0.2461 (Table 10);"
+        " reason: the run is short"
     )
     assert words in " ".join(left.out.split())
     assert "to attribute the difference" not in left.err
@@ -302,11 +399,21 @@ def test_expectations_not_judged_are_counted_with_their_reason(start):
 
 
 def test_worker_death_and_internal_error_affect_only_their_scenario(start):
-    endings = {"a": "met", "b": MemoryError(), "c": RuntimeError("nobody foresaw this"), "d": "met"}
+    endings = {
+        "a": "met",
+        "b": MemoryError(),
+        "c": RuntimeError("nobody foresaw this"),
+        "d": "met",
+    }
     left = start("run", *"abcd", "--jobs", "2", **endings)
     assert left.code == 4
-    assert "b: the worker process was killed by SIGKILL, 3 times in a row; the machine ran out of" in left.err
-    assert "c: internal error: RuntimeError: nobody foresaw this (test_cli.py:" in left.err
+    assert (
+        "b: the worker process was killed by SIGKILL, 3 times in a row; the machine ran"
+        " out of" in left.err
+    )
+    assert (
+        "c: internal error: RuntimeError: nobody foresaw this (test_cli.py:" in left.err
+    )
     assert "files in runs/a;" in left.err
     assert "files in runs/d;" in left.err
 
@@ -318,7 +425,10 @@ def test_interrupt_names_complete_runs(start):
     assert "interrupted; complete runs: runs/a\n" in left.err
     assert "run c" not in left.log
     # c was finished, its table waited for those of a and b.
-    assert "interrupted; complete runs: runs/c\n" in start("run", "a", "b", "c", "-j", "2", **endings).err
+    assert (
+        "interrupted; complete runs: runs/c\n"
+        in start("run", "a", "b", "c", "-j", "2", **endings).err
+    )
 
 
 @pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
@@ -333,26 +443,50 @@ def test_an_impossible_number_of_jobs_is_a_usage_error(start, jobs):
 def test_junit_report_is_written_for_every_outcome(start, tmp_path, jobs):
     def outcomes():
         tests = ElementTree.parse(tmp_path / "r.xml").iter("testcase")
-        return [(t.get("classname"), t.get("name"), t[0].tag if len(t) else "passed") for t in tests]
+        return [
+            (t.get("classname"), t.get("name"), t[0].tag if len(t) else "passed")
+            for t in tests
+        ]
 
     words = ("run", "a", "bad", "c", "--junit", "r.xml", "--jobs", jobs)
     bad = InputError("bad.yaml:3:1: wrong")
     assert start(*words, a="met", bad=bad, c="missed").code == 2
     ran = outcomes()
     assert ran == [
-        ("a", "runs", "passed"), ("a", "twin com_speed_m_s", "passed"), ("bad", "runs", "error"),
-        ("c", "runs", "passed"), ("c", "twin com_speed_m_s", "passed"),
+        ("a", "runs", "passed"),
+        ("a", "twin com_speed_m_s", "passed"),
+        ("bad", "runs", "error"),
+        ("c", "runs", "passed"),
+        ("c", "twin com_speed_m_s", "passed"),
         ("c", "comparison com_speed_rel", "failure"),
-    ]  # fmt: skip
+    ]
     assert start(*words, "--check", "-q", a="met", bad=bad, c="missed").code == 2
     assert outcomes() == ran
-    assert start(*words, a=KeyboardInterrupt(), bad=bad, c=KeyboardInterrupt()).code == 130
-    assert [tag for *_, tag in outcomes()] == [*3 * ["skipped"], "error", *3 * ["skipped"]]
-    assert start(*words, a="met", bad=bad, c=DivergedError("twin", 1.5, "it flew")).code == 3
-    assert [tag for *_, tag in outcomes()] == ["passed", "passed", "error", "error", "skipped", "skipped"]
+    assert (
+        start(*words, a=KeyboardInterrupt(), bad=bad, c=KeyboardInterrupt()).code == 130
+    )
+    assert [tag for *_, tag in outcomes()] == [
+        *3 * ["skipped"],
+        "error",
+        *3 * ["skipped"],
+    ]
+    assert (
+        start(*words, a="met", bad=bad, c=DivergedError("twin", 1.5, "it flew")).code
+        == 3
+    )
+    assert [tag for *_, tag in outcomes()] == [
+        "passed",
+        "passed",
+        "error",
+        "error",
+        "skipped",
+        "skipped",
+    ]
 
 
-def test_a_report_that_cannot_be_written_is_refused_before_anything_is_read(start, tmp_path):
+def test_a_report_that_cannot_be_written_is_refused_before_anything_is_read(
+    start, tmp_path
+):
     (tmp_path / "folder.xml").mkdir()
     for where in ("folder.xml", "a.yaml"):
         left = start("run", "a", "--junit", where, a="met")
@@ -363,7 +497,11 @@ def test_unwritable_folder_is_reported_once(start, tmp_path):
     (tmp_path / "file").touch()
     left = start("run", "a", "b", "--out", "file/below", a="met", b="met")
     assert (left.code, left.log) == (2, ["load a", "load b"])
-    assert left.err == "file/below: cannot write there (Not a directory); give another folder with --out\n"
+    assert (
+        left.err
+        == "file/below: cannot write there (Not a directory); give another folder with"
+        " --out\n"
+    )
 
 
 def test_internal_error_is_one_line_with_contact(start, monkeypatch):
@@ -373,12 +511,17 @@ def test_internal_error_is_one_line_with_contact(start, monkeypatch):
     assert "internal error: RuntimeError: two lines (test_cli.py:" in lines[0]
     assert "report it with the command and your files" in lines[0]
     monkeypatch.setenv("SRS_TWIN_DEBUG", "1")
-    assert "Traceback (most recent call last)" in start("run", "a", a=RuntimeError("x")).err
+    assert (
+        "Traceback (most recent call last)"
+        in start("run", "a", a=RuntimeError("x")).err
+    )
 
 
 def test_several_runs_get_subfolders(start):
     assert "files in out;" in start("run", "a", "--out", "out", a="met").err
-    several = start("run", "a", "b", "--out", "out", "--jobs", "1", a="met", b="met").err
+    several = start(
+        "run", "a", "b", "--out", "out", "--jobs", "1", a="met", b="met"
+    ).err
     assert "files in out/a;" in several
     assert "files in out/b;" in several
     assert "files in runs/a;" in start("run", "a", a="met").err
@@ -389,7 +532,10 @@ def test_folder_argument_runs_all_its_files(start, tmp_path):
     for name in ("b.yaml", "a.yaml", "notes.txt"):
         (tmp_path / "set" / name).touch()
     left = start("run", "set", **{"set/a.yaml": "met", "set/b.yaml": "met"})
-    assert [each for each in left.log if each.startswith("load")] == ["load set/a.yaml", "load set/b.yaml"]
+    assert [each for each in left.log if each.startswith("load")] == [
+        "load set/a.yaml",
+        "load set/b.yaml",
+    ]
 
 
 def test_table_fits_80_columns_and_marks_missed_expectations(start, monkeypatch):
@@ -400,7 +546,10 @@ def test_table_fits_80_columns_and_marks_missed_expectations(start, monkeypatch)
     assert speed == ["CoM", "speed", "m/s", "0.25", "0.2", "-0.05", "-20.0", "0.214"]
     (yaw,) = (line.split() for line in left.out.splitlines() if "yaw rate " in line)
     assert yaw == ["yaw", "rate", "rad/s", "0.001", "-0.002", "-0.003"]
-    assert "met    twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10)" in left.out
+    assert (
+        "met    twin com_speed_m_s = 0.2, allowed 0.1819 to 0.2461 (Table 10)"
+        in left.out
+    )
     assert "MISSED comparison com_speed_rel = -0.2, allowed -0.12 to 0.12" in left.out
 
 
@@ -409,7 +558,9 @@ def test_quiet_leaves_stdout_and_stderr_empty(start):
     assert (left.code, left.out, left.err) == (0, "", "")
     missed = start("run", "a", "-q", "--check", a="missed")
     assert (missed.code, missed.out) == (1, "")
-    assert missed.err == "MISSED comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
+    assert (
+        missed.err == "MISSED comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
+    )
 
 
 def test_progress_starts_after_two_seconds(monkeypatch, capsys):
@@ -446,7 +597,10 @@ def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
     recording.touch()
     for given in ("a", "runs/a", "runs/a/recording.rrd"):
         assert find_recording(given).resolve() == recording
-    with pytest.raises(InputError, match=r"^b: no recording found \(looked for b/recording.rrd, runs/b/"):
+    with pytest.raises(
+        InputError,
+        match=r"^b: no recording found \(looked for b/recording.rrd, runs/b/",
+    ):
         find_recording("b")
     (tmp_path / "x.csv").touch()
     with pytest.raises(InputError, match=r"^x.csv: not a recording"):
@@ -468,13 +622,17 @@ def into_closed_pipe(words, folder, closed):
     reader, writer = os.pipe()
     os.close(reader)
     try:
-        streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | dict.fromkeys(closed, writer)
+        streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | dict.fromkeys(
+            closed, writer
+        )
         return subprocess.run([COMMAND, *words], cwd=folder, text=True, **streams)
     finally:
         os.close(writer)
 
 
-@pytest.mark.parametrize("words", first_by_default(2, ["schema", "models check gen2", "--help", "--version"]))
+@pytest.mark.parametrize(
+    "words", first_by_default(2, ["schema", "models check gen2", "--help", "--version"])
+)
 def test_closed_pipe_is_not_an_error(tmp_path, words):
     done = into_closed_pipe(words.split(), tmp_path, ["stdout"])
     assert (done.returncode, done.stderr) == (0, "")
@@ -482,12 +640,23 @@ def test_closed_pipe_is_not_an_error(tmp_path, words):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("last", "code", "closed"), [("1", 0, ["stdout"]), ("none", 2, ["stdout", "stderr"])]
+    ("last", "code", "closed"),
+    [("1", 0, ["stdout"]), ("none", 2, ["stdout", "stderr"])],
 )
 def test_closed_pipe_stops_output_but_not_the_runs(tmp_path, last, code, closed):
     for name, limit in (("a", "1"), ("b", "1"), ("c", last)):
         (tmp_path / f"{name}.yaml").write_text(BRIEF.replace("LIMIT", limit))
-    words = ("run", "./a.yaml", "./b.yaml", "./c.yaml", "--check", "--jobs", "2", "--junit", "r.xml")
+    words = (
+        "run",
+        "./a.yaml",
+        "./b.yaml",
+        "./c.yaml",
+        "--check",
+        "--jobs",
+        "2",
+        "--junit",
+        "r.xml",
+    )
     done = into_closed_pipe(words, tmp_path, closed)
     assert done.returncode == code
     assert "BrokenPipe" not in (done.stderr or "")
@@ -498,8 +667,17 @@ def test_closed_pipe_stops_output_but_not_the_runs(tmp_path, last, code, closed)
 
 @pytest.mark.parametrize(
     ("comparison", "shown"),
-    [(None, False), ({}, False), ({"gap_factor": 1.0}, False), ({"gap_factor": 0.9}, True)],
+    [
+        (None, False),
+        ({}, False),
+        ({"gap_factor": 1.0}, False),
+        ({"gap_factor": 0.9}, True),
+    ],
 )
 def test_gap_factor_has_a_row_only_if_it_is_used(comparison, shown):
-    metrics = {"plants": {"twin": {"com_speed_m_s": 0.1}}, "comparison": comparison, "expectations": []}
+    metrics = {
+        "plants": {"twin": {"com_speed_m_s": 0.1}},
+        "comparison": comparison,
+        "expectations": [],
+    }
     assert any("gap factor" in heading for heading, *_ in rows(metrics)) == shown

@@ -77,4 +77,8 @@ def test_a_terminal_shows_a_bar(clock, monkeypatch):
         for _ in range(4):
             clock.now += 3.0
             done(failed=False)
-    assert "grid" in terminal.getvalue() and "4/4" in terminal.getvalue() and "0.333/s" in terminal.getvalue()
+    assert (
+        "grid" in terminal.getvalue()
+        and "4/4" in terminal.getvalue()
+        and "0.333/s" in terminal.getvalue()
+    )

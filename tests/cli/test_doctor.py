@@ -53,28 +53,54 @@ def test_only_necessary_checks_fail():
 
 
 FAILURES = [
-    (checks.python_check("3.10.4", ">=3.11,<3.13"), "broken", "3.10.4", "uv venv --python 3.12"),
+    (
+        checks.python_check("3.10.4", ">=3.11,<3.13"),
+        "broken",
+        "3.10.4",
+        "uv venv --python 3.12",
+    ),
     (checks.python_check("3.13.0", ">=3.11,<3.13"), "broken", "3.13.0", ">=3.11,<3.13"),
-    (checks.packages_check([asked("numpy"), asked("mujoco", None, False)], checkout=True),
-     "missing", "mujoco is missing", "uv sync"),
-    (checks.packages_check([asked("mujoco", "4.0", False)], checkout=False),
-     "broken", "mujoco is 4.0, but mujoco>=1", "pip install 'mujoco>=1'"),
-    (checks.processors_check(8, 1.5), "missing", "limits the time to that of 1.5", "--jobs 2"),
+    (
+        checks.packages_check(
+            [asked("numpy"), asked("mujoco", None, False)], checkout=True
+        ),
+        "missing",
+        "mujoco is missing",
+        "uv sync",
+    ),
+    (
+        checks.packages_check([asked("mujoco", "4.0", False)], checkout=False),
+        "broken",
+        "mujoco is 4.0, but mujoco>=1",
+        "pip install 'mujoco>=1'",
+    ),
+    (
+        checks.processors_check(8, 1.5),
+        "missing",
+        "limits the time to that of 1.5",
+        "--jobs 2",
+    ),
     (checks.memory_check(300 << 20), "missing", "300 MB", "--jobs 1"),
     (checks.disk_check(Path("runs"), free=5 << 20), "missing", "5 MB", "--out"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("check", "status", "finding", "remedy"), FAILURES)
 def test_each_failure_has_its_remedy(check, status, finding, remedy):
-    assert (check.status, finding in check.detail, remedy in check.remedy) == (status, True, True), check
+    assert (check.status, finding in check.detail, remedy in check.remedy) == (
+        status,
+        True,
+        True,
+    ), check
 
 
 @pytest.mark.parametrize(
     "check",
     [
         checks.python_check("3.11.0", ">=3.11,<3.13"),
-        checks.packages_check([asked("numpy"), asked("ray", None, False, "ray")], checkout=True),
+        checks.packages_check(
+            [asked("numpy"), asked("ray", None, False, "ray")], checkout=True
+        ),
         checks.processors_check(4, 4.0),
         checks.processors_check(4, None),
         checks.memory_check(None),
@@ -94,17 +120,27 @@ def test_check_keeps_probe_result_and_adds_default_remedy():
     assert check_from("kernels", ProbeResult("broken", "torn")).remedy.startswith(
         "reinstall numba and llvmlite"
     )
-    assert check_from("kernels", ProbeResult("broken", "torn", "glue it")).remedy == "glue it"
+    assert (
+        check_from("kernels", ProbeResult("broken", "torn", "glue it")).remedy
+        == "glue it"
+    )
 
 
 def test_slow_probe_is_undecided():
     for code in (-signal.SIGALRM, -signal.SIGKILL):
         check = check_from("kernels", result_of_exit(code))
-        assert (check.status, check.necessary, "slow" in check.detail) == ("undecided", True, True)
+        assert (check.status, check.necessary, "slow" in check.detail) == (
+            "undecided",
+            True,
+            True,
+        )
         assert "run `srs-twin doctor` again" in check.remedy
         assert failed_checks([check]) == []
     crashed = check_from("kernels", result_of_exit(-signal.SIGILL))
-    assert (crashed.status, crashed.detail) == ("broken", "was killed by SIGILL") and failed_checks([crashed])
+    assert (crashed.status, crashed.detail) == (
+        "broken",
+        "was killed by SIGILL",
+    ) and failed_checks([crashed])
 
 
 def fault(probe):
@@ -116,17 +152,29 @@ def fault(probe):
 def test_missing_or_damaged_shipped_data_is_reported(monkeypatch, tmp_path):
     assert f"{len(shipped_names('scenario'))} scenarios" in probes.data()
     monkeypatch.setattr("srs_twin.io.files.data_root", lambda: tmp_path)
-    assert fault(probes.data)[:2] == ("missing", f"0 robots, 0 scenarios, 0 models in {tmp_path}")
+    assert fault(probes.data)[:2] == (
+        "missing",
+        f"0 robots, 0 scenarios, 0 models in {tmp_path}",
+    )
     assert fault(probes.models)[0] == "missing"
     for folder in ("calibration/robots", "scenarios"):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "gen9.yaml").write_text("name: [torn")
     status, words, _ = fault(probes.data)
-    assert status == "broken" and "model gen9: " in words and "robot gen9: " in words and "not YAML" in words
+    assert (
+        status == "broken"
+        and "model gen9: " in words
+        and "robot gen9: " in words
+        and "not YAML" in words
+    )
     (tmp_path / "models/gen9").mkdir(parents=True)
     (tmp_path / "models/gen9/scene.xml").write_text("<mujoco><worldbody>")
     status, words, remedy = fault(probes.models)
-    assert status == "broken" and "gen9: does not compile" in words and "srs-twin models check" in remedy
+    assert (
+        status == "broken"
+        and "gen9: does not compile" in words
+        and "srs-twin models check" in remedy
+    )
 
 
 def test_wrong_machine_code_is_broken(monkeypatch):
@@ -140,7 +188,10 @@ def test_wrong_machine_code_is_broken(monkeypatch):
 
     assert "machine code" in probes.kernels()
     monkeypatch.setattr(flow, "flow", Wrong())
-    assert fault(probes.kernels)[:2] == ("broken", "numba's machine code and Python give different results")
+    assert fault(probes.kernels)[:2] == (
+        "broken",
+        "numba's machine code and Python give different results",
+    )
 
 
 def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path):
@@ -152,12 +203,21 @@ def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path
         "print(probes.kernels())\n"
     )
     done = subprocess.run(
-        [sys.executable, "-c", broken], capture_output=True, text=True, check=True, cwd=tmp_path
+        [sys.executable, "-c", broken],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
     )
-    assert "works, but is compiled again at every start; export NUMBA_CACHE_DIR=" in done.stdout
+    assert (
+        "works, but is compiled again at every start; export NUMBA_CACHE_DIR="
+        in done.stdout
+    )
 
 
-@pytest.mark.parametrize(("name", "packages"), [("egl", "libegl1"), ("osmesa", "libosmesa6")])
+@pytest.mark.parametrize(
+    ("name", "packages"), [("egl", "libegl1"), ("osmesa", "libosmesa6")]
+)
 def test_missing_opengl_library_names_its_packages(monkeypatch, name, packages):
     monkeypatch.setattr(probes.ctypes.util, "find_library", lambda library: None)
     status, words, remedy = fault(probes.PROBES[name])
@@ -171,15 +231,28 @@ def test_glfw_failure_reports_its_warning(monkeypatch):
         raise RuntimeError("no context")
 
     monkeypatch.setattr("srs_twin.viewing.mujoco.opengl.draw_box", draw_box)
-    assert fault(probes.PROBES["glfw"])[:2] == ("broken", "X11: Failed to open display :7")
+    assert fault(probes.PROBES["glfw"])[:2] == (
+        "broken",
+        "X11: Failed to open display :7",
+    )
 
 
 def test_failing_viewers_are_reported(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    script = "import sys; sys.exit(\"thread panicked at 'Failed to get render context'\")"
-    monkeypatch.setattr(probes, "_rerun_command", lambda: [sys.executable, "-c", script])
-    assert fault(probes.headless_viewer)[:2] == ("missing", "cannot draw (Failed to get render context)")
-    assert fault(probes.web_viewer)[:2] == ("broken", "its page was not served on 127.0.0.1")
+    script = (
+        "import sys; sys.exit(\"thread panicked at 'Failed to get render context'\")"
+    )
+    monkeypatch.setattr(
+        probes, "_rerun_command", lambda: [sys.executable, "-c", script]
+    )
+    assert fault(probes.headless_viewer)[:2] == (
+        "missing",
+        "cannot draw (Failed to get render context)",
+    )
+    assert fault(probes.web_viewer)[:2] == (
+        "broken",
+        "its page was not served on 127.0.0.1",
+    )
     assert "mesa-vulkan-drivers" in REMEDIES[VIEWERS]["without a screen"]
     assert "report.html" in REMEDIES[VIEWERS]["in a browser"]
 
@@ -197,21 +270,27 @@ def test_results_that_follow_from_the_environment(monkeypatch):
     assert examination.known_results({}, "darwin").keys() == {"rerun", "egl", "osmesa"}
     monkeypatch.setattr(sys, "executable", "/nowhere/python")
     gone = examination.known_results({}, "linux")
-    assert {gone[name].status for name in ("rerun", "in a window", "without a screen", "in a browser")} == {
-        "missing"
-    }
+    assert {
+        gone[name].status
+        for name in ("rerun", "in a window", "without a screen", "in a browser")
+    } == {"missing"}
 
 
 def test_requirements_are_compared_with_what_is_installed():
     given = [
-        "numpy>=2.0", "mujoco>=999", "no-such-thing>=1", "pytest>=1; extra == 'more'",
+        "numpy>=2.0",
+        "mujoco>=999",
+        "no-such-thing>=1",
+        "pytest>=1; extra == 'more'",
         "win-only; sys_platform == 'nowhere'",
-    ]  # fmt: skip
+    ]
     found = {each.name: each for each in checks.required_packages(given)}
     assert list(found) == ["numpy", "mujoco", "no-such-thing", "pytest"]
     assert [bool(each.fault) for each in found.values()] == [False, True, True, False]
     assert found["pytest"].extra == "more"
-    some = checks.required_packages(["numpy", "mujoco-warp>=1", "no-such-thing", "ray; extra == 'ray'"])
+    some = checks.required_packages(
+        ["numpy", "mujoco-warp>=1", "no-such-thing", "ray; extra == 'ray'"]
+    )
     assert checks.modules(some) == ["numpy", "mujoco_warp"]
 
 
@@ -232,7 +311,9 @@ def test_every_extra_has_a_purpose():
 
 
 def test_container_limits_apply(tmp_path):
-    (tmp_path / "meminfo").write_text("MemTotal: 9000000 kB\nMemAvailable:  4000000 kB\n")
+    (tmp_path / "meminfo").write_text(
+        "MemTotal: 9000000 kB\nMemAvailable:  4000000 kB\n"
+    )
     assert free_memory(tmp_path, tmp_path / "meminfo") == 4_096_000_000
     (tmp_path / "cpu.max").write_text("150000 100000\n")
     (tmp_path / "memory.max").write_text(f"{1 << 30}\n")
@@ -298,15 +379,21 @@ def test_results_of_child_processes(monkeypatch):
     assert answers["imports"] == ProbeResult("ok", "every package imports")
     assert answers["talks"] == ProbeResult("ok", "well")
     assert answers["dies"] == ProbeResult("broken", "was killed by SIGTERM")
-    assert answers["fails"] == ProbeResult("broken", "OSError: libgomp.so.1: cannot be opened")
+    assert answers["fails"] == ProbeResult(
+        "broken", "OSError: libgomp.so.1: cannot be opened"
+    )
     assert answers["leaves"] == ProbeResult("broken", "ended with exit code 1")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks processes up in /proc")
+@pytest.mark.skipif(
+    not Path("/proc/self/stat").exists(), reason="looks processes up in /proc"
+)
 def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
     place = tmp_path / "pid"
-    monkeypatch.setattr(probes, "PROBES", {"sleeps": lambda: sleeps(place), "talks": talks})
+    monkeypatch.setattr(
+        probes, "PROBES", {"sleeps": lambda: sleeps(place), "talks": talks}
+    )
     answers = run_probes([], ["sleeps", "talks"], time_limit_s=3.0)
     assert (answers["sleeps"].status, answers["talks"].status) == ("undecided", "ok")
     assert "slow" in answers["sleeps"].detail
@@ -323,7 +410,11 @@ def test_a_slow_probe_is_undecided_and_costs_no_other(monkeypatch, tmp_path):
             "broken",
             "hardly: was killed by SIGTERM",
         ),
-        ("raise ImportError('libopenblas.so.0')", "broken", "hardly: ImportError: libopenblas.so.0"),
+        (
+            "raise ImportError('libopenblas.so.0')",
+            "broken",
+            "hardly: ImportError: libopenblas.so.0",
+        ),
     ],
 )
 def test_a_package_that_does_not_import(monkeypatch, tmp_path, source, status, detail):
@@ -345,7 +436,10 @@ def test_slow_machine_passes(monkeypatch, tmp_path, capsys):
         main(["doctor", "--json"])
     assert left.value.code == 0
     works, checks = by_name(capsys.readouterr().out)
-    assert works and checks["MuJoCo"]["status"] == checks["kernels"]["status"] == "undecided"
+    assert (
+        works
+        and checks["MuJoCo"]["status"] == checks["kernels"]["status"] == "undecided"
+    )
     assert not any(check["status"] == "broken" for check in checks.values())
 
 
@@ -365,19 +459,29 @@ def by_name(text):
 def test_command_on_this_machine(srs_twin_process, tmp_path):
     run_probes([], ["kernels"])  # numba has compiled once
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = srs_twin_process("doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path)
+    done = srs_twin_process(
+        "doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path
+    )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
     works, checks = by_name(done.stdout)
     assert (done.returncode, works, done.stderr) == (0, True, "")
     keys = {"topic", "name", "status", "detail", "remedy", "necessary"}
     for name, check in checks.items():
-        assert check.keys() == keys and check["status"] in ("ok", "missing", "broken", "undecided"), name
+        assert check.keys() == keys and check["status"] in (
+            "ok",
+            "missing",
+            "broken",
+            "undecided",
+        ), name
         assert (check["status"] == "ok") == (check["remedy"] == ""), name
         assert check["status"] in ("ok", "undecided") or not check["necessary"], name
     robots, scenarios = (len(shipped_names(kind)) for kind in ("robot", "scenario"))
     models = sum(load_robot(name).skin is None for name in shipped_names("robot"))
-    assert f"{robots} robots, {scenarios} scenarios, {models} models" in checks["shipped data"]["detail"]
+    assert (
+        f"{robots} robots, {scenarios} scenarios, {models} models"
+        in checks["shipped data"]["detail"]
+    )
     assert {"egl", "osmesa", "glfw", "rerun", "in a browser"} <= checks.keys()
     assert not any(tmp_path.iterdir())
 
@@ -386,23 +490,39 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     """Packages that break at import, and no place for results: all of it is said, and nothing crashes."""
     shadow = tmp_path / "shadow"
     shadow.mkdir()
-    (shadow / "numpy.py").write_text("raise ImportError('libopenblas.so.0: cannot open shared object file')")
+    (shadow / "numpy.py").write_text(
+        "raise ImportError('libopenblas.so.0: cannot open shared object file')"
+    )
     (tmp_path / "runs").write_text("a file")
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
-    assert done.stderr.startswith("runs would fail: imports, ") and "results" in done.stderr
-    assert "libopenblas.so.0" in done.stdout and "Traceback" not in done.stdout + done.stderr
+    assert (
+        done.stderr.startswith("runs would fail: imports, ")
+        and "results" in done.stderr
+    )
+    assert (
+        "libopenblas.so.0" in done.stdout
+        and "Traceback" not in done.stdout + done.stderr
+    )
     lines = done.stdout.splitlines()
-    bad = [i for i, line in enumerate(lines) if line.startswith(("  missing", "  broken"))]
+    bad = [
+        i for i, line in enumerate(lines) if line.startswith(("  missing", "  broken"))
+    ]
     assert len(bad) >= 4 and all(lines[i + 1].strip().startswith("→ ") for i in bad)
 
 
 def test_web_viewer_probe_ends_its_server_if_interrupts_are_ignored(tmp_path):
     with on_interrupt(signal.SIG_IGN):
         done = subprocess.run(
-            [sys.executable, "-c", "from srs_twin.cli.doctor import probes; print(probes.web_viewer())"],
-            cwd=tmp_path, capture_output=True, text=True,
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-c",
+                "from srs_twin.cli.doctor import probes; print(probes.web_viewer())",
+            ],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout == "`srs-twin view RUN --web` serves it\n"
 
@@ -412,9 +532,13 @@ def test_web_viewer_probe_ends_its_server_if_interrupts_are_ignored(tmp_path):
 def test_an_interrupt_ends_the_children(tmp_path):
     script = Path(sys.executable).with_name("srs-twin")
     process = subprocess.Popen(
-        [str(script), "doctor"], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "TMPDIR": str(tmp_path)}, start_new_session=True,
-    )  # fmt: skip
+        [str(script), "doctor"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "TMPDIR": str(tmp_path)},
+        start_new_session=True,
+    )
     while process.poll() is None and not any(tmp_path.glob("srs-twin-doctor-*")):
         time.sleep(0.02)
     time.sleep(0.3)

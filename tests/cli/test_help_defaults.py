@@ -1,7 +1,7 @@
 """Defaults that the help states, compared with what the commands do without the option.
 
-Typer prints the defaults of signatures itself. Hand-written ones have the form `[default: …]`; each is
-checked here, or is a phrase that names no value.
+Typer prints the defaults of signatures itself. Hand-written ones have the form
+`[default: …]`; each is checked here, or is a phrase that names no value.
 """
 
 from __future__ import annotations
@@ -17,34 +17,72 @@ from srs_twin.cli.app import command
 from srs_twin.errors import InputError
 
 EXAMPLES = Path(__file__).parents[2] / "calibration/examples/my_snake"
-# Command → a way to start it, and the words that take the place of the capitals in the stated folder or file.
+# Command → a way to start it, and the words that take the place of the capitals in the
+# stated folder or file.
 PLACES = {
     "run": ("run gen2_straight", {"SCENARIO": "gen2_straight"}),
     "compare": ("compare gen2_straight", {"SCENARIO": "gen2_straight"}),
     "plan": ("plan follow_fig57", {"SCENARIO": "follow_fig57"}),
-    "replay": (f"replay {EXAMPLES}/walk_left.csv --robot gen2", {"MOTION": "walk_left"}),
+    "replay": (
+        f"replay {EXAMPLES}/walk_left.csv --robot gen2",
+        {"MOTION": "walk_left"},
+    ),
     "sweep": ("sweep fig31_coarse --workers 1", {"SWEEP": "fig31_coarse"}),
     "optimize": ("optimize gen2_speed --workers 1", {"STUDY": "gen2_speed"}),
-    "uncertainty": ("uncertainty gen2_straight --samples 16 --workers 1", {"SCENARIO": "gen2_straight"}),
-    "calibrate friction": (f"calibrate friction {EXAMPLES}/pulls.csv -r gen2", {"NAME": "gen2_friction"}),
-    "calibrate damping": (f"calibrate damping {EXAMPLES}/release.csv -r gen2", {"NAME": "gen2_damping"}),
-    "calibrate actuator": (f"calibrate actuator {EXAMPLES}/steps.csv -r gen2", {"NAME": "gen2_actuator"}),
+    "uncertainty": (
+        "uncertainty gen2_straight --samples 16 --workers 1",
+        {"SCENARIO": "gen2_straight"},
+    ),
+    "calibrate friction": (
+        f"calibrate friction {EXAMPLES}/pulls.csv -r gen2",
+        {"NAME": "gen2_friction"},
+    ),
+    "calibrate damping": (
+        f"calibrate damping {EXAMPLES}/release.csv -r gen2",
+        {"NAME": "gen2_damping"},
+    ),
+    "calibrate actuator": (
+        f"calibrate actuator {EXAMPLES}/steps.csv -r gen2",
+        {"NAME": "gen2_actuator"},
+    ),
     "calibrate locomotion": (
-        f"calibrate locomotion {EXAMPLES}/walk_left.csv -r gen2", {"NAME": "gen2_locomotion"},
+        f"calibrate locomotion {EXAMPLES}/walk_left.csv -r gen2",
+        {"NAME": "gen2_locomotion"},
     ),
     "calibrate robot": ("calibrate robot fit.yaml --name mine", {"NAME": "mine"}),
-}  # fmt: skip
+}
 PHRASES = {
-    "all but metrics", "start of the run", "end of the run",
-    "one per processor", "those of the scenario", "the scenario's", "the sweep's",
-    "the twin's", "NAME.valves.csv in the same folder", "detected", "the robot's", "estimated",
+    "all but metrics",
+    "start of the run",
+    "end of the run",
+    "one per processor",
+    "those of the scenario",
+    "the scenario's",
+    "the sweep's",
+    "the twin's",
+    "NAME.valves.csv in the same folder",
+    "detected",
+    "the robot's",
+    "estimated",
     "that of the valve pattern",
     "the end in the direction of motion",
-    "free", "none", "no motion capture", "run until Ctrl-C", "this machine's",
-    "the run's folder", "ROBOT_WHAT", "ROBOT_CONTROLLER", "3; 1 with the twin's shapes", "local",
-    "orifice; spatial robots: lag", "generation 2", "scaled from generation 2", "NAME.yaml, NAME.py",
-    "all in MCAP, else the twin", "RUN/twin.csv, RUN/run.mcap",
-}  # fmt: skip
+    "free",
+    "none",
+    "no motion capture",
+    "run until Ctrl-C",
+    "this machine's",
+    "the run's folder",
+    "ROBOT_WHAT",
+    "ROBOT_CONTROLLER",
+    "3; 1 with the twin's shapes",
+    "local",
+    "orifice; spatial robots: lag",
+    "generation 2",
+    "scaled from generation 2",
+    "NAME.yaml, NAME.py",
+    "all in MCAP, else the twin",
+    "RUN/twin.csv, RUN/run.mcap",
+}
 
 
 def stated() -> Iterator[tuple[str, str, str]]:
@@ -54,7 +92,9 @@ def stated() -> Iterator[tuple[str, str, str]]:
         for name, other in getattr(one, "commands", {}).items():
             yield from below(other, (*words, name))
         for parameter in one.params:
-            for text in re.findall(r"\[default: (.*?)\]", getattr(parameter, "help", None) or ""):
+            for text in re.findall(
+                r"\[default: (.*?)\]", getattr(parameter, "help", None) or ""
+            ):
                 yield " ".join(words), parameter.name, text
 
     return below(command(), ())
@@ -71,20 +111,37 @@ def values() -> dict[tuple[str, str], str]:
     from srs_twin.robot.file import load_robot
 
     spec = load_robot("gen2")
-    most = {name: max(GaitSetup(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")}
-    gap, fitted = f"{RecordingReader().longest_gap_s:g}", _plant_settings("analytical", None, None)
+    most = {
+        name: max(GaitSetup(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")
+    }
+    gap, fitted = (
+        f"{RecordingReader().longest_gap_s:g}",
+        _plant_settings("analytical", None, None),
+    )
     return {
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
         ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),
         ("new robot", "bend"): f"{_BEND_RAD:g}; joints {_SERVO_BEND_RAD:g}",
-        ("replay", "law"): _plants(["analytical"], "complete", None, False)["analytical"]["friction"],
+        ("replay", "law"): _plants(["analytical"], "complete", None, False)[
+            "analytical"
+        ]["friction"],
         ("calibrate locomotion", "law"): fitted["friction"],
         ("calibrate locomotion", "model"): fitted["model"],
-        ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(**FREQUENCY_HZ),
-        ("calibrate footprint", "offsets"): "-{gait:g} to {gait:g}; ilc: -{ilc:g} to {ilc:g}".format(**most),
+        ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(
+            **FREQUENCY_HZ
+        ),
+        (
+            "calibrate footprint",
+            "offsets",
+        ): "-{gait:g} to {gait:g}; ilc: -{ilc:g} to {ilc:g}".format(**most),
         **{
             (name, "longest_gap"): gap
-            for name in ("replay", "calibrate friction", "calibrate actuator", "calibrate locomotion")
+            for name in (
+                "replay",
+                "calibrate friction",
+                "calibrate actuator",
+                "calibrate locomotion",
+            )
         },
     }
 
@@ -101,9 +158,12 @@ LIVE = {
 def test_documented_defaults_are_checked():
     checked = {*values(), *LIVE}
     rest = {
-        each for each in stated()
-        if each[:2] not in checked and each[2] not in PHRASES and not (each[1] == "out" and each[0] in PLACES)
-    }  # fmt: skip
+        each
+        for each in stated()
+        if each[:2] not in checked
+        and each[2] not in PHRASES
+        and not (each[1] == "out" and each[0] in PLACES)
+    }
     assert rest == set()
 
 
@@ -115,7 +175,9 @@ def test_documented_defaults_equal_those_of_the_commands():
 @pytest.mark.parametrize("name", PLACES)
 def test_default_output_is_the_documented_one(name, srs_twin, tmp_path):
     """A file blocks the stated folder: the command must report it before it runs anything."""
-    (template,) = (text for of, parameter, text in stated() if (of, parameter) == (name, "out"))
+    (template,) = (
+        text for of, parameter, text in stated() if (of, parameter) == (name, "out")
+    )
     words, meant = PLACES[name]
     place = Path(re.sub("[A-Z]{2,}", lambda found: meant[found[0]], template))
     (tmp_path / place).parent.mkdir(parents=True)
@@ -123,11 +185,17 @@ def test_default_output_is_the_documented_one(name, srs_twin, tmp_path):
     done = srs_twin(*words.split(), cwd=tmp_path)
     assert done.returncode == 2
     assert str(place) in done.stderr
-    assert [each for each in tmp_path.rglob("*") if each.is_file()] == [tmp_path / place]
+    assert [each for each in tmp_path.rglob("*") if each.is_file()] == [
+        tmp_path / place
+    ]
 
 
-@pytest.mark.parametrize(("words", "address"), [("shadow gen2", "127.0.0.1:1883"), ("emulate gen2", None)])
-def test_live_command_uses_documented_name_and_broker(words, address, srs_twin, tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("words", "address"), [("shadow gen2", "127.0.0.1:1883"), ("emulate gen2", None)]
+)
+def test_live_command_uses_documented_name_and_broker(
+    words, address, srs_twin, tmp_path, monkeypatch
+):
     from srs_twin.live import session
 
     asked: list[tuple[Any, ...]] = []
@@ -140,7 +208,7 @@ def test_live_command_uses_documented_name_and_broker(words, address, srs_twin, 
     monkeypatch.setattr(f"srs_twin.live.{name}_command.broker_link", refuse)
     monkeypatch.setattr(session, "warm_up", lambda spec: None)
     assert srs_twin(*words.split(), cwd=tmp_path).returncode == 2
-    (robot, _, broker, *_) = asked[0]
+    robot, _, broker, *_ = asked[0]
     texts = {each[:2]: each[2] for each in stated()}
     assert robot == texts[name, "name"].replace("ROBOT", "gen2")
     if address is not None:
@@ -151,5 +219,7 @@ def test_rigid_bodies_are_connectors_by_default():
     from srs_twin.live.shadow import Shadow
     from srs_twin.robot.file import load_robot
 
-    first, number = {each[:2]: each[2] for each in stated()}["shadow", "body"].split()[0].split("=")
+    first, number = (
+        {each[:2]: each[2] for each in stated()}["shadow", "body"].split()[0].split("=")
+    )
     assert Shadow(load_robot("gen2"), members=2)._frames[first] == int(number)

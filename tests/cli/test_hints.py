@@ -25,10 +25,18 @@ def texts(path):
     """Yield the texts of a module that are not docstrings."""
     tree = ast.parse(path.read_text("utf-8"))
     docstrings = {node.value for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-    parts = {part for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
+    parts = {
+        part
+        for node in ast.walk(tree)
+        if isinstance(node, ast.JoinedStr)
+        for part in node.values
+    }
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
-            values = [part.value if isinstance(part, ast.Constant) else "X" for part in node.values]
+            values = [
+                part.value if isinstance(part, ast.Constant) else "X"
+                for part in node.values
+            ]
             yield "".join(map(str, values))
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             if node not in docstrings and node not in parts:
@@ -43,15 +51,23 @@ def texts(path):
         ({"UV": "/bin/uv"}, ""),
     ],
 )
-def test_hints_begin_as_the_command_was_started(srs_twin, tmp_path, monkeypatch, variables, launcher):
+def test_hints_begin_as_the_command_was_started(
+    srs_twin, tmp_path, monkeypatch, variables, launcher
+):
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
     unknown = srs_twin("sweep", "nothing", cwd=tmp_path)
     assert f"; `{launcher}srs-twin list sweeps` lists them" in unknown.stderr
     assert f"Try '{launcher}srs-twin -h'" in srs_twin("nothing", cwd=tmp_path).stderr
-    assert f"\n`{launcher}srs-twin list metrics` lists" in srs_twin("list", cwd=tmp_path).stdout
+    assert (
+        f"\n`{launcher}srs-twin list metrics` lists"
+        in srs_twin("list", cwd=tmp_path).stdout
+    )
     new = srs_twin("new", "robot", "worm", cwd=tmp_path)
-    assert new.stdout == f"next: {launcher}srs-twin new scenario worm_straight --robot worm.yaml\n"
+    assert (
+        new.stdout
+        == f"next: {launcher}srs-twin new scenario worm_straight --robot worm.yaml\n"
+    )
 
 
 def test_uvx_is_recognised_by_its_environment(monkeypatch):
@@ -88,7 +104,9 @@ def test_pages_in_messages_are_in_the_wheel(tmp_path):
     uv = shutil.which("uv")
     if uv is None:
         pytest.skip("builds with uv")
-    subprocess.run([uv, "build", "--quiet", "--wheel", "--out-dir", tmp_path, ROOT], check=True)
+    subprocess.run(
+        [uv, "build", "--quiet", "--wheel", "--out-dir", tmp_path, ROOT], check=True
+    )
     (wheel,) = tmp_path.glob("*.whl")
     names = set(zipfile.ZipFile(wheel).namelist())
     templates = (ROOT / "srs_twin/cli/templates").iterdir()
@@ -102,7 +120,11 @@ def test_pages_in_messages_are_in_the_wheel(tmp_path):
     named.discard("docs/NAME.md")
     assert len(named) > 15
     assert {page for page in named if f"srs_twin/_data/{page}" not in names} == set()
-    assert not [name for name in names if name.startswith("srs_twin/_data/docs") and not name.endswith(".md")]
+    assert not [
+        name
+        for name in names
+        if name.startswith("srs_twin/_data/docs") and not name.endswith(".md")
+    ]
 
 
 def test_a_wheel_prints_its_pages(srs_twin, tmp_path, monkeypatch):
@@ -134,12 +156,19 @@ def test_export_takes_the_file_as_users_type_it(srs_twin, tmp_path, shipped_run,
     run = str(shipped_run("gen2_straight"))
     done = srs_twin("export", *words.replace("RUN", run).split(), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert {path.name for path in tmp_path.iterdir()} == {"a.mcap", "a.map.yaml", "a.foxglove.json"}
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "a.mcap",
+        "a.map.yaml",
+        "a.foxglove.json",
+    }
 
 
 def test_inspect_reads_the_map_beside_an_export(srs_twin, tmp_path, shipped_run):
     run = str(shipped_run("gen2_straight"))
-    assert srs_twin("export", run, "a.mcap", "--plant", "twin", cwd=tmp_path).returncode == 0
+    assert (
+        srs_twin("export", run, "a.mcap", "--plant", "twin", cwd=tmp_path).returncode
+        == 0
+    )
     done = srs_twin("inspect", "a.mcap", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == "read with a.map.yaml\n"
@@ -147,6 +176,15 @@ def test_inspect_reads_the_map_beside_an_export(srs_twin, tmp_path, shipped_run)
 
 
 def test_compare_writes_a_junit_report(srs_twin, tmp_path):
-    words = ("gen2_straight", "--duration", "1", "--set", "plants.twin.preset=fast", "-q", "--junit", "r.xml")
+    words = (
+        "gen2_straight",
+        "--duration",
+        "1",
+        "--set",
+        "plants.twin.preset=fast",
+        "-q",
+        "--junit",
+        "r.xml",
+    )
     assert srs_twin("compare", *words, cwd=tmp_path).returncode == 0
     assert "<testsuite" in (tmp_path / "r.xml").read_text("utf-8")

@@ -39,11 +39,16 @@ expect:
   - {metric: path_length_m, plant: analytical, above: 100, source: "<&> nobody"}
 """
 EXPECT = (
-    Expectation(metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"),
+    Expectation(
+        metric="com_speed_m_s", plant="twin", near=0.214, rel=0.15, source="Table 10"
+    ),
     Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.12),
     Expectation(metric="com_speed_rel", of="comparison", above=-0.5),
 )
-FOUND = {"plants": {"twin": {"com_speed_m_s": 0.2}}, "comparison": {"com_speed_rel": -0.2}}
+FOUND = {
+    "plants": {"twin": {"com_speed_m_s": 0.2}},
+    "comparison": {"com_speed_rel": -0.2},
+}
 METRICS = FOUND | {"expectations": [each.check(FOUND) for each in EXPECT]}
 
 
@@ -69,27 +74,46 @@ def read(path):
             assert test.tag == "testcase"
             assert set(test.attrib) == {"classname", "name", "time"}
             assert test.get("classname") == suite.get("name")
-            assert test.get("name") not in tests, "readers take tests of one name for one"
+            assert test.get("name") not in tests, (
+                "readers take tests of one name for one"
+            )
             assert float(test.get("time")) >= 0
             (outcome,) = list(test) or [None]
             if outcome is None:
                 tests[test.get("name")] = ("passed", "")
                 continue
             assert outcome.get("message")
-            assert (outcome.tag == "skipped") == (outcome.get("type") is None) == (outcome.text is None)
+            assert (
+                (outcome.tag == "skipped")
+                == (outcome.get("type") is None)
+                == (outcome.text is None)
+            )
             words = outcome.get("message") + "\n" + (outcome.text or "")
             tests[test.get("name")] = (outcome.tag, words)
         check_sums(suite, tests.values())
     check_sums(root, [test for tests in found.values() for test in tests.values()])
-    assert float(root.get("time")) == pytest.approx(sum(float(s.get("time")) for s in root), abs=2e-3)
+    assert float(root.get("time")) == pytest.approx(
+        sum(float(s.get("time")) for s in root), abs=2e-3
+    )
     return found
 
 
 def check_sums(element, tests):
     kinds = [kind for kind, _ in tests]
-    assert set(element.attrib) == {"name", "tests", "failures", "errors", "skipped", "time"}
+    assert set(element.attrib) == {
+        "name",
+        "tests",
+        "failures",
+        "errors",
+        "skipped",
+        "time",
+    }
     assert int(element.get("tests")) == len(kinds)
-    for name, kind in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped")):
+    for name, kind in (
+        ("failures", "failure"),
+        ("errors", "error"),
+        ("skipped", "skipped"),
+    ):
         assert int(element.get(name)) == kinds.count(kind)
 
 
@@ -105,7 +129,12 @@ def test_each_outcome_becomes_its_junit_element(tmp_path):
         case("died", errors=(WorkerDiedError(-9, 3),)),
         case("unexplained", metrics=METRICS, errors=(flew,)),
         case("later", ended=False),
-        Case("./bad.yaml", result=CaseResult(None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),))),
+        Case(
+            "./bad.yaml",
+            result=CaseResult(
+                None, (InputError("bad.yaml:1:2: wrong\nbad.yaml:3:4: too"),)
+            ),
+        ),
         Case("./never_read.yaml"),
     ]
     write_junit(tmp_path / "r.xml", cases)
@@ -121,11 +150,14 @@ def test_each_outcome_becomes_its_junit_element(tmp_path):
         "never_read": ["skipped"],
     }
     assert list(found["ran"]) == [
-        "runs", "twin com_speed_m_s", "comparison com_speed_rel", "comparison com_speed_rel (2)",
-    ]  # fmt: skip
+        "runs",
+        "twin com_speed_m_s",
+        "comparison com_speed_rel",
+        "comparison com_speed_rel (2)",
+    ]
     _, words = found["ran"]["comparison com_speed_rel"]
-    assert words == (
-        "comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
+    assert (
+        words == "comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
         "value: -0.2\nallowed: -0.12 to 0.12\nsource: ours"
     )
     assert "twin diverged at t = 1.5 s" in found["flew"]["runs"][1]
@@ -134,10 +166,14 @@ def test_each_outcome_becomes_its_junit_element(tmp_path):
 
 
 def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
-    known = tuple(each.model_copy(update={"known": "never <measured>"}) for each in EXPECT)
+    known = tuple(
+        each.model_copy(update={"known": "never <measured>"}) for each in EXPECT
+    )
     scenario = SimpleNamespace(label="ran", expect=(*EXPECT, *known))
     rows = [each.check(FOUND) for each in scenario.expect]
-    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5)
+    result = CaseResult(
+        RunResult("ran", Path("runs/ran"), {}, FOUND | {"expectations": rows}), (), 1.5
+    )
     for fails, of_known in (
         (frozenset({"missed"}), ["passed", "skipped", "passed"]),
         (frozenset({"missed", "known", "holds"}), ["failure", "failure", "failure"]),
@@ -150,8 +186,11 @@ def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
             words
             == {
                 "skipped": "known: never <measured>\n",
-                "failure": "comparison com_speed_rel (3) = -0.2, allowed -0.12 to 0.12\n"
-                "value: -0.2\nallowed: -0.12 to 0.12\nsource: ours\nknown: never <measured>",
+                "failure": (
+                    "comparison com_speed_rel (3) = -0.2, allowed -0.12 to 0.12\nvalue:"
+                    " -0.2\nallowed: -0.12 to 0.12\nsource: ours\nknown: never"
+                    " <measured>"
+                ),
             }[of_known[1]]
         )
 
@@ -159,8 +198,13 @@ def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
 def test_expectation_not_judged_is_skipped_and_fails_with_strict(tmp_path):
     named = SimpleNamespace(label="ran", expect=())
     rows = [EXPECT[0].check({}, Undefined("the run is short")), EXPECT[0].check({})]
-    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5)
-    for strict, outcomes in ((False, ["passed", "skipped", "failure"]), (True, ["passed", *2 * ["failure"]])):
+    result = CaseResult(
+        RunResult("ran", Path("runs/ran"), {}, {"expectations": rows}), (), 1.5
+    )
+    for strict, outcomes in (
+        (False, ["passed", "skipped", "failure"]),
+        (True, ["passed", *2 * ["failure"]]),
+    ):
         write_junit(
             tmp_path / "r.xml",
             [Case("ran", named, result=result)],
@@ -168,13 +212,21 @@ def test_expectation_not_judged_is_skipped_and_fails_with_strict(tmp_path):
         )
         found = read(tmp_path / "r.xml")["ran"]
         assert kinds(found) == outcomes
-        words = {"skipped": "not judged: the run is short\n", "failure": "reason: the run is short"}
+        words = {
+            "skipped": "not judged: the run is short\n",
+            "failure": "reason: the run is short",
+        }
         assert found["twin com_speed_m_s"][1].endswith(words[outcomes[1]])
 
 
 def test_expectations_of_omitted_plants_are_not_test_cases(tmp_path):
-    result = CaseResult(RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5)
-    write_junit(tmp_path / "r.xml", [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), result=result)])
+    result = CaseResult(
+        RunResult("ran", Path("runs/ran"), {}, METRICS | {"expectations": []}), (), 1.5
+    )
+    write_junit(
+        tmp_path / "r.xml",
+        [Case("ran", SimpleNamespace(label="ran", expect=EXPECT), result=result)],
+    )
     assert list(read(tmp_path / "r.xml")["ran"]) == ["runs"]
 
 
@@ -183,7 +235,9 @@ def test_expectations_of_omitted_plants_are_not_test_cases(tmp_path):
 def test_any_text_is_valid_xml(tmp_path_factory, name, words):
     path = tmp_path_factory.getbasetemp() / "any.xml"
     scenario = SimpleNamespace(label=name, expect=())
-    write_junit(path, [Case("x", scenario, result=CaseResult(None, (InputError(words),)))])
+    write_junit(
+        path, [Case("x", scenario, result=CaseResult(None, (InputError(words),)))]
+    )
     (suite,) = ElementTree.parse(path).getroot()
     message = suite.find("testcase/error").get("message")
     if all(ord(c) >= 32 and c not in "\ufffe\uffff" for c in name + words):
@@ -202,7 +256,9 @@ def test_characters_outside_xml_are_escaped(tmp_path):
 @pytest.mark.parametrize("name", ["", ".", "/", "out", "gen2.yaml", "reports/", ".xml"])
 def test_report_name_without_xml_suffix_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.
-    with pytest.raises(InputError, match=r"--junit .*: the file name of a report must end in .xml"):
+    with pytest.raises(
+        InputError, match=r"--junit .*: the file name of a report must end in .xml"
+    ):
         report_path(name)
 
 
@@ -212,10 +268,32 @@ def both(tmp_path_factory, srs_twin):
     room = tmp_path_factory.mktemp("both")
     (room / "a.yaml").write_text(SCENARIO)
     (room / "bad.yaml").write_text(SCENARIO.replace("gait", "gate"))
-    (room / "b.yaml").write_text(SCENARIO.replace("2.0", "1.5").replace("{}}", "{}, twin: {}}"))
-    many = srs_twin("run", ".", "--jobs", "2", "--out", "many", "--junit", "many/x/out.xml", cwd=room)
+    (room / "b.yaml").write_text(
+        SCENARIO.replace("2.0", "1.5").replace("{}}", "{}, twin: {}}")
+    )
+    many = srs_twin(
+        "run",
+        ".",
+        "--jobs",
+        "2",
+        "--out",
+        "many",
+        "--junit",
+        "many/x/out.xml",
+        cwd=room,
+    )
     assert many.returncode == 2, "the bad one"
-    words = ["run", ".", "-j", "1", "--out", "one", "--check", "--junit", "one/x/out.xml"]
+    words = [
+        "run",
+        ".",
+        "-j",
+        "1",
+        "--out",
+        "one",
+        "--check",
+        "--junit",
+        "one/x/out.xml",
+    ]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(io.StringIO()) as one:
         patch.chdir(room)
         with pytest.raises(SystemExit) as left:
@@ -229,7 +307,11 @@ def test_files_do_not_depend_on_check(both):
     ran = ["passed", "passed", "failure"]
     for folder in ("many", "one"):
         found = read(room / folder / "x/out.xml")
-        assert {name: kinds(tests) for name, tests in found.items()} == {"a": ran, "b": ran, "bad": ["error"]}
+        assert {name: kinds(tests) for name, tests in found.items()} == {
+            "a": ran,
+            "b": ran,
+            "bad": ["error"],
+        }
         assert "source: <&> nobody" in found["a"]["analytical path_length_m (2)"][1]
         assert [path.name for path in (room / folder / "x").iterdir()] == ["out.xml"]
 
@@ -237,18 +319,26 @@ def test_files_do_not_depend_on_check(both):
 def test_worker_processes_give_identical_files_and_output(both):
     room, many, one = both
     for name in "ab":
-        files = [{path.name for path in (room / where / name).iterdir()} for where in ("many", "one")]
+        files = [
+            {path.name for path in (room / where / name).iterdir()}
+            for where in ("many", "one")
+        ]
         assert files[0] == files[1] >= {"metrics.json", "recording.rrd", "report.html"}
         for file in files[0]:
             here, there = (room / where / name / file for where in ("many", "one"))
             if file == "recording.rrd":
-                # Recordings carry a random id each: Rerun says whether they hold the same.
+                # Recordings carry a random id each: Rerun says whether they hold the
+                # same.
                 words = ["rrd", "compare", "--unordered", str(here), str(there)]
                 subprocess.run([rerun_executable(), *words], check=True)
             elif file == "report.html":
-                assert without_wall_times(here.read_text()) == without_wall_times(there.read_text())
+                assert without_wall_times(here.read_text()) == without_wall_times(
+                    there.read_text()
+                )
             elif file == "metrics.json":
-                assert timeless(json.loads(here.read_text())) == timeless(json.loads(there.read_text()))
+                assert timeless(json.loads(here.read_text())) == timeless(
+                    json.loads(there.read_text())
+                )
             else:
                 assert here.read_bytes() == there.read_bytes(), file
     assert without_wall_times(many) == without_wall_times(one)
@@ -264,12 +354,23 @@ def timeless(metrics):
 
 def without_wall_times(text):
     """Return a table or a report without what it took to compute, and without widths."""
-    text = re.sub("<tr><td>(time to compute|realtime factor)</td>.*?</tr>", "", text, flags=re.DOTALL)
-    return [line.split() for line in text.splitlines() if "realtime factor" not in line and "─" not in line]
+    text = re.sub(
+        "<tr><td>(time to compute|realtime factor)</td>.*?</tr>",
+        "",
+        text,
+        flags=re.DOTALL,
+    )
+    return [
+        line.split()
+        for line in text.splitlines()
+        if "realtime factor" not in line and "─" not in line
+    ]
 
 
 @pytest.mark.parametrize("where", ["/proc/nosuch/r.xml", "a.yaml/r.xml", "folder.xml"])
-def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, srs_twin, where):
+def test_a_place_that_cannot_be_written_is_refused_before_simulating(
+    tmp_path, srs_twin, where
+):
     (tmp_path / "a.yaml").write_text(SCENARIO)
     (tmp_path / "folder.xml").mkdir()
     done = srs_twin("run", "./a.yaml", "--junit", where, cwd=tmp_path)
@@ -284,17 +385,28 @@ def test_a_place_that_cannot_be_written_is_refused_before_simulating(tmp_path, s
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_report_after_an_interrupt_marks_unfinished_runs(tmp_path, end):
     (tmp_path / "brief.yaml").write_text(SCENARIO)
-    (tmp_path / "long.yaml").write_text(SCENARIO.replace("0.2", "600").replace("{}}", "{}, twin: {}}"))
+    (tmp_path / "long.yaml").write_text(
+        SCENARIO.replace("0.2", "600").replace("{}}", "{}, twin: {}}")
+    )
     (tmp_path / "r.xml").write_text("of an earlier run")
     script = str(Path(sys.executable).with_name("srs-twin"))
     words = ["run", "./long.yaml", "./brief.yaml", "--junit", "r.xml", "--jobs", "2"]
     child = subprocess.Popen(
-        [script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+        [script, *words],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     latest = time.monotonic() + 600
-    while not (tmp_path / "runs/brief/metrics.json").exists() and time.monotonic() < latest:
+    while (
+        not (tmp_path / "runs/brief/metrics.json").exists()
+        and time.monotonic() < latest
+    ):
         time.sleep(0.05)
-    assert kinds(read(tmp_path / "r.xml")["brief"]) == ["skipped"], "before the end nothing is claimed"
+    assert kinds(read(tmp_path / "r.xml")["brief"]) == ["skipped"], (
+        "before the end nothing is claimed"
+    )
     time.sleep(0.5)
     os.killpg(child.pid, end)
     _, said = child.communicate(timeout=300)

@@ -15,16 +15,31 @@ from srs_twin.scenario.loading import load_scenario
 
 
 def test_a_new_robot_has_the_given_size(srs_twin, tmp_path):
-    words = ("--length", "0.66", "--segments", "6", "--mass", "2.1", "--pressure", "60", "--bend", "1.2")
+    words = (
+        "--length",
+        "0.66",
+        "--segments",
+        "6",
+        "--mass",
+        "2.1",
+        "--pressure",
+        "60",
+        "--bend",
+        "1.2",
+    )
     done = srs_twin("new", "robot", "worm", *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     spec = load_robot(tmp_path / "worm.yaml")
-    assert spec.segments == 6 and spec.geometry.body_length == pytest.approx(0.66, rel=1e-3)
+    assert spec.segments == 6 and spec.geometry.body_length == pytest.approx(
+        0.66, rel=1e-3
+    )
     assert spec.mass.total == pytest.approx(2.1, rel=1e-3)
     assert spec.supply.nominal == pytest.approx(60e3)
     # The work of the air bends the segment: half of p V over q².
     grown = 45e-6 * (0.66 / 6 / 0.055) ** 3
-    assert spec.bending.stiffness == pytest.approx(0.5 * 60e3 * grown / 1.2**2, rel=1e-3)
+    assert spec.bending.stiffness == pytest.approx(
+        0.5 * 60e3 * grown / 1.2**2, rel=1e-3
+    )
 
 
 def test_a_new_robot_with_skin_is_valid(srs_twin, tmp_path):
@@ -32,28 +47,51 @@ def test_a_new_robot_with_skin_is_valid(srs_twin, tmp_path):
     assert done.returncode == 0, done.stderr
     spec = load_robot(tmp_path / "worm.yaml")
     assert spec.skin is not None and spec.mass.total == pytest.approx(0.4, rel=1e-3)
-    done = srs_twin("new", "scenario", "crawl", "--robot", str(tmp_path / "worm.yaml"), cwd=tmp_path)
+    done = srs_twin(
+        "new", "scenario", "crawl", "--robot", str(tmp_path / "worm.yaml"), cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     assert load_scenario(tmp_path / "crawl.yaml").robot.skin == spec.skin
 
 
 def test_a_new_robot_with_servos_asks_for_no_air(srs_twin, tmp_path):
-    done = srs_twin("new", "robot", "arm", "--servo", "--segments", "8", "--length", "0.48", cwd=tmp_path)
+    done = srs_twin(
+        "new",
+        "robot",
+        "arm",
+        "--servo",
+        "--segments",
+        "8",
+        "--length",
+        "0.48",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     record = load_robot_file(tmp_path / "arm.yaml")
     assert record.has_servos and record.chamber is None and record.supply is None
-    assert load_robot(tmp_path / "arm.yaml").geometry.body_length == pytest.approx(0.48, rel=1e-3)
+    assert load_robot(tmp_path / "arm.yaml").geometry.body_length == pytest.approx(
+        0.48, rel=1e-3
+    )
     assert "silicone" not in (tmp_path / "arm.yaml").read_text("utf-8")
 
 
-@pytest.mark.parametrize("kinds", [(), ("--skin",), ("--servo",), ("--skin", "--servo")])
+@pytest.mark.parametrize(
+    "kinds", [(), ("--skin",), ("--servo",), ("--skin", "--servo")]
+)
 def test_estimates_that_affect_the_motion_have_intervals(kinds, srs_twin, tmp_path):
     done = srs_twin("new", "robot", "worm", *kinds, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     priors = Priors.from_robot(load_robot_file(tmp_path / "worm.yaml"))
-    skin, wheels = ("contact.forward", "contact.transverse"), ("friction.mu_t", "friction.mu_n")
+    skin, wheels = (
+        ("contact.forward", "contact.transverse"),
+        ("friction.mu_t", "friction.mu_n"),
+    )
     friction = skin if "--skin" in kinds else wheels
-    pneumatic = ("bending.stiffness_nm_per_rad", "bending.damping_time_s", "actuator.tau_fill_s")
+    pneumatic = (
+        "bending.stiffness_nm_per_rad",
+        "bending.damping_time_s",
+        "actuator.tau_fill_s",
+    )
     actuator = ("actuator.response_time_s",) if "--servo" in kinds else pneumatic
     by_path = {prior.path: prior for prior in priors.parameters}
     for prior in map(by_path.__getitem__, (*friction, *actuator)):
@@ -77,7 +115,9 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
     done = srs_twin("new", "study", "fast", "--scenario", "gen2_turn", cwd=tmp_path)
     assert done.returncode == 0 and "next: srs-twin optimize fast.yaml" in done.stdout
     assert srs_twin("new", "controller", "wiggle", cwd=tmp_path).returncode == 0
-    run = subprocess.run([sys.executable, "wiggle.py"], cwd=tmp_path, capture_output=True, text=True)
+    run = subprocess.run(
+        [sys.executable, "wiggle.py"], cwd=tmp_path, capture_output=True, text=True
+    )
     assert run.returncode == 0 and run.stdout.count(" m in 3 s") == 2, run.stderr
 
 
@@ -85,9 +125,18 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
     ("words", "message"),
     [
         (("robot", "Worm"), "'Worm' is not allowed as a name"),
-        (("robot", "worm", "--mass", "-1"), "--mass -1 is not allowed; it must be positive"),
-        (("robot", "worm", "--servo", "--bend", "0"), "--bend 0 is not allowed; it must be positive"),
-        (("robot", "worm", "--segments", "0"), "--segments 0 is not allowed; it must be positive"),
+        (
+            ("robot", "worm", "--mass", "-1"),
+            "--mass -1 is not allowed; it must be positive",
+        ),
+        (
+            ("robot", "worm", "--servo", "--bend", "0"),
+            "--bend 0 is not allowed; it must be positive",
+        ),
+        (
+            ("robot", "worm", "--segments", "0"),
+            "--segments 0 is not allowed; it must be positive",
+        ),
         (
             ("robot", "worm", "--servo", "--pressure", "40"),
             "a robot with servos has no supply; remove --pressure",

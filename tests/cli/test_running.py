@@ -45,7 +45,9 @@ def compared(tmp_path_factory, srs_twin_process):
     (room / "out").mkdir()
     (room / "out/notes.txt").write_text("mine")
     (room / "out/metrics.json").write_text("old")
-    done = srs_twin_process("compare", "./short.yaml", "--out", "out", "--check", cwd=room)
+    done = srs_twin_process(
+        "compare", "./short.yaml", "--out", "out", "--check", cwd=room
+    )
     return room, done
 
 
@@ -65,15 +67,24 @@ def test_metrics_follow_from_the_trajectories(compared):
     assert list(metrics) == keys
     assert (metrics["scenario"], metrics["robot"]) == ("short", "gen2")
     assert set(metrics["versions"]) == {
-        "srs_twin", "mujoco", "numpy", "scipy", "numba", "python", "arithmetic",
-    }  # fmt: skip
+        "srs_twin",
+        "mujoco",
+        "numpy",
+        "scipy",
+        "numba",
+        "python",
+        "arithmetic",
+    }
     speeds = {}
     for plant in ("analytical", "twin"):
         run = Trajectory.from_parquet(room / f"out/{plant}.parquet")
         assert run.metadata["plant"] == plant
-        # Straight on along x: displacement over whole periods after the warm-up is the speed.
+        # Straight on along x: displacement over whole periods after the warm-up is the
+        # speed.
         speeds[plant] = (run["com_x"][200] - run["com_x"][100]) / 1.0
-        assert metrics["plants"][plant]["com_speed_m_s"] == pytest.approx(speeds[plant], rel=0.02)
+        assert metrics["plants"][plant]["com_speed_m_s"] == pytest.approx(
+            speeds[plant], rel=0.02
+        )
         assert metrics["plants"][plant]["wall_s"] > 0
     relative = speeds["twin"] / speeds["analytical"] - 1
     assert metrics["comparison"]["com_speed_rel"] == pytest.approx(relative, abs=0.02)
@@ -86,7 +97,10 @@ def test_terminal_output_agrees_with_metrics_json(compared):
     (row,) = (line for line in done.stdout.splitlines() if "CoM speed" in line)
     assert speed in row.split()
     assert row.split()[-1] == "0.214"
-    assert f"met    twin com_speed_m_s = {speed}, allowed 0.107 to 0.321 (Table 10)" in done.stdout
+    assert (
+        f"met    twin com_speed_m_s = {speed}, allowed 0.107 to 0.321 (Table 10)"
+        in done.stdout
+    )
     assert "MISSED comparison com_speed_rel" in done.stdout
     assert max(map(len, done.stdout.splitlines())) <= 80
     assert "files in out;" in done.stderr
@@ -102,9 +116,13 @@ def test_recording_and_report_are_complete(compared):
 
 def test_resolved_scenario_gives_identical_files(compared, tmp_path):
     room, _ = compared
-    again = run_scenario(load_scenario(room / "out/scenario.resolved.yaml"), tmp_path / "again")
+    again = run_scenario(
+        load_scenario(room / "out/scenario.resolved.yaml"), tmp_path / "again"
+    )
     for name in ("analytical.parquet", "twin.parquet"):
-        assert (again.folder / name).read_bytes() == (room / "out" / name).read_bytes(), name
+        assert (again.folder / name).read_bytes() == (
+            room / "out" / name
+        ).read_bytes(), name
 
 
 def test_single_plant_run_removes_files_of_earlier_runs(compared, tmp_path):
@@ -137,7 +155,9 @@ def test_progress_rises_to_the_end_for_each_plant(tmp_path):
     run_scenario(
         load_scenario(write(tmp_path, "brief", text)),
         tmp_path / "out",
-        progress=lambda plant, fraction: progress.setdefault(plant, []).append(fraction),
+        progress=lambda plant, fraction: progress.setdefault(plant, []).append(
+            fraction
+        ),
     )
     assert list(progress) == ["analytical", "twin"]
     for parts in progress.values():
@@ -172,20 +192,32 @@ def test_diverged_plant_keeps_its_trajectory_and_the_other_runs(tmp_path):
     kept = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
     assert kept.time[-1] == pytest.approx(1.0)
     assert np.isfinite(kept.com).all()
-    assert Trajectory.from_parquet(tmp_path / "out/twin.parquet").time[-1] == pytest.approx(2.0)
+    assert Trajectory.from_parquet(tmp_path / "out/twin.parquet").time[
+        -1
+    ] == pytest.approx(2.0)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "analytical.parquet", "twin.parquet", "scenario.resolved.yaml"
-    }  # fmt: skip
+        "analytical.parquet",
+        "twin.parquet",
+        "scenario.resolved.yaml",
+    }
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 def test_interrupt_keeps_complete_runs_and_exits_with_130(tmp_path):
-    long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace("analytical: {}, ", "")
+    long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace(
+        "analytical: {}, ", ""
+    )
     brief = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
-    words = ["run", write(tmp_path, "brief", brief), write(tmp_path, "long", long.split("expect:")[0])]
+    words = [
+        "run",
+        write(tmp_path, "brief", brief),
+        write(tmp_path, "long", long.split("expect:")[0]),
+    ]
     script = str(Path(sys.executable).with_name("srs-twin"))
-    child = subprocess.Popen([script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen(
+        [script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
     (kept := tmp_path / "runs/long/metrics.json").parent.mkdir(parents=True)
     kept.write_text("of an earlier run")
     started, deadline = tmp_path / "runs/brief/metrics.json", time.monotonic() + 600
@@ -206,12 +238,25 @@ def test_interrupt_keeps_complete_runs_and_exits_with_130(tmp_path):
 def test_command_keeps_ignored_interrupts(tmp_path):
     """As in the background of a script; so do its workers."""
     for name, duration in (("brief", "0.2"), ("long", "5")):
-        document = SCENARIO.replace("duration_s: 2", f"duration_s: {duration}").split("expect:")[0]
+        document = SCENARIO.replace("duration_s: 2", f"duration_s: {duration}").split(
+            "expect:"
+        )[0]
         write(tmp_path, name, document.replace("analytical: {}, ", ""))
-    words = [Path(sys.executable).with_name("srs-twin"), "run", "./brief.yaml", "./long.yaml", "--jobs", "2"]
+    words = [
+        Path(sys.executable).with_name("srs-twin"),
+        "run",
+        "./brief.yaml",
+        "./long.yaml",
+        "--jobs",
+        "2",
+    ]
     with on_interrupt(signal.SIG_IGN):
         child = subprocess.Popen(
-            words, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+            words,
+            cwd=tmp_path,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
     while child.poll() is None and not (tmp_path / "runs/brief/metrics.json").exists():
         time.sleep(0.05)
@@ -228,7 +273,10 @@ def test_command_keeps_ignored_interrupts(tmp_path):
         (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
         (["models", "check", "./none.xml"], "none.xml: no such file"),
-        (["models", "check", "gen9"], "unknown robot or model file 'gen9'; did you mean gen"),
+        (
+            ["models", "check", "gen9"],
+            "unknown robot or model file 'gen9'; did you mean gen",
+        ),
         (["view", "nosuch"], "nosuch: no recording found"),
     ],
 )
@@ -244,4 +292,6 @@ def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, sa
 
 def test_schema_is_json_with_the_keys(tmp_path, srs_twin):
     schema = json.loads(srs_twin("schema", cwd=tmp_path).stdout)
-    assert {"robot", "duration_s", "controller", "plants", "expect"} <= schema["properties"].keys()
+    assert {"robot", "duration_s", "controller", "plants", "expect"} <= schema[
+        "properties"
+    ].keys()

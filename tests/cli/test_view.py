@@ -38,7 +38,10 @@ OPENER = urllib.request.build_opener(urllib.request.ProxyHandler({}))
 def recordings(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     made = {}
-    for name, changes in {"straight on": {}, "left+1": {"yaw_rate": 0.3, "connectors": 6}}.items():
+    for name, changes in {
+        "straight on": {},
+        "left+1": {"yaw_rate": 0.3, "connectors": 6},
+    }.items():
         runs = pair(duration=2.0, **changes)
         path = folder / name / "recording.rrd"
         path.parent.mkdir()
@@ -85,7 +88,9 @@ def test_viewer_shows_runs_side_by_side(recordings, tmp_path):
 
 
 def test_names_are_those_of_the_folders(tmp_path):
-    one, two, file = (tmp_path / p for p in ("a/turn/recording.rrd", "b/turn/recording.rrd", "x.rrd"))
+    one, two, file = (
+        tmp_path / p for p in ("a/turn/recording.rrd", "b/turn/recording.rrd", "x.rrd")
+    )
     assert name_recordings([one, file]) == {"turn": one, "x.rrd": file}
     assert list(name_recordings([one, two])) == ["a/turn", "b/turn"]
     with pytest.raises(InputError, match="a/turn: given twice"):
@@ -99,9 +104,13 @@ def test_foreign_recording_is_refused(recordings, tmp_path):
     memory = log.memory_recording()
     log.log("a/b", rr.TextLog("hello"))
     (tmp_path / "other.rrd").write_bytes(memory.drain_as_bytes())
-    with pytest.raises(InputError, match=r"other\.rrd: not a recording of srs-twin \(it contains no snake\)"):
+    with pytest.raises(
+        InputError,
+        match=r"other\.rrd: not a recording of srs-twin \(it contains no snake\)",
+    ):
         write_side_by_side(
-            tmp_path / "both.rrd", {"a": recordings["left+1"], "other.rrd": tmp_path / "other.rrd"}
+            tmp_path / "both.rrd",
+            {"a": recordings["left+1"], "other.rrd": tmp_path / "other.rrd"},
         )
     assert not (tmp_path / "both.rrd").exists()
 
@@ -110,9 +119,16 @@ def test_web_page_requests_no_other_hosts(recordings):
     with serve_recordings([recordings["left+1"]]) as (address, serve):
         threading.Thread(target=serve, daemon=True).start()
         with OPENER.open(address, timeout=120) as answer:
-            page, policy = answer.read().decode(), answer.headers["Content-Security-Policy"]
-            assert "url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in answer.url, "it opens the recording"
-        loaded = re.findall(r"""(?:src|href)=["']([^"']+)""", page) + re.findall(r"url\(([^)]*)", page)
+            page, policy = (
+                answer.read().decode(),
+                answer.headers["Content-Security-Policy"],
+            )
+            assert "url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in answer.url, (
+                "it opens the recording"
+            )
+        loaded = re.findall(r"""(?:src|href)=["']([^"']+)""", page) + re.findall(
+            r"url\(([^)]*)", page
+        )
         assert loaded and not [each for each in loaded if "//" in each]
         assert "default-src 'self'" in policy and "https:" not in policy
         with OPENER.open(address + "re_viewer_bg.wasm", timeout=120) as answer:
@@ -128,7 +144,9 @@ def test_web_page_requests_no_other_hosts(recordings):
             for connection in process.net_connections("tcp")
             if connection.status == psutil.CONN_LISTEN
         ]
-        assert len(listening) >= 3 and set(listening) == {"127.0.0.1"}, "page, Rerun's page, recording"
+        assert len(listening) >= 3 and set(listening) == {"127.0.0.1"}, (
+            "page, Rerun's page, recording"
+        )
     wait_until(lambda: not any(map(exists, reruns)))
 
 
@@ -137,7 +155,9 @@ def test_web_page_requests_no_other_hosts(recordings):
 def test_page_is_served_until_interrupted(recordings, end):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
     command = [script, "view", str(recordings["left+1"].parent), "--web"]
-    started = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    started = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     address = started.stdout.readline().strip()
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", address)
     started.stderr.readline()
@@ -153,7 +173,9 @@ def test_page_does_not_handle_signals_that_the_caller_ignores(monkeypatch):
     before = signal.signal(signal.SIGTERM, signal.SIG_IGN)
     try:
         with monkeypatch.context() as patched:
-            patched.setattr("srs_twin.viewing.rerun.viewer.serve_recordings", interrupted)
+            patched.setattr(
+                "srs_twin.viewing.rerun.viewer.serve_recordings", interrupted
+            )
             _serve(Path("recording.rrd"), 0)
         assert signal.getsignal(signal.SIGTERM) == signal.SIG_IGN
     finally:
@@ -177,18 +199,30 @@ def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(bool(browser.missing()), reason=browser.missing() or "a browser is here")
+@pytest.mark.skipif(
+    bool(browser.missing()), reason=browser.missing() or "a browser is here"
+)
 def test_browser_shows_recording_offline(recordings, srs_twin):
-    with serve_recordings([recordings["straight on"]]) as (address, serve), browser.chromium() as chromium:
+    with (
+        serve_recordings([recordings["straight on"]]) as (address, serve),
+        browser.chromium() as chromium,
+    ):
         threading.Thread(target=serve, daemon=True).start()
         begun = time.monotonic()
         chromium.get(address)
         blue = STYLES["twin"].rgb
         _, shown = browser.picture(
-            chromium, lambda page: shows_a_snake(page) and share(page[:, -200:], blue) > 0.001
+            chromium,
+            lambda page: shows_a_snake(page) and share(page[:, -200:], blue) > 0.001,
         )
-        assert shows_a_snake(shown), f"nothing to see after {time.monotonic() - begun:.0f} s"
+        assert shows_a_snake(shown), (
+            f"nothing to see after {time.monotonic() - begun:.0f} s"
+        )
         assert share(shown[:, -200:], blue) > 0.001, "plots stand on the right"
         asked = browser.requested(chromium)
     assert len(asked) >= 4
-    assert not [each for each in asked if not re.match(r"(http://127\.0\.0\.1:\d+/|data:|blob:)", each)]
+    assert not [
+        each
+        for each in asked
+        if not re.match(r"(http://127\.0\.0\.1:\d+/|data:|blob:)", each)
+    ]

@@ -26,7 +26,9 @@ RUN = Snake(amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0).trajectory()
 
 def touching(force):
     zero = np.zeros_like(force)
-    return with_columns(RUN, **numbered("obstacle_force_x", zero), **numbered("obstacle_force_y", force))
+    return with_columns(
+        RUN, **numbered("obstacle_force_x", zero), **numbered("obstacle_force_y", force)
+    )
 
 
 def test_contacts_are_counted_with_their_time():
@@ -49,7 +51,10 @@ def test_overlaps_take_the_place_of_contacts_on_a_plant_that_ignores_obstacles()
     assert list(contact_metrics(run).values()) == [1, pytest.approx(0.51), -0.007]
     (event,) = contact_events(run)
     assert (event.kind, event.time) == ("overlap", 1.0)
-    assert event.text == "the body passes through an obstacle, at least 7 mm deep, for 0.5 s"
+    assert (
+        event.text
+        == "the body passes through an obstacle, at least 7 mm deep, for 0.5 s"
+    )
     assert contact_free_s([run]) == math.inf, "an overlap does not affect the motion"
 
 
@@ -63,7 +68,11 @@ def test_a_contact_between_two_samples_leaves_no_clearance():
 
 def test_a_world_without_obstacles_has_no_contacts():
     assert contact_metrics(RUN) == dict.fromkeys(CONTACT_UNITS)
-    assert contact_events(RUN) == [] and contact_free_s([RUN]) == math.inf and not ignores_obstacles(RUN)
+    assert (
+        contact_events(RUN) == []
+        and contact_free_s([RUN]) == math.inf
+        and not ignores_obstacles(RUN)
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,13 +114,22 @@ def compared(touches, overlaps, before=None, **more):
     """Return the metrics of a twin that touches and a model that passes through obstacles at given times."""
     gaits = {"analytical": (0.223, -0.000111), "twin": (0.151, -0.207)}
     plants = {
-        name: dict(zip(("com_speed_m_s", "yaw_rate_rad_s"), row, strict=True)) for name, row in gaits.items()
+        name: dict(zip(("com_speed_m_s", "yaw_rate_rad_s"), row, strict=True))
+        for name, row in gaits.items()
     }
     plants["twin"] |= {"contacts": len(touches), "contact_time_s": 0.5}
     plants["analytical"] |= {"contacts": len(overlaps), "contact_time_s": 1.25}
-    events = {"twin": meeting("contact", *touches), "analytical": meeting("overlap", *overlaps)}
+    events = {
+        "twin": meeting("contact", *touches),
+        "analytical": meeting("overlap", *overlaps),
+    }
     more |= {} if before is None else {"before_contact": before}
-    return {"plants": plants, "comparison": {}, "events": events, "ignores_obstacles": ["analytical"]} | more
+    return {
+        "plants": plants,
+        "comparison": {},
+        "events": events,
+        "ignores_obstacles": ["analytical"],
+    } | more
 
 
 def free(analytical, twin):
@@ -119,36 +137,48 @@ def free(analytical, twin):
     return {
         "end_s": 3.0,
         "plants": {
-            name: {"com_speed_m_s": speed, "yaw_rate_rad_s": speed and 0.0} for name, speed in rows.items()
+            name: {"com_speed_m_s": speed, "yaw_rate_rad_s": speed and 0.0}
+            for name, speed in rows.items()
         },
     }
 
 
 def test_headline_names_the_contact_and_who_ignores_it():
     said = headline(compared([3.1], [2.9], free(None, None)))
-    assert said == (
-        "The twin touches an obstacle at 3.1 s, for 0.5 s; the model ignores obstacles and overlaps one at "
-        "2.9 s, for 1.2 s. Over the whole run, the twin crawls 32 % slower than the model (0.151 against "
-        "0.223 m/s), and turns unlike the model (-0.207 against -0.000111 rad/s). Before the contact, too "
-        "few whole gait periods pass to explain a difference."
+    assert (
+        said == "The twin touches an obstacle at 3.1 s, for 0.5 s; the model ignores"
+        " obstacles and overlaps one at 2.9 s, for 1.2 s. Over the whole run, the"
+        " twin crawls 32 % slower than the model (0.151 against 0.223 m/s), and"
+        " turns unlike the model (-0.207 against -0.000111 rad/s). Before the"
+        " contact, too few whole gait periods pass to explain a difference."
     )
 
 
 def test_headline_explains_the_difference_before_the_contact_only():
     cause = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
-    said = headline(compared([3.1], [], free(0.2, 0.16), cause=cause | {"window_s": 3.0}))
+    said = headline(
+        compared([3.1], [], free(0.2, 0.16), cause=cause | {"window_s": 3.0})
+    )
     whole, before = said.split(" Before the contact ")
-    assert "touches an obstacle at 3.1 s, for 0.5 s; the model ignores obstacles. Over" in whole
+    assert (
+        "touches an obstacle at 3.1 s, for 0.5 s; the model ignores obstacles. Over"
+        in whole
+    )
     assert "compliance" not in whole
     assert before.startswith(
-        "(first 3 s), it crawls 20 % slower than the model (0.16 against 0.2 m/s; compliance alone would "
-        "slow it by 15 %, other effects by another 5 %)."
+        "(first 3 s), it crawls 20 % slower than the model (0.16 against 0.2 m/s;"
+        " compliance alone would slow it by 15 %, other effects by another 5 %)."
     )
-    # The attribution of the same part takes precedence; one of another part explains nothing here.
+    # The attribution of the same part takes precedence; one of another part explains
+    # nothing here.
     shares = [{"name": "rigid gaps", "value": [-0.02, 0.0]}]
     measured = {"measures": ["com_speed_m_s", "yaw_rate_rad_s"], "shares": shares}
     same, other = (
-        headline(compared([3.1], [], free(0.2, 0.16), attribution=measured | {"window_s": end}))
+        headline(
+            compared(
+                [3.1], [], free(0.2, 0.16), attribution=measured | {"window_s": end}
+            )
+        )
         for end in (3.0, 2.0)
     )
     assert "rigid gaps slows it by 10 %" in same and "rigid gaps" not in other
@@ -157,24 +187,35 @@ def test_headline_explains_the_difference_before_the_contact_only():
 def test_headline_counts_several_contacts():
     said = headline(compared([3.1, 4.0], [1.0, 2.0], free(None, None)))
     assert said.startswith(
-        "The twin touches an obstacle 2 times, first at 3.1 s, for 0.5 s; the model ignores obstacles and "
-        "overlaps one 2 times, first at 1 s, for 1.2 s. "
+        "The twin touches an obstacle 2 times, first at 3.1 s, for 0.5 s; the model"
+        " ignores obstacles and overlaps one 2 times, first at 1 s, for 1.2 s. "
     )
 
 
 def test_headline_without_a_contact_is_that_of_a_free_run():
     assert headline(compared([], [])).startswith("The twin crawls 32 % slower")
     passing = headline(compared([], [2.0]))
-    assert passing.startswith("The twin touches none; the model ignores obstacles and overlaps one at 2 s")
-    assert " The twin crawls 32 % slower" in passing, "the motion of neither plant is affected"
+    assert passing.startswith(
+        "The twin touches none; the model ignores obstacles and overlaps one at 2 s"
+    )
+    assert " The twin crawls 32 % slower" in passing, (
+        "the motion of neither plant is affected"
+    )
 
 
 def test_headline_of_one_plant_names_its_contact():
-    plant = {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.0, "contacts": 1, "contact_time_s": 0.3}
+    plant = {
+        "com_speed_m_s": 0.1,
+        "yaw_rate_rad_s": 0.0,
+        "contacts": 1,
+        "contact_time_s": 0.3,
+    }
     metrics = {"events": {"twin": meeting("contact", 1.5)}}
     said = headline({"plants": {"twin": plant}} | metrics)
     assert (
-        said == "The twin touches an obstacle at 1.5 s, for 0.3 s. The twin crawls at 0.1 m/s, straight on."
+        said
+        == "The twin touches an obstacle at 1.5 s, for 0.3 s. The twin crawls at 0.1"
+        " m/s, straight on."
     )
     said = headline({"plants": {"twin": plant | {"object_moved_m": 0.2}}} | metrics)
     assert said.startswith("The twin touches an object at 1.5 s")

@@ -15,7 +15,13 @@ from conftest import ROOT
 from hypothesis import given, strategies as st
 
 from srs_twin.cli import main
-from srs_twin.comparison.diff import Results, Tolerance, diff, load_tolerances, read_results
+from srs_twin.comparison.diff import (
+    Results,
+    Tolerance,
+    diff,
+    load_tolerances,
+    read_results,
+)
 from srs_twin.errors import InputError
 
 SCENARIO = """\
@@ -47,7 +53,15 @@ def runs(tmp_path_factory):
     for name, offset in (("a", 0.0), ("b", 0.0), ("c", 0.001)):
         (folder / "walk.yaml").write_text(SCENARIO.format(offset=offset))
         with pytest.raises(SystemExit):
-            main(["run", str(folder / "walk.yaml"), "--out", str(folder / name / "walk"), "--quiet"])
+            main(
+                [
+                    "run",
+                    str(folder / "walk.yaml"),
+                    "--out",
+                    str(folder / name / "walk"),
+                    "--quiet",
+                ]
+            )
     return folder
 
 
@@ -70,10 +84,18 @@ def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
     found = json.loads(out)
     assert code == 1 and set(found) == {"moved", "same"}
     moved = {each["metric"]: each for each in found["moved"]}
-    before = json.loads((runs / "a/walk/metrics.json").read_text())["plants"]["analytical"]
-    after = json.loads((runs / "c/walk/metrics.json").read_text())["plants"]["analytical"]
+    before = json.loads((runs / "a/walk/metrics.json").read_text())["plants"][
+        "analytical"
+    ]
+    after = json.loads((runs / "c/walk/metrics.json").read_text())["plants"][
+        "analytical"
+    ]
     yaw = moved["analytical.yaw_rate_rad_s"]
-    assert (yaw["where"], yaw["a"], yaw["b"]) == ("walk", before["yaw_rate_rad_s"], after["yaw_rate_rad_s"])
+    assert (yaw["where"], yaw["a"], yaw["b"]) == (
+        "walk",
+        before["yaw_rate_rad_s"],
+        after["yaw_rate_rad_s"],
+    )
     assert yaw["rel"] == pytest.approx((yaw["b"] - yaw["a"]) / abs(yaw["a"]))
     assert "analytical.wall_s" not in moved and "expectations[0].met" not in moved
     (case,) = ElementTree.parse(report).iter("testcase")
@@ -81,14 +103,20 @@ def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
     # The difference is small: wide tolerances, of all or of one metric, take it in.
     assert call(capsys, "diff", a, c, "--rel", "1", "--abs", "10")[0] == 0
     (tmp_path / "wide.yaml").write_text("metrics: {yaw_rate_rad_s: {abs: 10}}\n")
-    _, out, _ = call(capsys, "diff", a, c, "--tolerances", str(tmp_path / "wide.yaml"), "--json")
-    assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {yaw["metric"]}
+    _, out, _ = call(
+        capsys, "diff", a, c, "--tolerances", str(tmp_path / "wide.yaml"), "--json"
+    )
+    assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {
+        yaw["metric"]
+    }
 
 
 def test_missing_scenario_is_a_difference(runs, capsys, tmp_path):
     shutil.copytree(runs / "a", tmp_path / "more")
     shutil.copytree(runs / "a/walk", tmp_path / "more/other")
-    code, out, _ = call(capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json")
+    code, out, _ = call(
+        capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json"
+    )
     moved = json.loads(out)["moved"]
     assert code == 1 and {each["where"] for each in moved} == {"other/walk"}
     assert {each["a"] for each in moved} == {None}
@@ -98,27 +126,49 @@ def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
     """Keys may differ: another target or another commit has other keys."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sweep.yaml").write_text(SWEEP + "plants: [analytical]\n")
-    (tmp_path / "turned.yaml").write_text(SWEEP.replace("[41, 55]", "[55, 41]") + "plants: [analytical]\n")
+    (tmp_path / "turned.yaml").write_text(
+        SWEEP.replace("[41, 55]", "[55, 41]") + "plants: [analytical]\n"
+    )
     for name in ("sweep", "turned"):
-        call(capsys, "sweep", f"{name}.yaml", "--out", name, "--quiet", "--workers", "1")
+        call(
+            capsys, "sweep", f"{name}.yaml", "--out", name, "--quiet", "--workers", "1"
+        )
     assert call(capsys, "diff", "sweep", "turned")[0] == 0
-    (tmp_path / "other.yaml").write_text(SWEEP.replace("41", "42") + "plants: [analytical]\n")
+    (tmp_path / "other.yaml").write_text(
+        SWEEP.replace("41", "42") + "plants: [analytical]\n"
+    )
     call(capsys, "sweep", "other.yaml", "--out", "other", "--quiet", "--workers", "1")
     code, out, _ = call(capsys, "diff", "sweep/results.parquet", "other", "--json")
     moved = json.loads(out)["moved"]
     assert code == 1
-    assert {each["where"] for each in moved} == {"supply.pressure_kpa=41", "supply.pressure_kpa=42"}
+    assert {each["where"] for each in moved} == {
+        "supply.pressure_kpa=41",
+        "supply.pressure_kpa=42",
+    }
 
 
 def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
     row = {"metric": "com_speed_m_s", "of": "twin", "met": True}
     for name, found in (("a", row), ("b", row | {"met": False, "state": "not_judged"})):
-        run = {"scenario": "walk", "plants": {}, "comparison": None, "expectations": [found], "versions": {}}
+        run = {
+            "scenario": "walk",
+            "plants": {},
+            "comparison": None,
+            "expectations": [found],
+            "versions": {},
+        }
         (tmp_path / name).mkdir()
         (tmp_path / name / "metrics.json").write_text(json.dumps(run))
-    code, out, _ = call(capsys, "diff", str(tmp_path / "a"), str(tmp_path / "b"), "--json")
+    code, out, _ = call(
+        capsys, "diff", str(tmp_path / "a"), str(tmp_path / "b"), "--json"
+    )
     (moved,) = json.loads(out)["moved"]
-    assert (code, moved["metric"], moved["a"], moved["b"]) == (1, "expectations[0].met", True, "not judged")
+    assert (code, moved["metric"], moved["a"], moved["b"]) == (
+        1,
+        "expectations[0].met",
+        True,
+        "not judged",
+    )
 
 
 def test_changed_verdict_is_a_difference(capsys, tmp_path):
@@ -129,8 +179,15 @@ def test_changed_verdict_is_a_difference(capsys, tmp_path):
         (tmp_path / f"{name}.json").write_text(
             json.dumps({"rows": rows, "versions": {"mujoco": name, f"of {name}": "1"}})
         )
-    code, out, err = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"))
-    assert code == 1 and "row, twin" in out and "missed" in out and "1 different, 1 equal" in out
+    code, out, err = call(
+        capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json")
+    )
+    assert (
+        code == 1
+        and "row, twin" in out
+        and "missed" in out
+        and "1 different, 1 equal" in out
+    )
     assert err == "different versions of mujoco: a → b\n"
 
 
@@ -138,9 +195,14 @@ def test_changed_verdict_is_a_difference(capsys, tmp_path):
 def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
     for name, verdict in (("a", "met"), ("b", "[red]x\x1b[31m\x9b")):
         outcomes = {"twin": {"verdict": verdict, "value": 1.0}}
-        document = {"rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}], "versions": {}}
+        document = {
+            "rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}],
+            "versions": {},
+        }
         (tmp_path / f"{name}.json").write_text(json.dumps(document))
-    code, out, _ = call(capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"), *options)
+    code, out, _ = call(
+        capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"), *options
+    )
     assert code == 1 and "[red]x" in out and not set(out) & set("\x1b\x9b")
 
 
@@ -148,15 +210,33 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
     ("words", "said"),
     [
         (("nowhere", "a"), "nowhere: no such file"),
-        (("empty", "a"), "empty: the folder has no results (metrics.json, results.parquet, reproduce.json)"),
-        (("a/walk/analytical.parquet", "a"), "analytical.parquet: not the results of a run"),
+        (
+            ("empty", "a"),
+            (
+                "empty: the folder has no results (metrics.json, results.parquet,"
+                " reproduce.json)"
+            ),
+        ),
+        (
+            ("a/walk/analytical.parquet", "a"),
+            "analytical.parquet: not the results of a run",
+        ),
         (("junk.json", "a"), "junk.json:1:13: not JSON"),
         (("list.json", "a"), "list.json: not the results of a run"),
         (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
-        (("a", "a", "--tolerances", "bad.yaml"), "bad.yaml:1:6: rel: must be a number from 0 to 1"),
-        (("a", "a", "--tolerances", "unknown.yaml"), "unknown metric of a tolerance 'com_sped_m_s'"),
-        (("a", "a", "--junit", "a.yaml"), "--junit a.yaml: the file name of a report must end in .xml"),
+        (
+            ("a", "a", "--tolerances", "bad.yaml"),
+            "bad.yaml:1:6: rel: must be a number from 0 to 1",
+        ),
+        (
+            ("a", "a", "--tolerances", "unknown.yaml"),
+            "unknown metric of a tolerance 'com_sped_m_s'",
+        ),
+        (
+            ("a", "a", "--junit", "a.yaml"),
+            "--junit a.yaml: the file name of a report must end in .xml",
+        ),
     ],
 )
 def test_bad_input(runs, capsys, monkeypatch, words, said):
@@ -170,21 +250,35 @@ def test_bad_input(runs, capsys, monkeypatch, words, said):
     assert code == 2 and said in err and out == ""
 
 
-numbers = st.none() | st.booleans() | st.floats(allow_nan=False) | st.integers() | st.text(max_size=3)
+numbers = (
+    st.none()
+    | st.booleans()
+    | st.floats(allow_nan=False)
+    | st.integers()
+    | st.text(max_size=3)
+)
 
 
-@given(st.dictionaries(st.tuples(st.text(max_size=2), st.text(max_size=4)), numbers), st.data())
+@given(
+    st.dictionaries(st.tuples(st.text(max_size=2), st.text(max_size=4)), numbers),
+    st.data(),
+)
 def test_every_value_is_counted_once(values, data):
     other = {place: data.draw(numbers) for place in values if data.draw(st.booleans())}
     found = diff(Results(values, {}), Results(other, {}))
     assert len(found.moved) + found.same == len(values)
-    lost = {place for place in values.keys() - other.keys() if values[place] is not None}
+    lost = {
+        place for place in values.keys() - other.keys() if values[place] is not None
+    }
     assert {(each.where, each.metric) for each in found.moved} >= lost
     assert not diff(Results(values, {}), Results(values, {})).moved
 
 
 def test_single_runs_are_compared_regardless_of_their_names():
-    one, other = ({(name, "twin.com_speed_m_s"): 0.2, (name, "twin.yaw_rate_rad_s"): None} for name in "ab")
+    one, other = (
+        {(name, "twin.com_speed_m_s"): 0.2, (name, "twin.yaw_rate_rad_s"): None}
+        for name in "ab"
+    )
     assert diff(Results(one, {}), Results(other, {})).same == 2
     assert len(diff(Results(one | {("c", "x"): 1}, {}), Results(other, {})).moved) == 3
 
@@ -203,10 +297,19 @@ def test_rounding_differences_are_within_the_default_tolerances(tmp_path):
     (tmp_path / "sweep.yaml").write_text(SWEEP)
     results = {}
     for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):
-        words = [sys.executable, "-P", "-c", "from srs_twin.cli import main; main()", "sweep", "sweep.yaml"]
+        words = [
+            sys.executable,
+            "-P",
+            "-c",
+            "from srs_twin.cli import main; main()",
+            "sweep",
+            "sweep.yaml",
+        ]
         words += ["--out", name, "--workers", "1"]
         environment = {**os.environ, "GLIBC_TUNABLES": tunables}
-        subprocess.run(words, cwd=tmp_path, env=environment, check=True, capture_output=True)
+        subprocess.run(
+            words, cwd=tmp_path, env=environment, check=True, capture_output=True
+        )
         results[name] = read_results(tmp_path / name)
     if results["own"].versions == results["other"].versions:
         pytest.skip("this processor has one variant only")
@@ -241,16 +344,31 @@ def sweep_of(path, value: float):
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    row = {"key": ["k"], "seed": [1], "status": ["done"], "exit_code": [0], "twin.com_speed_m_s": [value]}
-    pq.write_table(pa.table(row).replace_schema_metadata({"srs_twin.sweep": '{"versions": {}}'}), path)
+    row = {
+        "key": ["k"],
+        "seed": [1],
+        "status": ["done"],
+        "exit_code": [0],
+        "twin.com_speed_m_s": [value],
+    }
+    pq.write_table(
+        pa.table(row).replace_schema_metadata({"srs_twin.sweep": '{"versions": {}}'}),
+        path,
+    )
     return str(path)
 
 
 @pytest.mark.parametrize(
-    ("value", "text"), [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")]
+    ("value", "text"),
+    [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")],
 )
-def test_numbers_that_json_does_not_have_are_printed_as_text(capsys, tmp_path, value, text):
-    a, b = sweep_of(tmp_path / "a.parquet", 0.1), sweep_of(tmp_path / "b.parquet", value)
+def test_numbers_that_json_does_not_have_are_printed_as_text(
+    capsys, tmp_path, value, text
+):
+    a, b = (
+        sweep_of(tmp_path / "a.parquet", 0.1),
+        sweep_of(tmp_path / "b.parquet", value),
+    )
     code, out, _ = call(capsys, "diff", a, b, "--json")
     (moved,) = json.loads(out, parse_constant=pytest.fail)["moved"]
     assert (code, moved["b"], moved["rel"]) == (1, text, None)
@@ -260,15 +378,32 @@ def test_numbers_that_json_does_not_have_are_printed_as_text(capsys, tmp_path, v
 
 @pytest.mark.parametrize(
     "content",
-    ["[]", "null", "3", "{}", '{"versions": 3}', '{"versions": {}, "rows": {"a": 1}}',
-     '{"versions": {}, "rows": [1]}',
-     '{"versions": {}, "scenario": "s", "plants": [], "comparison": {}, "expectations": [1]}'],
-)  # fmt: skip
-@pytest.mark.parametrize("name", ["metrics.json", "plan.json", "sweep.json", "reproduce.json"])
+    [
+        "[]",
+        "null",
+        "3",
+        "{}",
+        '{"versions": 3}',
+        '{"versions": {}, "rows": {"a": 1}}',
+        '{"versions": {}, "rows": [1]}',
+        (
+            '{"versions": {}, "scenario": "s", "plants": [], "comparison": {},'
+            ' "expectations": [1]}'
+        ),
+    ],
+)
+@pytest.mark.parametrize(
+    "name", ["metrics.json", "plan.json", "sweep.json", "reproduce.json"]
+)
 def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
     (tmp_path / name).write_text(content)
-    code, out, err = call(capsys, "diff", str(tmp_path / name), str(tmp_path / name), "--json")
-    assert (code, out) == (2, "") and "not the results of a run, a sweep or a reproduction" in err
+    code, out, err = call(
+        capsys, "diff", str(tmp_path / name), str(tmp_path / name), "--json"
+    )
+    assert (code, out) == (
+        2,
+        "",
+    ) and "not the results of a run, a sweep or a reproduction" in err
 
 
 def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):

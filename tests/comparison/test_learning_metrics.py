@@ -35,7 +35,8 @@ def learnt(
 ) -> Trajectory:
     """Return a prescribed run whose sensors peaked at these amplitudes, shape (periods, segments, 2), rad.
 
-    The bends themselves know nothing of it, so that amplitudes must come from the sensors.
+    The bends themselves know nothing of it, so that amplitudes must come from the
+    sensors.
     """
     run = snake.trajectory()
     sensed, duty = np.zeros((len(run), SEGMENTS)), np.ones((len(run), SEGMENTS, 2))
@@ -46,7 +47,8 @@ def learnt(
                 own = (run.time > begin - 1e-6) & (run.time <= begin + 0.5 + 1e-6)
                 middle = np.abs(run.time - begin - 0.25) < 0.02
                 sensed[middle, j] = peak if side == 0 else -peak
-                # A sample is taken at the end of its tick, so the samples of a period begin after its start.
+                # A sample is taken at the end of its tick, so the samples of a period
+                # begin after its start.
                 duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n
     columns = {
         **numbered("sensed", sensed),
@@ -91,7 +93,10 @@ def test_amplitudes_and_duties_by_period():
 )
 def test_convergence_requires_staying_within_the_tolerance(errors, period):
     errors = [0.06 * (e > 0.05) if e != 1.0 else e for e in errors]
-    assert learning_metrics(learnt(RUN, amplitudes(errors)))["periods_to_converge"] == period
+    assert (
+        learning_metrics(learnt(RUN, amplitudes(errors)))["periods_to_converge"]
+        == period
+    )
 
 
 def test_every_chamber_with_a_target_must_converge():
@@ -101,24 +106,37 @@ def test_every_chamber_with_a_target_must_converge():
     found = learning_metrics(run)
     assert found["periods_to_converge"] is None
     assert found["amplitude_error_end_rad"] == pytest.approx(1.3)
-    left_out = {name: np.full(len(run), math.nan) for name in ("target_plus_2", "target_minus_2")}
+    left_out = {
+        name: np.full(len(run), math.nan)
+        for name in ("target_plus_2", "target_minus_2")
+    }
     found = learning_metrics(with_columns(run, **left_out))
-    assert found["periods_to_converge"] == 7.0 and found["amplitude_error_rad"][5][1] == [None, None]
+    assert found["periods_to_converge"] == 7.0 and found["amplitude_error_rad"][5][
+        1
+    ] == [None, None]
 
 
 def test_lost_readings_are_ignored():
     run = learnt(RUN, amplitudes(FADING))
-    gone = with_columns(run, sensed_3=np.where(run.time > 3.0, math.nan, run["sensed_3"]))
+    gone = with_columns(
+        run, sensed_3=np.where(run.time > 3.0, math.nan, run["sensed_3"])
+    )
     found = learning_metrics(gone)
-    assert found["periods_to_converge"] is None and found["amplitude_error_end_rad"] is None
+    assert (
+        found["periods_to_converge"] is None
+        and found["amplitude_error_end_rad"] is None
+    )
     json.dumps(found, allow_nan=False)
 
 
 @pytest.mark.parametrize(
-    ("speed", "yaw_rate"), [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)]
+    ("speed", "yaw_rate"),
+    [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)],
 )
 def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
-    found = learning_metrics(learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING)))
+    found = learning_metrics(
+        learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING))
+    )
     assert found["path_curvature_per_m"] == pytest.approx(
         yaw_rate / speed, abs=2e-3 * abs(yaw_rate / speed) + 1e-6
     )
@@ -129,12 +147,16 @@ def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
     chord = speed * np.sinc(turn / (2 * math.pi)) / FREQUENCY
     assert found["path_speed_m_s"] == pytest.approx(chord * FREQUENCY, rel=2e-3)
     assert found["heading_drift_rad"] == pytest.approx(yaw_rate / FREQUENCY, abs=1e-6)
-    assert found["heading_drift_by_period_rad"] == pytest.approx([yaw_rate / FREQUENCY] * 12, abs=1e-6)
+    assert found["heading_drift_by_period_rad"] == pytest.approx(
+        [yaw_rate / FREQUENCY] * 12, abs=1e-6
+    )
     if yaw_rate:
         assert found["path_radius_m"] == pytest.approx(speed / yaw_rate, rel=2e-3)
         assert found["path_radius_spread_rel"] == pytest.approx(0.0, abs=1e-3)
     else:
-        assert found["path_radius_m"] is None and found["path_radius_spread_rel"] is None
+        assert (
+            found["path_radius_m"] is None and found["path_radius_spread_rel"] is None
+        )
 
 
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
@@ -147,11 +169,17 @@ def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
     angle = yaw_rate * (time[:, None] + lag)
     if yaw_rate:
         radius = speed / yaw_rate
-        position = np.stack([radius * np.sin(angle), radius * (1 - np.cos(angle))], axis=-1)
+        position = np.stack(
+            [radius * np.sin(angle), radius * (1 - np.cos(angle))], axis=-1
+        )
         centre = yaw_rate * time
-        com = np.stack([radius * np.sin(centre), radius * (1 - np.cos(centre))], axis=-1)
+        com = np.stack(
+            [radius * np.sin(centre), radius * (1 - np.cos(centre))], axis=-1
+        )
     else:
-        position = np.stack([speed * (time[:, None] + lag), np.zeros(angle.shape)], axis=-1)
+        position = np.stack(
+            [speed * (time[:, None] + lag), np.zeros(angle.shape)], axis=-1
+        )
         com = np.stack([speed * time, np.zeros(len(time))], axis=-1)
     # One connector is to the left of the path and determines the left edge.
     aside = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
@@ -177,7 +205,9 @@ def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
 
 @pytest.fixture(scope="module")
 def real() -> Trajectory:
-    snake = AnalyticalSnake(load_robot("gen4"), supply_pa=131_000, tick=0.01, model="compliant")
+    snake = AnalyticalSnake(
+        load_robot("gen4"), supply_pa=131_000, tick=0.01, model="compliant"
+    )
     return rollout(snake, ILC(1.0, 0.3, target=0.7), 14.0)
 
 
@@ -187,13 +217,16 @@ def test_mirroring_swaps_the_sides(real):
     for name in ("duty", "target"):
         for j in range(1, 5):
             columns[f"{name}_plus_{j}"], columns[f"{name}_minus_{j}"] = (
-                real[f"{name}_minus_{j}"], real[f"{name}_plus_{j}"],
-            )  # fmt: skip
+                real[f"{name}_minus_{j}"],
+                real[f"{name}_plus_{j}"],
+            )
         columns |= numbered("sensed", -real.stack("sensed"))
     begins = np.array(real.metadata["control"]["fill_begins_s"])[:, ::-1]
     about = {"control": {"fill_begins_s": begins.tolist()}}
     ours = learning_metrics(real)
-    theirs = learning_metrics(with_metadata(mirrored(with_columns(real, **columns)), **about))
+    theirs = learning_metrics(
+        with_metadata(mirrored(with_columns(real, **columns)), **about)
+    )
     for name in (
         "path_speed_m_s",
         "periods_to_converge",
@@ -202,21 +235,33 @@ def test_mirroring_swaps_the_sides(real):
         "path_radius_spread_rel",
     ):
         assert theirs[name] == pytest.approx(ours[name], abs=1e-9), name
-    for name in ("path_curvature_per_m", "path_curvature_before_per_m", "path_radius_m", "heading_drift_rad"):
+    for name in (
+        "path_curvature_per_m",
+        "path_curvature_before_per_m",
+        "path_radius_m",
+        "heading_drift_rad",
+    ):
         assert theirs[name] == pytest.approx(-ours[name], rel=1e-6), name
     assert theirs["box_left_m"] == pytest.approx(-ours["box_right_m"], abs=1e-9)
 
 
 def test_a_real_run_has_all_metrics(real):
     found = plant_metrics(real)
-    # Equal modules have a straight path before learning, so no ratio of curvatures is defined.
-    assert {name for name in LEARNING_UNITS if found[name] is None} <= {"path_bend_left_rel"}
+    # Equal modules have a straight path before learning, so no ratio of curvatures is
+    # defined.
+    assert {name for name in LEARNING_UNITS if found[name] is None} <= {
+        "path_bend_left_rel"
+    }
     assert found["path_bend_per_m"] == abs(found["path_curvature_per_m"])
     assert found["periods_to_converge"] <= 12
-    assert found["path_radius_m"] == pytest.approx(1 / found["path_curvature_per_m"], rel=1e-6)
+    assert found["path_radius_m"] == pytest.approx(
+        1 / found["path_curvature_per_m"], rel=1e-6
+    )
     assert found["box_left_m"] < 0 < found["box_right_m"]
     controller = PeriodAmplitudes.from_trajectory(real)
-    assert controller.amplitude[-1, :, 0] == pytest.approx(real.stack("amplitude_plus")[-1], abs=0.02)
+    assert controller.amplitude[-1, :, 0] == pytest.approx(
+        real.stack("amplitude_plus")[-1], abs=0.02
+    )
 
 
 def test_an_open_loop_gait_has_no_learning_metrics():
@@ -226,13 +271,19 @@ def test_an_open_loop_gait_has_no_learning_metrics():
 
 def test_a_short_run_has_no_path_metrics():
     found = learning_metrics(learnt(Snake(duration=1.0), amplitudes([0.0])))
-    assert found["path_radius_m"] is None and found["path_curvature_before_per_m"] is None
+    assert (
+        found["path_radius_m"] is None and found["path_curvature_before_per_m"] is None
+    )
 
 
 @pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], "now", [[math.nan, 0.0]] * 4])
 def test_runs_without_fill_starts_are_refused(begins):
-    run = with_metadata(learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins})
-    with pytest.raises(InputError, match="metadata need gait_frequency_hz and control.fill_begins_s"):
+    run = with_metadata(
+        learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins}
+    )
+    with pytest.raises(
+        InputError, match="metadata need gait_frequency_hz and control.fill_begins_s"
+    ):
         learning_metrics(run)
 
 
@@ -240,15 +291,23 @@ def test_a_sweep_has_a_column_for_every_number(real):
     flat = flat_metrics("twin", plant_metrics(real))
     found = learning_metrics(real)
     assert flat["twin.duty_minus_3_period_7"] == found["duty"][6][2][1]
-    assert flat["twin.heading_drift_by_period_rad_2"] == found["heading_drift_by_period_rad"][1]
-    assert flat["twin.amplitude_error_rad_plus_1_period_2"] == found["amplitude_error_rad"][1][0][0]
+    assert (
+        flat["twin.heading_drift_by_period_rad_2"]
+        == found["heading_drift_by_period_rad"][1]
+    )
+    assert (
+        flat["twin.amplitude_error_rad_plus_1_period_2"]
+        == found["amplitude_error_rad"][1][0][0]
+    )
     assert flat["twin.valve_switches_plus_4"] == real.metadata["valve_switches"][3][0]
     assert all(value is None or isinstance(value, float) for value in flat.values())
 
 
 def test_growth_uses_the_periods_before_the_first_update():
     rising = amplitudes([0.0, 0.2, 0.5, 0.1, 0.0, 0.0])
-    assert learning_metrics(learnt(RUN, rising))["amplitude_growth_rel"] == pytest.approx(1.5, rel=1e-6)
+    assert learning_metrics(learnt(RUN, rising))[
+        "amplitude_growth_rel"
+    ] == pytest.approx(1.5, rel=1e-6)
 
 
 def test_headline_says_what_learning_left_of_the_curvature():
@@ -259,6 +318,11 @@ def test_headline_says_what_learning_left_of_the_curvature():
         "path_curvature_per_m": 0.356,
     }
     said = headline({"plants": {"twin": learnt_run}})
-    assert "does not control the path, whose curvature changed from -0.29 to 0.36 1/m" in said
+    assert (
+        "does not control the path, whose curvature changed from -0.29 to 0.36 1/m"
+        in said
+    )
     for missing in ("periods_to_converge", "path_curvature_per_m"):
-        assert "Learning" not in headline({"plants": {"twin": learnt_run | {missing: None}}})
+        assert "Learning" not in headline(
+            {"plants": {"twin": learnt_run | {missing: None}}}
+        )

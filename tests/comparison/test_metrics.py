@@ -8,13 +8,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from synthetic import Snake, backwards, mirrored, moved, sampled, with_columns, with_metadata
+from synthetic import (
+    Snake,
+    backwards,
+    mirrored,
+    moved,
+    sampled,
+    with_columns,
+    with_metadata,
+)
 
 from srs_twin.comparison import metrics
 from srs_twin.comparison.contacts import CONTACT_UNITS, OBJECT_UNITS
 from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
-from srs_twin.comparison.metrics import LIST_METRIC_UNITS, MEASURED_UNITS, METRIC_UNITS, plant_metrics
+from srs_twin.comparison.metrics import (
+    LIST_METRIC_UNITS,
+    MEASURED_UNITS,
+    METRIC_UNITS,
+    plant_metrics,
+)
 from srs_twin.comparison.sampling import metric_groups
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS
 from srs_twin.errors import InputError
@@ -24,10 +37,18 @@ from srs_twin.trajectory import Trajectory
 pytestmark = pytest.mark.fast
 
 GAIT_METRICS = {
-    "com_speed_m_s", "yaw_rate_rad_s", "turning_radius_m",
-    "bend_amplitude_rad", "bend_bias_rad", "mean_bend_amplitude_rad", "mechanical_power_w",
-    "internal_power_w", "cost_of_transport", "pneumatic_power_w", "pneumatic_cost_of_transport",
-}  # fmt: skip
+    "com_speed_m_s",
+    "yaw_rate_rad_s",
+    "turning_radius_m",
+    "bend_amplitude_rad",
+    "bend_bias_rad",
+    "mean_bend_amplitude_rad",
+    "mechanical_power_w",
+    "internal_power_w",
+    "cost_of_transport",
+    "pneumatic_power_w",
+    "pneumatic_cost_of_transport",
+}
 
 some = settings(deadline=None, max_examples=25)
 # Frequencies whose period is not a multiple of 10 ms are as likely as the others.
@@ -44,15 +65,25 @@ def assert_metrics_close(
             assert given[name] == value, name
         else:
             expected = np.asarray(value) * (-1 if name in flipped else 1)
-            np.testing.assert_allclose(given[name], expected, rtol=rel, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(
+                given[name], expected, rtol=rel, atol=1e-9, err_msg=name
+            )
 
 
 @some
-@given(speed=speeds, frequency=frequencies, phase=st.floats(-3, 3), angle=st.floats(-3, 3))
+@given(
+    speed=speeds, frequency=frequencies, phase=st.floats(-3, 3), angle=st.floats(-3, 3)
+)
 def test_speed_of_a_straight_run_is_recovered(speed, frequency, phase, angle):
-    run = moved(Snake(speed=speed, frequency=frequency, phase=phase).trajectory(), 1.0, -2.0, angle)
+    run = moved(
+        Snake(speed=speed, frequency=frequency, phase=phase).trajectory(),
+        1.0,
+        -2.0,
+        angle,
+    )
     found = plant_metrics(run)
-    # The error is that of the spline through the lateral oscillation, 3e-8 m/s at 4 Hz for any speed.
+    # The error is that of the spline through the lateral oscillation, 3e-8 m/s at 4 Hz
+    # for any speed.
     assert found["com_speed_m_s"] == pytest.approx(speed, rel=0, abs=1e-7)
     assert found["yaw_rate_rad_s"] == pytest.approx(0, abs=1e-6)
     assert found["turning_radius_m"] is None
@@ -60,8 +91,12 @@ def test_speed_of_a_straight_run_is_recovered(speed, frequency, phase, angle):
 
 @pytest.mark.parametrize("record_hz", [25, 60, 100, 1000 / 7])
 def test_speed_does_not_depend_on_the_recording_rate(record_hz):
-    run = Snake(speed=0.2, frequency=1.37, record_hz=record_hz, duration=8.4).trajectory()
-    assert plant_metrics(run)["com_speed_m_s"] == pytest.approx(0.2, rel=2e-5 if record_hz < 60 else 1e-6)
+    run = Snake(
+        speed=0.2, frequency=1.37, record_hz=record_hz, duration=8.4
+    ).trajectory()
+    assert plant_metrics(run)["com_speed_m_s"] == pytest.approx(
+        0.2, rel=2e-5 if record_hz < 60 else 1e-6
+    )
 
 
 @some
@@ -71,9 +106,13 @@ def test_speed_does_not_depend_on_the_recording_rate(record_hz):
     frequency=frequencies,
     side=st.sampled_from([-1, 1]),
 )
-def test_radius_and_yaw_rate_of_a_circle_are_recovered(radius, yaw_rate, frequency, side):
+def test_radius_and_yaw_rate_of_a_circle_are_recovered(
+    radius, yaw_rate, frequency, side
+):
     speed = radius * yaw_rate
-    run = Snake(speed=speed, yaw_rate=side * yaw_rate, frequency=frequency, sway=(0, 0)).trajectory()
+    run = Snake(
+        speed=speed, yaw_rate=side * yaw_rate, frequency=frequency, sway=(0, 0)
+    ).trajectory()
     found = plant_metrics(run)
     assert found["yaw_rate_rad_s"] == pytest.approx(side * yaw_rate, rel=1e-6, abs=1e-7)
     assert found["turning_radius_m"] == pytest.approx(side * radius, rel=1e-5)
@@ -83,15 +122,27 @@ def test_radius_and_yaw_rate_of_a_circle_are_recovered(radius, yaw_rate, frequen
 
 
 def test_lateral_oscillation_does_not_change_the_radius():
-    found = plant_metrics(Snake(speed=0.15, yaw_rate=0.3, frequency=1.3, duration=12).trajectory())
+    found = plant_metrics(
+        Snake(speed=0.15, yaw_rate=0.3, frequency=1.3, duration=12).trajectory()
+    )
     assert found["turning_radius_m"] == pytest.approx(0.5, rel=1e-3)
 
 
 def test_a_radius_above_100_body_lengths_is_straight():
     snake = Snake(speed=0.22, sway=(0, 0), duration=20.0)
-    curved, straight = (0.22 / (share * 100 * snake.body_length) for share in (0.99, 1.01))
-    assert plant_metrics(replace(snake, yaw_rate=curved).trajectory())["turning_radius_m"] > 0
-    assert plant_metrics(replace(snake, yaw_rate=straight).trajectory())["turning_radius_m"] is None
+    curved, straight = (
+        0.22 / (share * 100 * snake.body_length) for share in (0.99, 1.01)
+    )
+    assert (
+        plant_metrics(replace(snake, yaw_rate=curved).trajectory())["turning_radius_m"]
+        > 0
+    )
+    assert (
+        plant_metrics(replace(snake, yaw_rate=straight).trajectory())[
+            "turning_radius_m"
+        ]
+        is None
+    )
 
 
 def test_creep_on_the_spot_has_no_radius():
@@ -122,7 +173,9 @@ def test_metrics_do_not_depend_on_the_world_frame(yaw_rate, x, y, angle):
 def test_mirroring_swaps_left_and_right(yaw_rate, bias, frequency):
     run = Snake(yaw_rate=yaw_rate, bias=bias, frequency=frequency).trajectory()
     flipped = ("yaw_rate_rad_s", "turning_radius_m", "bend_bias_rad")
-    assert_metrics_close(plant_metrics(mirrored(run)), plant_metrics(run), flipped=flipped)
+    assert_metrics_close(
+        plant_metrics(mirrored(run)), plant_metrics(run), flipped=flipped
+    )
 
 
 def test_a_reversed_wave_has_negative_speed():
@@ -130,19 +183,23 @@ def test_a_reversed_wave_has_negative_speed():
     found = plant_metrics(run)
     assert found["com_speed_m_s"] == pytest.approx(-0.1, rel=1e-3)
     assert found["yaw_rate_rad_s"] == pytest.approx(0.2, rel=1e-6)
-    # The head is to the left of the tangent of the path, and the centre of the circle to the right of the
-    # body.
+    # The head is to the left of the tangent of the path, and the centre of the circle
+    # to the right of the body.
     assert found["turning_radius_m"] == pytest.approx(-0.5, rel=1e-5)
 
 
 @some
 @given(speed=speeds, frequency=frequencies)
 def test_time_reversal_changes_the_signs_of_speed_and_yaw_rate(speed, frequency):
-    run = Snake(speed=speed, yaw_rate=0.2, frequency=frequency, duration=6.0).trajectory()
+    run = Snake(
+        speed=speed, yaw_rate=0.2, frequency=frequency, duration=6.0
+    ).trajectory()
     ahead, back = plant_metrics(run), plant_metrics(backwards(run))
     for name in ("com_speed_m_s", "yaw_rate_rad_s"):
         assert back[name] == pytest.approx(-ahead[name], rel=1e-5), name
-    assert back["turning_radius_m"] == pytest.approx(ahead["turning_radius_m"], rel=1e-5)
+    assert back["turning_radius_m"] == pytest.approx(
+        ahead["turning_radius_m"], rel=1e-5
+    )
 
 
 @some
@@ -152,10 +209,16 @@ def test_time_reversal_changes_the_signs_of_speed_and_yaw_rate(speed, frequency)
     frequency=frequencies,
     connectors=st.integers(2, 8),
 )
-def test_amplitude_and_bias_of_bends_are_recovered(amplitude, bias, frequency, connectors):
-    snake = Snake(amplitude=amplitude, bias=bias, frequency=frequency, connectors=connectors)
+def test_amplitude_and_bias_of_bends_are_recovered(
+    amplitude, bias, frequency, connectors
+):
+    snake = Snake(
+        amplitude=amplitude, bias=bias, frequency=frequency, connectors=connectors
+    )
     found = plant_metrics(snake.trajectory())
-    assert found["bend_amplitude_rad"] == pytest.approx([amplitude] * (connectors - 1), rel=1e-3)
+    assert found["bend_amplitude_rad"] == pytest.approx(
+        [amplitude] * (connectors - 1), rel=1e-3
+    )
     assert found["mean_bend_amplitude_rad"] == pytest.approx(amplitude, rel=1e-3)
     assert found["bend_bias_rad"] == pytest.approx([bias] * (connectors - 1), abs=1e-6)
 
@@ -170,14 +233,17 @@ def test_bends_are_listed_head_first():
 def test_drift_does_not_change_the_amplitude():
     run = Snake(connectors=2, duration=20.0).trajectory()
     drifting = with_columns(run, bend_1=run["bend_1"] + 0.02 * run.time)
-    assert plant_metrics(drifting)["bend_amplitude_rad"][0] == pytest.approx(0.8, rel=0.01)
+    assert plant_metrics(drifting)["bend_amplitude_rad"][0] == pytest.approx(
+        0.8, rel=0.01
+    )
 
 
 def test_the_first_two_periods_are_left_out():
     run = Snake(speed=0.2, frequency=2.0).trajectory()
     late = run.time > 1.0
     started = with_columns(
-        run, com_x=np.where(late, run["com_x"], run["com_x"] + (1.0 - run.time) ** 3 * 0.5)
+        run,
+        com_x=np.where(late, run["com_x"], run["com_x"] + (1.0 - run.time) ** 3 * 0.5),
     )
     assert plant_metrics(started)["com_speed_m_s"] == pytest.approx(0.2, rel=1e-6)
 
@@ -192,7 +258,10 @@ def test_the_window_contains_all_whole_periods_after_the_warm_up(shift):
 
 
 def test_a_window_needs_three_whole_periods():
-    assert GaitWindow.from_trajectory(Snake(frequency=0.5, duration=5.9).trajectory()) is None
+    assert (
+        GaitWindow.from_trajectory(Snake(frequency=0.5, duration=5.9).trajectory())
+        is None
+    )
     exactly = Snake(frequency=0.5, duration=6.0, speed=0.03).trajectory()
     assert GaitWindow.from_trajectory(exactly).periods == 2
     assert plant_metrics(exactly)["com_speed_m_s"] == pytest.approx(0.03, rel=1e-6)
@@ -211,8 +280,12 @@ def test_gait_metrics_are_none_without_a_resolved_gait(snake):
     found = plant_metrics(snake.trajectory(), wall_s=2.0)
     learning = LEARNING_UNITS.keys() | LEARNING_LIST_UNITS.keys()
     others = TRACKING_UNITS.keys() | READING_UNITS.keys() | FOLLOWING_UNITS.keys()
-    others |= MEASURED_UNITS.keys() | CONTACT_UNITS.keys() | learning | {"final_bend_rad"}
-    assert {name for name, value in found.items() if value is None} == GAIT_METRICS | others
+    others |= (
+        MEASURED_UNITS.keys() | CONTACT_UNITS.keys() | learning | {"final_bend_rad"}
+    )
+    assert {
+        name for name, value in found.items() if value is None
+    } == GAIT_METRICS | others
     assert found["path_length_m"] >= 0
 
 
@@ -234,12 +307,19 @@ def test_wall_time_and_valve_openings_are_passed_through():
 
 @pytest.mark.parametrize("periodic", [True, False])
 def test_every_metric_is_json_and_has_a_unit(periodic):
-    found = plant_metrics(Snake(yaw_rate=0.3, periodic=periodic).trajectory(), wall_s=1.0)
+    found = plant_metrics(
+        Snake(yaw_rate=0.3, periodic=periodic).trajectory(), wall_s=1.0
+    )
     others = SPATIAL_UNITS.keys() | OBJECT_UNITS.keys()
     assert found.keys() == (METRIC_UNITS.keys() | LIST_METRIC_UNITS.keys()) - others
     assert json.loads(json.dumps(found, allow_nan=False)) == found
-    assert all(value is None or type(value) is float for value in map(found.get, METRIC_UNITS))
-    assert all(value is None or type(value) is list for value in map(found.get, LIST_METRIC_UNITS))
+    assert all(
+        value is None or type(value) is float for value in map(found.get, METRIC_UNITS)
+    )
+    assert all(
+        value is None or type(value) is list
+        for value in map(found.get, LIST_METRIC_UNITS)
+    )
 
 
 def spoiled(name: str, index: int, value: float) -> Trajectory:
@@ -252,18 +332,30 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
 @pytest.mark.parametrize(
     ("run", "words"),
     [
-        (spoiled("com_y", 7, math.nan), "analytical: column 'com_y' is not finite at sample 7"),
+        (
+            spoiled("com_y", 7, math.nan),
+            "analytical: column 'com_y' is not finite at sample 7",
+        ),
         (spoiled("bend_2", 30, math.inf), "column 'bend' is not finite at sample 30"),
         (spoiled("time", 5, 0.0), "time must increase from sample to sample"),
         (sampled(Snake().trajectory(), slice(0)), "has no samples"),
         (Trajectory({"time": np.arange(3.0)}), "trajectory: no column 'com_x'"),
-        (with_metadata(Snake().trajectory(), body_length_m=None), "body_length_m is missing"),
+        (
+            with_metadata(Snake().trajectory(), body_length_m=None),
+            "body_length_m is missing",
+        ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz=-1.0),
             "gait_frequency_hz is -1.0; it must be a pos",
         ),
-        (with_metadata(Snake().trajectory(), gait_frequency_hz="2"), "gait_frequency_hz is '2'"),
-        (with_metadata(Snake().trajectory(), gait_frequency_hz=math.nan), "gait_frequency_hz is nan"),
+        (
+            with_metadata(Snake().trajectory(), gait_frequency_hz="2"),
+            "gait_frequency_hz is '2'",
+        ),
+        (
+            with_metadata(Snake().trajectory(), gait_frequency_hz=math.nan),
+            "gait_frequency_hz is nan",
+        ),
     ],
 )
 def test_unusable_runs_are_refused(run, words):

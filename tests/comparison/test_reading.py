@@ -36,8 +36,12 @@ def test_a_linear_reading_has_r_squared_1(reach, slope, offset):
     assert found["reading_r_squared"] == pytest.approx(1.0)
     assert found["reading_backstep_rad"] == pytest.approx(0.0, abs=1e-12)
     worst = max(abs((slope - 1) * end + offset) for end in (-reach, reach))
-    assert found["reading_error_rad"] == pytest.approx(worst, abs=abs(slope - 1) * BIN_RAD + 1e-12)
-    assert found["reading_range_t"] is None  # nobody told how readings come from a field
+    assert found["reading_error_rad"] == pytest.approx(
+        worst, abs=abs(slope - 1) * BIN_RAD + 1e-12
+    )
+    assert (
+        found["reading_range_t"] is None
+    )  # nobody told how readings come from a field
 
 
 @settings(max_examples=30)
@@ -61,31 +65,43 @@ def test_every_bend_counts_once_regardless_of_its_duration():
     bend = np.linspace(-1, 1, 2001)
     dwelling = np.concatenate([bend, np.full(50_000, 1.0), np.full(100, -1.0)])
     quick, slow = (reading_metrics(run(q, q**3 + q)) for q in (bend, dwelling))
-    assert slow["reading_r_squared"] == pytest.approx(quick["reading_r_squared"], abs=2e-3)
+    assert slow["reading_r_squared"] == pytest.approx(
+        quick["reading_r_squared"], abs=2e-3
+    )
     # The mean bend of the last bin moves to the bend that lasted longest.
-    assert slow["reading_error_rad"] == pytest.approx(quick["reading_error_rad"], abs=3 * BIN_RAD)
+    assert slow["reading_error_rad"] == pytest.approx(
+        quick["reading_error_rad"], abs=3 * BIN_RAD
+    )
     # Weighted by time, nearly all samples would be one bend.
     q = dwelling
-    assert np.corrcoef(q, q**3 + q)[0, 1] ** 2 != pytest.approx(quick["reading_r_squared"], abs=0.01)
+    assert np.corrcoef(q, q**3 + q)[0, 1] ** 2 != pytest.approx(
+        quick["reading_r_squared"], abs=0.01
+    )
 
 
 def test_r_squared_equals_that_at_evenly_spaced_bends():
     bend = there_and_back(1.2)
     even = np.linspace(-1.2, 1.2, 100_001)
     expected = np.corrcoef(even, np.sin(even))[0, 1] ** 2
-    assert reading_metrics(run(bend, np.sin(bend)))["reading_r_squared"] == pytest.approx(expected, abs=2e-4)
+    assert reading_metrics(run(bend, np.sin(bend)))[
+        "reading_r_squared"
+    ] == pytest.approx(expected, abs=2e-4)
 
 
 def test_noise_averages_out_and_lost_readings_are_left_out():
     bend = np.tile(there_and_back(1.0), 20)
     noise = 0.02 * np.random.default_rng(1).standard_normal(len(bend))
-    found = reading_metrics(run(bend, np.where(np.arange(len(bend)) % 7 == 0, np.nan, bend + noise)))
+    found = reading_metrics(
+        run(bend, np.where(np.arange(len(bend)) % 7 == 0, np.nan, bend + noise))
+    )
     assert found["reading_r_squared"] > 0.9999
     assert found["reading_error_rad"] < 0.005
     assert found["reading_backstep_rad"] < 0.005
 
 
-@pytest.mark.parametrize(("bend", "sensed"), [([0.5] * 5, [0.5] * 5), ([0.0, 0.5, 1.0], [np.nan] * 3)])
+@pytest.mark.parametrize(
+    ("bend", "sensed"), [([0.5] * 5, [0.5] * 5), ([0.0, 0.5, 1.0], [np.nan] * 3)]
+)
 def test_too_few_bins_give_no_metrics(bend, sensed):
     assert set(reading_metrics(run(bend, sensed)).values()) == {None}
 
@@ -103,10 +119,15 @@ def test_an_ideal_sensor_or_none_has_no_metrics(sensor):
     assert reading_metrics(run(bend, bend, sensor)).keys() == READING_UNITS.keys()
 
 
-@pytest.mark.parametrize("broken", [{"hall": {}}, {"hall": {"gain": "x"}, "calibration": {"slope": 1.0}}])
+@pytest.mark.parametrize(
+    "broken", [{"hall": {}}, {"hall": {"gain": "x"}, "calibration": {"slope": 1.0}}]
+)
 def test_range_needs_the_settings_of_the_hall_element(broken):
     bend = there_and_back(1.0)
-    assert reading_metrics(run(bend, bend, {"kind": "hall"} | broken))["reading_range_t"] is None
+    assert (
+        reading_metrics(run(bend, bend, {"kind": "hall"} | broken))["reading_range_t"]
+        is None
+    )
 
 
 @settings(max_examples=20, deadline=None)
@@ -114,34 +135,64 @@ def test_range_needs_the_settings_of_the_hall_element(broken):
 def test_range_does_not_depend_on_the_electronics(orientation, distance, drift):
     spec = load_robot("gen4_module")
     sensor = make_sensor(
-        "hall", spec, orientation=orientation, distance=distance, noise=0.0, bits=None,
-        gain_error=drift, rails=(-50.0, 50.0), converter_range=(-50.0, 50.0), offset=0.0,
-    )  # fmt: skip
+        "hall",
+        spec,
+        orientation=orientation,
+        distance=distance,
+        noise=0.0,
+        bits=None,
+        gain_error=drift,
+        rails=(-50.0, 50.0),
+        converter_range=(-50.0, 50.0),
+        offset=0.0,
+    )
     bend = there_and_back(1.2)
     # The metadata of a run describe its sensor.
-    found = reading_metrics(run(bend, sensor.read(bend[:, None], 0.0, 0)[:, 0], sensor.describe()))
+    found = reading_metrics(
+        run(bend, sensor.read(bend[:, None], 0.0, 0)[:, 0], sensor.describe())
+    )
     ends = field(np.array([bend.min(), bend.max()]), sensor.hall.strip)
     assert found["reading_range_t"] == pytest.approx(abs(np.diff(ends)[0]), rel=0.01)
 
 
 def test_readings_depend_on_the_bend_only():
     found = []
-    for name, plant in (("gait", "analytical"), ("gait", "twin"), ("hold", "analytical")):
-        changes = {"kind": "gait", "frequency_hz": 0.5} if name == "gait" else {"kind": "hold_valves"}
+    for name, plant in (
+        ("gait", "analytical"),
+        ("gait", "twin"),
+        ("hold", "analytical"),
+    ):
+        changes = (
+            {"kind": "gait", "frequency_hz": 0.5}
+            if name == "gait"
+            else {"kind": "hold_valves"}
+        )
         document = dict(load_scenario("sensor_semicircular").document)
         more = {"controller": changes, "duration_s": 4.0, "allow_overpressure": True}
         scenario = parse_scenario(document | more)
-        run = rollout(scenario.build_plant(plant), scenario.build_controller(), 4.0, record_hz=1000)
+        run = rollout(
+            scenario.build_plant(plant),
+            scenario.build_controller(),
+            4.0,
+            record_hz=1000,
+        )
         found.append(plant_metrics(run))
-    assert found[0]["reading_r_squared"] == pytest.approx(found[1]["reading_r_squared"], abs=1e-3)
+    assert found[0]["reading_r_squared"] == pytest.approx(
+        found[1]["reading_r_squared"], abs=1e-3
+    )
     # Constant valves bend it to one side only, which is half the range.
-    assert found[2]["reading_range_t"] == pytest.approx(found[0]["reading_range_t"] / 2, rel=0.1)
+    assert found[2]["reading_range_t"] == pytest.approx(
+        found[0]["reading_range_t"] / 2, rel=0.1
+    )
 
 
 def test_bounds_of_sensor_side_and_sensor_far_come_from_sensor_up():
     scenario = load_scenario("sensor_up")
     run = rollout(
-        scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration, record_hz=1000
+        scenario.build_plant("analytical"),
+        scenario.build_controller(),
+        scenario.duration,
+        record_hz=1000,
     )
     given = plant_metrics(run)
     for name in ("sensor_side", "sensor_far"):
@@ -150,9 +201,13 @@ def test_bounds_of_sensor_side_and_sensor_far_come_from_sensor_up():
             for each in load_scenario(name).expect
             if each.metric in READING_UNITS
         }
-        assert bounds["reading_range_t"] == pytest.approx(given["reading_range_t"], rel=1e-3)
+        assert bounds["reading_range_t"] == pytest.approx(
+            given["reading_range_t"], rel=1e-3
+        )
         if name == "sensor_side":
-            assert bounds["reading_r_squared"] == pytest.approx(given["reading_r_squared"], abs=1e-5)
+            assert bounds["reading_r_squared"] == pytest.approx(
+                given["reading_r_squared"], abs=1e-5
+            )
 
 
 def test_the_report_shows_readings_only_with_a_sensor(tmp_path):
@@ -160,7 +215,10 @@ def test_the_report_shows_readings_only_with_a_sensor(tmp_path):
 
     bend = there_and_back(1.0)
     figure = reading_plot({"twin": run(bend, bend), "analytical": run(bend, bend)})
-    assert [axes.get_ylabel() for axes in figure.axes] == ["sensed (°)", "mean − bend (°)"]
+    assert [axes.get_ylabel() for axes in figure.axes] == [
+        "sensed (°)",
+        "mean − bend (°)",
+    ]
     assert reading_plot({"twin": run(bend, bend, {"kind": "ideal"})}) is None
     figure = reading_plot({"twin": run([0.0, 0.1], [np.nan, np.nan])})
     figure.savefig(tmp_path / "lost.png")

@@ -9,7 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from srs_twin.comparison.tracking import TRACKING_UNITS, fit_sine, sine_frequency, tracking_metrics
+from srs_twin.comparison.tracking import (
+    TRACKING_UNITS,
+    fit_sine,
+    sine_frequency,
+    tracking_metrics,
+)
 from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
@@ -17,14 +22,24 @@ TICK = 1e-3
 REST = {"steady_error_rad", "steady_rms_rad", "ripple_pp_rad", "ripple_rms_rad"}
 STEP = {"rise_time_s", "overshoot_rel", "overshoot_rad", "settling_2_s", "settling_5_s"}
 SINE = {
-    "amplitude_rel", "amplitude_spread_rel", "phase_lag_rad", "phase_lag_spread_rad", "fit_residual_rad",
-}  # fmt: skip
+    "amplitude_rel",
+    "amplitude_spread_rel",
+    "phase_lag_rad",
+    "phase_lag_spread_rad",
+    "fit_residual_rad",
+}
 
 
-def run(reference: Any, bend: Any, *, duration: float = 4.0, **metadata: Any) -> Trajectory:
+def run(
+    reference: Any, bend: Any, *, duration: float = 4.0, **metadata: Any
+) -> Trajectory:
     """Return a trajectory from functions of time for the reference and the bend."""
     time = TICK * np.arange(round(duration / TICK) + 1)
-    columns = {"time": time, "reference_1": reference(time) + 0 * time, "bend_1": bend(time) + 0 * time}
+    columns = {
+        "time": time,
+        "reference_1": reference(time) + 0 * time,
+        "bend_1": bend(time) + 0 * time,
+    }
     return Trajectory(columns, metadata=metadata)
 
 
@@ -60,7 +75,9 @@ def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
     found = tracking_metrics(run(step_to(after), second_order(after, zeta, omega, 0.5)))
     overshoot = math.exp(-math.pi * zeta / math.sqrt(1 - zeta**2))
     assert found["overshoot_rel"] == pytest.approx(overshoot, abs=1e-3)
-    assert found["overshoot_rad"] == pytest.approx(overshoot * abs(after), abs=1e-3 * abs(after))
+    assert found["overshoot_rad"] == pytest.approx(
+        overshoot * abs(after), abs=1e-3 * abs(after)
+    )
     fine = np.linspace(0, 3.5, 350_001)
     share = second_order(1.0, zeta, omega, 0.0)(fine)
     rise = first_at(0.9, fine, share) - first_at(0.1, fine, share)
@@ -94,10 +111,16 @@ def test_a_constant_reference_is_a_step_from_where_the_bend_starts():
 
 def test_levels_that_are_not_reached_are_none():
     short = tracking_metrics(run(step_to(0.4), lambda t: 0.2 * (t > 0.6)))
-    assert short["rise_time_s"] is None and short["settling_5_s"] is None and short["settling_2_s"] is None
+    assert (
+        short["rise_time_s"] is None
+        and short["settling_5_s"] is None
+        and short["settling_2_s"] is None
+    )
     assert short["overshoot_rel"] == 0.0
     near = tracking_metrics(run(step_to(0.4), lambda t: 0.388 * (t > 0.6)))
-    assert near["settling_2_s"] is None and near["settling_5_s"] == pytest.approx(0.1, abs=2 * TICK)
+    assert near["settling_2_s"] is None and near["settling_5_s"] == pytest.approx(
+        0.1, abs=2 * TICK
+    )
 
 
 def test_steady_state_is_the_second_half_after_the_step():
@@ -112,17 +135,25 @@ def test_steady_state_is_the_second_half_after_the_step():
     assert found["steady_error_rad"] == pytest.approx(0.01, abs=2e-4)
     assert found["ripple_pp_rad"] == pytest.approx(0.04, abs=1e-5)
     assert found["ripple_rms_rad"] == pytest.approx(0.02 / math.sqrt(2), rel=1e-2)
-    assert found["steady_rms_rad"] == pytest.approx(math.hypot(0.01, 0.02 / math.sqrt(2)), rel=1e-2)
+    assert found["steady_rms_rad"] == pytest.approx(
+        math.hypot(0.01, 0.02 / math.sqrt(2)), rel=1e-2
+    )
     assert found["sensed_ripple_pp_rad"] is None
     sensed = {**trajectory.columns, "sensed_1": 3 * trajectory["bend_1"]}
-    assert tracking_metrics(Trajectory(sensed))["sensed_ripple_pp_rad"] == pytest.approx(0.12, abs=1e-4)
+    assert tracking_metrics(Trajectory(sensed))[
+        "sensed_ripple_pp_rad"
+    ] == pytest.approx(0.12, abs=1e-4)
 
 
 @settings(max_examples=60)
 @given(
-    st.floats(0.3, 40), st.floats(0.1, 2), st.floats(-3, 3), st.floats(0.01, 1.5), st.floats(-3.1, 3.1),
+    st.floats(0.3, 40),
+    st.floats(0.1, 2),
+    st.floats(-3, 3),
+    st.floats(0.01, 1.5),
+    st.floats(-3.1, 3.1),
     st.floats(-0.5, 0.5),
-)  # fmt: skip
+)
 def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, offset):
     """Periods are not multiples of the sample period, the bend has an offset, lags cover a full circle."""
     reference = lambda t: 0.1 + asked * np.sin(2 * np.pi * f * t + phase)  # noqa: E731
@@ -139,9 +170,9 @@ def test_amplitude_and_lag_of_a_sine_are_recovered(f, asked, phase, share, lag, 
 def test_frequency_of_a_short_sine_is_exact():
     time = TICK * np.arange(16001)
     for f in (0.25, 0.5, 1, 2, 4, 6, 123.0):
-        assert sine_frequency(time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)) == pytest.approx(
-            f, rel=1e-9
-        )
+        assert sine_frequency(
+            time, 0.3 + 0.6 * np.sin(2 * np.pi * f * time + 1)
+        ) == pytest.approx(f, rel=1e-9)
 
 
 def test_only_pure_sines_count_as_sines():
@@ -157,9 +188,12 @@ def test_only_pure_sines_count_as_sines():
 def test_spread_and_residual_measure_noise():
     rng = np.random.default_rng(1)
     clean = lambda t: 0.6 * np.sin(2 * np.pi * 2 * t)  # noqa: E731
-    noisy = tracking_metrics(run(clean, lambda t: clean(t) + 0.02 * rng.standard_normal(len(t)), duration=40))
+    noisy = tracking_metrics(
+        run(clean, lambda t: clean(t) + 0.02 * rng.standard_normal(len(t)), duration=40)
+    )
     assert noisy["fit_residual_rad"] == pytest.approx(0.02, rel=0.05)
-    # A fit to n samples has a standard deviation of s √(2/n) in amplitude, that over the amplitude in phase.
+    # A fit to n samples has a standard deviation of s √(2/n) in amplitude, that over
+    # the amplitude in phase.
     expected = 0.02 * math.sqrt(2 / 500) / 0.6
     assert noisy["amplitude_spread_rel"] == pytest.approx(expected, rel=0.3)
     assert noisy["phase_lag_spread_rad"] == pytest.approx(expected, rel=0.3)
@@ -168,7 +202,9 @@ def test_spread_and_residual_measure_noise():
 def test_warm_up_is_left_out():
     """Two periods have half the amplitude of the following five."""
     sine = lambda t: 0.6 * np.sin(2 * np.pi * t)  # noqa: E731
-    found = tracking_metrics(run(sine, lambda t: sine(t) * np.where(t < 2, 0.5, 1.0), duration=7.0))
+    found = tracking_metrics(
+        run(sine, lambda t: sine(t) * np.where(t < 2, 0.5, 1.0), duration=7.0)
+    )
     assert found["amplitude_rel"] == pytest.approx(1.0, abs=1e-9)
 
 
@@ -184,31 +220,55 @@ def test_a_square_wave_has_only_error_and_openings():
     square = lambda t: 0.6 * np.sign(np.sin(2 * np.pi * 2 * t + 1e-6))  # noqa: E731
     found = tracking_metrics(run(square, lambda t: 0.0, valve_switches=[[20, 22]]))
     assert named(found) == {"error_rms_rad", "inlet_openings"}
-    assert found["error_rms_rad"] == pytest.approx(0.6) and found["inlet_openings"] == 21
+    assert (
+        found["error_rms_rad"] == pytest.approx(0.6) and found["inlet_openings"] == 21
+    )
 
 
 def test_outlet_openings_need_hold_states_in_every_tick():
-    trajectory = run(lambda t: 0.4, lambda t: 0.4, duration=0.01, tick_s=TICK, valve_switches=[[2, 0]])
+    trajectory = run(
+        lambda t: 0.4,
+        lambda t: 0.4,
+        duration=0.01,
+        tick_s=TICK,
+        valve_switches=[[2, 0]],
+    )
     plus = np.array([-1, 1, 1, 0, -1, -1, 0, -1, 1, 0, 0], dtype=float)
     minus = np.array([-1, -1, 0, 0, -1, -1, 0, 0, 0, 0, -1], dtype=float)
     columns = {**trajectory.columns, "valve_plus_1": plus, "valve_minus_1": minus}
-    assert tracking_metrics(Trajectory(columns, metadata=trajectory.metadata))["outlet_openings"] == 2.0
-    seldom = Trajectory({n: c[::2] for n, c in columns.items()}, metadata=trajectory.metadata)
+    assert (
+        tracking_metrics(Trajectory(columns, metadata=trajectory.metadata))[
+            "outlet_openings"
+        ]
+        == 2.0
+    )
+    seldom = Trajectory(
+        {n: c[::2] for n, c in columns.items()}, metadata=trajectory.metadata
+    )
     assert tracking_metrics(seldom)["outlet_openings"] is None
-    both = {"valve_plus_1": np.where(plus == 0, 1.0, plus), "valve_minus_1": np.ones(11)}
+    both = {
+        "valve_plus_1": np.where(plus == 0, 1.0, plus),
+        "valve_minus_1": np.ones(11),
+    }
     never = Trajectory({**columns, **both}, metadata=trajectory.metadata)
     assert tracking_metrics(never)["outlet_openings"] is None
 
 
 def test_every_metric_has_a_unit_and_is_a_plain_number():
-    found = tracking_metrics(run(step_to(0.4), second_order(0.4, 0.3, 30, 0.5), valve_switches=[[1, 2]]))
+    found = tracking_metrics(
+        run(step_to(0.4), second_order(0.4, 0.3, 30, 0.5), valve_switches=[[1, 2]])
+    )
     assert found.keys() == TRACKING_UNITS.keys()
     assert all(value is None or type(value) is float for value in found.values())
 
 
 @pytest.mark.parametrize("missing", ["reference_1", "bend_1", "time"])
 def test_missing_columns_are_named(missing):
-    columns = {n: c for n, c in run(lambda t: 0.4, lambda t: 0.4).columns.items() if n != missing}
+    columns = {
+        n: c
+        for n, c in run(lambda t: 0.4, lambda t: 0.4).columns.items()
+        if n != missing
+    }
     with pytest.raises(InputError, match=f"no column '{missing}'"):
         tracking_metrics(Trajectory(columns))
 
@@ -222,7 +282,11 @@ def test_sine_fit_minimises_the_squares():
     best = fit_sine(time, values, f)
 
     def left(amplitude: float, phase: float, offset: float) -> float:
-        return float(np.sqrt(np.mean((values - offset - amplitude * np.sin(7 * time + phase)) ** 2)))
+        return float(
+            np.sqrt(
+                np.mean((values - offset - amplitude * np.sin(7 * time + phase)) ** 2)
+            )
+        )
 
     exact = left(best.amplitude, best.phase, best.offset)
     assert exact == pytest.approx(best.residual, rel=1e-12)

@@ -19,7 +19,10 @@ from srs_twin.compute.compiled import compiled
 from srs_twin.errors import CacheWarning
 
 # Numba finds no cache folder: the only allowed locator is not configured.
-NO_FOLDER = {"NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator", "NUMBA_CACHE_DIR": ""}
+NO_FOLDER = {
+    "NUMBA_CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator",
+    "NUMBA_CACHE_DIR": "",
+}
 WARNING = "compiled kernels cannot be cached, so every start compiles them again"
 
 
@@ -40,7 +43,10 @@ def test_second_kernel_loads_the_cache_of_the_first(kernel):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert (kernel(1, 2), again(1, 2)) == (3, 3)
-    assert (again.entry.stats.cache_hits.total(), again.entry.stats.cache_misses.total()) == (1, 0)
+    assert (
+        again.entry.stats.cache_hits.total(),
+        again.entry.stats.cache_misses.total(),
+    ) == (1, 0)
 
 
 def raise_full(*_):
@@ -49,7 +55,9 @@ def raise_full(*_):
 
 def test_full_disk_disables_only_the_cache(kernel, monkeypatch):
     monkeypatch.setattr(IndexDataCacheFile, "_save_data", raise_full)
-    with pytest.warns(CacheWarning, match=f"{WARNING} .*No space left on device") as warned:
+    with pytest.warns(
+        CacheWarning, match=f"{WARNING} .*No space left on device"
+    ) as warned:
         assert (kernel(1, 2), kernel(1.0, 2.0), compiled(add)(1, 2)) == (3, 3.0, 3)
     assert len(warned) == 1
 
@@ -71,17 +79,22 @@ def foreign(folder):
         ("folder", foreign, "belongs to another user"),
     ],
 )
-def test_cache_folder_that_others_can_write_is_not_used(kernel, place, change, reason, tmp_path):
+def test_cache_folder_that_others_can_write_is_not_used(
+    kernel, place, change, reason, tmp_path
+):
     """The pickle in the folder would create a file."""
     cache = kernel.entry._cache
     folder, index = Path(cache.cache_path), Path(cache._cache_file._index_path)
     folder.mkdir(exist_ok=True)
-    index.write_bytes(b"cposix\nsystem\n(S'touch " + os.fsencode(tmp_path / "executed") + b"'\ntR.")
+    index.write_bytes(
+        b"cposix\nsystem\n(S'touch " + os.fsencode(tmp_path / "executed") + b"'\ntR."
+    )
     if change is foreign and os.getuid() != 0:
         pytest.skip("only root can give a folder away")
     change(folder if place == "folder" else folder.parent)
     with pytest.warns(
-        CacheWarning, match=f"{WARNING} .*{reason}.*NUMBA_CACHE_DIR.* only you can write to"
+        CacheWarning,
+        match=f"{WARNING} .*{reason}.*NUMBA_CACHE_DIR.* only you can write to",
     ) as warned:
         assert (kernel(1, 2), kernel(1.0, 2.0)) == (3, 3.0)
     assert len(warned) == 1 and not (tmp_path / "executed").exists()
@@ -96,7 +109,9 @@ def test_private_folder_in_a_sticky_folder_is_used(kernel, tmp_path):
     assert list(tmp_path.rglob("*.nbc"))
 
 
-@pytest.mark.parametrize("damage", [Path.mkdir, Path.touch, lambda path: path.write_bytes(b"junk")])
+@pytest.mark.parametrize(
+    "damage", [Path.mkdir, Path.touch, lambda path: path.write_bytes(b"junk")]
+)
 def test_unreadable_index_disables_the_cache(kernel, damage):
     index = Path(kernel.entry._cache._cache_file._index_path)
     index.parent.mkdir(exist_ok=True)
@@ -110,7 +125,9 @@ def test_index_that_names_a_removed_function_is_replaced(kernel):
     """Kernels that took a friction law as an argument name it; the law may be gone after an edit."""
     index = Path(kernel.entry._cache._cache_file._index_path)
     index.parent.mkdir(exist_ok=True)
-    index.write_bytes(pickle.dumps(numba.__version__) + b"csrs_twin.robot.friction\nremoved\n.")
+    index.write_bytes(
+        pickle.dumps(numba.__version__) + b"csrs_twin.robot.friction\nremoved\n."
+    )
     again = compiled(add)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -141,15 +158,26 @@ def test_inlined_code_invalidates_the_cache_and_comments_do_not(tmp_path):
     def answer(law):
         (tmp_path / "law.py").write_text(law)
         (tmp_path / "caller.py").write_text(CALLER)
-        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1"}
+        env = os.environ | {
+            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
         done = subprocess.run(
-            [sys.executable, "caller.py"], cwd=tmp_path, env=env, capture_output=True, text=True, check=True
+            [sys.executable, "caller.py"],
+            cwd=tmp_path,
+            env=env,
+            capture_output=True,
+            text=True,
+            check=True,
         )
         return tuple(map(float, done.stdout.split()))
 
     assert answer(LAW) == (4.0, 0.0)
     assert answer(LAW) == (4.0, 1.0)
-    assert answer(LAW + "# a comment, and a function that no kernel calls\ndef other(): return 1\n") == (
+    assert answer(
+        LAW
+        + "# a comment, and a function that no kernel calls\ndef other(): return 1\n"
+    ) == (
         4.0,
         1.0,
     )
@@ -178,9 +206,12 @@ def test_missing_cache_folder_is_warned_about_once(tmp_path):
     (tmp_path / "program.py").write_text(PROGRAM)
     done = subprocess.run(
         [sys.executable, "program.py"],
-        cwd=tmp_path, env=os.environ | NO_FOLDER | {"PYTHONPATH": str(Path(__file__).parent)},
-        capture_output=True, text=True, timeout=600,
-    )  # fmt: skip
+        cwd=tmp_path,
+        env=os.environ | NO_FOLDER | {"PYTHONPATH": str(Path(__file__).parent)},
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
     assert (done.returncode, done.stdout) == (0, "[1, 2, 3]\n"), done.stderr
     assert done.stderr.count(WARNING) == 1 and "Error" not in done.stderr
 
@@ -188,7 +219,14 @@ def test_missing_cache_folder_is_warned_about_once(tmp_path):
 @pytest.mark.slow
 def test_command_continues_without_a_cache_folder(tmp_path, srs_twin_process):
     """The command fails before it compiles all kernels, which would take half a minute."""
-    done = srs_twin_process("sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NO_FOLDER)
+    done = srs_twin_process(
+        "sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NO_FOLDER
+    )
     first, second = done.stderr.splitlines()
-    assert first.startswith(f"warning: {WARNING} (no cache folder is writable); set NUMBA_CACHE_DIR to")
-    assert (done.returncode, second.partition(" (")[0]) == (2, "/dev/null/x: cannot write there")
+    assert first.startswith(
+        f"warning: {WARNING} (no cache folder is writable); set NUMBA_CACHE_DIR to"
+    )
+    assert (done.returncode, second.partition(" (")[0]) == (
+        2,
+        "/dev/null/x: cannot write there",
+    )

@@ -44,7 +44,10 @@ SPEC = robot()
 GAIT = Gait(2.0)
 GAIT.reset(SPEC, 0.02)
 VALVES = np.tile(np.array([1, -1], dtype=np.int8), (4, 1))
-IN_USE = r"this \w+ is in use by another thread; build another one for this thread\. run_many runs"
+IN_USE = (
+    r"this \w+ is in use by another thread; build another one for this thread\."
+    r" run_many runs"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -111,10 +114,16 @@ for frequency, end in ends.items():
 
 
 @pytest.mark.parametrize("plant", ["AnalyticalSnake", "TwinSnake"])
-def test_one_of_two_rollouts_on_a_plant_is_right_and_the_other_is_refused(plant, tmp_path):
+def test_one_of_two_rollouts_on_a_plant_is_right_and_the_other_is_refused(
+    plant, tmp_path
+):
     """In a process of its own, because the engine crashed."""
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM, plant], cwd=tmp_path, capture_output=True, text=True, timeout=300
+        [sys.executable, "-c", PROGRAM, plant],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert sorted(done.stdout.split()) == ["refused", "right"]
@@ -138,10 +147,14 @@ USES: dict[str, Callable[[Plant], Any]] = {
 @pytest.mark.parametrize("use", USES)
 def test_rollout_claims_its_plant_until_it_ends(use):
     plant, pause = AnalyticalSnake(SPEC), Pause()
-    with pause.during(lambda: rollout(plant, Gait(2.0), 0.4, observers=[pause])) as runs:
+    with pause.during(
+        lambda: rollout(plant, Gait(2.0), 0.4, observers=[pause])
+    ) as runs:
         with pytest.raises(InputError, match=IN_USE):
             USES[use](plant)
-    alone = rollout(AnalyticalSnake(SPEC), Gait(2.0), 0.4, observers=[lambda state: None])
+    alone = rollout(
+        AnalyticalSnake(SPEC), Gait(2.0), 0.4, observers=[lambda state: None]
+    )
     assert all((runs[0][name] == alone[name]).all() for name in alone.columns)
     USES[use](plant)
 
@@ -195,8 +208,12 @@ def test_plant_that_overrides_methods_by_a_mixin_is_claimed():
 
 def test_several_threads_may_use_a_plant_one_after_the_other():
     plant, gait = TwinSnake(SPEC), Gait(2.0)
-    runs = [elsewhere(lambda: rollout(plant, gait, 0.2)) for _ in range(2)] + [rollout(plant, gait, 0.2)]
-    assert (runs[0]["com_x"] == runs[1]["com_x"]).all() and (runs[0]["com_x"] == runs[2]["com_x"]).all()
+    runs = [elsewhere(lambda: rollout(plant, gait, 0.2)) for _ in range(2)] + [
+        rollout(plant, gait, 0.2)
+    ]
+    assert (runs[0]["com_x"] == runs[1]["com_x"]).all() and (
+        runs[0]["com_x"] == runs[2]["com_x"]
+    ).all()
 
 
 def test_observers_and_controllers_may_use_the_plant_of_their_own_rollout():
@@ -206,8 +223,15 @@ def test_observers_and_controllers_may_use_the_plant_of_their_own_rollout():
             return super().step(plant.state)
 
     plant, saved, copied = AnalyticalSnake(SPEC), [], []
-    run = rollout(plant, Reader(2.0), 0.2, observers=[lambda state: copied.append(copy.copy(plant))])
-    alone = rollout(AnalyticalSnake(SPEC), Gait(2.0), 0.2, observers=[lambda state: None])
+    run = rollout(
+        plant,
+        Reader(2.0),
+        0.2,
+        observers=[lambda state: copied.append(copy.copy(plant))],
+    )
+    alone = rollout(
+        AnalyticalSnake(SPEC), Gait(2.0), 0.2, observers=[lambda state: None]
+    )
     assert len(saved) == 10 and (run["com_x"] == alone["com_x"]).all()
     assert (copied[-1].state.com == plant.state.com).all()
 
@@ -227,8 +251,13 @@ def test_controller_serves_one_rollout_at_a_time():
     pause = Pause()
     controller = Paused(pause)
     with pause.during(lambda: rollout(Clock(), controller, 0.2)) as runs:
-        for use in (lambda: rollout(Clock(), controller, 0.2), lambda: controller.step(None)):
-            with pytest.raises(InputError, match="this Paused is in use by another thread"):
+        for use in (
+            lambda: rollout(Clock(), controller, 0.2),
+            lambda: controller.step(None),
+        ):
+            with pytest.raises(
+                InputError, match="this Paused is in use by another thread"
+            ):
                 use()
     assert list(runs[0]["count"][::2]) == list(range(11))
     rollout(Clock(), controller, 0.2)
@@ -248,7 +277,9 @@ def raise_(error: BaseException) -> None:
     raise error
 
 
-@pytest.mark.parametrize("error", [RuntimeError(), KeyboardInterrupt(), SystemExit()], ids=repr)
+@pytest.mark.parametrize(
+    "error", [RuntimeError(), KeyboardInterrupt(), SystemExit()], ids=repr
+)
 def test_claims_end_with_an_exception(error):
     plant, controller = AnalyticalSnake(SPEC), Gait(2.0)
     with pytest.raises(type(error)):
@@ -270,11 +301,14 @@ def test_claims_end_with_a_divergence_and_with_a_refused_second_claim():
     with pause.during(lambda: rollout(busy, Paused(pause), 0.2, record_hz=50)):
         with pytest.raises(InputError, match="this Clock"):
             rollout(busy, controller, 0.2)
-        rollout(Clock(), controller, 0.2)  # the refused rollout holds no claim of the controller
+        rollout(
+            Clock(), controller, 0.2
+        )  # the refused rollout holds no claim of the controller
 
 
 @pytest.mark.parametrize(
-    "use", [lambda plant: plant.step(VALVES), lambda plant: rollout(plant, Scripted(), 0.04)]
+    "use",
+    [lambda plant: plant.step(VALVES), lambda plant: rollout(plant, Scripted(), 0.04)],
 )
 def test_interrupts_at_any_time_leave_no_claim(use):
     class Alarm(Exception):
@@ -303,10 +337,18 @@ def test_copies_of_a_claimed_plant_are_free():
 
     def copy_and_wait(state: SnakeState) -> None:
         if not others:
-            others.extend([pickle.loads(pickle.dumps(plant)), copy.deepcopy(plant), copy.copy(plant)])
+            others.extend(
+                [
+                    pickle.loads(pickle.dumps(plant)),
+                    copy.deepcopy(plant),
+                    copy.copy(plant),
+                ]
+            )
         pause()
 
-    with pause.during(lambda: rollout(plant, Gait(2.0), 0.2, observers=[copy_and_wait])):
+    with pause.during(
+        lambda: rollout(plant, Gait(2.0), 0.2, observers=[copy_and_wait])
+    ):
         for other in others:
             rollout(other, Gait(2.0), 0.2)
 
@@ -339,14 +381,18 @@ def test_runs_of_a_batch_claim_it_until_they_end(run, use):
         with pytest.raises(InputError, match=IN_USE):
             BATCH_USES[use](batch)
     alone = simulate(batch_of_two(), lambda time: None)
-    assert all((a["com_x"] == b["com_x"]).all() for a, b in zip(results[0], alone, strict=True))
+    assert all(
+        (a["com_x"] == b["com_x"]).all() for a, b in zip(results[0], alone, strict=True)
+    )
     BATCH_USES[use](batch)
 
 
 @pytest.mark.parametrize("use", ["step", "play", "reset"])
 def test_methods_of_a_batch_claim_it_while_they_run(use, monkeypatch):
     batch, pause, simulate = batch_of_two(), Pause(), TwinSnake._simulate
-    monkeypatch.setattr(TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1])
+    monkeypatch.setattr(
+        TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1]
+    )
     with pause.during(lambda: batch.step(np.stack([VALVES] * 2))):
         with pytest.raises(InputError, match=IN_USE):
             BATCH_USES[use](batch)
@@ -385,8 +431,12 @@ def test_steps_of_an_environment_claim_it(kind, use, monkeypatch):
     if (kind, use) == ("dm_env", "render"):
         pytest.skip("dm_env has no render")
     env, pause, simulate = ENVIRONMENTS[kind](), Pause(), TwinSnake._simulate
-    action = (env.action_spec().minimum if kind == "dm_env" else env.action_space.low).copy()
-    monkeypatch.setattr(TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1])
+    action = (
+        env.action_spec().minimum if kind == "dm_env" else env.action_space.low
+    ).copy()
+    monkeypatch.setattr(
+        TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1]
+    )
     with pause.during(lambda: env.step(action)) as results:
         with pytest.raises(InputError, match=IN_USE):
             ENVIRONMENT_USES[use](env, action)
@@ -416,8 +466,16 @@ def run_in_worker(plant: Plant, controller: Controller) -> bytes:
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_process_pools_give_the_bits_of_this_process(method):
     """The kernels are loaded, the engine has run, and a thread exists when the workers are forked."""
-    plants = [AnalyticalSnake(SPEC), AnalyticalSnake(SPEC, model="compliant"), TwinSnake(SPEC)]
+    plants = [
+        AnalyticalSnake(SPEC),
+        AnalyticalSnake(SPEC, model="compliant"),
+        TwinSnake(SPEC),
+    ]
     here = run_many([Job(plant, Gait(2.0, 0.1), 0.2) for plant in plants], threads=2)
     with ProcessPoolExecutor(2, mp_context=get_context(method)) as pool:
-        futures = [pool.submit(run_in_worker, plant, Gait(2.0, 0.1)) for plant in plants]
-        assert [future.result(300) for future in futures] == [run["com_x"].tobytes() for run in here]
+        futures = [
+            pool.submit(run_in_worker, plant, Gait(2.0, 0.1)) for plant in plants
+        ]
+        assert [future.result(300) for future in futures] == [
+            run["com_x"].tobytes() for run in here
+        ]

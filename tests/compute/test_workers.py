@@ -15,7 +15,13 @@ import pytest
 from conftest import exists, wait_until
 
 from srs_twin.compute.workers import START_METHOD, run_tasks
-from srs_twin.errors import DivergedError, InputError, SrsError, TaskFailedError, WorkerDiedError
+from srs_twin.errors import (
+    DivergedError,
+    InputError,
+    SrsError,
+    TaskFailedError,
+    WorkerDiedError,
+)
 from srs_twin.io.files import atomic_write
 
 
@@ -121,7 +127,9 @@ def nothing_left_behind():
 @pytest.mark.parametrize("workers", [1, 3])
 def test_every_argument_has_one_result(workers):
     arguments = list(range(50))
-    assert results(list(run_tasks(square, arguments, workers=workers))) == [x * x for x in arguments]
+    assert results(list(run_tasks(square, arguments, workers=workers))) == [
+        x * x for x in arguments
+    ]
 
 
 def test_there_are_at_most_as_many_workers_as_tasks():
@@ -131,20 +139,30 @@ def test_there_are_at_most_as_many_workers_as_tasks():
 
 @pytest.mark.parametrize("options", [{"workers": 0}, {"workers": -1}, {"attempts": 0}])
 def test_fewer_than_one_worker_or_attempt_is_rejected(options):
-    with pytest.raises(InputError, match=r"(workers|attempts): -?\d is not allowed; it must be 1 or more"):
+    with pytest.raises(
+        InputError,
+        match=r"(workers|attempts): -?\d is not allowed; it must be 1 or more",
+    ):
         run_tasks(square, [1], **options)
 
 
 def test_killed_worker_counts_as_an_attempt_of_its_own_task(tmp_path):
-    done = results(list(run_tasks(partial(kill_at_first_attempt, tmp_path), range(4), workers=2)))
+    done = results(
+        list(run_tasks(partial(kill_at_first_attempt, tmp_path), range(4), workers=2))
+    )
     # Two attempts each: deaths do not count for tasks of other workers.
     assert done == [(2, x * x) for x in range(4)]
 
 
-@pytest.mark.parametrize(("how", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGSEGV, "SIGSEGV")])
+@pytest.mark.parametrize(
+    ("how", "words"), [(signal.SIGKILL, "SIGKILL"), (signal.SIGSEGV, "SIGSEGV")]
+)
 def test_task_that_kills_every_worker_fails_alone(how, words):
     arguments = list(range(30))
-    done = {d.number: d for d in run_tasks(partial(kill_at, {7}, how), arguments, workers=2, attempts=2)}
+    done = {
+        d.number: d
+        for d in run_tasks(partial(kill_at, {7}, how), arguments, workers=2, attempts=2)
+    }
     assert sorted(done) == arguments
     assert isinstance(done[7].error, WorkerDiedError)
     assert f"killed by {words}, 2 times in a row" in str(done[7].error)
@@ -154,8 +172,12 @@ def test_task_that_kills_every_worker_fails_alone(how, words):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("attempts", [1, 2])
-def test_task_that_kills_its_workers_is_repeated_as_often_as_allowed(attempts, tmp_path):
-    (done,) = run_tasks(partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts)
+def test_task_that_kills_its_workers_is_repeated_as_often_as_allowed(
+    attempts, tmp_path
+):
+    (done,) = run_tasks(
+        partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts
+    )
     assert isinstance(done.error, WorkerDiedError)
     assert len(list(tmp_path.iterdir())) == attempts
 
@@ -167,10 +189,14 @@ def test_task_that_exits_counts_as_a_death():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(START_METHOD != "forkserver", reason="this system has no fork server")
+@pytest.mark.skipif(
+    START_METHOD != "forkserver", reason="this system has no fork server"
+)
 def test_killed_fork_server_is_replaced(tmp_path):
     task = partial(kill_server_once, tmp_path)
-    assert results(list(run_tasks(task, range(20), workers=4))) == [x * x for x in range(20)]
+    assert results(list(run_tasks(task, range(20), workers=4))) == [
+        x * x for x in range(20)
+    ]
     assert (tmp_path / "killed").exists()
 
 
@@ -192,7 +218,10 @@ def test_errors_of_tasks_are_returned_and_other_tasks_continue():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("function", "kind", "words"),
-    [(refuse, InputError, "^no such robot"), (kill_self, WorkerDiedError, "SIGKILL, 2 times in a row")],
+    [
+        (refuse, InputError, "^no such robot"),
+        (kill_self, WorkerDiedError, "SIGKILL, 2 times in a row"),
+    ],
 )
 def test_failing_import_of_the_task_stops_the_run(function, kind, words):
     with pytest.raises(kind, match=words):
@@ -226,7 +255,12 @@ def script(folder, text, *words, **further):
     (folder / "script.py").write_text(text)
     tests = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
     env = {**os.environ, "PYTHONPATH": os.pathsep.join(tests)}
-    return {"args": [sys.executable, folder / "script.py", *words], "env": env, "text": True, **further}
+    return {
+        "args": [sys.executable, folder / "script.py", *words],
+        "env": env,
+        "text": True,
+        **further,
+    }
 
 
 def test_objects_of_the_main_program_are_rejected(tmp_path):
@@ -236,7 +270,9 @@ def test_objects_of_the_main_program_are_rejected(tmp_path):
     assert len(lines) == 4
     for line, name in zip(lines, ("mine", "mine", "<lambda>", "Mine"), strict=True):
         assert line.startswith("cannot be sent to worker processes: ") and name in line
-        assert line.endswith("but not from the main program: define them in a module and import it")
+        assert line.endswith(
+            "but not from the main program: define them in a module and import it"
+        )
 
 
 PARENT = """
@@ -256,7 +292,13 @@ def parent(tmp_path, interruptible):
     folder = tmp_path / "results"
     folder.mkdir()
     with subprocess.Popen(
-        **script(tmp_path, PARENT, str(folder), stderr=subprocess.PIPE, start_new_session=True)
+        **script(
+            tmp_path,
+            PARENT,
+            str(folder),
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
     ) as process:
         wait_until(lambda: (folder / "pid").exists() and (folder / "pid").read_text())
         yield process, folder, int((folder / "pid").read_text())
@@ -296,14 +338,21 @@ print(*(done.result for name in names for done in run_tasks(partial(loaded, name
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(START_METHOD != "forkserver", reason="this system has no fork server")
+@pytest.mark.skipif(
+    START_METHOD != "forkserver", reason="this system has no fork server"
+)
 def test_workers_have_the_preloaded_modules_and_ignore_the_current_folder(tmp_path):
-    # multiprocessing ignores modules that cannot be imported; the output below would show it.
+    # multiprocessing ignores modules that cannot be imported; the output below would
+    # show it.
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     for name in ("numpy", "numba", "srs_twin", "random"):
-        (elsewhere / f"{name}.py").write_text("raise SystemExit('imported from the current folder')")
-    run = subprocess.run(**script(tmp_path, PRELOADING, cwd=elsewhere, capture_output=True))
+        (elsewhere / f"{name}.py").write_text(
+            "raise SystemExit('imported from the current folder')"
+        )
+    run = subprocess.run(
+        **script(tmp_path, PRELOADING, cwd=elsewhere, capture_output=True)
+    )
     assert (run.stdout, run.stderr) == ("True True False\n", "")
 
 

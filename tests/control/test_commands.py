@@ -27,7 +27,9 @@ def test_phase_is_continuous_when_the_frequency_changes(before, after, time, lat
     angle, lags = gait.angle(time), np.diff(gait.phase_lag)
     gait.change_frequency(after, time)
     assert gait.angle(time) == pytest.approx(angle, abs=1e-9)
-    assert gait.angle(time + later) - angle == pytest.approx(2 * math.pi * after * later, abs=1e-9)
+    assert gait.angle(time + later) - angle == pytest.approx(
+        2 * math.pi * after * later, abs=1e-9
+    )
     assert np.diff(gait.phase_lag) == pytest.approx(lags, abs=1e-9)
 
 
@@ -62,17 +64,26 @@ def test_regulated_chambers_equal_chambers_made_for_that_pressure():
         for chambers in (made, regulated):
             schedule = chambers.schedule(gait.valves_at(0.02 * k), 0.02)
             traces.append(chambers.advance(schedule, np.array([0.01, 0.02])))
-        assert (traces[0].pressure == traces[1].pressure).all() and (traces[0].air == traces[1].air).all()
+        assert (traces[0].pressure == traces[1].pressure).all() and (
+            traces[0].air == traces[1].air
+        ).all()
 
 
 def test_invalid_supply_pressures_are_refused():
     for kind in ("lag", "orifice"):
         chambers = make_pneumatics(kind, SPEC, supply_pa=60e3, layout="3/2")
         for pressure in (-1.0, 60.1e3, math.nan):
-            with pytest.raises(InputError, match="it must be 0 to 60000 Pa, the pressure at construction"):
+            with pytest.raises(
+                InputError,
+                match="it must be 0 to 60000 Pa, the pressure at construction",
+            ):
                 chambers.set_supply_pressure(pressure)
-    log = RecordedPressures(SPEC, np.array([0.0, 1.0]), np.zeros((2, 4, 2)), supply_pa=60e3)
-    with pytest.raises(InputError, match="'recorded' has no pressure regulator; use 'lag' or 'orifice'"):
+    log = RecordedPressures(
+        SPEC, np.array([0.0, 1.0]), np.zeros((2, 4, 2)), supply_pa=60e3
+    )
+    with pytest.raises(
+        InputError, match="'recorded' has no pressure regulator; use 'lag' or 'orifice'"
+    ):
         log.set_supply_pressure(1e3)
 
 
@@ -95,8 +106,13 @@ def test_limits_are_those_of_the_dissertation_and_clip_every_parameter():
     limits = GaitLimits.for_robot(SPEC)
     assert limits.offset == (-0.4, 0.4) and limits.frequency == (1.0, 2.0)
     # Section 3.4.2: 41 to 55 kPa.
-    assert limits.pressure == (pytest.approx(41e3, rel=0.01), pytest.approx(55e3, rel=0.01))
-    assert limits.clipped(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(-0.4, 2.0, limits.pressure[0])
+    assert limits.pressure == (
+        pytest.approx(41e3, rel=0.01),
+        pytest.approx(55e3, rel=0.01),
+    )
+    assert limits.clipped(GaitCommand(-1.0, 9.0, 0.0)) == GaitCommand(
+        -0.4, 2.0, limits.pressure[0]
+    )
     for name in ("gen1", "gen3", "gen4"):
         spec = robot(name)
         assert GaitLimits.for_robot(spec).pressure[1] <= spec.supply.pulsed_limit

@@ -45,13 +45,20 @@ def crossings(f: float, offset: float, lag: float, duration: float) -> list[floa
     """Return the times at which sin(2π f t − lag) + offset changes its sign, ascending, s."""
     up, down = -math.asin(offset), math.pi + math.asin(offset)
     times = [
-        (angle + lag + 2 * math.pi * n) / (2 * math.pi * f) for angle in (up, down) for n in range(-5, 200)
+        (angle + lag + 2 * math.pi * n) / (2 * math.pi * f)
+        for angle in (up, down)
+        for n in range(-5, 200)
     ]
     return sorted(t for t in times if 1e-3 < t < duration - 1e-3)
 
 
 @settings(max_examples=15)
-@given(st.sampled_from([1.0, 1.7, 2.0, 3.3]), st.floats(-0.9, 0.9), st.floats(-3, 3), st.integers(0, 3))
+@given(
+    st.sampled_from([1.0, 1.7, 2.0, 3.3]),
+    st.floats(-0.9, 0.9),
+    st.floats(-3, 3),
+    st.integers(0, 3),
+)
 def test_edges_are_at_the_zeros_of_the_sine_within_a_slot(f, offset, phase, j):
     time, signs = played(Gait(f, offset, phase=phase), 1.0)
     found = time[1:][np.diff(signs[:, j]) != 0]
@@ -61,7 +68,11 @@ def test_edges_are_at_the_zeros_of_the_sine_within_a_slot(f, offset, phase, j):
     if len(found) == len(expected):
         assert np.abs(found - expected).max(initial=0.0) <= 1e-4
     else:  # an edge within 0.1 ms of the window's ends
-        border = [t for t in crossings(f, offset, lag, 1.2) if min(abs(t - 1e-3), abs(t - 1 + 1e-3)) < 1e-4]
+        border = [
+            t
+            for t in crossings(f, offset, lag, 1.2)
+            if min(abs(t - 1e-3), abs(t - 1 + 1e-3)) < 1e-4
+        ]
         assert abs(len(found) - len(expected)) <= len(border)
 
 
@@ -74,7 +85,9 @@ def test_duty_follows_the_offset(f, offset):
     time, signs = played(Gait(f, offset), duration)
     inside = time < periods / f
     duty = (signs[inside] == 1).mean(axis=0)
-    assert duty == pytest.approx((math.pi + 2 * math.asin(offset)) / (2 * math.pi), abs=2e-3)
+    assert duty == pytest.approx(
+        (math.pi + 2 * math.asin(offset)) / (2 * math.pi), abs=2e-3
+    )
 
 
 @pytest.mark.parametrize("connectors", [2, 5, 9])
@@ -88,7 +101,8 @@ def test_wave_travels_from_head_to_tail(connectors):
 
 
 def test_wave_is_positive_at_its_zeros():
-    # A tick of one slot is evaluated at its centre: the phase makes the sine exactly 0 there.
+    # A tick of one slot is evaluated at its centre: the phase makes the sine exactly 0
+    # there.
     gait = Gait(2.0, phase=-2 * math.pi * 2.0 * 0.5e-4)
     gait.reset(robot(), 1e-4)
     valves = commanded(gait, 0.0)
@@ -146,7 +160,9 @@ def test_invalid_frequencies_are_refused(frequency):
 
 @pytest.mark.parametrize("offset", [1.0, -1.0, 2.0, math.nan])
 def test_offsets_without_a_wave_are_refused(offset):
-    with pytest.raises(InputError, match=r"gait offset .* is not allowed; it must lie between -1 and 1"):
+    with pytest.raises(
+        InputError, match=r"gait offset .* is not allowed; it must lie between -1 and 1"
+    ):
         Gait(2.0, offset)
     gait = Gait(2.0)
     with pytest.raises(InputError, match="gait offset"):
@@ -175,7 +191,11 @@ def test_script_equals_the_valves_of_the_ticks(rest, offset, shifts):
     script = gait.script(1.0)
     for k in range(50):
         valves = gait.valves_at(0.02 * k)
-        slots = valves if valves.ndim == 3 else np.broadcast_to(valves, (200, *valves.shape))
+        slots = (
+            valves
+            if valves.ndim == 3
+            else np.broadcast_to(valves, (200, *valves.shape))
+        )
         for slot in (0, 99, 199):
             time = 0.02 * k + (slot + 0.5) * 1e-4
             row = np.searchsorted(script.starts, time, side="right") - 1
@@ -187,12 +207,17 @@ def test_rest_share_vents_that_fraction_of_the_period():
     gait.reset(load_robot("gen2"), 0.02)
     script = gait.script(1.0)
     lasts = np.diff(np.append(script.starts, 1.0))
-    assert lasts @ (script.states == -1).all(axis=-1) == pytest.approx(np.full(4, 0.3), abs=2e-3)
+    assert lasts @ (script.states == -1).all(axis=-1) == pytest.approx(
+        np.full(4, 0.3), abs=2e-3
+    )
 
 
 @pytest.mark.parametrize(
     ("more", "why"),
-    [({"rest_share": 1.0}, "gait rest 1.0"), ({"phases": [0.1, 0.2]}, "2 phases, but gen2 has 4")],
+    [
+        ({"rest_share": 1.0}, "gait rest 1.0"),
+        ({"phases": [0.1, 0.2]}, "2 phases, but gen2 has 4"),
+    ],
 )
 def test_invalid_waves_are_refused(more, why):
     with pytest.raises(InputError, match=why):

@@ -30,7 +30,12 @@ def at(time: float, sensed: float, **changes: object):
     """Return a state with true fields of NaN."""
     nothing = np.full(8, math.nan)
     return replace(
-        initial_state(), time=time, sensed=np.full(8, sensed), bend=nothing, bend_rate=nothing, **changes
+        initial_state(),
+        time=time,
+        sensed=np.full(8, sensed),
+        bend=nothing,
+        bend_rate=nothing,
+        **changes,
     )
 
 
@@ -62,7 +67,9 @@ def test_holding_segments_fill_the_side_of_the_object(side, chamber):
     grasp = Grasp(2.0, side=side, mode="open_loop")
     stepped(grasp, 0.0, 2.5)
     valves = grasp.step(at(2.5, 0.0))
-    assert (valves[:, -4:, chamber] == 1).all() and (valves[:, -4:, 1 - chamber] == -1).all()
+    assert (valves[:, -4:, chamber] == 1).all() and (
+        valves[:, -4:, 1 - chamber] == -1
+    ).all()
     assert (valves[:, :4] == 1).any(), "the others crawl"
 
 
@@ -77,8 +84,9 @@ def test_robot_with_too_few_segments_is_refused():
 def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     """An arc that wants to curl further touches at its ends: the middle lifts off.
 
-    The moment k (q_free − q) is uniform along the arc. Its gradient, the shear force, is zero, so there is no
-    load between the two ends of the held part, and the forces act near the ends.
+    The moment k (q_free − q) is uniform along the arc. Its gradient, the shear force,
+    is zero, so there is no load between the two ends of the held part, and the forces
+    act near the ends.
     """
     radius = 0.025
     ring = radius + GEN2.geometry.width / 2
@@ -86,10 +94,15 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     bend = np.append(np.zeros(4), np.full(4, GEN2.geometry.pitch / ring))
     twin = TwinSnake(CHAIN, world=World(objects=(replace(item, x=9.0, y=9.0),)))
     twin.place(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend))
-    place, theta = twin.physics.connector_positions()[:, :2], twin.physics.connector_headings()
+    place, theta = (
+        twin.physics.connector_positions()[:, :2],
+        twin.physics.connector_headings(),
+    )
     left = np.array([-np.sin(theta[4]), np.cos(theta[4])])
     centre = place[4] + (ring + 0.001) * left - [0.0, 5.0]
-    twin = TwinSnake(CHAIN, world=World(objects=(replace(item, x=centre[0], y=centre[1]),)))
+    twin = TwinSnake(
+        CHAIN, world=World(objects=(replace(item, x=centre[0], y=centre[1]),))
+    )
     pressure = np.stack([bend / GEN2.actuator.gain, np.zeros(8)], axis=-1)
     twin.place(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend, pressure=pressure))
     twin.physics.data.qpos[1] -= 5.0
@@ -106,7 +119,9 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
 
     assert np.hypot(*pressed("hull_8_2")[:2]) > 1.0, "the last hull presses"
     inner = ["hull_8_0", "hull_8_1", "hull_5_0"]
-    assert max(np.hypot(*pressed(hull)[:2]) for hull in inner) < 1e-6, "its neighbours do not"
+    assert max(np.hypot(*pressed(hull)[:2]) for hull in inner) < 1e-6, (
+        "its neighbours do not"
+    )
     # Statics of the last hinge: moment of the force behind it, against air and spring.
     hinge = model.joint("hinge_8_2")
     arm = pressed("hull_8_2")[3:5] - data.xanchor[hinge.id][:2]

@@ -26,7 +26,8 @@ readings = st.floats(-1.5, 1.5) | st.floats(allow_nan=True, allow_infinity=True)
 SLOTS = 0.007  # of a duty: pulses are a slot of 0.1 ms long or short, 60 times a second
 
 
-# --- the law ------------------------------------------------------------------------------------------------
+# --- the law
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -51,8 +52,12 @@ def test_the_smallest_amplitude_becomes_the_target(gain):
     assert run.amplitudes()[-1] == pytest.approx(gain.min(), abs=0.05 * gain.min())
     (text,) = run.event_texts("target")
     weakest = gain.min(axis=1).argmin() + 1
-    assert text == f"target {gain.min():.4g} rad, the smallest amplitude recorded (segment {weakest})"
-    # Two periods are free and the third is recorded, so nothing changes in the first 3.5 periods.
+    assert (
+        text == f"target {gain.min():.4g} rad, the smallest amplitude recorded (segment"
+        f" {weakest})"
+    )
+    # Two periods are free and the third is recorded, so nothing changes in the first
+    # 3.5 periods.
     assert (np.array(run.duty)[: round(3.49 / TICK)] == 1).all()
 
 
@@ -62,17 +67,23 @@ def test_the_largest_error_is_reported_once_per_period():
     assert run.event_texts("ilc_update")[0].startswith(
         "after period 3: largest amplitude error -0.5 rad (segment "
     )
-    assert run.event_texts("converged") == ["all amplitudes are within 5 % of their targets"]
+    assert run.event_texts("converged") == [
+        "all amplitudes are within 5 % of their targets"
+    ]
 
 
 def test_steering_during_a_run_changes_the_targets_only():
     run = Run(ILC(1.0, target=0.7), 1.2).go(10)
     run.controller.offset = -0.15
     run.go(10)
-    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.55, 0.7], (SEGMENTS, 1)), abs=0.01)
+    assert run.amplitudes()[-1] == pytest.approx(
+        np.tile([0.55, 0.7], (SEGMENTS, 1)), abs=0.01
+    )
     run.controller.offset = 0.3
     run.go(10)
-    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.01)
+    assert run.amplitudes()[-1] == pytest.approx(
+        np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.01
+    )
     assert len(run.event_texts("converged")) == 3
 
 
@@ -85,7 +96,8 @@ def test_a_common_period_converges_too():
     assert updates == pytest.approx(np.arange(3, 16), abs=1e-9)
 
 
-# --- the offset on the wave as well -------------------------------------------------------------------------
+# --- the offset on the wave as well
+# -------------------------------------------------------------------------
 
 ON_WAVE = {"target": 0.7, "steering": "targets_and_wave"}
 
@@ -101,38 +113,53 @@ def gait_valves(offset: float, ticks: range) -> list[np.ndarray]:
 @settings(max_examples=10, deadline=None)
 @given(offsets, offsets)
 def test_full_duties_give_the_valves_of_eq_13_with_and_without_offset(before, after):
-    for steering, seen in (("targets_and_wave", (before, after)), ("targets", (0.0, 0.0))):
+    for steering, seen in (
+        ("targets_and_wave", (before, after)),
+        ("targets", (0.0, 0.0)),
+    ):
         controller = ILC(1.0, before, target=0.7, steering=steering, free_periods=50)
-        # SensorReadings must vary; otherwise the sensors are detected as dead and the modules are vented.
-        rows = np.tile(0.7 * np.sin(2 * np.pi * TICK * np.arange(300))[:, None], SEGMENTS)
+        # SensorReadings must vary; otherwise the sensors are detected as dead and the
+        # modules are vented.
+        rows = np.tile(
+            0.7 * np.sin(2 * np.pi * TICK * np.arange(300))[:, None], SEGMENTS
+        )
         valves = valves_of(controller, rows[:150])
         controller.offset = after
         valves += [controller.step(state(k, rows[k])) for k in range(150, 300)]
-        expected = gait_valves(seen[0], range(150)) + gait_valves(seen[1], range(150, 300))
+        expected = gait_valves(seen[0], range(150)) + gait_valves(
+            seen[1], range(150, 300)
+        )
         assert (np.array(valves) == np.array(expected)).all()
 
 
 @pytest.mark.parametrize("offset", [0.3, -0.1])
 def test_periods_begin_with_the_fills_of_the_steered_wave(offset):
-    begins = np.array(Run(ILC(1.0, offset, **ON_WAVE)).controller.describe()["fill_begins_s"])
+    begins = np.array(
+        Run(ILC(1.0, offset, **ON_WAVE)).controller.describe()["fill_begins_s"]
+    )
     slots = np.concatenate(gait_valves(offset, range(300)))
     for j, side in np.ndindex(SEGMENTS, 2):
         rises = (np.flatnonzero(np.diff(slots[:, j, side]) > 0) + 1) * 1e-4
-        assert (begins[j, side] + np.arange(1, 3) == pytest.approx(rises[:2], abs=1.1e-4)) or (
-            begins[j, side] + np.arange(2) == pytest.approx(rises[:2], abs=1.1e-4)
-        )
+        assert (
+            begins[j, side] + np.arange(1, 3) == pytest.approx(rises[:2], abs=1.1e-4)
+        ) or (begins[j, side] + np.arange(2) == pytest.approx(rises[:2], abs=1.1e-4))
 
 
 @pytest.mark.parametrize("clock", ["chamber", "common"])
 def test_targets_are_reached_with_a_steered_wave(clock):
     run = Run(ILC(1.0, 0.3, clock=clock, **ON_WAVE), 1.2).go(16)
-    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.02)
+    assert run.amplitudes()[-1] == pytest.approx(
+        np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.02
+    )
     run.controller.offset = -0.3
     run.go(14)
-    assert run.amplitudes()[-1] == pytest.approx(np.tile([0.4, 0.7], (SEGMENTS, 1)), abs=0.02)
+    assert run.amplitudes()[-1] == pytest.approx(
+        np.tile([0.4, 0.7], (SEGMENTS, 1)), abs=0.02
+    )
 
 
-# --- any input ----------------------------------------------------------------------------------------------
+# --- any input
+# ----------------------------------------------------------------------------------------------
 
 
 def valves_of(controller: ILC, rows: np.ndarray) -> list[np.ndarray]:
@@ -165,7 +192,9 @@ def test_any_readings_keep_duties_within_0_and_1(rows, target, offset, hold, on_
         assert not ((valves == 1).all(axis=-1)).any()
         signals = controller.signals()
         duty = np.stack([signals["duty_plus"], signals["duty_minus"]])
-        assert ((duty >= 0) & (duty <= 1)).all() and np.isfinite(controller.duties.value).all()
+        assert ((duty >= 0) & (duty <= 1)).all() and np.isfinite(
+            controller.duties.value
+        ).all()
         assert all(np.shape(each) in ((), (SEGMENTS,)) for each in signals.values())
 
 
@@ -181,11 +210,14 @@ def test_any_readings_keep_duties_within_0_and_1(rows, target, offset, hold, on_
 def test_mirrored_readings_swap_the_chambers(rows, offset, frequency, target, steering):
     rows = np.repeat(rows, 10, axis=0)
     left = valves_of(ILC(frequency, offset, target=target, steering=steering), rows)
-    right = valves_of(ILC(frequency, -offset, target=target, steering=steering, phase=math.pi), -rows)
+    right = valves_of(
+        ILC(frequency, -offset, target=target, steering=steering, phase=math.pi), -rows
+    )
     assert (np.array(left) == np.array(right)[..., ::-1]).all()
 
 
-# --- nothing winds up ---------------------------------------------------------------------------------------
+# --- nothing winds up
+# ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("periods", [14, 60])
@@ -200,20 +232,25 @@ def test_a_saturated_duty_leaves_its_bound_immediately(periods):
     assert run.event_texts("fault") == [] and run.event_texts("converged") == []
     run.modules.gain[1] = 1.0
     run.go(3)
-    # The amplitude of the first period with the new gain is 0.3 rad too large, regardless of the time in
-    # saturation.
+    # The amplitude of the first period with the new gain is 0.3 rad too large,
+    # regardless of the time in saturation.
     assert run.duty[-1][1].max() <= 1 - 0.3 * 0.3 + SLOTS
-    assert "segment 2, + chamber: duty no longer saturated" in run.event_texts("saturation")
+    assert "segment 2, + chamber: duty no longer saturated" in run.event_texts(
+        "saturation"
+    )
 
 
-# --- faults -------------------------------------------------------------------------------------------------
+# --- faults
+# -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("target", ["smallest", 0.7])
 @pytest.mark.parametrize("how", ["open", "shut"])
 @pytest.mark.parametrize(("segment", "side"), [(0, 0), (2, 1), (3, 0)])
-def test_a_stuck_valve_is_detected_and_the_other_segments_converge(segment, side, how, target):
+def test_a_stuck_valve_is_detected_and_the_other_segments_converge(
+    segment, side, how, target
+):
     gain = 1.0 + 0.2 * np.linspace(0, 1, 2 * SEGMENTS).reshape(SEGMENTS, 2)
     run = Run(ILC(1.0, target=target), gain)
     run.modules.stuck[segment, side] = how
@@ -223,7 +260,9 @@ def test_a_stuck_valve_is_detected_and_the_other_segments_converge(segment, side
     ]
     assert (run.duty[-1][segment] == 0).all()
     wanted = 0.7 if target == 0.7 else np.delete(gain, segment, axis=0).min()
-    assert np.delete(run.amplitudes()[-1], segment, axis=0) == pytest.approx(wanted, rel=0.05)
+    assert np.delete(run.amplitudes()[-1], segment, axis=0) == pytest.approx(
+        wanted, rel=0.05
+    )
     assert len(run.event_texts("converged")) == 1 and not run.controller.finished
     assert np.isnan(run.controller.signals()["target_plus"][segment])
 
@@ -248,7 +287,9 @@ def test_a_valve_that_sticks_during_learning_is_detected():
 )
 def test_a_dead_sensor_is_detected(says, what, from_period):
     run = Run(ILC(1.0, target="smallest"), 1.2)
-    run.sensor = lambda time, bend: np.where((np.arange(4) == 2) & (time >= from_period), says, bend)
+    run.sensor = lambda time, bend: np.where(
+        (np.arange(4) == 2) & (time >= from_period), says, bend
+    )
     run.go(20)
     assert run.event_texts("fault") == [f"segment 3: sensor dead, {what}"]
     assert (run.duty[-1][2] == 0).all() and len(run.event_texts("converged")) == 1
@@ -266,10 +307,14 @@ def test_learning_continues_with_some_lost_readings():
 def test_a_loaded_segment_is_not_reported_as_a_stuck_valve():
     """A segment that is moved by its load rests straight in the test and continues to work."""
     run = Run(ILC(1.0, target=0.3), 1.2)
-    run.sensor = lambda time, bend: bend - [0.0, 0.6 * math.sin(2 * math.pi * time), 0.0, 0.0]
+    run.sensor = lambda time, bend: (
+        bend - [0.0, 0.6 * math.sin(2 * math.pi * time), 0.0, 0.0]
+    )
     run.go(25)
     assert run.event_texts("fault") == []
-    assert run.event_texts("fault_not_found") == ["segment 2: rests straight when vented; no valve is stuck"]
+    assert run.event_texts("fault_not_found") == [
+        "segment 2: rests straight when vented; no valve is stuck"
+    ]
     assert np.delete(run.duty[-1], 1, axis=0) == pytest.approx(0.25, rel=0.05)
 
 
@@ -280,10 +325,13 @@ def test_option_stop_ends_the_run_at_a_detected_fault():
     assert not run.controller.finished
     run.go(3)
     assert run.controller.finished
-    assert run.controller.describe()["faults"] == ["segment 1: valve of the + chamber stuck shut"]
+    assert run.controller.describe()["faults"] == [
+        "segment 1: valve of the + chamber stuck shut"
+    ]
 
 
-# --- on the analytical plant --------------------------------------------------------------------------------
+# --- on the analytical plant
+# --------------------------------------------------------------------------------
 
 
 class StuckValve(LagPneumatics):
@@ -316,15 +364,23 @@ def snake(**changes: Any) -> AnalyticalSnake:
 def test_a_stuck_valve_of_the_plant_is_detected(stays, how):
     chambers = StuckValve(load_robot("gen4"), supply_pa=131_000, layout="3/2")
     chambers.stays = stays
-    run = rollout(snake(pneumatics=chambers), ILC(1.0, target=0.7, on_fault="stop"), 12.0)
-    assert run.metadata["control"]["faults"] == [f"segment 3: valve of the + chamber stuck {how}"]
-    assert run.metadata["ended_by"] == "controller" and run.metadata["duration_s"] == 12.0
+    run = rollout(
+        snake(pneumatics=chambers), ILC(1.0, target=0.7, on_fault="stop"), 12.0
+    )
+    assert run.metadata["control"]["faults"] == [
+        f"segment 3: valve of the + chamber stuck {how}"
+    ]
+    assert (
+        run.metadata["ended_by"] == "controller" and run.metadata["duration_s"] == 12.0
+    )
     assert run.time[-1] < 8.0 and run.events[-1].kind == "fault"
 
 
 def test_the_plant_continues_without_a_module_with_a_dead_sensor():
     run = rollout(snake(sensor=DeadSensor()), ILC(1.0), 12.0)
-    assert run.metadata["control"]["faults"] == ["segment 2: sensor dead, readings stay within 0.02 rad"]
+    assert run.metadata["control"]["faults"] == [
+        "segment 2: sensor dead, readings stay within 0.02 rad"
+    ]
     assert run.metadata["ended_by"] is None and run.time[-1] == pytest.approx(12.0)
     assert np.isfinite(run.com).all()
 
@@ -334,13 +390,16 @@ def test_full_duties_equal_the_open_loop_gait(frequency):
     """An unreachable target keeps all duties at 1, and the runs are equal to the last bit."""
     ilc = rollout(AnalyticalSnake(load_robot("gen4")), ILC(frequency, target=1.5), 6.0)
     # `until` keeps the gait from running as one script.
-    gait = rollout(AnalyticalSnake(load_robot("gen4")), Gait(frequency), 6.0, until=lambda _: False)
+    gait = rollout(
+        AnalyticalSnake(load_robot("gen4")), Gait(frequency), 6.0, until=lambda _: False
+    )
     assert "duty_plus_1" in ilc.columns and (ilc.stack("duty_plus") == 1).all()
     for name in gait.columns.keys() - {"offset"}:
         assert (ilc[name] == gait[name]).all(), name
 
 
-# --- refused ------------------------------------------------------------------------------------------------
+# --- refused
+# ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("offset", [0.31, -0.4, math.nan, math.inf])
@@ -358,13 +417,22 @@ def test_offsets_without_targets_are_refused(offset):
     ("arguments", "words"),
     [
         ({"frequency": 0.0}, "gait frequency 0.0 Hz"),
-        ({"target": 0.0}, "ilc target 0.0 is not allowed; it must be finite and above 0"),
+        (
+            {"target": 0.0},
+            "ilc target 0.0 is not allowed; it must be finite and above 0",
+        ),
         ({"target": math.nan}, "ilc target nan is not allowed"),
         ({"target": "largest"}, "target 'largest'"),
         ({"k": -0.3}, "ilc k -0.3 is not allowed"),
         ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),
-        ({"carrier_hz": 7.0}, "carrier_hz 7 gives fewer than 4 pulses per fill at 1 Hz; use 8 Hz or more"),
-        ({"free_periods": 0}, "ilc free_periods 0 is not allowed; it must be 1 or more"),
+        (
+            {"carrier_hz": 7.0},
+            "carrier_hz 7 gives fewer than 4 pulses per fill at 1 Hz; use 8 Hz or more",
+        ),
+        (
+            {"free_periods": 0},
+            "ilc free_periods 0 is not allowed; it must be 1 or more",
+        ),
         ({"on_fault": "pause"}, "on_fault 'pause'"),
         ({"clock": "wall"}, "clock 'wall'"),
         ({"steering": "wave"}, "steering 'wave'"),
@@ -378,7 +446,8 @@ def test_invalid_arguments_are_refused(arguments, words):
 def test_ticks_with_too_few_readings_per_period_are_refused():
     controller = ILC(7.0, carrier_hz=60.0)
     words = (
-        "a gait of 7 Hz has fewer than 8 readings per period at a tick of 0.02 s; use at most 0.01786 s, or"
+        "a gait of 7 Hz has fewer than 8 readings per period at a tick of 0.02 s; use"
+        " at most 0.01786 s, or"
     )
     with pytest.raises(InputError, match=words):
         controller.reset(load_robot("gen4"), 0.02)

@@ -17,7 +17,9 @@ some = settings(max_examples=25)
 duties = st.floats(0, 1) | st.sampled_from([0.0, 1.0, 0.5])
 
 
-def played(duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: float = 1e-3) -> np.ndarray:
+def played(
+    duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: float = 1e-3
+) -> np.ndarray:
     """Return which chambers fill in each slot, shape (slots, segments, 2), for duties (segments, 2)."""
     pulses = PulseWidthModulator(carrier, tick, len(duty))
     parts = [pulses.step(duty) for _ in range(round(seconds / tick))]
@@ -34,12 +36,18 @@ def openings(filling: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @some
-@given(arrays(float, (20, 2), elements=duties), st.sampled_from([13.0, 50.0, 60.0, 61.7, 240.0]))
+@given(
+    arrays(float, (20, 2), elements=duties),
+    st.sampled_from([13.0, 50.0, 60.0, 61.7, 240.0]),
+)
 def test_duty_is_exact_over_many_periods(duty, carrier):
     filling = played(duty, 1.0, carrier=carrier)
     # The error of a pulse is at most one slot, and the last period may be incomplete.
     assert np.abs(filling.mean(axis=0) - duty).max() <= carrier * SLOT + 1 / carrier
-    if carrier in (50.0, 60.0):  # three periods are a whole number of slots, so that nothing is unfinished
+    if carrier in (
+        50.0,
+        60.0,
+    ):  # three periods are a whole number of slots, so that nothing is unfinished
         whole = filling[: round(30 * 1e4 / carrier)]
         assert np.abs(whole.mean(axis=0) - duty).max() <= carrier * SLOT
 
@@ -67,11 +75,16 @@ def test_a_valve_opens_at_most_once_per_period_and_not_at_0_and_1(duty, carrier)
 @given(arrays(float, (50,), elements=duties))
 def test_duties_with_sum_1_make_opposite_valves(plus):
     filling = played(np.stack([plus, 1 - plus], axis=-1), 0.2)
-    assert (filling[..., 0] != filling[..., 1]).mean() > 0.999  # 1 − (1 − d) may miss d by rounding
+    assert (
+        filling[..., 0] != filling[..., 1]
+    ).mean() > 0.999  # 1 − (1 − d) may miss d by rounding
 
 
 @some
-@given(arrays(float, (4, 2), elements=duties), st.sampled_from([(1e-4, 1e-3), (1e-3, 2e-3), (1e-3, 5e-3)]))
+@given(
+    arrays(float, (4, 2), elements=duties),
+    st.sampled_from([(1e-4, 1e-3), (1e-3, 2e-3), (1e-3, 5e-3)]),
+)
 def test_pulses_do_not_depend_on_the_tick(duty, ticks):
     short, long = (played(duty, 0.1, tick=tick) for tick in ticks)
     assert (short == long).all()
@@ -99,12 +112,16 @@ def test_a_new_duty_does_not_change_the_current_period():
 
 @pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan, math.inf])
 def test_duties_outside_0_to_1_are_refused(bad):
-    with pytest.raises(InputError, match=r"duty .* is not allowed; it must lie between 0 and 1"):
+    with pytest.raises(
+        InputError, match=r"duty .* is not allowed; it must lie between 0 and 1"
+    ):
         PulseWidthModulator(60.0, 1e-3, 1).step(np.array([[0.5, bad]]))
 
 
 def test_duties_of_another_shape_are_refused():
-    with pytest.raises(InputError, match=r"duties have shape \(2, 2\); allowed: \(1, 2\)"):
+    with pytest.raises(
+        InputError, match=r"duties have shape \(2, 2\); allowed: \(1, 2\)"
+    ):
         PulseWidthModulator(60.0, 1e-3, 1).step(np.zeros((2, 2)))
 
 
@@ -115,7 +132,9 @@ def test_invalid_carrier_frequencies_are_refused(carrier):
 
 
 def test_ticks_that_do_not_fit_are_refused():
-    with pytest.raises(InputError, match=r"60 Hz is too fast for the tick of 0.02 s; use 50 Hz or less"):
+    with pytest.raises(
+        InputError, match=r"60 Hz is too fast for the tick of 0.02 s; use 50 Hz or less"
+    ):
         PulseWidthModulator(60.0, 0.02, 1)
     with pytest.raises(InputError, match=r"tick -0.001 s is not allowed"):
         PulseWidthModulator(60.0, -0.001, 1)
@@ -140,5 +159,7 @@ def test_long_ticks_give_the_same_pulses(duty):
     parts = []
     for tick in (1e-3, 0.05):
         pulses = PulseWidthModulator(60.0, tick, 4, allow_long_ticks=True)
-        parts.append(np.concatenate([pulses.step(duty) for _ in range(round(0.2 / tick))]))
+        parts.append(
+            np.concatenate([pulses.step(duty) for _ in range(round(0.2 / tick))])
+        )
     assert (parts[0] == parts[1]).all()

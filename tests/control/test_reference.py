@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from srs_twin.control.reference import ClippedReference, Constant, Reference, Sine, Square, Staircase, Step
+from srs_twin.control.reference import (
+    ClippedReference,
+    Constant,
+    Reference,
+    Sine,
+    Square,
+    Staircase,
+    Step,
+)
 from srs_twin.errors import InputError, UnknownNameError
 
 bends = st.floats(-1.5, 1.5)
@@ -19,7 +27,11 @@ references = st.one_of(
     st.builds(Step, bends, bends, st.floats(0, 2)),
     st.builds(Sine, positive, st.floats(0.1, 10), bends, bends),
     st.builds(Square, positive, st.floats(0.1, 10), bends, bends),
-    st.builds(Staircase, st.lists(bends, min_size=1, max_size=6).map(tuple), st.floats(0.05, 1)),
+    st.builds(
+        Staircase,
+        st.lists(bends, min_size=1, max_size=6).map(tuple),
+        st.floats(0.05, 1),
+    ),
 )
 times = np.linspace(0, 3, 3001)
 
@@ -39,13 +51,21 @@ def test_numbers_and_arrays_give_the_same_values(reference, time):
 
 
 @given(references, st.floats(0.1, 0.9))
-def test_limited_reference_is_clipped_exactly_where_it_exceeds_the_limit(reference, share):
+def test_limited_reference_is_clipped_exactly_where_it_exceeds_the_limit(
+    reference, share
+):
     limit = max(share * reference.peak, 1e-3)
     cut = reference.limited(limit, "saturate")
-    wanted, values, beyond = reference.value(times), cut.value(times), cut.is_clipped(times)
+    wanted, values, beyond = (
+        reference.value(times),
+        cut.value(times),
+        cut.is_clipped(times),
+    )
     assert np.abs(values).max() <= limit == pytest.approx(cut.peak) or cut is reference
     assert (values == wanted)[~beyond].all()
-    assert (np.abs(values[beyond]) == limit).all() and (np.abs(wanted[beyond]) > limit).all()
+    assert (np.abs(values[beyond]) == limit).all() and (
+        np.abs(wanted[beyond]) > limit
+    ).all()
     assert (cut.rate(times)[beyond] == 0).all()
 
 
@@ -56,7 +76,10 @@ def test_rate_of_a_sine_equals_its_difference_quotient(sine):
     # The third derivative times h², and the rounding of values and angles over h.
     omega, eps = 2 * math.pi * sine.frequency, np.finfo(float).eps
     angle = omega * times[-1] + abs(sine.phase)
-    allowed = sine.amplitude * omega**3 * h**2 + 2 * eps * (sine.peak + sine.amplitude * angle) / h
+    allowed = (
+        sine.amplitude * omega**3 * h**2
+        + 2 * eps * (sine.peak + sine.amplitude * angle) / h
+    )
     assert np.abs(sine.rate(times) - quotient).max() <= allowed
 
 
@@ -70,11 +93,20 @@ def test_steps_occur_at_their_tick_despite_rounding():
         stairs = Staircase((0.0, 1.0, 2.0, 3.0), 0.3)
         assert stairs.value(ticks[k]) - stairs.value(ticks[k - 1]) == 1.0
     square = Square(1.0, 2.0)
-    assert [square.value(ticks[k]) for k in (0, 249, 250, 499, 500, 750)] == [1, 1, -1, -1, 1, -1]
+    assert [square.value(ticks[k]) for k in (0, 249, 250, 499, 500, 750)] == [
+        1,
+        1,
+        -1,
+        -1,
+        1,
+        -1,
+    ]
 
 
 def test_staircase_keeps_its_last_level():
-    assert Staircase((0.1, 0.2), 0.5).value(np.array([0.0, 0.49, 0.5, 100.0])).tolist() == [
+    assert Staircase((0.1, 0.2), 0.5).value(
+        np.array([0.0, 0.49, 0.5, 100.0])
+    ).tolist() == [
         0.1,
         0.1,
         0.2,
@@ -94,7 +126,9 @@ def test_references_within_the_range_are_unchanged():
 
 
 def test_the_error_for_an_exceeded_range_names_both_angles():
-    with pytest.raises(InputError, match=r"reaches 45°, but the module bends at most 41.97°.*saturate"):
+    with pytest.raises(
+        InputError, match=r"reaches 45°, but the module bends at most 41.97°.*saturate"
+    ):
         Step(math.radians(45)).limited(math.radians(41.97))
 
 
@@ -118,8 +152,14 @@ def test_an_unknown_policy_lists_the_known_ones():
     [
         (lambda: Constant(math.nan), "bend nan is not allowed"),
         (lambda: Step(math.inf), "bend inf is not allowed"),
-        (lambda: Sine(0.0, 1.0), "amplitude 0.0 is not allowed; it must be finite and above 0"),
-        (lambda: Sine(0.5, -1.0), "frequency -1.0 is not allowed; it must be finite and above 0"),
+        (
+            lambda: Sine(0.0, 1.0),
+            "amplitude 0.0 is not allowed; it must be finite and above 0",
+        ),
+        (
+            lambda: Sine(0.5, -1.0),
+            "frequency -1.0 is not allowed; it must be finite and above 0",
+        ),
         (lambda: Square(0.5, 1.0, math.nan), "phase nan is not allowed"),
         (lambda: Staircase((), 1.0), "one or more"),
         (lambda: Staircase((0.1, math.nan), 1.0), "all finite"),

@@ -14,10 +14,17 @@ SPEC = load_robot("gen2")
 
 def run(controller, duration=1.0):
     # The callback makes an open-loop gait run tick by tick, as a steered one does.
-    return rollout(AnalyticalSnake(SPEC, tick=0.005), controller, duration, observers=[lambda state: None])
+    return rollout(
+        AnalyticalSnake(SPEC, tick=0.005),
+        controller,
+        duration,
+        observers=[lambda state: None],
+    )
 
 
-@pytest.mark.parametrize("make", [lambda: Gait(2.0, 0.2), lambda: ILC(2.0, 0.2, target=0.5)])
+@pytest.mark.parametrize(
+    "make", [lambda: Gait(2.0, 0.2), lambda: ILC(2.0, 0.2, target=0.5)]
+)
 def test_without_changes_the_run_is_that_of_the_controller(make):
     plain, steered = run(make()), run(ScheduledOffset(make(), []))
     assert plain.columns.keys() == steered.columns.keys()
@@ -35,7 +42,9 @@ def test_the_offset_changes_at_its_time_in_every_run():
         assert np.all(offset[time <= 0.3 + 1e-9] == -0.2)
         assert np.all(offset[(time > 0.305) & (time <= 0.6)] == 0.1)
         assert np.all(offset[time > 0.615] == 0.4) and controller.offset == 0.4
-        assert [(round(e.time, 6), e.text) for e in found.events if e.kind == "offset"] == [
+        assert [
+            (round(e.time, 6), e.text) for e in found.events if e.kind == "offset"
+        ] == [
             (0.3, "offset -0.2 to 0.1"),
             (0.605, "offset 0.1 to 0.4"),
         ]
@@ -43,13 +52,18 @@ def test_the_offset_changes_at_its_time_in_every_run():
 
 
 def test_the_runs_are_equal_until_the_change():
-    straight, turning = run(ScheduledOffset(Gait(2.0), [])), run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)]))
+    straight, turning = (
+        run(ScheduledOffset(Gait(2.0), [])),
+        run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)])),
+    )
     before = straight.time <= 0.5
     assert np.array_equal(straight["heading"][before], turning["heading"][before])
     assert straight["heading"][-1] != turning["heading"][-1]
 
 
-@pytest.mark.parametrize("times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)])
+@pytest.mark.parametrize(
+    "times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)]
+)
 def test_times_that_do_not_increase_are_refused(times):
     with pytest.raises(InputError, match="they must be above 0 and increasing"):
         ScheduledOffset(Gait(2.0), [(time, 0.1) for time in times])

@@ -35,7 +35,9 @@ def robot(segments: int) -> RobotSpec:
 
 def state(time: float, sensed: Any) -> Any:
     """Return a state without true values, so that reading one would fail."""
-    return SimpleNamespace(time=time, sensed=np.atleast_1d(np.asarray(sensed, dtype=float)))
+    return SimpleNamespace(
+        time=time, sensed=np.atleast_1d(np.asarray(sensed, dtype=float))
+    )
 
 
 def ready(controller: SlidingMode, segments: int = 1) -> SlidingMode:
@@ -43,16 +45,21 @@ def ready(controller: SlidingMode, segments: int = 1) -> SlidingMode:
     return controller
 
 
-def fed(controller: SlidingMode, sensed: np.ndarray, *, start: int = 0) -> list[np.ndarray]:
+def fed(
+    controller: SlidingMode, sensed: np.ndarray, *, start: int = 0
+) -> list[np.ndarray]:
     """Return the valves of ticks with these readings, shape (ticks, segments)."""
-    return [controller.step(state(TICK * (start + k), row)) for k, row in enumerate(sensed)]
+    return [
+        controller.step(state(TICK * (start + k), row)) for k, row in enumerate(sensed)
+    ]
 
 
 def signals(controller: Controller) -> dict[str, np.ndarray]:
     return {name: np.asarray(value) for name, value in controller.signals().items()}
 
 
-# --- any bounded sensed input: 10,000 histories -------------------------------------------------------------
+# --- any bounded sensed input: 10,000 histories
+# -------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -61,10 +68,15 @@ def signals(controller: Controller) -> dict[str, np.ndarray]:
 @given(
     arrays(float, (12, MODULES), elements=readings, fill=st.floats(-1.5, 1.5)),
     st.integers(1, 60),
-    st.sampled_from([Constant(0.3), Sine(0.6, 6.0), Square(0.6, 2.0), Step(0.4, -0.4, 0.01)]),
+    st.sampled_from(
+        [Constant(0.3), Sine(0.6, 6.0), Square(0.6, 2.0), Step(0.4, -0.4, 0.01)]
+    ),
 )
 def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, reference):
-    """Each row lasts some ticks. Then the bend is 0.1 rad too small, and the controller must increase it."""
+    """Each row lasts some ticks.
+
+    Then the bend is 0.1 rad too small, and the controller must increase it.
+    """
     controller = ready(kind(reference), MODULES)
     history = np.repeat(rows, hold, axis=0)
     for k, row in enumerate(history):
@@ -78,11 +90,14 @@ def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, referen
             assert (np.abs(now["mu"]) <= 1).all()
             assert ((now["duty_plus"] >= 0) & (now["duty_plus"] <= 1)).all()
             assert now["duty_plus"] + now["duty_minus"] == pytest.approx(1.0)
-    # Δμ is K D e per update over a range of 2; the filter settles within a few of its lags.
+    # Δμ is K D e per update over a range of 2; the filter settles within a few of its
+    # lags.
     updates = math.ceil(2 / (0.042 * 16 * 0.1)) + 3
     ticks = math.ceil(updates / 60 / TICK) if kind is IterativeSMC else 150
     for k in range(len(history), len(history) + ticks):
-        valves = controller.step(state(TICK * k, np.full(MODULES, reference.value(TICK * k) - 0.1)))
+        valves = controller.step(
+            state(TICK * k, np.full(MODULES, reference.value(TICK * k) - 0.1))
+        )
     if kind is IterativeSMC:
         assert signals(controller)["mu"] == pytest.approx(1.0)
     elif getattr(reference, "frequency", None) is None:
@@ -90,7 +105,10 @@ def test_any_readings_give_valid_valves_and_no_wind_up(kind, rows, hold, referen
 
 
 @settings(max_examples=10)
-@given(arrays(float, (20, MODULES), elements=st.floats(-1.5, 1.5)), st.sampled_from([1, 7, 40]))
+@given(
+    arrays(float, (20, MODULES), elements=st.floats(-1.5, 1.5)),
+    st.sampled_from([1, 7, 40]),
+)
 def test_direct_controller_holds_without_an_error(rows, hold):
     controller = ready(DirectSMC(Constant(0.3)), MODULES)
     fed(controller, np.repeat(rows, hold, axis=0))
@@ -108,24 +126,30 @@ def test_iterative_controller_leaves_saturation_immediately():
     assert after[0] < 0.5 and after[1] == pytest.approx(after[0], abs=0.05)
 
 
-# --- mock plants --------------------------------------------------------------------------------------------
+# --- mock plants
+# --------------------------------------------------------------------------------------------
 
 
 def integrator(controller: SlidingMode, seconds: float, speed: float) -> np.ndarray:
     """Return the bend of a perfect module, which moves at a constant speed or not at all."""
     bend = [0.0]
     for k in range(round(seconds / TICK)):
-        bend.append(bend[-1] + TICK * speed * controller.step(state(TICK * k, bend[-1]))[0, 0])
+        bend.append(
+            bend[-1] + TICK * speed * controller.step(state(TICK * k, bend[-1]))[0, 0]
+        )
     return np.array(bend)
 
 
-@pytest.mark.parametrize("reference", [Constant(0.4), Step(-0.4, 0.2, 0.5), Sine(0.4, 0.5), Sine(0.4, 1.0)])
+@pytest.mark.parametrize(
+    "reference", [Constant(0.4), Step(-0.4, 0.2, 0.5), Sine(0.4, 0.5), Sine(0.4, 1.0)]
+)
 def test_direct_controller_follows_within_its_dead_zone(reference):
     bend = integrator(ready(DirectSMC(reference)), 3.0, speed=6.0)
     time = TICK * np.arange(len(bend))
     jump = getattr(reference, "time", 0.0)
     late = (time > 0.4) & ((time < jump) | (time > jump + 0.4))
-    # ε/D, the filter delay of one tick of motion, and the second derivative of the bend over the filter lag.
+    # ε/D, the filter delay of one tick of motion, and the second derivative of the bend
+    # over the filter lag.
     lag = VelocityFilter(16.0, TICK).lag
     bend_over = 0.4 * (2 * math.pi * getattr(reference, "frequency", 0.0)) ** 2 * lag**2
     allowed = 84 * DEGREE / 58 + 3 * TICK * 6.0 + bend_over
@@ -158,12 +182,16 @@ def test_mirrored_readings_give_mirrored_valves(kind):
     sensed = rng.uniform(-0.8, 0.8, (300, 5))
     one = fed(ready(kind(Sine(0.5, 3.0)), 5), sensed)
     other = fed(ready(kind(Sine(0.5, 3.0, math.pi)), 5), -sensed)
-    agree = np.mean([(a == b[..., ::-1]).mean() for a, b in zip(one, other, strict=True)])
+    agree = np.mean(
+        [(a == b[..., ::-1]).mean() for a, b in zip(one, other, strict=True)]
+    )
     if kind is DirectSMC:
         assert agree == 1.0
     else:  # the chambers' pulses stand at opposite ends of a period: the same shares, elsewhere
         filling = [np.concatenate(v) for v in (one, other)]
-        assert filling[0][..., 0].mean(axis=0) == pytest.approx(filling[1][..., 1].mean(axis=0), abs=0.02)
+        assert filling[0][..., 0].mean(axis=0) == pytest.approx(
+            filling[1][..., 1].mean(axis=0), abs=0.02
+        )
 
 
 @pytest.mark.parametrize("kind", BOTH)
@@ -172,12 +200,17 @@ def test_segments_are_independent(kind):
     together = fed(ready(kind(Constant(0.1)), 3), sensed)
     for j in range(3):
         alone = fed(ready(kind(Constant(0.1))), sensed[:, j : j + 1])
-        assert all((a[..., j, :] == b[..., 0, :]).all() for a, b in zip(together, alone, strict=True))
+        assert all(
+            (a[..., j, :] == b[..., 0, :]).all()
+            for a, b in zip(together, alone, strict=True)
+        )
 
 
 def test_gains_may_differ_between_segments():
     sensed = np.random.default_rng(2).uniform(0.0, 0.4, (200, 1))
-    many = DirectSMC(Constant(0.2), D=np.array([20.0, 60.0]), epsilon=np.array([1.0, 2.0]))
+    many = DirectSMC(
+        Constant(0.2), D=np.array([20.0, 60.0]), epsilon=np.array([1.0, 2.0])
+    )
     together = fed(ready(many, 2), np.repeat(sensed, 2, axis=1))
     for j, (d, e) in enumerate([(20.0, 1.0), (60.0, 2.0)]):
         alone = fed(ready(DirectSMC(Constant(0.2), D=d, epsilon=e)), sensed)
@@ -190,10 +223,13 @@ def test_reset_restores_the_initial_state(kind):
     controller = ready(kind(Sine(0.5, 2.0)))
     first = fed(controller, sensed)
     controller.reset(robot(1), TICK)
-    assert all((a == b).all() for a, b in zip(first, fed(controller, sensed), strict=True))
+    assert all(
+        (a == b).all() for a, b in zip(first, fed(controller, sensed), strict=True)
+    )
 
 
-# --- lost readings, events, signals -------------------------------------------------------------------------
+# --- lost readings, events, signals
+# -------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("kind", BOTH)
@@ -207,8 +243,15 @@ def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     same = fed(ready(kind(Constant(0.3)), 2), held)
     assert all((a == b).all() for a, b in zip(valves, same, strict=True))
     events = controller.events()
-    assert [(e.kind, round(e.time, 9)) for e in events] == [("reading_lost", 0.04), ("reading_back", 0.06)]
-    assert events[0].text == f"segment 2: reading lost; the last good one, {sensed[39, 1]:.4g} rad, is held"
+    assert [(e.kind, round(e.time, 9)) for e in events] == [
+        ("reading_lost", 0.04),
+        ("reading_back", 0.06),
+    ]
+    assert (
+        events[0].text
+        == f"segment 2: reading lost; the last good one, {sensed[39, 1]:.4g} rad, is"
+        " held"
+    )
     assert controller.events() == []
 
 
@@ -228,7 +271,9 @@ def test_signals_have_the_same_names_before_the_first_tick(kind):
     before = signals(controller)
     assert before["reference"].tolist() == [0.3, 0.3]
     fed(controller, np.zeros((3, 2)))
-    assert signals(controller).keys() == before.keys() >= {"reference", "error", "sigma"}
+    assert (
+        signals(controller).keys() == before.keys() >= {"reference", "error", "sigma"}
+    )
 
 
 @pytest.mark.parametrize("kind", BOTH)
@@ -239,7 +284,8 @@ def test_recorded_reference_belongs_to_the_end_of_the_tick(kind):
     assert signals(controller)["reference"][0] == pytest.approx(sine.value(20 * TICK))
 
 
-# --- the law of Eq. 30, and what is refused -----------------------------------------------------------------
+# --- the law of Eq. 30, and what is refused
+# -----------------------------------------------------------------
 
 
 def test_mu_is_proportional_and_integral():
@@ -272,7 +318,8 @@ def test_controllers_name_their_valve_layouts():
 )
 def test_invalid_gains_are_refused(kind, name, bad):
     with pytest.raises(
-        InputError, match=rf"{kind.kind}: {name} .* is not allowed; it must be finite and above 0"
+        InputError,
+        match=rf"{kind.kind}: {name} .* is not allowed; it must be finite and above 0",
     ):
         kind(Constant(0.1), **{name: bad})
 
@@ -280,15 +327,19 @@ def test_invalid_gains_are_refused(kind, name, bad):
 def test_gains_for_another_number_of_segments_are_refused():
     controller = DirectSMC(Constant(0.1), D=np.array([1.0, 2.0]))
     with pytest.raises(
-        InputError, match=r"direct_smc: D has shape \(2,\); give one number, or one per segment"
+        InputError,
+        match=r"direct_smc: D has shape \(2,\); give one number, or one per segment",
     ):
         controller.reset(robot(3), TICK)
 
 
-# --- the velocity filter ------------------------------------------------------------------------------------
+# --- the velocity filter
+# ------------------------------------------------------------------------------------
 
 
-def filtered(cutoff: float, values: np.ndarray, tick: float = TICK) -> tuple[np.ndarray, np.ndarray]:
+def filtered(
+    cutoff: float, values: np.ndarray, tick: float = TICK
+) -> tuple[np.ndarray, np.ndarray]:
     law = VelocityFilter(cutoff, tick)
     out = []
     for value in values:
@@ -304,9 +355,13 @@ def test_filter_equals_the_analog_butterworth_filter_for_linear_readings(cutoff)
     values = np.cumsum(np.random.default_rng(5).standard_normal(800)) * 0.01
     values -= values[0]
     numerator, denominator = signal.butter(2, 2 * math.pi * cutoff, analog=True)
-    for outcome, top in zip(filtered(cutoff, values), (numerator, [*numerator, 0.0]), strict=True):
+    for outcome, top in zip(
+        filtered(cutoff, values), (numerator, [*numerator, 0.0]), strict=True
+    ):
         _, expected, _ = signal.lsim((top, denominator), values, time, interp=True)
-        assert outcome == pytest.approx(expected, abs=1e-7 * max(1.0, np.abs(expected).max()))
+        assert outcome == pytest.approx(
+            expected, abs=1e-7 * max(1.0, np.abs(expected).max())
+        )
 
 
 @pytest.mark.parametrize("cutoff", [8.0, 25.0])
@@ -318,14 +373,19 @@ def test_filter_noise_is_as_stated(cutoff):
         law.step(row)
         if k > 200:
             rates.append(law.rate.copy())
-    # Response of the rate to one reading: that of SciPy's filter to a triangle two ticks wide.
+    # Response of the rate to one reading: that of SciPy's filter to a triangle two
+    # ticks wide.
     triangle = np.zeros(400)
     triangle[1] = 1.0
     numerator, denominator = signal.butter(2, 2 * math.pi * cutoff, analog=True)
-    _, adds, _ = signal.lsim(([*numerator, 0.0], denominator), triangle, TICK * np.arange(400))
+    _, adds, _ = signal.lsim(
+        ([*numerator, 0.0], denominator), triangle, TICK * np.arange(400)
+    )
     assert np.std(rates) == pytest.approx(0.2 * np.linalg.norm(adds), rel=0.02)
     stated = 0.2 * math.sqrt((2 * math.pi * cutoff) ** 3 * TICK / math.sqrt(8))
-    assert 0.93 * stated < np.std(rates) < stated < 0.05 * 0.2 * math.sqrt(2) / TICK  # plain differences
+    assert (
+        0.93 * stated < np.std(rates) < stated < 0.05 * 0.2 * math.sqrt(2) / TICK
+    )  # plain differences
 
 
 def test_filter_delay_is_its_lag():
@@ -348,10 +408,13 @@ def test_invalid_cutoffs_are_refused(bad):
         VelocityFilter(bad, TICK)
 
 
-# --- what must come out, on one module as Eq. 14 has it -----------------------------------------------------
+# --- what must come out, on one module as Eq. 14 has it
+# -----------------------------------------------------
 
 
-def followed(kind: type[SlidingMode], reference: Reference, seconds: float, **module: Any) -> dict[str, Any]:
+def followed(
+    kind: type[SlidingMode], reference: Reference, seconds: float, **module: Any
+) -> dict[str, Any]:
     controller: Any = kind
     return tracking_metrics(Module(**module).follow(controller(reference), seconds)[0])
 
@@ -362,7 +425,10 @@ def test_direct_controller_settles_faster_and_only_iterative_overshoots():
     direct, iterative = (followed(kind, step, 1.1) for kind in BOTH)
     assert direct["settling_5_s"] <= 0.25
     assert direct["overshoot_rad"] < direct["sensed_ripple_pp_rad"]
-    assert iterative["overshoot_rel"] > 0.03 and iterative["settling_5_s"] > direct["settling_5_s"]
+    assert (
+        iterative["overshoot_rel"] > 0.03
+        and iterative["settling_5_s"] > direct["settling_5_s"]
+    )
 
 
 @pytest.mark.slow
@@ -377,14 +443,19 @@ def test_direct_controller_has_more_amplitude_and_less_lag_at_6_hz():
 @pytest.mark.slow
 def test_direct_controller_opens_its_valves_less_often_at_2_hz():
     """Fig. 46: 26 against 213 openings."""
-    direct, iterative = (followed(kind, Square(34.3 * DEGREE, 2.0), 4.0) for kind in BOTH)
+    direct, iterative = (
+        followed(kind, Square(34.3 * DEGREE, 2.0), 4.0) for kind in BOTH
+    )
     assert iterative["inlet_openings"] >= 6 * direct["inlet_openings"]
 
 
 def test_direct_controller_stops_switching_at_rest_unless_a_chamber_leaks():
     """Fig. 46 and Section 4.3."""
     hold = Constant(25 * DEGREE)
-    tight, leaking = followed(DirectSMC, hold, 3.0), followed(DirectSMC, hold, 3.0, leak_per_s=0.5)
+    tight, leaking = (
+        followed(DirectSMC, hold, 3.0),
+        followed(DirectSMC, hold, 3.0, leak_per_s=0.5),
+    )
     assert tight["inlet_openings"] <= 3 and tight["ripple_pp_rad"] < 0.05 * DEGREE
     assert leaking["ripple_pp_rad"] > 0.5 * DEGREE and leaking["inlet_openings"] > 10
     iterative = followed(IterativeSMC, hold, 3.0, leak_per_s=0.5)

@@ -11,27 +11,52 @@ from srs_twin import Trajectory, rollout
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.scenario.loading import parse_scenario
 
-both = pytest.mark.parametrize("plant", ["analytical", pytest.param("twin", marks=pytest.mark.slow)])
+both = pytest.mark.parametrize(
+    "plant", ["analytical", pytest.param("twin", marks=pytest.mark.slow)]
+)
 _RUNS: dict[str, Trajectory] = {}
 
 
 def run(
-    plant: str, *, seed: int = 3, seconds: float = 18, faults: tuple[Any, ...] = (), **more: Any
+    plant: str,
+    *,
+    seed: int = 3,
+    seconds: float = 18,
+    faults: tuple[Any, ...] = (),
+    **more: Any,
 ) -> Trajectory:
     """Return a run at 1 Hz and 131 kPa with gains that vary by 15 %, by default with a carrier of 120 Hz."""
-    control = {"kind": "ilc", "frequency_hz": 1.0, "target_rad": 0.7, "carrier_hz": 120.0} | more.pop(
-        "control", {}
-    )
+    control = {
+        "kind": "ilc",
+        "frequency_hz": 1.0,
+        "target_rad": 0.7,
+        "carrier_hz": 120.0,
+    } | more.pop("control", {})
     modules = {"gain_spread": 0.15} | more.pop("modules", {})
-    scenario = parse_scenario({
-        "robot": {"base": "gen4", "modules": modules, "actuator": {"bend_limit_rad": 1.571}},
-        "duration_s": seconds, "seed": seed, "supply": {"pressure_kpa": 131}, "controller": control,
-        "plants": {"analytical": {"model": "compliant", "friction": "wheel"}, "twin": {}},
-        "faults": list(faults), **more,
-    })  # fmt: skip
+    scenario = parse_scenario(
+        {
+            "robot": {
+                "base": "gen4",
+                "modules": modules,
+                "actuator": {"bend_limit_rad": 1.571},
+            },
+            "duration_s": seconds,
+            "seed": seed,
+            "supply": {"pressure_kpa": 131},
+            "controller": control,
+            "plants": {
+                "analytical": {"model": "compliant", "friction": "wheel"},
+                "twin": {},
+            },
+            "faults": list(faults),
+            **more,
+        }
+    )
     key = f"{plant} {scenario.document}"
     if key not in _RUNS:
-        _RUNS[key] = rollout(scenario.build_plant(plant), scenario.build_controller(), seconds)
+        _RUNS[key] = rollout(
+            scenario.build_plant(plant), scenario.build_controller(), seconds
+        )
     return _RUNS[key]
 
 
@@ -58,7 +83,10 @@ def test_a_steered_snake_with_unequal_modules_has_a_constant_curvature(plant):
 def test_curvature_error_is_that_of_the_drifted_sensors(plant):
     """Amplitudes converge for the sensor readings, and the error of the sensors curves the path."""
     found = plant_metrics(
-        run(plant, modules={"gain_spread": 0.0, "sensor_bias_rad": [0.05, 0.05, 0.05, 0.05]})
+        run(
+            plant,
+            modules={"gain_spread": 0.0, "sensor_bias_rad": [0.05, 0.05, 0.05, 0.05]},
+        )
     )
     assert found["periods_to_converge"] <= 12
     # Bends are 0.05 rad to the right of their readings: 0.2 rad over a body of 0.3 m.
@@ -69,10 +97,19 @@ def test_curvature_error_is_that_of_the_drifted_sensors(plant):
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
-        ({"kind": "stuck_valve", "chamber": "minus", "stuck": "closed"}, "valve of the − chamber stuck shut"),
-        ({"kind": "stuck_valve", "chamber": "plus", "stuck": "open"}, "valve of the + chamber stuck open"),
+        (
+            {"kind": "stuck_valve", "chamber": "minus", "stuck": "closed"},
+            "valve of the − chamber stuck shut",
+        ),
+        (
+            {"kind": "stuck_valve", "chamber": "plus", "stuck": "open"},
+            "valve of the + chamber stuck open",
+        ),
         ({"kind": "dead_sensor"}, "sensor dead, all readings of a period are lost"),
-        ({"kind": "dead_sensor", "reading_rad": 0.1}, "sensor dead, readings stay within 0.02 rad"),
+        (
+            {"kind": "dead_sensor", "reading_rad": 0.1},
+            "sensor dead, readings stay within 0.02 rad",
+        ),
     ],
     ids=["shut", "open", "lost", "frozen"],
 )
@@ -101,7 +138,10 @@ def test_a_weak_module_saturates_and_the_others_converge(plant):
     weak = [[1.0, 1.0], [0.25, 1.0], [1.0, 1.0], [1.0, 1.0]]
     found = run(plant, modules={"gain": weak, "gain_spread": 0.0}, seconds=14)
     metrics = plant_metrics(found)
-    errors, duties = np.array(metrics["amplitude_error_rad"])[-1], np.array(metrics["duty"])[-1]
+    errors, duties = (
+        np.array(metrics["amplitude_error_rad"])[-1],
+        np.array(metrics["duty"])[-1],
+    )
     assert duties[1, 0] == 1.0 and 0 < errors[1, 0] < 0.6
     rest = np.ones((4, 2), dtype=bool)
     rest[1, 0] = False

@@ -27,7 +27,10 @@ pytestmark = pytest.mark.fast
 DOCS = (ROOT / "docs/ci.md").read_text("utf-8")
 CONTAINERFILE = (ROOT / "Containerfile").read_text("utf-8")
 FENCES = {
-    (kind, name): text for kind, name, text in re.findall(r"^```(\w+) ?(\w*)\n(.*?)^```$", DOCS, re.M | re.S)
+    (kind, name): text
+    for kind, name, text in re.findall(
+        r"^```(\w+) ?(\w*)\n(.*?)^```$", DOCS, re.M | re.S
+    )
 }
 
 
@@ -35,8 +38,12 @@ def workflow(name):
     return yaml.safe_load(FENCES["yaml", name])
 
 
-ACTION = yaml.safe_load((ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8"))
-TEMPLATE = yaml.safe_load((ROOT / "ci/gitlab.yml").read_text("utf-8"))[".srs_twin_rollouts"]
+ACTION = yaml.safe_load(
+    (ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8")
+)
+TEMPLATE = yaml.safe_load((ROOT / "ci/gitlab.yml").read_text("utf-8"))[
+    ".srs_twin_rollouts"
+]
 
 
 def github_steps():
@@ -56,7 +63,9 @@ def shell_lines():
     lines += re.findall(r"`((?:uv run |podman run .*)?srs-twin [a-z][^`…]*)`", DOCS)
     lines += re.findall(r"^#   (podman run .*)$", CONTAINERFILE, re.M)
     lines += [line for line in DOCS.splitlines() if line.startswith("podman run")]
-    return sorted({line for line in lines if "srs-twin" in line and " build " not in line})
+    return sorted(
+        {line for line in lines if "srs-twin" in line and " build " not in line}
+    )
 
 
 def arguments(line):
@@ -77,19 +86,29 @@ def test_commands_and_options_exist(line):
 
 def test_checker_finds_unknown_options():
     with pytest.raises(TyperException, match="No such option: --junitt"):
-        command().commands["run"].make_context("run", ["scenarios/", "--junitt", "out.xml"])
+        command().commands["run"].make_context(
+            "run", ["scenarios/", "--junitt", "out.xml"]
+        )
 
 
 def test_documented_workflows_use_existing_files():
     (job,) = workflow("github")["jobs"].values()
     checkout, ours = job["steps"]
-    assert (ROOT / ours["uses"] / "action.yml").is_file() and checkout["uses"] == "actions/checkout@v4"
+    assert (ROOT / ours["uses"] / "action.yml").is_file() and checkout[
+        "uses"
+    ] == "actions/checkout@v4"
     assert set(ours["with"]) <= set(ACTION["inputs"])
     assert workflow("github")["permissions"] == {"contents": "read"}
     page = workflow("gitlab")
-    assert (ROOT / page["include"]).is_file() and page["scenarios"]["extends"] == ".srs_twin_rollouts"
+    assert (ROOT / page["include"]).is_file() and page["scenarios"][
+        "extends"
+    ] == ".srs_twin_rollouts"
     assert set(page["scenarios"]["variables"]) <= set(TEMPLATE["variables"])
-    assert all(re.fullmatch(r"[\w/-]+@v\d+", step["uses"]) for step in github_steps() if "uses" in step)
+    assert all(
+        re.fullmatch(r"[\w/-]+@v\d+", step["uses"])
+        for step in github_steps()
+        if "uses" in step
+    )
 
 
 FAST = """title: short
@@ -106,8 +125,12 @@ def room(tmp_path, monkeypatch):
     """A folder with a scenario, and a `uv` that runs this package and installs nothing."""
     (tmp_path / "bin").mkdir()
     uv = tmp_path / "bin/uv"
-    python = f'exec {shlex.quote(sys.executable)} -c "from srs_twin.cli import main; main()"'
-    skip = '[ "$1" = sync ] && exit 0\nwhile [ "$1" != srs-twin ]; do shift; done; shift'
+    python = (
+        f'exec {shlex.quote(sys.executable)} -c "from srs_twin.cli import main; main()"'
+    )
+    skip = (
+        '[ "$1" = sync ] && exit 0\nwhile [ "$1" != srs-twin ]; do shift; done; shift'
+    )
     uv.write_text(f'#!/bin/sh\n{skip}\n{python} "$@"\n')
     uv.chmod(0o755)
     monkeypatch.setenv("RECORD", str(tmp_path / "record"))
@@ -120,7 +143,12 @@ def bash(script, room, **variables):
     named = {name: str(value) for name, value in variables.items()}
     command = ["bash", "--noprofile", "--norc", "-e", "-o", "pipefail", "-c", script]
     return subprocess.run(
-        command, cwd=room, env=os.environ | named, capture_output=True, text=True, check=False
+        command,
+        cwd=room,
+        env=os.environ | named,
+        capture_output=True,
+        text=True,
+        check=False,
     )
 
 
@@ -130,18 +158,32 @@ def run_action(room, **given):
     steps = [step for step in github_steps() if "run" in step]
     return [
         bash(
-            inputs_of(step["run"], **given), room, **files,
-            **{name: inputs_of(value, **given) for name, value in step.get("env", {}).items()},
+            inputs_of(step["run"], **given),
+            room,
+            **files,
+            **{
+                name: inputs_of(value, **given)
+                for name, value in step.get("env", {}).items()
+            },
         )
         for step in steps
-    ]  # fmt: skip
+    ]
 
 
 HOSTILE = [
-    "runs$(touch X)", "runs`touch X`", "runs; touch X", "runs && touch X #", "runs | touch X",
-    '"; touch X; "', "'; touch X; '", '" > X; "', "runs\ntouch X", "$IFS;touch${IFS}X",
-    "${OUT@P}$(touch X)", "a=([$(touch X)]=1)",
-]  # fmt: skip
+    "runs$(touch X)",
+    "runs`touch X`",
+    "runs; touch X",
+    "runs && touch X #",
+    "runs | touch X",
+    '"; touch X; "',
+    "'; touch X; '",
+    '" > X; "',
+    "runs\ntouch X",
+    "$IFS;touch${IFS}X",
+    "${OUT@P}$(touch X)",
+    "a=([$(touch X)]=1)",
+]
 
 
 @pytest.mark.parametrize("text", HOSTILE)
@@ -151,7 +193,9 @@ def test_inputs_are_never_executed(text, room):
     for name in ACTION["inputs"]:
         run_action(room, **{name: text})
     for name in TEMPLATE["variables"]:
-        bash("\n".join(TEMPLATE["script"]), room, **TEMPLATE["variables"] | {name: text})
+        bash(
+            "\n".join(TEMPLATE["script"]), room, **TEMPLATE["variables"] | {name: text}
+        )
     assert not list(room.rglob("X"))
     lines = (room / "output").read_text().splitlines()
     assert lines and all(line.startswith("junit=") for line in lines)
@@ -168,13 +212,19 @@ def test_no_workflow_pastes_an_expression_into_a_shell():
             elif isinstance(each, dict | list):
                 yield from scripts(each)
 
-    found = [text for path in files for text in scripts(yaml.safe_load(path.read_text("utf-8")))]
+    found = [
+        text
+        for path in files
+        for text in scripts(yaml.safe_load(path.read_text("utf-8")))
+    ]
     assert len(found) >= 5
     assert not [text for text in found if "${{" in text]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("least", "code"), [("0.1", 0), pytest.param("0.9", 1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("least", "code"), [("0.1", 0), pytest.param("0.9", 1, marks=pytest.mark.slow)]
+)
 def test_the_steps_of_the_action_run(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
     installed, done = run_action(room, project=str(ROOT))
@@ -182,7 +232,9 @@ def test_the_steps_of_the_action_run(room, least, code):
     assert done.returncode == code, done.stderr
     assert ("met " if code == 0 else "MISSED") in (room / "summary").read_text()
     assert (room / "output").read_text() == "junit=runs/junit.xml\n"
-    upload = next(step for step in github_steps() if "upload-artifact" in step.get("uses", ""))
+    upload = next(
+        step for step in github_steps() if "upload-artifact" in step.get("uses", "")
+    )
     assert upload["if"] == "${{ !cancelled() }}"
     for pattern in inputs_of(upload["with"]["path"]).split():
         assert list(room.glob(pattern)), pattern
@@ -192,23 +244,35 @@ def test_the_steps_of_the_action_run(room, least, code):
 @pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
 def test_the_script_of_the_template_runs(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
-    variables = TEMPLATE["variables"] | {"PROJECT": ROOT, "UV_CACHE_DIR": room / "cache"}
+    variables = TEMPLATE["variables"] | {
+        "PROJECT": ROOT,
+        "UV_CACHE_DIR": room / "cache",
+    }
     done = bash("\n".join(TEMPLATE["script"]), room, **variables)
     assert done.returncode == code, done.stderr
     artifacts = TEMPLATE["artifacts"]
     assert artifacts["when"] == "always"
-    assert (room / artifacts["reports"]["junit"]).is_file() and (room / artifacts["paths"][0]).is_dir()
+    assert (room / artifacts["reports"]["junit"]).is_file() and (
+        room / artifacts["paths"][0]
+    ).is_dir()
 
 
 def test_workflows_use_a_supported_python():
     allowed = re.search(
-        r'requires-python = ">=3\.(\d+),<3\.(\d+)"', (ROOT / "pyproject.toml").read_text("utf-8")
+        r'requires-python = ">=3\.(\d+),<3\.(\d+)"',
+        (ROOT / "pyproject.toml").read_text("utf-8"),
     )
     low, high = map(int, allowed.groups())
-    versions = [s["with"]["python-version"] for s in github_steps() if "setup-python" in s.get("uses", "")]
+    versions = [
+        s["with"]["python-version"]
+        for s in github_steps()
+        if "setup-python" in s.get("uses", "")
+    ]
     images = re.findall(r"python:([\d.]+)-slim", TEMPLATE["image"] + CONTAINERFILE)
     assert len(versions) == 1 and len(images) >= 3
-    assert all(low <= int(version.split(".")[1]) < high for version in [*versions, *images])
+    assert all(
+        low <= int(version.split(".")[1]) < high for version in [*versions, *images]
+    )
 
 
 def test_exit_codes_are_those_of_the_command_line():
@@ -217,14 +281,30 @@ def test_exit_codes_are_those_of_the_command_line():
 
 
 def test_containerfile_copies_existing_files_and_runs_unprivileged():
-    copied = [words.split()[:-1] for words in re.findall(r"^COPY (?!--from)(.*)$", CONTAINERFILE, re.M)]
+    copied = [
+        words.split()[:-1]
+        for words in re.findall(r"^COPY (?!--from)(.*)$", CONTAINERFILE, re.M)
+    ]
     sources = {source for each in copied for source in each}
-    assert sources >= {"pyproject.toml", "srs_twin", "calibration", "models", "scenarios"}
+    assert sources >= {
+        "pyproject.toml",
+        "srs_twin",
+        "calibration",
+        "models",
+        "scenarios",
+    }
     assert all((ROOT / source).exists() for source in sources)
     last = CONTAINERFILE.rpartition("FROM ")[2]
-    assert re.findall(r"^USER (.*)$", last, re.M) == ["snake"] and "useradd --create-home snake" in last
-    assert json.loads(re.search(r"^ENTRYPOINT (.*)$", last, re.M).group(1)) == ["srs-twin"]
-    assert not re.search(r"(?i)^(ARG|ENV) .*(token|secret|password|key)", CONTAINERFILE, re.M)
+    assert (
+        re.findall(r"^USER (.*)$", last, re.M) == ["snake"]
+        and "useradd --create-home snake" in last
+    )
+    assert json.loads(re.search(r"^ENTRYPOINT (.*)$", last, re.M).group(1)) == [
+        "srs-twin"
+    ]
+    assert not re.search(
+        r"(?i)^(ARG|ENV) .*(token|secret|password|key)", CONTAINERFILE, re.M
+    )
 
 
 @pytest.fixture
@@ -234,7 +314,9 @@ def container(tmp_path):
         (tmp_path / name).mkdir()
     shutil.copy(ROOT / "ci/container.sh", tmp_path / "start/srs-twin")
     program = tmp_path / "bin/srs-twin"
-    program.write_text('#!/bin/sh\necho "$NUMBA_CACHE_DIR"; echo "$MPLCONFIGDIR"; echo "$@"\n')
+    program.write_text(
+        '#!/bin/sh\necho "$NUMBA_CACHE_DIR"; echo "$MPLCONFIGDIR"; echo "$@"\n'
+    )
     program.chmod(0o755)
     return tmp_path
 
@@ -252,7 +334,9 @@ def started(container):
     return Path(kernels).parent
 
 
-@pytest.mark.parametrize("before", ["nothing", "private", "open", "link", "file", "foreign"])
+@pytest.mark.parametrize(
+    "before", ["nothing", "private", "open", "link", "file", "foreign"]
+)
 def test_caches_of_the_container_are_private_to_its_user(before, container):
     own = container / f"tmp/srs-twin-{os.getuid()}"
     if before in ("open", "foreign"):
@@ -292,7 +376,11 @@ def test_containerfile_installs_the_remedies_of_doctor():
         for name in re.findall(r"(?:apt-get install|^)((?: [\w-]+)+) \(Debian", remedy)
     }
     packages = {word for each in asked for word in each.split()}
-    installed = set(re.search(r"no-install-recommends \\\n +(.*) \\\n", CONTAINERFILE).group(1).split())
+    installed = set(
+        re.search(r"no-install-recommends \\\n +(.*) \\\n", CONTAINERFILE)
+        .group(1)
+        .split()
+    )
     assert packages and packages == installed
 
 

@@ -35,7 +35,11 @@ BLOCKS = [(page, block) for page in PAGES for block in page.blocks]
 OTHERS = {"pip", "python3", "uv", "podman", "docker", ".ci/run", "python", "mosquitto"}
 GIVEN = {"scenario": "scenario", "scenarios": "scenario", "sweep": "sweep"}
 SCENARIO = set(ScenarioFile.model_fields)
-FRAGMENT = {"robot": "gen2", "duration_s": 5.0, "controller": {"kind": "gait", "frequency_hz": 2.0}}
+FRAGMENT = {
+    "robot": "gen2",
+    "duration_s": 5.0,
+    "controller": {"kind": "gait", "frequency_hz": 2.0},
+}
 
 
 def name_of(value):
@@ -59,7 +63,11 @@ def parsed(words, *, mention=False):
     if hasattr(given, "commands"):
         return None
     if mention and all(word.startswith("-") for word in words):
-        known = {spelt for each in given.params for spelt in (*each.opts, *each.secondary_opts)}
+        known = {
+            spelt
+            for each in given.params
+            for spelt in (*each.opts, *each.secondary_opts)
+        }
         assert set(words) <= known, f"{name} knows no {set(words) - known}"
         return None
     return given.make_context(name, list(words))
@@ -86,11 +94,17 @@ def check_srs_twin(page, words, *, mention=False):
 def check_script(words):
     (script,) = (word for word in words if word.endswith(".py"))
     text = (ROOT / script).read_text("utf-8")
-    options = {word.partition("=")[0] for word in words[words.index(script) + 1 :] if word.startswith("--")}
+    options = {
+        word.partition("=")[0]
+        for word in words[words.index(script) + 1 :]
+        if word.startswith("--")
+    }
     assert {option for option in options if f'"{option}"' not in text} == set(), script
 
 
-@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=lambda value: name_of(value) or str(value))
+@pytest.mark.parametrize(
+    ("page", "line"), COMMANDS, ids=lambda value: name_of(value) or str(value)
+)
 def test_documented_commands_parse_and_their_files_exist(page, line):
     for part in line.split(" && "):
         words = words_of(part)
@@ -98,17 +112,26 @@ def test_documented_commands_parse_and_their_files_exist(page, line):
             mention = line not in page.commands
             check_srs_twin(page, words[words.index("srs-twin") + 1 :], mention=mention)
         elif "pytest" in words:
-            assert all((ROOT / word).exists() for word in words if word.startswith("tests/")), line
+            assert all(
+                (ROOT / word).exists() for word in words if word.startswith("tests/")
+            ), line
         elif any(word.endswith(".py") for word in words):
             check_script(words)
-        assert words[0] in OTHERS | {"srs-twin"} or words[0].endswith("/pip") or words[0].endswith("/uv"), (
-            line
-        )
+        assert (
+            words[0] in OTHERS | {"srs-twin"}
+            or words[0].endswith("/pip")
+            or words[0].endswith("/uv")
+        ), line
 
 
 @pytest.mark.parametrize(
     "line",
-    ["compare gen2_strait", "run scenarios/gone.yaml", "compare gen2_turn --explian", "colour gen2_turn"],
+    [
+        "compare gen2_strait",
+        "run scenarios/gone.yaml",
+        "compare gen2_turn --explian",
+        "colour gen2_turn",
+    ],
 )
 def test_checker_finds_missing_descriptions(line):
     with pytest.raises((AssertionError, TyperException)):
@@ -116,7 +139,9 @@ def test_checker_finds_missing_descriptions(line):
 
 
 @pytest.mark.parametrize(
-    ("page", "block"), [each for each in BLOCKS if each[1].language == "python"], ids=name_of
+    ("page", "block"),
+    [each for each in BLOCKS if each[1].language == "python"],
+    ids=name_of,
 )
 def test_python_errors_list_the_available_names(page, block):
     skip_without_dm_control(block.text)
@@ -127,8 +152,13 @@ def test_python_errors_list_the_available_names(page, block):
         elif isinstance(node, ast.ImportFrom) and f"{node.module}.py" not in page.files:
             module = importlib.import_module(node.module)
             for each in node.names:
-                assert hasattr(module, each.name) or importlib.import_module(f"{node.module}.{each.name}")
-        elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") in ("srs", "srs_twin"):
+                assert hasattr(module, each.name) or importlib.import_module(
+                    f"{node.module}.{each.name}"
+                )
+        elif isinstance(node, ast.Attribute) and getattr(node.value, "id", "") in (
+            "srs",
+            "srs_twin",
+        ):
             assert hasattr(importlib.import_module("srs_twin"), node.attr), node.attr
 
 
@@ -139,7 +169,11 @@ def skip_without_dm_control(script):
 
 def yaml_blocks():
     done_elsewhere = {"github", "gitlab", "tolerances"}  # test_ci_docs.py, test_diff.py
-    return [(p, b) for p, b in BLOCKS if b.language == "yaml" and b.mark not in done_elsewhere]
+    return [
+        (p, b)
+        for p, b in BLOCKS
+        if b.language == "yaml" and b.mark not in done_elsewhere
+    ]
 
 
 @pytest.mark.parametrize(("page", "block"), yaml_blocks(), ids=name_of)
@@ -153,11 +187,18 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
         if each.file:
             (tmp_path / each.file).write_text(each.text, "utf-8")
         if each.file and each.file.endswith(".py"):
-            monkeypatch.delitem(sys.modules, each.file.removesuffix(".py"), raising=False)
+            monkeypatch.delitem(
+                sys.modules, each.file.removesuffix(".py"), raising=False
+            )
             monkeypatch.setenv(PLUGINS, each.file)
         # A footprint that a command of the page measures; loading a scenario needs any.
-        for name in re.findall(r"calibrate footprint .* --out \. --name (\w+)", each.text):
-            shutil.copy(ROOT / "calibration/footprints/gen2_gait.yaml", tmp_path / f"{name}.yaml")
+        for name in re.findall(
+            r"calibrate footprint .* --out \. --name (\w+)", each.text
+        ):
+            shutil.copy(
+                ROOT / "calibration/footprints/gen2_gait.yaml",
+                tmp_path / f"{name}.yaml",
+            )
     document = yaml.safe_load(block.text.replace("{…}", "{}"))
     if block.mark == "map":
         found = read_map(document)
@@ -165,9 +206,15 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
         return
     path = tmp_path / "printed.yaml"
     if block.mark.startswith("over "):
-        base = yaml.safe_load((ROOT / block.mark.removeprefix("over ")).read_text("utf-8"))
+        base = yaml.safe_load(
+            (ROOT / block.mark.removeprefix("over ")).read_text("utf-8")
+        )
     else:
-        base = {} if set(document) >= {"robot", "controller"} or not set(document) <= SCENARIO else FRAGMENT
+        base = (
+            {}
+            if set(document) >= {"robot", "controller"} or not set(document) <= SCENARIO
+            else FRAGMENT
+        )
     printed = {**base, **document}
     path.write_text(dump_yaml(printed), "utf-8")
     loaders = {
@@ -176,11 +223,15 @@ def test_yaml_loads(page, block, tmp_path, monkeypatch):
         "objectives": load_study,
         "broker": lambda given: load_setup(Path(given)),
     }
-    load = next((load for key, load in loaders.items() if key in printed), load_scenario)
+    load = next(
+        (load for key, load in loaders.items() if key in printed), load_scenario
+    )
     assert load(str(path))
 
 
-COMMANDED = [page for page in PAGES if any(block.mark == "runnable" for block in page.blocks)]
+COMMANDED = [
+    page for page in PAGES if any(block.mark == "runnable" for block in page.blocks)
+]
 SCRIPTED = [page for page in PAGES if page.script]
 
 
@@ -207,11 +258,16 @@ def test_python_runs_as_a_script(page, tmp_path):
     page.run_script(tmp_path)
 
 
-def test_first_readme_command_gives_the_documented_output(tmp_path, srs_twin, monkeypatch):
+def test_first_readme_command_gives_the_documented_output(
+    tmp_path, srs_twin, monkeypatch
+):
     README.save_files(tmp_path)
     monkeypatch.setenv("UV_RUN_RECURSION_DEPTH", "1")  # as `uv run` does
     first = README.commands[0]
-    assert first == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
+    assert (
+        first
+        == "pip install uv && uv run srs-twin compare scenarios/gen2_straight.yaml"
+    )
     main_job = first.partition("srs-twin ")[2]
     done = srs_twin(*main_job.split(), cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -220,14 +276,25 @@ def test_first_readme_command_gives_the_documented_output(tmp_path, srs_twin, mo
     files = {name for cell in promised for name in re.findall(r"`([\w.]+)`", cell)}
     assert {path.name for path in run.iterdir()} == files
     metrics = json.loads((run / "metrics.json").read_text("utf-8"))
-    speeds = [metrics["plants"][plant]["com_speed_m_s"] for plant in ("analytical", "twin")]
+    speeds = [
+        metrics["plants"][plant]["com_speed_m_s"] for plant in ("analytical", "twin")
+    ]
     assert printed("CoM speed") == pytest.approx(speeds, rel=0.01)
     (output,) = (block.text for block in README.blocks if block.language == "text")
-    shown = [re.sub(r"[\d.]+", "#", line).strip() for line in (done.stdout + done.stderr).splitlines()]
-    assert {re.sub(r"[\d.]+", "#", line).strip() for line in output.splitlines()} - {"…"} <= {*shown}
-    row = next(line.split() for line in output.splitlines() if line.startswith(" CoM speed"))
+    shown = [
+        re.sub(r"[\d.]+", "#", line).strip()
+        for line in (done.stdout + done.stderr).splitlines()
+    ]
+    assert {re.sub(r"[\d.]+", "#", line).strip() for line in output.splitlines()} - {
+        "…"
+    } <= {*shown}
+    row = next(
+        line.split() for line in output.splitlines() if line.startswith(" CoM speed")
+    )
     assert [float(cell) for cell in row[3:5]] == pytest.approx(speeds, rel=0.01)
-    assert printed("body shape") == pytest.approx([metrics["comparison"]["shape_rms_body"]], abs=0.001)
+    assert printed("body shape") == pytest.approx(
+        [metrics["comparison"]["shape_rms_body"]], abs=0.001
+    )
 
 
 def printed(row):
@@ -239,28 +306,44 @@ def printed(row):
 def test_one_test_command_everywhere():
     assert "uv run --group dev pytest" in README.commands
     assert "uv run --group dev pytest" in (ROOT / ".ci/run").read_text("utf-8")
-    plain = [(page.name, line) for page in PAGES for line in page.commands if "uv run pytest" in line]
+    plain = [
+        (page.name, line)
+        for page in PAGES
+        for line in page.commands
+        if "uv run pytest" in line
+    ]
     assert plain == [], "without its group pytest is not installed"
 
 
 def test_failing_script_is_detected(tmp_path):
     path = tmp_path / "page.md"
-    path.write_text("```python\nnumber = 1\n```\n\n```python\nassert number == 2\n```\n")
+    path.write_text(
+        "```python\nnumber = 1\n```\n\n```python\nassert number == 2\n```\n"
+    )
     with pytest.raises(AssertionError, match="assert number == 2"):
         Page(path).run_script(tmp_path)
 
 
 def test_pages_contain_examples():
-    assert {page.name for page in COMMANDED} >= {"README.md", "docs/quickstart.md", "docs/add-a-robot.md"}
+    assert {page.name for page in COMMANDED} >= {
+        "README.md",
+        "docs/quickstart.md",
+        "docs/add-a-robot.md",
+    }
     assert {page.name for page in SCRIPTED} >= {
-        "docs/quickstart.md", "docs/add-a-controller.md", "docs/sweeps.md", "docs/logs.md"
-    }  # fmt: skip
+        "docs/quickstart.md",
+        "docs/add-a-controller.md",
+        "docs/sweeps.md",
+        "docs/logs.md",
+    }
 
 
 def test_errata_that_the_project_names_are_listed():
     """E1 to E29 are in the errata exactly once, with a location and a correction."""
     text = next(page.text for page in PAGES if page.name == "docs/errata.md")
-    rows = [line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)]
+    rows = [
+        line.split(" | ") for line in text.splitlines() if re.match(r"\| E\d+ \|", line)
+    ]
     assert [row[0].strip("| ") for row in rows] == [f"E{n}" for n in range(1, 30)]
     assert all(len(row) == 4 and all(cell.strip(" |") for cell in row) for row in rows)
     named = {
@@ -277,7 +360,11 @@ def test_errata_that_the_project_names_are_listed():
 
 @pytest.mark.slow
 def test_known_misses_name_an_existing_section():
-    reasons = {each.known for name in shipped_names("scenario") for each in load_scenario(name).expect}
+    reasons = {
+        each.known
+        for name in shipped_names("scenario")
+        for each in load_scenario(name).expect
+    }
     for reason in reasons - {None}:
         named = re.search(r"\((docs/[\w-]+\.md)#([\w-]+)\)$", reason)
         assert named, reason
@@ -286,20 +373,42 @@ def test_known_misses_name_an_existing_section():
 
 @pytest.mark.slow
 def test_pages_count_the_shipped_scenarios_and_their_known_misses():
-    numbers = "no one two three four five six seven eight nine ten eleven twelve".split()
+    numbers = (
+        "no one two three four five six seven eight nine ten eleven twelve".split()
+    )
     text = " ".join((ROOT / "docs/ci.md").read_text("utf-8").split())
-    pattern = r"Of the (\d+) shipped scenarios, (\w+) miss a published value and (\w+) miss a bound"
+    pattern = (
+        r"Of the (\d+) shipped scenarios, (\w+) miss a published value and (\w+) miss a"
+        r" bound"
+    )
     (counts,) = re.findall(pattern, text)
     expected = [load_scenario(name).expect for name in shipped_names("scenario")]
     missed = [
-        sum(any(each.known and bool(each.source) is sourced for each in expect) for expect in expected)
+        sum(
+            any(each.known and bool(each.source) is sourced for each in expect)
+            for expect in expected
+        )
         for sourced in (True, False)
     ]
     assert counts == (str(len(expected)), *(numbers[count] for count in missed))
 
 
 def test_files_named_on_pages_exist():
-    sources = [f"/{path.relative_to(ROOT)}" for path in ROOT.rglob("*.py") if ".venv" not in path.parts]
-    pages = [page for page in PAGES if "/add-a-" not in page.name]  # these pages create files
-    named = {(page.name, name) for page in pages for name in re.findall(r"`([\w/]+\.py)`", page.prose)}
-    assert {each for each in named if not any(source.endswith(f"/{each[1]}") for source in sources)} == set()
+    sources = [
+        f"/{path.relative_to(ROOT)}"
+        for path in ROOT.rglob("*.py")
+        if ".venv" not in path.parts
+    ]
+    pages = [
+        page for page in PAGES if "/add-a-" not in page.name
+    ]  # these pages create files
+    named = {
+        (page.name, name)
+        for page in pages
+        for name in re.findall(r"`([\w/]+\.py)`", page.prose)
+    }
+    assert {
+        each
+        for each in named
+        if not any(source.endswith(f"/{each[1]}") for source in sources)
+    } == set()

@@ -22,18 +22,31 @@ def own_methods(owner):
     """Yield methods that are new here; what redefines a method keeps to its docstring."""
     for name, value in vars(owner).items():
         written = name != "__init__" or owner not in DATA
-        if inspect.isfunction(value) and written and (name == "__init__" or not name.startswith("_")):
-            if name == "__init__" or not any(hasattr(base, name) for base in owner.__mro__[1:-1]):
+        if (
+            inspect.isfunction(value)
+            and written
+            and (name == "__init__" or not name.startswith("_"))
+        ):
+            if name == "__init__" or not any(
+                hasattr(base, name) for base in owner.__mro__[1:-1]
+            ):
                 yield value
 
 
 CALLABLE = [each for each in PUBLIC if inspect.isfunction(each)]
-CALLABLE += [method for each in CLASSES if not issubclass(each, Exception) for method in own_methods(each)]
+CALLABLE += [
+    method
+    for each in CLASSES
+    if not issubclass(each, Exception)
+    for method in own_methods(each)
+]
 
 
 def section(text, title):
     """Return the names that a section of a Google docstring lists."""
-    found = re.search(rf"^{title}:\n((?: +.*\n|\n)+)", inspect.cleandoc(text or "") + "\n", re.M)
+    found = re.search(
+        rf"^{title}:\n((?: +.*\n|\n)+)", inspect.cleandoc(text or "") + "\n", re.M
+    )
     return set(re.findall(r"^    \**(\w+):", found[1], re.M)) if found else set()
 
 
@@ -47,12 +60,18 @@ def test_every_argument_is_named(given):
 
 @pytest.mark.parametrize("given", DATA, ids=lambda each: each.__name__)
 def test_every_field_is_named(given):
-    assert {each.name for each in dataclasses.fields(given)} == section(given.__doc__, "Attributes")
+    assert {each.name for each in dataclasses.fields(given)} == section(
+        given.__doc__, "Attributes"
+    )
 
 
 @pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
 def test_raised_errors_are_documented(given):
     """Return the errors of srs_twin that a function raises in its body, with their base classes."""
-    documented = tuple(getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises"))
+    documented = tuple(
+        getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises")
+    )
     for name in re.findall(r"raise (\w+Error)\(", inspect.getsource(given)):
-        assert not hasattr(errors, name) or issubclass(getattr(errors, name), documented), name
+        assert not hasattr(errors, name) or issubclass(
+            getattr(errors, name), documented
+        ), name

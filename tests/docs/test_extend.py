@@ -66,15 +66,22 @@ def edited(text: str, lines: list[str]) -> str:
             continue
         mark, content = line[:1], line[1:]
         if mark == "+":
-            # Lines before the first context line of their hunk belong directly above it.
+            # Lines before the first context line of their hunk belong directly above
+            # it.
             if cursor == 0 and result:
-                following = next(each[1:] for each in lines[index:] if not each.startswith("+"))
+                following = next(
+                    each[1:] for each in lines[index:] if not each.startswith("+")
+                )
                 cursor = result.index(following)
             result.insert(cursor, content.replace(OMITTED, omitted))
             cursor += 1
         else:
             pattern = re.escape(content).replace(OMITTED, "(.*)")
-            at = next(k for k in range(cursor, len(result)) if re.fullmatch(pattern, result[k]))
+            at = next(
+                k
+                for k in range(cursor, len(result))
+                if re.fullmatch(pattern, result[k])
+            )
             if OMITTED in content:
                 omitted = re.fullmatch(pattern, result[at])[1]
             cursor = at + (mark == " ")
@@ -83,7 +90,9 @@ def edited(text: str, lines: list[str]) -> str:
     return "\n".join(result) + "\n"
 
 
-@pytest.mark.parametrize(("name", "lines"), [edit for text in sections().values() for edit in edits(text)])
+@pytest.mark.parametrize(
+    ("name", "lines"), [edit for text in sections().values() for edit in edits(text)]
+)
 def test_diffs_apply_to_the_files(name, lines):
     path = ROOT / name
     if path.exists():
@@ -95,7 +104,11 @@ def test_diffs_apply_to_the_files(name, lines):
 def test_tests_that_the_page_names_exist():
     named = set(re.findall(r"`(test_\w+)`", PAGE.prose))
     defined = set(
-        re.findall(r"^def (test_\w+)", (ROOT / "tests/comparison/test_metrics.py").read_text("utf-8"), re.M)
+        re.findall(
+            r"^def (test_\w+)",
+            (ROOT / "tests/comparison/test_metrics.py").read_text("utf-8"),
+            re.M,
+        )
     )
     assert named and named <= defined
 
@@ -104,19 +117,28 @@ def test_tests_that_the_page_names_exist():
 def extended(tmp_path_factory):
     """Return a function that runs Python code with a copy of the package that has the page's additions."""
     folder = tmp_path_factory.mktemp("extended")
-    shutil.copytree(ROOT / "srs_twin", folder / "srs_twin", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(
+        ROOT / "srs_twin",
+        folder / "srs_twin",
+        ignore=shutil.ignore_patterns("__pycache__"),
+    )
     for name in ("scenarios", "models", "calibration", "pyproject.toml"):
         (folder / name).symlink_to(ROOT / name)
     for heading in ADDED:
         for name, lines in edits(sections()[heading]):
             path = folder / name
-            path.write_text(edited(path.read_text("utf-8") if path.exists() else "", lines), "utf-8")
+            path.write_text(
+                edited(path.read_text("utf-8") if path.exists() else "", lines), "utf-8"
+            )
 
     def run(*words: str, code: int = 0) -> str:
         done = subprocess.run(
             [sys.executable, *words],
-            cwd=folder, env=os.environ | {"PYTHONPATH": str(folder)}, capture_output=True, text=True,
-        )  # fmt: skip
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(folder)},
+            capture_output=True,
+            text=True,
+        )
         assert done.returncode == code, done.stderr
         return done.stdout or done.stderr
 
@@ -125,7 +147,10 @@ def extended(tmp_path_factory):
 
 def test_diffs_apply_after_other_additions():
     lines = ['-Law = Literal["axis", …]', '+Law = Literal["axis", …, "blend"]']
-    assert edited('Law = Literal["axis", "mine"]\n', lines) == 'Law = Literal["axis", "mine", "blend"]\n'
+    assert (
+        edited('Law = Literal["axis", "mine"]\n', lines)
+        == 'Law = Literal["axis", "mine", "blend"]\n'
+    )
 
 
 @pytest.mark.slow
@@ -135,12 +160,19 @@ def test_law_of_the_page_has_its_slopes_and_is_accepted_by_both_plants(extended)
 
 @pytest.mark.slow
 def test_law_of_the_page_passes_the_tests_that_the_page_names(extended):
-    (command,) = (line for line in PAGE.commands if "tests/robot/test_friction.py" in line)
+    (command,) = (
+        line for line in PAGE.commands if "tests/robot/test_friction.py" in line
+    )
     words = shlex.split(command)
     files = [word for word in words if word.startswith("tests/")]
-    words = [str(ROOT / word) if word in files else word for word in words[words.index("pytest") :]]
+    words = [
+        str(ROOT / word) if word in files else word
+        for word in words[words.index("pytest") :]
+    ]
     output = extended("-m", *words, "-n", "0", "-rps", "-k", "blend")
-    assert [name for name in files if name not in output] == [], "each file tests every law"
+    assert [name for name in files if name not in output] == [], (
+        "each file tests every law"
+    )
 
 
 def test_metric_of_the_page_is_listed_measured_and_shown(extended):
@@ -160,14 +192,24 @@ print(json.dumps([values["heading_range_rad"], table["heading_range_rad"], meani
 assert "heading_range_rad" in known_metrics()
 """
     value, row, meaning = json.loads(extended("-c", code))
-    assert value == 0.5 and row == ["rad", ["0.5"]] and meaning == "range of the heading over the whole run"
+    assert (
+        value == 0.5
+        and row == ["rad", ["0.5"]]
+        and meaning == "range of the heading over the whole run"
+    )
 
 
 @pytest.mark.slow
 def test_file_of_the_page_is_inspected(extended, tmp_path):
     time = np.arange(200) / 100
-    rows = [[f"{t:.2f}", *(f"{1e3 * (0.1 * t + 0.05 * k):.3f}\t{k}\t20" for k in range(5))] for t in time]
-    head = ["#tagged mm", "\t".join(["time", *(f"m{k}_{axis}" for k in range(5) for axis in "xyz")])]
+    rows = [
+        [f"{t:.2f}", *(f"{1e3 * (0.1 * t + 0.05 * k):.3f}\t{k}\t20" for k in range(5))]
+        for t in time
+    ]
+    head = [
+        "#tagged mm",
+        "\t".join(["time", *(f"m{k}_{axis}" for k in range(5) for axis in "xyz")]),
+    ]
     take = tmp_path / "take.bin"
     take.write_text("\n".join([*head, *map("\t".join, rows)]) + "\n")
     code = """
@@ -187,9 +229,18 @@ sys.exit(main(["inspect", sys.argv[1], "--json"]))
 @pytest.mark.slow
 def test_command_of_the_page_prints_the_length_or_one_message(extended):
     start = "import sys; from srs_twin.cli import main; sys.exit(main(sys.argv[1:]))"
-    metres = float(extended("-c", start, "plan-length", "follow_fig57").removesuffix(" m\n"))
-    millimetres = float(extended("-c", start, "plan-length", "follow_fig57", "--mm").removesuffix(" mm\n"))
+    metres = float(
+        extended("-c", start, "plan-length", "follow_fig57").removesuffix(" m\n")
+    )
+    millimetres = float(
+        extended("-c", start, "plan-length", "follow_fig57", "--mm").removesuffix(
+            " mm\n"
+        )
+    )
     assert millimetres == pytest.approx(1000 * metres, abs=1)
     assert "In mm instead of m." in extended("-c", start, "plan-length", "--help")
     refused = extended("-c", start, "plan-length", "gen2_straight", code=2)
-    assert refused.startswith("gen2_straight: there is no planner section") and refused.count("\n") == 1
+    assert (
+        refused.startswith("gen2_straight: there is no planner section")
+        and refused.count("\n") == 1
+    )

@@ -18,7 +18,9 @@ from myst_parser.parsers.mdit import create_md_parser
 from pages import PAGES
 
 TARGET = re.compile(r"^\(([\w-]+)\)=$", re.M)
-LINKED = {name for page in PAGES for name in re.findall(r"\]\([^)\s]*#([\w-]+)\)", page.text)}
+LINKED = {
+    name for page in PAGES for name in re.findall(r"\]\([^)\s]*#([\w-]+)\)", page.text)
+}
 
 
 @cache
@@ -26,7 +28,9 @@ def myst() -> MarkdownIt:
     """Return the site's parser."""
     site = runpy.run_path(str(ROOT / "docs/conf.py"))
     names = ("enable_extensions", "dmath_double_inline", "heading_anchors")
-    return create_md_parser(MdParserConfig(**{name: site[f"myst_{name}"] for name in names}), RendererHTML)
+    return create_md_parser(
+        MdParserConfig(**{name: site[f"myst_{name}"] for name in names}), RendererHTML
+    )
 
 
 def contents(tokens: Iterable[Token]) -> Iterator[str]:
@@ -39,7 +43,8 @@ def contents(tokens: Iterable[Token]) -> Iterator[str]:
 
 
 def words(parser: MarkdownIt, text: str) -> Counter[str]:
-    # Letters alone: parsers differ in the emphasis and the escapes that they see in formulas.
+    # Letters alone: parsers differ in the emphasis and the escapes that they see in
+    # formulas.
     return Counter(re.findall(r"[^\W\d_]+", " ".join(contents(parser.parse(text, {})))))
 
 
@@ -48,13 +53,21 @@ def lost(text: str) -> list[str]:
     plain, env = MarkdownIt("commonmark").enable("table"), {}
     tokens = plain.parse(text, env)
     open_comments = [
-        token.content for token in tokens if token.content.count("<!--") > token.content.count("-->")
+        token.content
+        for token in tokens
+        if token.content.count("<!--") > token.content.count("-->")
     ]
     shown = TARGET.sub(lambda found: "" if found[1] in LINKED else found[0], text)
     missing = words(plain, shown) - words(myst(), shown)
-    breaks = [token.type for token in myst().parse(shown, {}) if token.type.startswith(("myst_", "front_"))]
+    breaks = [
+        token.type
+        for token in myst().parse(shown, {})
+        if token.type.startswith(("myst_", "front_"))
+    ]
     comments = [
-        token.content for token in tokens if token.type == "html_block" and token.content in open_comments
+        token.content
+        for token in tokens
+        if token.type == "html_block" and token.content in open_comments
     ]
     return [*missing.elements(), *breaks, *env.get("references", {}), *comments]
 
@@ -83,6 +96,7 @@ def test_a_construct_that_drops_text_is_found(dropped):
 
 def test_code_and_formulas_are_not_dropped_text():
     text = (
-        "# Title\n\n```\n% comment\n+++\n[a]: b\n```\n\n50 % of $x_i\\,y^*$ and\n\n$$ a_i + \\frac{b}{c} $$\n"
+        "# Title\n\n```\n% comment\n+++\n[a]: b\n```\n\n50 % of $x_i\\,y^*$ and\n\n$$"
+        " a_i + \\frac{b}{c} $$\n"
     )
     assert lost(text) == []

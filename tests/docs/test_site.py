@@ -20,7 +20,8 @@ from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.file import ScenarioFile
 from srs_twin.studies.sweep.points import SweepFile
 
-# Attributes that make a browser load a resource automatically; `href` only in these elements.
+# Attributes that make a browser load a resource automatically; `href` only in these
+# elements.
 FETCHED = {"src", "srcset", "data", "poster", "action", "background"}
 FETCHING = {"link", "base", "image", "use"}
 
@@ -59,7 +60,9 @@ class Fetches(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         self.found += [
-            value or "" for name, value in attrs if name in FETCHED or (name == "href" and tag in FETCHING)
+            value or ""
+            for name, value in attrs
+            if name in FETCHED or (name == "href" and tag in FETCHING)
         ]
 
 
@@ -78,7 +81,9 @@ def test_site_loads_no_external_resources(site):
     pages = list(site.rglob("*.html"))
     assert len(pages) > len(PAGES)
     for path in [*pages, *site.rglob("*.css")]:
-        foreign = [each for each in fetched(path.read_text("utf-8")) if is_foreign(each)]
+        foreign = [
+            each for each in fetched(path.read_text("utf-8")) if is_foreign(each)
+        ]
         assert foreign == [], path
     assert not [path for path in site.rglob("*") if "mathjax" in path.name.lower()]
 
@@ -97,7 +102,8 @@ def test_scripts_import_nothing_heavy(site):
     assert scripts
     for path in scripts:
         calls = re.findall(
-            r"(?:fetch|import|importScripts|open)\(\s*[\"'`](https?:)?//", path.read_text("utf-8")
+            r"(?:fetch|import|importScripts|open)\(\s*[\"'`](https?:)?//",
+            path.read_text("utf-8"),
         )
         assert calls == [], path
 
@@ -112,25 +118,38 @@ def test_every_page_is_in_the_site(site):
 @pytest.mark.slow
 def test_formulas_need_no_scripts(site):
     shown = (site / "docs/models.html").read_text("utf-8")
-    formulas = re.findall(r"(?<!\w)\$\$", next(p for p in PAGES if p.name == "docs/models.md").prose)
+    formulas = re.findall(
+        r"(?<!\w)\$\$", next(p for p in PAGES if p.name == "docs/models.md").prose
+    )
     assert shown.count('<div class="math">') == len(formulas) / 2 > 5
     assert "$$" not in re.sub(r"<(pre|code).*?</\1>", "", shown, flags=re.S)
 
 
 def keys_of(schema):
     """Every key of every block of a schema; those of records are not blocks."""
-    blocks = [schema, *(each for name, each in schema["$defs"].items() if not name.startswith("Record"))]
+    blocks = [
+        schema,
+        *(
+            each
+            for name, each in schema["$defs"].items()
+            if not name.startswith("Record")
+        ),
+    ]
     return {key for block in blocks for key in block.get("properties", {})}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("page", "model"), [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)]
+    ("page", "model"),
+    [("scenario", ScenarioFile), ("sweep", SweepFile), ("robot", RobotFile)],
 )
 def test_every_key_is_in_the_reference(site, page, model):
     shown = (site / f"docs/reference/{page}.html").read_text("utf-8")
     rows = re.findall(r"<tr class=\"row-\w+\"><td>(.*?)</tr>", shown, re.S)
-    cells = [[re.sub(r"<[^>]+>", "", cell).strip() for cell in row.split("<td>")] for row in rows]
+    cells = [
+        [re.sub(r"<[^>]+>", "", cell).strip() for cell in row.split("<td>")]
+        for row in rows
+    ]
     keys = {cell[0] for cell in cells}
     missing = keys_of(model.model_json_schema(by_alias=True)) - keys
     assert missing == set()
@@ -140,9 +159,16 @@ def test_every_key_is_in_the_reference(site, page, model):
 @pytest.mark.slow
 def test_ranges_units_and_defaults_are_those_of_the_model(site):
     shown = (site / "docs/reference/scenario.html").read_text("utf-8")
-    row = re.search(r"<tr[^>]*><td><p><code[^>]*><span class=\"pre\">record_hz</span>.*?</tr>", shown, re.S)
+    row = re.search(
+        r"<tr[^>]*><td><p><code[^>]*><span class=\"pre\">record_hz</span>.*?</tr>",
+        shown,
+        re.S,
+    )
     words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", row[0])).strip()
-    assert words == "record_hz Hz a number from 0.1 to 10000 100.0 Recorded samples per second"
+    assert (
+        words
+        == "record_hz Hz a number from 0.1 to 10000 100.0 Recorded samples per second"
+    )
 
 
 def commands_in(given, words=("srs-twin",)):
@@ -155,12 +181,18 @@ def commands_in(given, words=("srs-twin",)):
 
 @pytest.mark.slow
 def test_every_command_and_option_is_in_the_reference(site):
-    shown = html.unescape(re.sub(r"<[^>]+>", "", (site / "docs/reference/commands.html").read_text("utf-8")))
+    shown = html.unescape(
+        re.sub(
+            r"<[^>]+>", "", (site / "docs/reference/commands.html").read_text("utf-8")
+        )
+    )
     _, *parts = re.split(r"\n(srs-twin[\w -]*)¶\n", shown)
     sections = dict(zip(parts[::2], parts[1::2], strict=True))
     for name, given in commands_in(command()):
         for each in given.params:
-            assert each.opts[-1] in sections[name] or each.param_type_name == "argument", (name, each.opts)
+            assert (
+                each.opts[-1] in sections[name] or each.param_type_name == "argument"
+            ), (name, each.opts)
             assert not each.help or each.help[:20] in sections[name], (name, each.opts)
 
 
@@ -182,9 +214,9 @@ def test_a_broken_link_or_anchor_fails(tmp_path):
     )
     done = build(tmp_path / "site", source=tmp_path)
     assert done.returncode == 1
-    assert {"gone.md", "nowhere", "../scenarios/x.yaml"} <= set(re.findall(r"'([^']+)'", done.stderr)), (
-        done.stderr
-    )
+    assert {"gone.md", "nowhere", "../scenarios/x.yaml"} <= set(
+        re.findall(r"'([^']+)'", done.stderr)
+    ), done.stderr
 
 
 @pytest.mark.slow
@@ -193,5 +225,8 @@ def test_search_works_from_a_file(site):
     index = (site / "searchindex.js").read_text("utf-8")
     assert index.startswith("Search.setIndex(")
     assert (
-        "docs/quickstart" in json.loads(index.removeprefix("Search.setIndex(").removesuffix(")"))["docnames"]
+        "docs/quickstart"
+        in json.loads(index.removeprefix("Search.setIndex(").removesuffix(")"))[
+            "docnames"
+        ]
     )

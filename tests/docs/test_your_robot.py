@@ -59,10 +59,13 @@ def test_hidden_parameters_are_in_the_intervals(walked_through):
                 assert each.name not in HIDDEN, each
         assert {each.role for each in fit.data} == {"fit", "validation"}
         assert fit.quality.validation_rms is not None
-    # Free segments swing, which the law of the air does not know; the stiffness needs the twin (minutes).
+    # Free segments swing, which the law of the air does not know; the stiffness needs
+    # the twin (minutes).
     assert set(HIDDEN) - seen == {
-        "bending.stiffness_nm_per_rad", "actuator.tau_fill_s", "actuator.tau_vent_s",
-    }  # fmt: skip
+        "bending.stiffness_nm_per_rad",
+        "actuator.tau_fill_s",
+        "actuator.tau_vent_s",
+    }
 
 
 @pytest.mark.slow
@@ -77,20 +80,41 @@ def test_release_identifies_the_hidden_stiffness_and_damping(walked_through):
 @pytest.mark.slow
 def test_identified_robot_is_the_hidden_one(walked_through):
     robot = load_robot(walked_through / "robots/my_snake.yaml")
-    found = [name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))]
+    found = [
+        name for name in HIDDEN if name.startswith(("friction", "actuator", "modules"))
+    ]
     for unknown in free_parameters(robot, found):
-        near = {"friction": 0.02, "modules": 0.01, "actuator": 0.05}[unknown.name.partition(".")[0]]
-        assert unknown.start == pytest.approx(HIDDEN[unknown.name], rel=near, abs=0.005), unknown.name
+        near = {"friction": 0.02, "modules": 0.01, "actuator": 0.05}[
+            unknown.name.partition(".")[0]
+        ]
+        assert unknown.start == pytest.approx(
+            HIDDEN[unknown.name], rel=near, abs=0.005
+        ), unknown.name
 
 
 @pytest.mark.slow
-def test_fitted_robot_replays_more_accurately_than_the_initial_one(walked_through, monkeypatch):
+def test_fitted_robot_replays_more_accurately_than_the_initial_one(
+    walked_through, monkeypatch
+):
     monkeypatch.chdir(walked_through)
     with pytest.raises(SystemExit):
-        main(["replay", f"{RECORDINGS}/walk_check.csv", "-r", "gen2", "--plants", "analytical", "-q",
-              "--out", "before"])  # fmt: skip
+        main(
+            [
+                "replay",
+                f"{RECORDINGS}/walk_check.csv",
+                "-r",
+                "gen2",
+                "--plants",
+                "analytical",
+                "-q",
+                "--out",
+                "before",
+            ]
+        )
     after, before = (
-        json.loads((walked_through / run / "metrics.json").read_text("utf-8"))["plants"]["analytical"]
+        json.loads((walked_through / run / "metrics.json").read_text("utf-8"))[
+            "plants"
+        ]["analytical"]
         for run in ("runs/walk_check", "before")
     )
     for metric in ("measured_shape_rms_m", "measured_bend_rms_rad"):
@@ -104,7 +128,9 @@ def test_the_script_makes_these_recordings():
     assert MADE["release"](robot, 14) == (folder / "release.csv").read_text("utf-8")
     log = MADE["log"](MADE["walk"](robot, 1.6, 0.25))
     assert log == (folder / "walk_left.valves.csv").read_text("utf-8")
-    assert MADE["levels"](robot, (12, 24, 36, 48), 12) == (folder / "levels.csv").read_text("utf-8")
+    assert MADE["levels"](robot, (12, 24, 36, 48), 12) == (
+        folder / "levels.csv"
+    ).read_text("utf-8")
     rows = np.genfromtxt(folder / "held.csv", delimiter=",", skip_header=1)
     gains = np.array([HIDDEN[f"modules.gain_plus_{j}"] for j in range(1, 5)])
     biases = np.array([HIDDEN[f"modules.bias_rad_{j}"] for j in range(1, 5)])

@@ -19,7 +19,9 @@ def test_path_following_reaches_the_goal(task, seed):
     score = play_episode(instance, PathFollowing(instance), np.random.default_rng(seed))
     assert score.ending == "goal_reached"
     straight = play_episode(
-        instance, lambda _: np.array([0.0, 2.0, 48.3], dtype=np.float32), np.random.default_rng(seed)
+        instance,
+        lambda _: np.array([0.0, 2.0, 48.3], dtype=np.float32),
+        np.random.default_rng(seed),
     )
     assert straight.ending != "goal_reached" and straight.reward < score.reward
 
@@ -31,14 +33,19 @@ def test_rows_of_circles_have_one_gate_each():
     for seed in range(40):
         world, *_ = task._draw_world(np.random.default_rng(seed))
         for x in task.arena.rows:
-            row = sorted((c for c in world.obstacles if c.x == x), key=lambda circle: circle.y)
+            row = sorted(
+                (c for c in world.obstacles if c.x == x), key=lambda circle: circle.y
+            )
             gaps = np.array([b.y - b.radius - a.y - a.radius for a, b in pairwise(row)])
             gate = int(np.argmax(gaps))
             gates.add((x, gate))
             assert 0.32 <= gaps[gate] <= 0.36 and np.delete(gaps, gate).max() < 0.061
             # Nothing passes beyond the ends of a row, because the room is narrower.
             edges = row[0].y - row[0].radius, row[-1].y + row[-1].radius
-            assert edges[0] < world.bounds.y[0] - width and edges[1] > world.bounds.y[1] + width
+            assert (
+                edges[0] < world.bounds.y[0] - width
+                and edges[1] > world.bounds.y[1] + width
+            )
     assert len(gates) == 8, "four sites in each row"
 
 
@@ -53,14 +60,20 @@ def test_contact_with_a_circle_ends_the_episode():
     while not episode.ending:
         result = episode.step(task.from_physical([0.0, 2.0, 55.0]))
         total += result.info["reward_progress_m"]
-    assert episode.ending == "collided" and result.terminated and result.info["touching"]
+    assert (
+        episode.ending == "collided" and result.terminated and result.info["touching"]
+    )
     assert result.reward == pytest.approx(result.info["reward_progress_m"] - 1)
     assert total < 0.3
 
 
 def test_pi_control_tracks_better_than_constant_duties():
     instance = make_task("Module")
-    tracked = play_episode(instance, ProportionalIntegral(instance), np.random.default_rng(0))
-    resting = play_episode(instance, lambda _: np.full(2, 0.5, dtype=np.float32), np.random.default_rng(0))
+    tracked = play_episode(
+        instance, ProportionalIntegral(instance), np.random.default_rng(0)
+    )
+    resting = play_episode(
+        instance, lambda _: np.full(2, 0.5, dtype=np.float32), np.random.default_rng(0)
+    )
     assert tracked.ending == resting.ending == "time_up"
     assert 3 * abs(tracked.reward) < abs(resting.reward)

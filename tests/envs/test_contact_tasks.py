@@ -18,18 +18,30 @@ from srs_twin.errors import InputError
 
 
 def named(env: SnakeEnv, observation: np.ndarray) -> dict[str, float]:
-    return dict(zip([signal.name for signal in env.task.observations], observation.tolist(), strict=True))
+    return dict(
+        zip(
+            [signal.name for signal in env.task.observations],
+            observation.tolist(),
+            strict=True,
+        )
+    )
 
 
 def test_observed_posts_are_the_nearest_ones():
     env = SnakeEnv("Pegs")
     observation, info = env.reset(seed=4)
     values, posts = named(env, observation), env.episode.world.obstacles
-    places = np.array([(post.x - info["com_x_m"], post.y - info["com_y_m"]) for post in posts])
+    places = np.array(
+        [(post.x - info["com_x_m"], post.y - info["com_y_m"]) for post in posts]
+    )
     nearest = places[np.argsort(np.hypot(*places.T))[:4]]
-    seen = [(values[f"peg_{k}_ahead_m"], values[f"peg_{k}_left_m"]) for k in range(1, 5)]
+    seen = [
+        (values[f"peg_{k}_ahead_m"], values[f"peg_{k}_left_m"]) for k in range(1, 5)
+    ]
     # The camera has 1 mm and 5 mrad of noise.
-    assert np.array(sorted(map(tuple, nearest))) == pytest.approx(np.array(sorted(seen)), abs=0.006)
+    assert np.array(sorted(map(tuple, nearest))) == pytest.approx(
+        np.array(sorted(seen)), abs=0.006
+    )
     assert not any(name.startswith("obstacle") for name in values)
 
 
@@ -49,21 +61,29 @@ def test_progress_among_posts_is_the_way_to_the_goal_and_contact_ends_nothing():
     for _ in range(12):
         observation, reward, *_, info = env.step(policy(observation))
         total, touched = total + reward, touched + info["touching"]
-    away = math.hypot(info["goal_x_m"] - info["com_x_m"], info["goal_y_m"] - info["com_y_m"])
+    away = math.hypot(
+        info["goal_x_m"] - info["com_x_m"], info["goal_y_m"] - info["com_y_m"]
+    )
     assert info["goal_distance_m"] == pytest.approx(away)
-    assert total == pytest.approx(first["goal_distance_m"] - away - 0.05 * touched, abs=1e-9)
+    assert total == pytest.approx(
+        first["goal_distance_m"] - away - 0.05 * touched, abs=1e-9
+    )
     assert touched and not info["ending"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "ending"), [("Pegs", "goal_reached"), ("Grasp", "dragged")])
+@pytest.mark.parametrize(
+    ("name", "ending"), [("Pegs", "goal_reached"), ("Grasp", "dragged")]
+)
 def test_baseline_succeeds_and_resting_does_not(name, ending):
     task = make_task(name)
     score = play_episode(task, baseline(task), np.random.default_rng(0))
     assert score.ending == ending
     vented = task.from_physical([0.0, 0.0, 0.0]) if name == "Grasp" else None
     if vented is not None:
-        rest = play_episode(make_task(name, limit_s=2.0), lambda _: vented, np.random.default_rng(0))
+        rest = play_episode(
+            make_task(name, limit_s=2.0), lambda _: vented, np.random.default_rng(0)
+        )
         assert rest.ending == "time_up" and abs(rest.reward) < 1e-3
         assert score.time > HELD_S and 1.2 < score.reward < 1.6
 
@@ -102,13 +122,21 @@ def test_a_grip_needs_forces_on_opposite_sides():
 
 def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
     episode = make_task("Grasp").begin(np.random.default_rng(0))
-    place, none = episode.twin.physics.data.qpos[-3:], np.zeros_like(episode.state.obstacle_force)
+    place, none = (
+        episode.twin.physics.data.qpos[-3:],
+        np.zeros_like(episode.state.obstacle_force),
+    )
     opposite = none.copy()
     opposite[-1], opposite[-2] = (1.0, 0.0), (-1.0, 0.0)
 
-    def after_a_shift(force: np.ndarray, shift: float) -> tuple[float, dict[str, float]]:
+    def after_a_shift(
+        force: np.ndarray, shift: float
+    ) -> tuple[float, dict[str, float]]:
         """Return by how much farther the object is from its start, and the values of the reward."""
-        before, episode.state = episode._moved, replace(episode.state, obstacle_force=force)
+        before, episode.state = (
+            episode._moved,
+            replace(episode.state, obstacle_force=force),
+        )
         place[0] += shift
         values = episode._reward_values()
         return episode._moved - before, values
@@ -121,9 +149,14 @@ def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
     episode._item = replace(episode._item, x=episode._item.x - 0.3)
     for _ in range(18):
         assert after_a_shift(opposite, 0.0)[1]["dragged"] == 0 and not episode.ending
-    assert after_a_shift(opposite, 0.0)[1]["dragged"] == 1 and episode.ending == "dragged"
+    assert (
+        after_a_shift(opposite, 0.0)[1]["dragged"] == 1 and episode.ending == "dragged"
+    )
     episode.ending = ""
-    assert after_a_shift(none, -0.6)[1]["object_lost"] == 1 and episode.ending == "object_lost"
+    assert (
+        after_a_shift(none, -0.6)[1]["object_lost"] == 1
+        and episode.ending == "object_lost"
+    )
 
 
 def test_an_object_is_held_after_two_seconds_at_rest():
@@ -158,11 +191,18 @@ def test_object_is_observed_at_its_place_and_lost_when_far():
     env = SnakeEnv("Grasp")
     observation, info = env.reset(seed=2)
     values, item = named(env, observation), env.episode._item
-    assert (info["object_x_m"], info["object_y_m"]) == pytest.approx((item.x, item.y), abs=1e-4)
-    seen = values["object_ahead_m"] + info["com_x_m"], values["object_left_m"] + info["com_y_m"]
+    assert (info["object_x_m"], info["object_y_m"]) == pytest.approx(
+        (item.x, item.y), abs=1e-4
+    )
+    seen = (
+        values["object_ahead_m"] + info["com_x_m"],
+        values["object_left_m"] + info["com_y_m"],
+    )
     assert seen == pytest.approx((item.x, item.y), abs=0.006)
     for _ in range(30):
-        *_, info = env.step(env.task.from_physical([0.0, 1.0, 0.0]))  # crawls away without a grip
+        *_, info = env.step(
+            env.task.from_physical([0.0, 1.0, 0.0])
+        )  # crawls away without a grip
         if info["ending"]:
             break
     assert info["ending"] == "object_lost" and info["reward_object_lost"] == -1
@@ -181,7 +221,11 @@ def test_holding_duty_is_the_share_of_filled_slots(duty, pulses, hold):
 
 
 def test_robots_may_have_changed_keys():
-    stiff = {"base": "gen2", "bending": {"stiffness_nm_per_rad": 0.5}, "modules": {"gain_spread": 0.2}}
+    stiff = {
+        "base": "gen2",
+        "bending": {"stiffness_nm_per_rad": 0.5},
+        "modules": {"gain_spread": 0.2},
+    }
     task = make_task("GoTo", robot=stiff)
     assert task.robot.bending.stiffness == 0.5
     drawn = [task.begin(np.random.default_rng(seed)).twin.spec for seed in range(2)]

@@ -55,7 +55,8 @@ def test_copies_of_gymnasium_environments_give_the_same_episodes(task, when):
     if when == "before the first reset":
         for environment in (*others.values(), env):
             environment.reset(seed=3)
-    # The copies move first, so that any state shared with the original is visible in its results.
+    # The copies move first, so that any state shared with the original is visible in
+    # its results.
     of_copies = {name: play(other, actions) for name, other in others.items()}
     of_original = play(env, actions)
     for name in COPY_METHODS:
@@ -69,7 +70,9 @@ def test_deep_copies_of_wrapped_environments_give_the_same_episodes():
     others = {name: COPY_METHODS[name](env) for name in ("pickle", "deepcopy")}
     of_copies = {name: play(other, actions) for name, other in others.items()}
     of_original = play(env, actions)
-    assert equal_bits(of_copies["pickle"], of_original) and equal_bits(of_copies["deepcopy"], of_original)
+    assert equal_bits(of_copies["pickle"], of_original) and equal_bits(
+        of_copies["deepcopy"], of_original
+    )
 
 
 def test_copies_of_a_vector_environment_give_the_same_episodes():
@@ -78,7 +81,10 @@ def test_copies_of_a_vector_environment_give_the_same_episodes():
     actions = sample_actions(envs, 4)  # past the end of the first episodes
     envs.step(actions[0])
     others = {name: copy_method(envs) for name, copy_method in COPY_METHODS.items()}
-    of_copies = {name: [other.step(action) for action in actions] for name, other in others.items()}
+    of_copies = {
+        name: [other.step(action) for action in actions]
+        for name, other in others.items()
+    }
     of_original = [envs.step(action) for action in actions]
     for name in COPY_METHODS:
         assert equal_bits(of_copies[name], of_original), name
@@ -96,57 +102,110 @@ def test_copies_of_a_dm_env_give_the_same_episodes(task):
     of_original = play(env, actions)
     for name in COPY_METHODS:
         assert equal_bits(
-            [tuple(outcome) for outcome in of_copies[name]], [tuple(outcome) for outcome in of_original]
+            [tuple(outcome) for outcome in of_copies[name]],
+            [tuple(outcome) for outcome in of_original],
         ), name
 
 
 EMPTY_STATE = SavedState({}, {})
 OPTIONS = {
-    "no options": (1, r"options 1 are not allowed; give a dict with state, snake, yaw_rate, goal"),
+    "no options": (
+        1,
+        r"options 1 are not allowed; give a dict with state, snake, yaw_rate, goal",
+    ),
     "list": ([], r"options \[\] are not allowed"),
     "unknown": ({"stat": 1}, r"unknown option of reset 'stat'; did you mean state\?"),
     "number": ({1: 1}, r"unknown option of reset '1'"),
-    "state": ({"state": 1}, r"option state 1 is not allowed; give a SavedState, which episode"),
+    "state": (
+        {"state": 1},
+        r"option state 1 is not allowed; give a SavedState, which episode",
+    ),
     "none": ({"state": None}, r"option state None is not allowed"),
-    "other": ({"state": EMPTY_STATE}, r"episode of GoTo: the saved state has other settings"),
-    "snake": ({"snake": {"com": (0, 0)}}, r"option snake .* give a SnakeState, such as plant.state"),
-    "yaw alone": ({"yaw_rate": 0.1}, r"option yaw_rate requires option snake; give both"),
-    "yaw nan alone": ({"yaw_rate": float("nan")}, r"option yaw_rate requires option snake; give both"),
-}  # fmt: skip
+    "other": (
+        {"state": EMPTY_STATE},
+        r"episode of GoTo: the saved state has other settings",
+    ),
+    "snake": (
+        {"snake": {"com": (0, 0)}},
+        r"option snake .* give a SnakeState, such as plant.state",
+    ),
+    "yaw alone": (
+        {"yaw_rate": 0.1},
+        r"option yaw_rate requires option snake; give both",
+    ),
+    "yaw nan alone": (
+        {"yaw_rate": float("nan")},
+        r"option yaw_rate requires option snake; give both",
+    ),
+}
 SNAKE_STATES = {
-    "yaw nan": ({}, float("nan"), r"yaw_rate nan is not allowed; it must be a finite number"),
+    "yaw nan": (
+        {},
+        float("nan"),
+        r"yaw_rate nan is not allowed; it must be a finite number",
+    ),
     "yaw infinite": ({}, np.inf, r"yaw_rate inf is not allowed"),
     "yaw text": ({}, "fast", r"yaw_rate 'fast' is not allowed"),
     "yaw list": ({}, [0.1], r"yaw_rate \[0.1\] is not allowed"),
     "yaw none": ({}, None, r"yaw_rate None is not allowed"),
-    "bend nan": ({"bend": np.full(4, np.nan)}, 0.0, r"bend \[nan.* finite numbers of shape \(4,\)"),
-    "three bends": ({"bend": np.zeros(3)}, 0.0, r"bend \[0.0, 0.0, 0.0\] is not allowed"),
-    "place": ({"com": np.array([np.inf, 0.0])}, 0.0, r"com \[inf, 0.0\] is not allowed"),
-    "heading": ({"heading": "north"}, 0.0, r"heading 'north' is not allowed; it must be a finite number"),
+    "bend nan": (
+        {"bend": np.full(4, np.nan)},
+        0.0,
+        r"bend \[nan.* finite numbers of shape \(4,\)",
+    ),
+    "three bends": (
+        {"bend": np.zeros(3)},
+        0.0,
+        r"bend \[0.0, 0.0, 0.0\] is not allowed",
+    ),
+    "place": (
+        {"com": np.array([np.inf, 0.0])},
+        0.0,
+        r"com \[inf, 0.0\] is not allowed",
+    ),
+    "heading": (
+        {"heading": "north"},
+        0.0,
+        r"heading 'north' is not allowed; it must be a finite number",
+    ),
     "pressures": ({"pressure": np.zeros(4)}, 0.0, r"pressure .* shape \(4, 2\)"),
-    "overpressure": ({"pressure": np.full((4, 2), 1e7)}, 0.0, r"chamber pressure .* it must be 0 to"),
-}  # fmt: skip
+    "overpressure": (
+        {"pressure": np.full((4, 2), 1e7)},
+        0.0,
+        r"chamber pressure .* it must be 0 to",
+    ),
+}
 SEEDS = {"negative": -1, "real": 1.5, "text": "seven", "truth": True}
 
 
 def refusals(env: SnakeEnv) -> dict[str, tuple[dict[str, Any], str]]:
     """Return refused arguments of `reset` and the expected messages."""
     snake = env.episode.state
-    cases = {name: ({"options": options}, message) for name, (options, message) in OPTIONS.items()}
+    cases = {
+        name: ({"options": options}, message)
+        for name, (options, message) in OPTIONS.items()
+    }
     for name, (change, yaw, message) in SNAKE_STATES.items():
-        cases[name] = {"options": {"snake": replace(snake, **change), "yaw_rate": yaw}}, message
+        cases[name] = (
+            {"options": {"snake": replace(snake, **change), "yaw_rate": yaw}},
+            message,
+        )
     cases["both"] = (
         {"options": {"snake": snake, "state": env.episode.save()}},
         "not allowed with option state",
     )
     incomplete = replace(env.episode.save(), content={})
-    cases["incomplete"] = {"seed": 3, "options": {"state": incomplete}}, "the state is incomplete; it has no"
+    cases["incomplete"] = (
+        {"seed": 3, "options": {"state": incomplete}},
+        "the state is incomplete; it has no",
+    )
     cases["another seed"] = (
         {"seed": 4, "options": {"state": env.episode.save()}},
         "the saved state has other settings",
     )
     return cases | {
-        name: ({"seed": seed}, "it must be an integer of 0 or more") for name, seed in SEEDS.items()
+        name: ({"seed": seed}, "it must be an integer of 0 or more")
+        for name, seed in SEEDS.items()
     }
 
 
@@ -185,9 +244,13 @@ def test_the_goal_of_an_episode_can_be_given():
     assert info["goal_distance_m"] == pytest.approx(distance)
     names = [signal.name for signal in env.task.observations]
     seen = [observation[names.index(name)] for name in ("goal_ahead_m", "goal_left_m")]
-    assert np.hypot(*seen) == pytest.approx(distance, abs=0.01), "the camera has 1 mm of noise"
+    assert np.hypot(*seen) == pytest.approx(distance, abs=0.01), (
+        "the camera has 1 mm of noise"
+    )
     *_, after = env.step(np.array([0.1, 0.5, 0.8]))
-    assert after["reward_progress_m"] == pytest.approx(distance - after["goal_distance_m"])
+    assert after["reward_progress_m"] == pytest.approx(
+        distance - after["goal_distance_m"]
+    )
     _, info = env.reset()
     assert info["goal_x_m"] != 0.3
 
@@ -213,7 +276,11 @@ def test_a_given_goal_is_kept_by_saved_and_placed_states():
         ("GoTo", (1.0,), r"option goal \(1.0,\) is not allowed; give x and y in m"),
         ("GoTo", (1.0, np.nan), "is not allowed; give x and y in m"),
         ("GoTo", "here", "option goal 'here' is not allowed"),
-        ("GoTo", (2.6, 0.0), r"option goal \(2.6, 0\) is not allowed; it is outside the bounds"),
+        (
+            "GoTo",
+            (2.6, 0.0),
+            r"option goal \(2.6, 0\) is not allowed; it is outside the bounds",
+        ),
         ("GoTo", (0.05, 0.0), "the snake is there already, within 0.1 m"),
         ("Module", (1.0, 0.0), "the task Module has no goal at a place"),
     ],
@@ -235,10 +302,28 @@ def test_a_goal_in_an_obstacle_is_refused():
 
 
 def test_unknown_settings_list_those_of_the_task():
-    settings = ["action_range", "fit", "limit_s", "observations", "ranges", "rewards", "robot"]
-    twin = ["contact", "hinges_per_segment", "layout", "numerics", "pneumatics", "sensor", "timestep"]
+    settings = [
+        "action_range",
+        "fit",
+        "limit_s",
+        "observations",
+        "ranges",
+        "rewards",
+        "robot",
+    ]
+    twin = [
+        "contact",
+        "hinges_per_segment",
+        "layout",
+        "numerics",
+        "pneumatics",
+        "sensor",
+        "timestep",
+    ]
     for task, more in (("Module", []), ("GoTo", ["camera"]), ("Pegs", ["camera"])):
-        with pytest.raises(InputError, match="unknown setting of the task or its twin 'foo'") as refused:
+        with pytest.raises(
+            InputError, match="unknown setting of the task or its twin 'foo'"
+        ) as refused:
             SnakeEnv(task, foo=1)
         listed = str(refused.value).partition("available: ")[2].rstrip(")").split(", ")
         assert listed == sorted(settings + twin + more)
@@ -288,7 +373,9 @@ def test_refused_action_leaves_the_environment_unchanged(interface):
     for environment in (env, other):
         environment.reset(seed=3) if interface == "gymnasium" else environment.reset()
     for name, action in ACTIONS.items():
-        with pytest.raises(InputError, match="give 3 finite numbers: offset, frequency_hz") as refused:
+        with pytest.raises(
+            InputError, match="give 3 finite numbers: offset, frequency_hz"
+        ) as refused:
             env.step(action)
             pytest.fail(name)
         assert len(str(refused.value)) < 300
@@ -304,7 +391,9 @@ def test_refused_action_leaves_all_environments_of_a_vector_unchanged():
     good = np.array([0.1, 1.5, 48.0])
     for name, action in ACTIONS.items():
         for actions in ([good, action], action):
-            with pytest.raises(InputError, match=r"give finite numbers of shape \(2, 3\)"):
+            with pytest.raises(
+                InputError, match=r"give finite numbers of shape \(2, 3\)"
+            ):
                 envs.step(actions)
                 pytest.fail(name)
     assert equal_bits(envs.step([good, good]), others.step(np.stack([good, good])))

@@ -35,7 +35,9 @@ def test_constant_action_equals_a_rollout_of_the_sidewinding_gait():
 
 
 def test_tasks_refuse_robots_of_the_other_kind():
-    with pytest.raises(InputError, match="other than Crawl3D does not support the spatial robot"):
+    with pytest.raises(
+        InputError, match="other than Crawl3D does not support the spatial robot"
+    ):
         make_task("GoTo", robot="spatial_example")
     with pytest.raises(InputError, match="robot 'skin_example' bends in one plane"):
         make_task("Crawl3D", robot="skin_example")

@@ -64,32 +64,49 @@ def test_dm_env_and_gymnasium_give_equal_values(task):
     env.action_space.seed(0)
     observation, _ = env.reset(seed=7)
     timestep = twin.reset()
-    assert np.concatenate(list(timestep.observation.values())).tolist() == observation.tolist()
-    assert [signal.name for signal in env.task.observations] == list(timestep.observation)
+    assert (
+        np.concatenate(list(timestep.observation.values())).tolist()
+        == observation.tolist()
+    )
+    assert [signal.name for signal in env.task.observations] == list(
+        timestep.observation
+    )
     while not timestep.last():
         action = env.action_space.sample()
         observation, reward, terminated, truncated, _ = env.step(action)
         timestep = twin.step(action)
-        assert np.concatenate(list(timestep.observation.values())).tolist() == observation.tolist()
+        assert (
+            np.concatenate(list(timestep.observation.values())).tolist()
+            == observation.tolist()
+        )
         assert timestep.reward == reward
     assert truncated and not terminated and timestep.discount == 1.0
 
 
 def test_goal_ends_an_episode_with_discount_0():
     env = dm.load("GoTo", seed=0)
-    assert env.action_spec().name.split("\t") == ["offset", "frequency_hz", "pressure_kpa"]
+    assert env.action_spec().name.split("\t") == [
+        "offset",
+        "frequency_hz",
+        "pressure_kpa",
+    ]
     env.reset()
     physics = env.physics
     physics.episode.goal = type(physics.episode.goal)(0.0, 0.0, None, 0.1)
     timestep = env.step(np.array([0.0, 2.0, 45.0], dtype=np.float32))
     assert timestep.step_type is dm_env.StepType.LAST and timestep.discount == 0.0
     assert physics.twin.bend_angles().shape == (4,)
-    assert physics.time() == pytest.approx(0.1) and env.control_timestep() == pytest.approx(0.1)
+    assert physics.time() == pytest.approx(
+        0.1
+    ) and env.control_timestep() == pytest.approx(0.1)
 
 
 @pytest.mark.slow
 def test_images_are_those_of_gymnasium():
-    env, other = dm.load("GoTo", seed=3), SnakeEnv("GoTo", render_mode="rgb_array", width=160, height=120)
+    env, other = (
+        dm.load("GoTo", seed=3),
+        SnakeEnv("GoTo", render_mode="rgb_array", width=160, height=120),
+    )
     env.reset()
     if not can_render():
         with pytest.raises(InputError, match="OpenGL"):

@@ -10,7 +10,9 @@ from conftest import ROOT
 
 from srs_twin.envs import TASKS, make_task
 
-update_tables = runpy.run_path(str(ROOT / "docs/environment_tables.py"))["update_tables"]
+update_tables = runpy.run_path(str(ROOT / "docs/environment_tables.py"))[
+    "update_tables"
+]
 PAGE = (ROOT / "docs/environments.md").read_text("utf-8")
 
 

@@ -28,7 +28,11 @@ from srs_twin.plants.base import SnakeState
 from srs_twin.robot.world import Bounds
 
 MARKED_TASKS = [
-    pytest.param(task, marks=pytest.mark.slow) if task in ("Grasp", "Pegs", "Crawl3D") else task
+    (
+        pytest.param(task, marks=pytest.mark.slow)
+        if task in ("Grasp", "Pegs", "Crawl3D")
+        else task
+    )
     for task in TASKS
 ]
 """All tasks; those that need additional kernels are slow."""
@@ -53,13 +57,17 @@ def equal_bits(one: Any, other: Any) -> bool:
     if isinstance(one, tuple | list):
         return len(one) == len(other) and all(map(equal_bits, one, other))
     if isinstance(one, dict):
-        return one.keys() == other.keys() and all(equal_bits(one[key], other[key]) for key in one)
+        return one.keys() == other.keys() and all(
+            equal_bits(one[key], other[key]) for key in one
+        )
     return bool(one == other)
 
 
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_gymnasium_checker_passes_without_warnings(task):
-    env = gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0", disable_env_checker=True).unwrapped
+    env = gymnasium.make(
+        f"srs_twin.envs:SRSTwin/{task}-v0", disable_env_checker=True
+    ).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=True)
@@ -67,7 +75,9 @@ def test_gymnasium_checker_passes_without_warnings(task):
 
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_actions_from_minus_1_to_1_equal_physical_actions(task):
-    with pytest.warns(DeprecationWarning, match="action_range='physical' ends with release"):
+    with pytest.warns(
+        DeprecationWarning, match="action_range='physical' ends with release"
+    ):
         physical = SnakeEnv(task, action_range="physical")
     env = SnakeEnv(task)
     with warnings.catch_warnings():
@@ -78,10 +88,17 @@ def test_actions_from_minus_1_to_1_equal_physical_actions(task):
     env.reset(seed=1), physical.reset(seed=1)
     box = physical.action_space
     values = (box.low + 3 * box.high) / 4
-    one, other = env.step(np.full(box.shape, 0.5, dtype=np.float32)), physical.step(values)
-    assert one[0] == pytest.approx(other[0], abs=1e-5) and one[1] == pytest.approx(other[1], abs=1e-6)
+    one, other = (
+        env.step(np.full(box.shape, 0.5, dtype=np.float32)),
+        physical.step(values),
+    )
+    assert one[0] == pytest.approx(other[0], abs=1e-5) and one[1] == pytest.approx(
+        other[1], abs=1e-6
+    )
     assert env.task.from_physical(values) == pytest.approx(0.5, abs=1e-6)
-    assert env.task.to_physical(env.task.from_physical(values)) == pytest.approx(values.tolist(), rel=1e-6)
+    assert env.task.to_physical(env.task.from_physical(values)) == pytest.approx(
+        values.tolist(), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("task", MARKED_TASKS)
@@ -100,7 +117,9 @@ def test_constant_action_equals_a_rollout_of_the_gait():
     for _ in range(20):
         *_, info = env.step(env.task.from_physical([0.1, 1.7, 45.0]))
     spec = make_task("GoTo").robot
-    alone = rollout(TwinSnake(spec, supply_pa=45e3), Gait(1.7, 0.1), 2.0, pose=(0.0, 0.0, heading))
+    alone = rollout(
+        TwinSnake(spec, supply_pa=45e3), Gait(1.7, 0.1), 2.0, pose=(0.0, 0.0, heading)
+    )
     assert info["com_x_m"] == pytest.approx(alone["com_x"][-1], abs=1e-6)
     assert info["com_y_m"] == pytest.approx(alone["com_y"][-1], abs=1e-6)
     assert np.hypot(info["com_x_m"], info["com_y_m"]) > 0.1
@@ -114,11 +133,14 @@ def test_observations_depend_only_on_sensors_and_camera(task):
         def step(valves: np.ndarray) -> SnakeState:
             (state,) = twin.advance(valves, 1)
             whole = {
-                field.name: np.asarray(getattr(state, field.name), dtype=float) for field in fields(state)
+                field.name: np.asarray(getattr(state, field.name), dtype=float)
+                for field in fields(state)
             }
             observed = ("time", "com", "heading", "sensed")
             lost = {
-                name: np.full_like(value, np.nan) for name, value in whole.items() if name not in observed
+                name: np.full_like(value, np.nan)
+                for name, value in whole.items()
+                if name not in observed
             }
             return replace(state, **lost)
 
@@ -141,14 +163,25 @@ def test_observed_pose_has_the_noise_of_the_camera(camera):
     errors = []
     for _ in range(40):
         result = episode.step([0.0, 2.0, 50.0])
-        seen, true = dict(zip(names, result.observation.astype(float), strict=True)), result.info
+        seen, true = (
+            dict(zip(names, result.observation.astype(float), strict=True)),
+            result.info,
+        )
         heading = np.arctan2(seen["heading_sin"], seen["heading_cos"])
         bearing = heading + np.arctan2(seen["goal_left_m"], seen["goal_ahead_m"])
-        goal = np.array([true["goal_x_m"] - seen["x_m"], true["goal_y_m"] - seen["y_m"]])
-        assert np.hypot(seen["goal_ahead_m"], seen["goal_left_m"]) == pytest.approx(np.hypot(*goal), abs=1e-5)
-        assert np.cos(bearing - np.arctan2(goal[1], goal[0])) == pytest.approx(1, abs=1e-9)
+        goal = np.array(
+            [true["goal_x_m"] - seen["x_m"], true["goal_y_m"] - seen["y_m"]]
+        )
+        assert np.hypot(seen["goal_ahead_m"], seen["goal_left_m"]) == pytest.approx(
+            np.hypot(*goal), abs=1e-5
+        )
+        assert np.cos(bearing - np.arctan2(goal[1], goal[0])) == pytest.approx(
+            1, abs=1e-9
+        )
         turn = np.remainder(heading - true["heading_rad"] + np.pi, 2 * np.pi) - np.pi
-        errors.append((seen["x_m"] - true["com_x_m"], seen["y_m"] - true["com_y_m"], turn))
+        errors.append(
+            (seen["x_m"] - true["com_x_m"], seen["y_m"] - true["com_y_m"], turn)
+        )
     noise = (camera.position_noise, camera.position_noise, camera.heading_noise)
     assert np.std(errors, axis=0) == pytest.approx(noise, rel=0.35, abs=1e-6)
     assert np.abs(np.mean(errors, axis=0)) == pytest.approx((0, 0, 0), abs=0.02)
@@ -162,7 +195,9 @@ def test_rewards_sum_to_the_distance_gained():
         _, reward, ended, _, last = env.step(np.array([0.0, 2.0, 50.0]))
         rewards.append(reward)
         assert not ended
-    assert sum(rewards) == pytest.approx(first["goal_distance_m"] - last["goal_distance_m"], abs=1e-9)
+    assert sum(rewards) == pytest.approx(
+        first["goal_distance_m"] - last["goal_distance_m"], abs=1e-9
+    )
 
 
 def near(**changes: Any) -> CrawlTask:
@@ -177,7 +212,10 @@ def test_reaching_the_goal_terminates_with_a_reward():
     while not result[-1].terminated:
         result.append(episode.step([0.0, 2.0, 55.0]))
         assert not result[-1].truncated
-    assert result[-1].info["ending"] == "goal_reached" and result[-1].info["goal_distance_m"] <= 0.1
+    assert (
+        result[-1].info["ending"] == "goal_reached"
+        and result[-1].info["goal_distance_m"] <= 0.1
+    )
     assert result[-1].reward > 1.0 > max(result.reward for result in result[:-1])
     with pytest.raises(InputError, match=r"episode is over \(goal_reached\); reset"):
         episode.step([0.0, 2.0, 55.0])
@@ -213,7 +251,9 @@ def test_divergence_terminates_with_the_previous_observation(task):
     result = episode.step(action)
     assert result.terminated and not result.truncated and result.reward == 0.0
     assert equal_bits(result.observation, last.observation)
-    assert result.info["ending"] == "diverged" and "a bend is nan" in result.info["error"]
+    assert (
+        result.info["ending"] == "diverged" and "a bend is nan" in result.info["error"]
+    )
     with pytest.raises(InputError, match=r"episode is over \(diverged\); reset"):
         episode.step(action)
 
@@ -222,9 +262,14 @@ def test_actions_are_clipped_and_invalid_ones_refused():
     one, other = SnakeEnv("GoTo"), SnakeEnv("GoTo")
     one.reset(seed=0)
     other.reset(seed=0)
-    assert equal_bits(one.step(np.array([9.0, -1.5, 1e9])), other.step(np.array([1.0, -1.0, 1.0])))
+    assert equal_bits(
+        one.step(np.array([9.0, -1.5, 1e9])), other.step(np.array([1.0, -1.0, 1.0]))
+    )
     for action in ([0.0, 1.0], [0.0, np.nan, 0.5], 1.0):
-        with pytest.raises(InputError, match="give 3 finite numbers: offset, frequency_hz, pressure_kpa"):
+        with pytest.raises(
+            InputError,
+            match="give 3 finite numbers: offset, frequency_hz, pressure_kpa",
+        ):
             one.step(np.array(action))
 
 
@@ -238,18 +283,28 @@ def test_calls_in_the_wrong_order_and_unknown_names_are_refused():
         SnakeEnv("Goto")
     with pytest.raises(InputError, match="unknown render mode 'human'"):
         SnakeEnv("GoTo", render_mode="human")
-    with pytest.raises(InputError, match="robot 'gen2' has 4 segments; this task is for one module"):
+    with pytest.raises(
+        InputError, match="robot 'gen2' has 4 segments; this task is for one module"
+    ):
         SnakeEnv("Module", robot="gen2")
 
 
 @pytest.mark.parametrize(
     ("task", "settings", "words"),
     [
-        ("GoTo", {"time_step": 0.002}, "unknown setting .*'time_step'; did you mean timestep"),
+        (
+            "GoTo",
+            {"time_step": 0.002},
+            "unknown setting .*'time_step'; did you mean timestep",
+        ),
         ("Module", {"supply_pa": 1e3}, "unknown setting .*'supply_pa'"),
         ("GoTo", {"limit_s": 0.25}, "limit_s 0.25 s is not a multiple of step 0.1 s"),
         ("Module", {"limit_s": -1.0}, "limit_s -1.0 s is not allowed"),
-        ("Obstacles", {"camera": Camera(5.0)}, "camera of 5 Hz is too slow .* 10 Hz or more"),
+        (
+            "Obstacles",
+            {"camera": Camera(5.0)},
+            "camera of 5 Hz is too slow .* 10 Hz or more",
+        ),
         ("GoTo", {"robot": "gen5"}, "unknown robot 'gen5'"),
     ],
 )
@@ -262,11 +317,15 @@ def test_invalid_settings_are_refused_at_construction(task, settings, words):
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_vector_environment_equals_single_environments(task):
     """The reference is Gymnasium's SyncVectorEnv, over ends and resets of episodes."""
-    vector = gymnasium.make_vec(f"srs_twin.envs:SRSTwin/{task}-v0", num_envs=3, threads=2, **SHORT)
+    vector = gymnasium.make_vec(
+        f"srs_twin.envs:SRSTwin/{task}-v0", num_envs=3, threads=2, **SHORT
+    )
     assert isinstance(vector, SnakeVectorEnv)
     reference = SyncVectorEnv([lambda: SnakeEnv(task, **SHORT)] * 3)
     assert (
-        vector.metadata["autoreset_mode"] == reference.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+        vector.metadata["autoreset_mode"]
+        == reference.metadata["autoreset_mode"]
+        == AutoresetMode.NEXT_STEP
     )
     assert vector.action_space == reference.action_space
     assert vector.observation_space == reference.observation_space
@@ -284,9 +343,14 @@ def test_vector_environment_refuses_invalid_counts_and_shapes():
         envs.reset(seed=[1, 2, 3])
     envs.reset(seed=0)
     before = [float(env.episode.state.time) for env in envs.envs]
-    for actions in (np.zeros((1, 2)), np.zeros(4), np.array([[0.0, 0.0], [0.0, np.nan]])):
+    for actions in (
+        np.zeros((1, 2)),
+        np.zeros(4),
+        np.array([[0.0, 0.0], [0.0, np.nan]]),
+    ):
         with pytest.raises(
-            InputError, match=r"give finite numbers of shape \(2, 2\), an action for each of 2"
+            InputError,
+            match=r"give finite numbers of shape \(2, 2\), an action for each of 2",
         ):
             envs.step(actions)
     assert [float(env.episode.state.time) for env in envs.envs] == before
@@ -300,7 +364,11 @@ def test_the_training_script_writes_a_policy_and_its_learning_curve(tmp_path):
     subprocess.run(command, check=True, capture_output=True, timeout=600)
     act = load_policy(tmp_path / "seed_3/policy.npz").bind(make_task("GoTo"))
     assert act(SnakeEnv("GoTo").reset(seed=0)[0]).shape == (3,)
-    assert (tmp_path / "seed_3/curve.csv").read_text().startswith("steps,success,duration_s")
+    assert (
+        (tmp_path / "seed_3/curve.csv")
+        .read_text()
+        .startswith("steps,success,duration_s")
+    )
     assert (tmp_path / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -318,10 +386,16 @@ def test_the_reward_is_the_weighted_sum_of_its_terms():
             "progress_m": before["goal_distance_m"] - info["goal_distance_m"],
         }
         for name, weight in weights.items():
-            assert info[f"reward_{name}"] == pytest.approx(weight * values[name], abs=1e-9)
-        assert reward == pytest.approx(sum(weights[name] * values[name] for name in weights), abs=1e-9)
+            assert info[f"reward_{name}"] == pytest.approx(
+                weight * values[name], abs=1e-9
+            )
+        assert reward == pytest.approx(
+            sum(weights[name] * values[name] for name in weights), abs=1e-9
+        )
         before, offset = info, 0.4 * action[0]
-    with pytest.raises(InputError, match="unknown reward term 'time'; did you mean time_s"):
+    with pytest.raises(
+        InputError, match="unknown reward term 'time'; did you mean time_s"
+    ):
         SnakeEnv("GoTo", rewards={"time": -1.0})
 
 
@@ -335,7 +409,9 @@ def test_selected_observations_equal_those_of_all():
         one, other = every.step(np.ones(3))[0], some.step(np.ones(3))[0]
         assert equal_bits(one[[names.index(name) for name in chosen]], other)
     assert some.observation_space.contains(other)
-    with pytest.raises(InputError, match="unknown group of observations 'goals'; did you mean goal"):
+    with pytest.raises(
+        InputError, match="unknown group of observations 'goals'; did you mean goal"
+    ):
         SnakeEnv("GoTo", observations=("goals",))
     with pytest.raises(InputError, match="give at least one group of pose, goal"):
         SnakeEnv("GoTo", observations=())

@@ -23,7 +23,9 @@ def can_render() -> bool:
 def count_pixels(image: np.ndarray, color: tuple[int, int, int]) -> int:
     """Count the pixels with the hue of a colour, at any brightness."""
     bright = image / np.maximum(image.max(axis=-1, keepdims=True), 1)
-    return int((np.abs(bright - np.array(color) / max(color)).max(axis=-1) < 0.12).sum())
+    return int(
+        (np.abs(bright - np.array(color) / max(color)).max(axis=-1) < 0.12).sum()
+    )
 
 
 @pytest.mark.slow
@@ -44,7 +46,9 @@ def test_rendering_shows_chambers_and_goal():
         later.append(env.render())
     for color in (PLUS_COLOR, GOAL_COLOR):
         seen = max(count_pixels(image, rgb(color)) for image in later)
-        assert 20 < seen < 0.05 * first[..., 0].size, "chambers, and the ring of the goal"
+        assert 20 < seen < 0.05 * first[..., 0].size, (
+            "chambers, and the ring of the goal"
+        )
     second = later[-1]
     green = [(image[..., 1].astype(int) - image[..., 0] > 60).sum() for image in later]
     assert max(green) > 20, "the other chambers"
@@ -60,4 +64,7 @@ def test_without_render_mode_there_is_no_image():
     env = gymnasium.make("srs_twin.envs:SRSTwin/Module-v0")
     env.reset(seed=0)
     assert env.unwrapped.render() is None
-    assert env.metadata["render_modes"] == ["rgb_array"] and env.metadata["render_fps"] == 20
+    assert (
+        env.metadata["render_modes"] == ["rgb_array"]
+        and env.metadata["render_fps"] == 20
+    )

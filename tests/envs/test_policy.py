@@ -14,7 +14,10 @@ NAMES = ("goal_left_m", "goal_ahead_m")
 
 
 def network():
-    layers = ((RNG.normal(size=(5, 2)), RNG.normal(size=5)), (RNG.normal(size=(3, 5)), RNG.normal(size=3)))
+    layers = (
+        (RNG.normal(size=(5, 2)), RNG.normal(size=5)),
+        (RNG.normal(size=(3, 5)), RNG.normal(size=3)),
+    )
     return NetworkPolicy("GoTo", NAMES, layers)
 
 
@@ -59,7 +62,9 @@ def test_layers_must_fit_together(tmp_path):
 def test_the_shipped_policy_reaches_goals():
     task = make_task("GoTo")
     act = load_policy("goto").bind(task)
-    scores = [play_episode(task, act, np.random.default_rng(seed)) for seed in (501, 502)]
+    scores = [
+        play_episode(task, act, np.random.default_rng(seed)) for seed in (501, 502)
+    ]
     assert [score.ending for score in scores] == ["goal_reached"] * 2
     with pytest.raises(InputError, match="unknown policy 'go'; did you mean goto"):
         load_policy("go")

@@ -22,34 +22,59 @@ DRAWS = 400
 
 
 def parameter(name: str, value: float, error: float, unit: str) -> Parameter:
-    return Parameter(name, unit, "identified", value, error, value - 1.96 * error, value + 1.96 * error, "")
+    return Parameter(
+        name,
+        unit,
+        "identified",
+        value,
+        error,
+        value - 1.96 * error,
+        value + 1.96 * error,
+        "",
+    )
 
 
 @pytest.fixture
 def fit(tmp_path: Path) -> Path:
     """A fit of gen2's friction with correlated coefficients."""
-    parameters = (parameter("friction.mu_t", 0.05, 0.005, "1"), parameter("friction.mu_n", 0.6, 0.02, "1"))
+    parameters = (
+        parameter("friction.mu_t", 0.05, 0.005, "1"),
+        parameter("friction.mu_n", 0.6, 0.02, "1"),
+    )
     estimate = FitEstimate(parameters, np.array([[1.0, -0.9], [-0.9, 1.0]]))
     fit = fit_file(
-        estimate, name="floor", title="Floor", robot="gen2", method="pulls", command="x", versions={},
+        estimate,
+        name="floor",
+        title="Floor",
+        robot="gen2",
+        method="pulls",
+        command="x",
+        versions={},
         data=[DataSet("a.csv", "a" * 64, "fit", 10)],
-    )  # fmt: skip
+    )
     return write_fit(fit, tmp_path / "floor.yaml")
 
 
 def test_fitted_parameters_are_drawn_with_their_errors_and_correlation(fit):
     variation, rng = Variation.load("gen2", fit=fit), np.random.default_rng(0)
     drawn = np.array(
-        [(s.friction.mu_t, s.friction.mu_n) for s in (variation.draw(rng) for _ in range(DRAWS))]
+        [
+            (s.friction.mu_t, s.friction.mu_n)
+            for s in (variation.draw(rng) for _ in range(DRAWS))
+        ]
     )
     assert (np.abs(drawn - [0.05, 0.6]) <= 1.96 * np.array([0.005, 0.02]) + 1e-12).all()
-    # Clipped at ±1.96 σ, a normal variable keeps 0.96 of its σ; 400 draws estimate σ to about 4 %.
+    # Clipped at ±1.96 σ, a normal variable keeps 0.96 of its σ; 400 draws estimate σ to
+    # about 4 %.
     assert drawn.std(axis=0) == pytest.approx(0.96 * np.array([0.005, 0.02]), rel=0.15)
     assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(-0.9, abs=0.05)
 
 
 def test_ranges_are_uniform_and_other_parameters_fixed():
-    variation, rng = Variation.load("gen2", ranges={"friction.mu_t": (0.02, 0.06)}), np.random.default_rng(0)
+    variation, rng = (
+        Variation.load("gen2", ranges={"friction.mu_t": (0.02, 0.06)}),
+        np.random.default_rng(0),
+    )
     drawn = [variation.draw(rng) for _ in range(DRAWS)]
     values = np.array([spec.friction.mu_t for spec in drawn])
     assert values.min() >= 0.02 and values.max() <= 0.06
@@ -59,7 +84,14 @@ def test_ranges_are_uniform_and_other_parameters_fixed():
 
 def test_module_tolerances_are_drawn_for_each_episode(tmp_path):
     data = load_robot_file("gen2").model_dump(mode="json", exclude_none=True)
-    data["modules"] = {"gain_spread": {"value": 0.1, "unit": "1", "status": "estimated", "source": "a test"}}
+    data["modules"] = {
+        "gain_spread": {
+            "value": 0.1,
+            "unit": "1",
+            "status": "estimated",
+            "source": "a test",
+        }
+    }
     path = tmp_path / "uneven.yaml"
     path.write_text(dump_yaml(data), "utf-8")
     env, gains = SnakeEnv("GoTo", robot=str(path)), []
@@ -92,14 +124,22 @@ def test_drawn_robot_is_simulated():
             *_, info = env.step(np.array([0.0, 2.0, 48.0]))
         return np.hypot(info["com_x_m"], info["com_y_m"])
 
-    assert distance({"friction.mu_t": (0.2, 0.2)}) < 0.8 * distance({"friction.mu_t": (0.02, 0.02)})
+    assert distance({"friction.mu_t": (0.2, 0.2)}) < 0.8 * distance(
+        {"friction.mu_t": (0.02, 0.02)}
+    )
 
 
 def test_invalid_variations_are_refused(fit):
-    with pytest.raises(InputError, match="fit floor is for robot 'gen2', not for 'gen4'"):
+    with pytest.raises(
+        InputError, match="fit floor is for robot 'gen2', not for 'gen4'"
+    ):
         Variation.load("gen4", fit=fit)
     with pytest.raises(
-        InputError, match="friction.mu_t: the range 0.2 to 0.1 is not allowed; give the lower limit first"
+        InputError,
+        match=(
+            "friction.mu_t: the range 0.2 to 0.1 is not allowed; give the lower limit"
+            " first"
+        ),
     ):
         Variation.load("gen2", ranges={"friction.mu_t": (0.2, 0.1)})
     with pytest.raises(InputError, match="unknown .*friction.mu_s.*did you mean"):

@@ -25,7 +25,14 @@ except InputError as error:
 
 @pytest.mark.fast
 def test_only_the_dm_env_interface_needs_dm_control():
-    done = subprocess.run([sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
-    for words in ("labmaze has no wheel", "Python 3.13 and later", "Gymnasium", "pip install dm-control"):
+    for words in (
+        "labmaze has no wheel",
+        "Python 3.13 and later",
+        "Gymnasium",
+        "pip install dm-control",
+    ):
         assert words in done.stdout

@@ -7,14 +7,23 @@ from pathlib import Path
 import numpy as np
 from mcap.writer import CompressionType, Writer as McapWriter
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
+from rosbags.rosbag2 import (
+    CompressionFormat,
+    CompressionMode,
+    StoragePlugin,
+    Writer as Writer2,
+)
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 RATE = 100.0
 ORIGIN = 1_700_000_000_123_456_789  # ns
 ROS2 = get_typestore(Stores.ROS2_HUMBLE)
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
-ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
+ROS1.register(
+    get_types_from_msg(
+        "geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"
+    )
+)
 TURN = np.array([0.0, 0.0, np.sin(0.3), np.cos(0.3)])
 
 
@@ -28,35 +37,60 @@ class Maker:
         return self.store.types[kind.replace("/", "/msg/")](**fields)
 
     def header(self, k, frame="world"):
-        stamp = self("builtin_interfaces/Time", sec=ns(k) // 10**9, nanosec=ns(k) % 10**9)
-        return self("std_msgs/Header", stamp=stamp, frame_id=frame, **({"seq": k} if self.ros1 else {}))
+        stamp = self(
+            "builtin_interfaces/Time", sec=ns(k) // 10**9, nanosec=ns(k) % 10**9
+        )
+        return self(
+            "std_msgs/Header",
+            stamp=stamp,
+            frame_id=frame,
+            **({"seq": k} if self.ros1 else {}),
+        )
 
     def point(self, place, kind="Point"):
-        return self(f"geometry_msgs/{kind}", **dict(zip("xyz", map(float, place), strict=True)))
+        return self(
+            f"geometry_msgs/{kind}", **dict(zip("xyz", map(float, place), strict=True))
+        )
 
     def pose(self, place):
-        turn = self("geometry_msgs/Quaternion", **dict(zip("xyzw", map(float, TURN), strict=True)))
+        turn = self(
+            "geometry_msgs/Quaternion",
+            **dict(zip("xyzw", map(float, TURN), strict=True)),
+        )
         return self("geometry_msgs/Pose", position=self.point(place), orientation=turn)
 
     def covariant(self, place):
         spread = np.zeros(36)
-        return self("geometry_msgs/PoseWithCovariance", pose=self.pose(place), covariance=spread)
+        return self(
+            "geometry_msgs/PoseWithCovariance", pose=self.pose(place), covariance=spread
+        )
 
     def transform(self, k, place, child, frame="world"):
         pose = self.pose(place)
         moved = self.point(place, "Vector3")
-        moved = self("geometry_msgs/Transform", translation=moved, rotation=pose.orientation)
+        moved = self(
+            "geometry_msgs/Transform", translation=moved, rotation=pose.orientation
+        )
         header = self.header(k, frame)
-        return self("geometry_msgs/TransformStamped", header=header, child_frame_id=child, transform=moved)
+        return self(
+            "geometry_msgs/TransformStamped",
+            header=header,
+            child_frame_id=child,
+            transform=moved,
+        )
 
     def twist(self):
         none = self.point(np.zeros(3), "Vector3")
         twist = self("geometry_msgs/Twist", linear=none, angular=none)
-        return self("geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36))
+        return self(
+            "geometry_msgs/TwistWithCovariance", twist=twist, covariance=np.zeros(36)
+        )
 
     def array(self, kind, values, dtype):
         layout = self("std_msgs/MultiArrayLayout", dim=[], data_offset=0)
-        return self(f"std_msgs/{kind}", layout=layout, data=np.array(values, dtype=dtype))
+        return self(
+            f"std_msgs/{kind}", layout=layout, data=np.array(values, dtype=dtype)
+        )
 
     def serialized(self, message, kind):
         name = kind.replace("/", "/msg/")
@@ -73,12 +107,17 @@ def written(folder: Path, container: str, messages) -> Path:
     how, _, compression = container.partition(" ")
     make = Maker("bag" in container or "ros1" in container)
     rows = [
-        (topic, kind, time, make.serialized(message, kind)) for topic, kind, time, message in messages(make)
+        (topic, kind, time, make.serialized(message, kind))
+        for topic, kind, time, message in messages(make)
     ]
     if how == "mcap":
         return by_mcap(folder / "walk.mcap", rows, make, compression)
     path = folder / "walk.bag" if how == "bag" else folder / "walk"
-    writer = Writer1(path) if how == "bag" else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    writer = (
+        Writer1(path)
+        if how == "bag"
+        else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
+    )
     if how == "bag" and compression:
         writer.set_compression(Writer1.CompressionFormat[compression.upper()])
     elif compression:
@@ -88,7 +127,9 @@ def written(folder: Path, container: str, messages) -> Path:
         for topic, kind, time, data in rows:
             name = kind.replace("/", "/msg/")
             if topic not in connections:
-                connections[topic] = writer.add_connection(topic, name, typestore=make.store)
+                connections[topic] = writer.add_connection(
+                    topic, name, typestore=make.store
+                )
             writer.write(connections[topic], time, data)
     return path if how == "bag" else path / "walk.db3"
 
@@ -102,9 +143,15 @@ def by_mcap(path, rows, make, compression):
         for topic, kind, time, data in rows:
             if topic not in channels:
                 name = kind if make.ros1 else kind.replace("/", "/msg/")
-                text = make.store.generate_msgdef(kind.replace("/", "/msg/"), ros_version=2 - make.ros1)[0]
-                schema = writer.register_schema(name, "ros1msg" if make.ros1 else "ros2msg", text.encode())
-                channels[topic] = writer.register_channel(topic, "ros1" if make.ros1 else "cdr", schema)
+                text = make.store.generate_msgdef(
+                    kind.replace("/", "/msg/"), ros_version=2 - make.ros1
+                )[0]
+                schema = writer.register_schema(
+                    name, "ros1msg" if make.ros1 else "ros2msg", text.encode()
+                )
+                channels[topic] = writer.register_channel(
+                    topic, "ros1" if make.ros1 else "cdr", schema
+                )
             writer.add_message(channels[topic], time, data, time)
         writer.finish()
     return path

@@ -1,12 +1,12 @@
 r"""Width of the body from the edges of the bounding box at several offsets (Table 8).
 
-The width of the body does not affect its motion. It changes the lateral reach by half of the change on either
-side:
+The width of the body does not affect its motion. It changes the lateral reach by half
+of the change on either side:
 
 $$ e = e_0 + \tfrac12 (w - w_0) $$
 
-Here e is the reach to one side, and e₀ is the reach of a body of width w₀ with the same motion. One run of
-the plant with any width is therefore sufficient.
+Here e is the reach to one side, and e₀ is the reach of a body of width w₀ with the same
+motion. One run of the plant with any width is therefore sufficient.
 """
 
 from __future__ import annotations
@@ -49,7 +49,10 @@ class BoxEdges:
     def data_set(self, role: Role) -> DataSet:
         """Return the record of these data in a fit."""
         return DataSet(
-            f"offset {self.offset:g}", array_hash(np.array([self.offset, *self.measured])), role, 2
+            f"offset {self.offset:g}",
+            array_hash(np.array([self.offset, *self.measured])),
+            role,
+            2,
         )
 
 
@@ -72,10 +75,13 @@ def fit_width(
         change = values[WIDTH] - spec.geometry.width
         return [
             Residual(
-                f"offset {item.offset:g}", "m", np.subtract(item.measured, item.of_width(change)),
-                ROUNDING, role,
+                f"offset {item.offset:g}",
+                "m",
+                np.subtract(item.measured, item.of_width(change)),
+                ROUNDING,
+                role,
             )
             for item, role in roles
-        ]  # fmt: skip
+        ]
 
     return least_squares(residuals, free_parameters(spec, [WIDTH]))

@@ -31,8 +31,14 @@ SETTINGS = (
 
 def missing() -> str:
     """Return a message about missing programs, or an empty text."""
-    absent = [name for name in ("chromium", "chromedriver") if shutil.which(name) is None]
-    return f"no {' and no '.join(absent)} (apt-get install chromium chromium-driver)" if absent else ""
+    absent = [
+        name for name in ("chromium", "chromedriver") if shutil.which(name) is None
+    ]
+    return (
+        f"no {' and no '.join(absent)} (apt-get install chromium chromium-driver)"
+        if absent
+        else ""
+    )
 
 
 @contextmanager
@@ -43,7 +49,9 @@ def chromium(width: int = 800, height: int = 600) -> Iterator[webdriver.Chrome]:
     for setting in (*SETTINGS, f"--window-size={width},{height}"):
         options.add_argument(setting)
     options.set_capability("goog:loggingPrefs", {"performance": "ALL"})
-    driver = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+    driver = webdriver.Chrome(
+        options=options, service=Service(shutil.which("chromedriver"))
+    )
     try:
         yield driver
     finally:
@@ -51,11 +59,15 @@ def chromium(width: int = 800, height: int = 600) -> Iterator[webdriver.Chrome]:
 
 
 def picture(
-    driver: webdriver.Chrome, ready: Callable[[np.ndarray], bool], *, patience_s: float = 240.0
+    driver: webdriver.Chrome,
+    ready: Callable[[np.ndarray], bool],
+    *,
+    patience_s: float = 240.0,
 ) -> tuple[bytes, np.ndarray]:
     """Return a picture of the page when it is ready or time is up: PNG, and array (height, width, 3).
 
-    Without a GPU the page is slow, and a screenshot may exceed the time limit of selenium.
+    Without a GPU the page is slow, and a screenshot may exceed the time limit of
+    selenium.
     """
     deadline = time.monotonic() + patience_s
     while True:
@@ -73,8 +85,13 @@ def picture(
 
 def requested(driver: webdriver.Chrome) -> set[str]:
     """Return the URLs that were requested since the start or the last call."""
-    messages = (json.loads(entry["message"])["message"] for entry in driver.get_log("performance"))
-    requests = (entry for entry in messages if entry["method"] == "Network.requestWillBeSent")
+    messages = (
+        json.loads(entry["message"])["message"]
+        for entry in driver.get_log("performance")
+    )
+    requests = (
+        entry for entry in messages if entry["method"] == "Network.requestWillBeSent"
+    )
     return {entry["params"]["request"]["url"] for entry in requests}
 
 

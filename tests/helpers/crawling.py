@@ -31,7 +31,11 @@ class Crawl:
     @property
     def geometry(self) -> Geometry:
         return replace(
-            load_robot("gen2").geometry, connectors=5, segment_length=0.04, rigid_gap=0.01, width=0.03
+            load_robot("gen2").geometry,
+            connectors=5,
+            segment_length=0.04,
+            rigid_gap=0.01,
+            width=0.03,
         )
 
     @property
@@ -53,10 +57,19 @@ class Crawl:
         time = np.arange(round(self.duration * self.record_hz) + 1) / self.record_hz
         place, heading = self.path(time)
         beat = 2 * np.pi * self.frequency * time + self.phase
-        com = place + (self.sway[0] * np.sin(beat) + 1j * self.sway[1] * np.cos(beat)) * np.exp(1j * heading)
-        stations = np.linspace(0.5, -0.5, self.geometry.connectors) * self.geometry.body_length
+        com = place + (
+            self.sway[0] * np.sin(beat) + 1j * self.sway[1] * np.cos(beat)
+        ) * np.exp(1j * heading)
+        stations = (
+            np.linspace(0.5, -0.5, self.geometry.connectors) * self.geometry.body_length
+        )
         body = com[:, None] + stations * np.exp(1j * heading)[:, None]
-        columns = {"time": time, "com_x": com.real, "com_y": com.imag, "heading": heading}
+        columns = {
+            "time": time,
+            "com_x": com.real,
+            "com_y": com.imag,
+            "heading": heading,
+        }
         for i in range(self.geometry.connectors):
             columns |= {
                 f"x_{i + 1}": body[:, i].real,

@@ -20,8 +20,8 @@ class PrescribedBends(Pneumatics):
     """Bends that follow a given path in time instead of chambers.
 
     Args:
-        path: function of times, shape (times,); returns bends, rates and accelerations, each of shape
-            (times, segments).
+        path: function of times, shape (times,); returns bends, rates and accelerations,
+            each of shape (times, segments).
     """
 
     kind = "prescribed"
@@ -36,7 +36,11 @@ class PrescribedBends(Pneumatics):
         self.bend = self._at(np.zeros(1)).bend[0]
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: OptionalArray, bend_rate: OptionalArray
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: OptionalArray,
+        bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._at(self._elapsed + times)
         self.bend = self._at(np.array([self._elapsed + schedule.span])).bend[0]
@@ -52,7 +56,9 @@ class PrescribedBends(Pneumatics):
 class CurvatureWave(PrescribedBends):
     """Bends q_j = ∫ κ ds of segment j for κ = K cos 2π(n s + t/T), with s from the tail in body lengths."""
 
-    def __init__(self, spec: RobotSpec, *, amplitude: float, period: float, waves: float = 1.0) -> None:
+    def __init__(
+        self, spec: RobotSpec, *, amplitude: float, period: float, waves: float = 1.0
+    ) -> None:
         omega, wave_number = 2 * math.pi / period, 2 * math.pi * waves
         places = wave_number * (1 - np.arange(spec.segments + 1) / spec.segments)
         scale = amplitude / wave_number
@@ -69,9 +75,14 @@ class CurvatureWave(PrescribedBends):
 
 
 def continuous_snake(
-    forward: float, backward: float, transverse: float, *, law: str = "cosine", segments: int = 32,
+    forward: float,
+    backward: float,
+    transverse: float,
+    *,
+    law: str = "cosine",
+    segments: int = 32,
     points: int = 4,
-) -> RobotSpec:  # fmt: skip
+) -> RobotSpec:
     """Return a uniform body of 1 m and 1 kg with skin, whose segments bend over their whole length."""
     base = load_robot("gen2")
     return replace(

@@ -1,7 +1,7 @@
 """Decays of released segments, simulated from their own equation of motion, and the true answers.
 
-The equation is that of a body on a curve, with derivatives by complex steps. No equation of the package is
-used, only its names for the parts of a robot.
+The equation is that of a body on a curve, with derivatives by complex steps. No
+equation of the package is used, only its names for the parts of a robot.
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ class Swing:
         viscosity: viscous damping, N·m·s/rad.
         branches: stiffness (N·m/rad) and relaxation time (s) of Maxwell branches.
         rest: rest bend, rad.
-        gain, dead, growth: gain of the chambers (rad/Pa), dead volume (m³), volume per bend (m³/rad).
+        gain, dead, growth: gain of the chambers (rad/Pa), dead volume (m³), volume per
+            bend (m³/rad).
         closed: whether the valves are closed.
         leak: leak rate, 1/s.
-        leads: whether the viscosity opposes the deviation from the free bend instead of the bend.
+        leads: whether the viscosity opposes the deviation from the free bend instead of
+            the bend.
     """
 
     length: float
@@ -73,12 +75,16 @@ class Swing:
 
     def hanging(self) -> float:
         """Return the bend at rest with open valves, rad."""
-        return brentq(lambda q: self.stiffness * (self.rest - q) + self.weight(q), -3.0, 3.0001)
+        return brentq(
+            lambda q: self.stiffness * (self.rest - q) + self.weight(q), -3.0, 3.0001
+        )
 
     def volumes(self, q: float) -> np.ndarray:
         return self.dead + self.growth * np.maximum(0.0, [q, -q])
 
-    def record(self, bend: float, hold: float, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def record(
+        self, bend: float, hold: float, time: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return bends at times after the release, rad, and the amounts of air at the end, J.
 
         The valves are closed at rest. Then the segment is bent within `RAMP` and held.
@@ -95,37 +101,70 @@ class Swing:
 
         def waiting(t: float, state: np.ndarray) -> np.ndarray:
             bending = (bend - start) / RAMP if t < -hold else 0.0
-            branches = [-g * bending - e / tau for (g, tau), e in zip(self.branches, state[2:], strict=True)]
-            return np.array([*(-self.leak * (state[:2] - AMBIENT * self.volumes(held(t)))), *branches])
+            branches = [
+                -g * bending - e / tau
+                for (g, tau), e in zip(self.branches, state[2:], strict=True)
+            ]
+            return np.array(
+                [
+                    *(-self.leak * (state[:2] - AMBIENT * self.volumes(held(t)))),
+                    *branches,
+                ]
+            )
 
         calm = [*(AMBIENT * self.volumes(start)), *np.zeros(len(self.branches))]
-        wait = solve_ivp(waiting, (-hold - RAMP, 0.0), calm, "DOP853", rtol=1e-8, atol=1e-12, max_step=0.01)
+        wait = solve_ivp(
+            waiting,
+            (-hold - RAMP, 0.0),
+            calm,
+            "DOP853",
+            rtol=1e-8,
+            atol=1e-12,
+            max_step=0.01,
+        )
         amount, strained = wait.y[:2, -1], wait.y[2:, -1]
 
         def slope(t: float, state: np.ndarray) -> np.ndarray:
             q, v = state[:2]
             free, free_rate, flow = self.rest, 0.0, np.zeros(2)
             if self.closed:
-                space, widening = self.volumes(q), self.growth * v * np.array([q > 0, -1.0 * (q < 0)])
+                space, widening = (
+                    self.volumes(q),
+                    self.growth * v * np.array([q > 0, -1.0 * (q < 0)]),
+                )
                 flow = -self.leak * (state[2:4] - AMBIENT * space)
                 pressure = state[2:4] / space
                 change = (flow - pressure * widening) / space
                 free += self.gain * (pressure[0] - pressure[1])
                 free_rate = self.gain * (change[0] - change[1])
             deviation_rate = (free_rate if self.leads else 0.0) - v
-            moment = self.stiffness * (free - q) + self.viscosity * deviation_rate + state[4:].sum()
+            moment = (
+                self.stiffness * (free - q)
+                + self.viscosity * deviation_rate
+                + state[4:].sum()
+            )
             moment += self.weight(q)
             h = 1e-5
             bending = (self.inertial(q + h) - self.inertial(q - h)) / (2 * h)
             branches = [
-                g * (free_rate - v) - e / tau for (g, tau), e in zip(self.branches, state[4:], strict=True)
+                g * (free_rate - v) - e / tau
+                for (g, tau), e in zip(self.branches, state[4:], strict=True)
             ]
-            return np.array([v, (moment - bending * v * v / 2) / self.inertial(q), *flow, *branches])
+            return np.array(
+                [v, (moment - bending * v * v / 2) / self.inertial(q), *flow, *branches]
+            )
 
         after = time[time >= 0]
         initial = [bend, 0.0, *amount, *strained]
         done = solve_ivp(
-            slope, (0.0, after[-1]), initial, "DOP853", after, rtol=1e-8, atol=1e-10, max_step=0.01
+            slope,
+            (0.0, after[-1]),
+            initial,
+            "DOP853",
+            after,
+            rtol=1e-8,
+            atol=1e-10,
+            max_step=0.01,
         )
         return np.concatenate([held(time[time < 0]), done.y[0]]), done.y[2:4, -1]
 
@@ -145,7 +184,9 @@ class Swing:
 
         if amount is None:
             amount = AMBIENT * self.volumes(self.hanging())
-        q = brentq(lambda q: self.stiffness * (free(q) - q) + self.weight(q), -3.0, 3.0001)
+        q = brentq(
+            lambda q: self.stiffness * (free(q) - q) + self.weight(q), -3.0, 3.0001
+        )
         stiffening = -(self.weight(q + h) - self.weight(q - h)) / (2 * h)
         share = (free(q - h) - free(q + h)) / (2 * h)
 
@@ -159,7 +200,9 @@ class Swing:
 
         def root(parts_of: np.ndarray) -> list[float]:
             s = complex(*parts_of)
-            left = (self.inertial(q) * s * s + parts(s)[1] + stiffening) / self.stiffness
+            left = (
+                self.inertial(q) * s * s + parts(s)[1] + stiffening
+            ) / self.stiffness
             return [left.real, left.imag]
 
         stiff = self.stiffness + sum(g for g, _ in self.branches)
@@ -168,9 +211,10 @@ class Swing:
         omega = abs(float(found[1]))
         material, total = parts(1j * omega)
         return {
-            "frequency": omega / (2 * math.pi), "stiffness": material.real,
+            "frequency": omega / (2 * math.pi),
+            "stiffness": material.real,
             "loss_factor": total.imag / total.real,
-        }  # fmt: skip
+        }
 
 
 LAWS = ("leading", "following", "maxwell")
@@ -182,7 +226,8 @@ class Recorded:
     """Decay of a robot that no fit was tuned on.
 
     Attributes:
-        spec: robot with its geometry and chambers; its stiffness and damping are not the true ones.
+        spec: robot with its geometry and chambers; its stiffness and damping are not
+            the true ones.
         body: hanging body.
         swing: true segment.
         time: times, s.
@@ -214,7 +259,10 @@ def draw(seed: int, law: str, *, closed: bool) -> Recorded:
     spec = load_robot(("gen2", "gen4")[rng.integers(2)])
     g, chamber = spec.geometry, spec.chamber
     length, gap = g.segment_length * rng.uniform(0.8, 1.25), rng.uniform(0.0, 0.02)
-    dead, growth = chamber.dead_volume * rng.uniform(1, 4), chamber.displacement * rng.uniform(0.5, 1.2)
+    dead, growth = (
+        chamber.dead_volume * rng.uniform(1, 4),
+        chamber.displacement * rng.uniform(0.5, 1.2),
+    )
     spec = replace(
         spec,
         geometry=replace(g, segment_length=length, rigid_gap=gap),
@@ -225,16 +273,36 @@ def draw(seed: int, law: str, *, closed: bool) -> Recorded:
     inertia = mass * rng.uniform(0.01, 0.03) ** 2
     rest, leak, gain = rng.normal(0.0, 0.05), between(0.02, 2.0), spec.actuator.gain
     swing = Swing(
-        length, gap, mass, inertia, stiffness, 0.0, (), rest, gain, dead, growth, closed, leak,
+        length,
+        gap,
+        mass,
+        inertia,
+        stiffness,
+        0.0,
+        (),
+        rest,
+        gain,
+        dead,
+        growth,
+        closed,
+        leak,
         law != "following",
-    )  # fmt: skip
+    )
     omega = 2 * math.pi * swing.answers()["frequency"]
     if law == "maxwell":
         spread = rng.uniform(2.0, 6.0)
-        x = np.array([1 / spread, 1.0, spread] if rng.integers(2) else [spread**-0.5, spread**0.5])
+        x = np.array(
+            [1 / spread, 1.0, spread]
+            if rng.integers(2)
+            else [spread**-0.5, spread**0.5]
+        )
         strength = loss * stiffness / (x / (1 + x**2)).sum()
         relaxed = stiffness - strength * (x**2 / (1 + x**2)).sum()
-        swing = replace(swing, stiffness=relaxed, branches=tuple((strength, tau / omega) for tau in x))
+        swing = replace(
+            swing,
+            stiffness=relaxed,
+            branches=tuple((strength, tau / omega) for tau in x),
+        )
     else:
         swing = replace(swing, viscosity=stiffness * loss / omega)
     frequency = swing.answers()["frequency"]
@@ -246,4 +314,6 @@ def draw(seed: int, law: str, *, closed: bool) -> Recorded:
     bends, amount = swing.record(bend, hold, time)
     noisy = bends + rng.normal(0.0, rng.uniform(5e-4, 4e-3), len(time))
     answers = swing.answers(amount)
-    return Recorded(spec, HangingBody(mass, inertia), swing, time - time[0], noisy, answers)
+    return Recorded(
+        spec, HangingBody(mass, inertia), swing, time - time[0], noisy, answers
+    )

@@ -1,10 +1,10 @@
 """Test rig for `examples/firmware`: the files themselves in MicroPython's Unix port, with broker and link.
 
-`machine` and `network` are stubs (`firmware_stubs`). Pins and watchdog write a log with times of the
-monotonic clock that all processes of a machine share. `Robot` reads it and acts as the hardware would: a
-processor that hangs leaves its pins as they are, and the watchdog's reset sets them low. The controller
-(`python firmware_rig.py PORT LOG`) numbers its commands by the pattern of the valves, so the pins show which
-one is obeyed.
+`machine` and `network` are stubs (`firmware_stubs`). Pins and watchdog write a log with
+times of the monotonic clock that all processes of a machine share. `Robot` reads it and
+acts as the hardware would: a processor that hangs leaves its pins as they are, and the
+watchdog's reset sets them low. The controller (`python firmware_rig.py PORT LOG`)
+numbers its commands by the pattern of the valves, so the pins show which one is obeyed.
 """
 
 from __future__ import annotations
@@ -46,7 +46,10 @@ def micropython() -> list[str] | None:
     if result := shutil.which("micropython", path=os.environ.get("PATH", "")):
         return [result]
     if importlib.util.find_spec("micropython_run"):
-        code = "import sys, micropython_run as m; sys.exit(m.run_main(['micropython', *sys.argv[1:]]))"
+        code = (
+            "import sys, micropython_run as m; sys.exit(m.run_main(['micropython',"
+            " *sys.argv[1:]]))"
+        )
         return [sys.executable, "-c", code]
     return None
 
@@ -57,7 +60,7 @@ def lay(folder: Path, port: int) -> None:
         shutil.copy(file, folder)
     board = folder / "board.py"
     text = board.read_text("utf-8")
-    for line in ('BROKER, PORT = "127.0.0.1", %d' % port, "GRACE_MS = 0"):  # noqa: UP031
+    for line in (f'BROKER, PORT = "127.0.0.1", {port}', "GRACE_MS = 0"):
         text, count = re.subn(rf"(?m)^{line.split(' = ')[0]} = .*$", line, text)
         assert count == 1
     board.write_text(text, "utf-8")
@@ -66,7 +69,9 @@ def lay(folder: Path, port: int) -> None:
 def pattern(number: int) -> np.ndarray:
     """Return the valve states (segments, 2) of a command: bits of 1 to 255."""
     bits = number % PATTERNS + 1
-    return np.array([1 if bits >> k & 1 else -1 for k in range(2 * SEGMENTS)]).reshape(SEGMENTS, 2)
+    return np.array([1 if bits >> k & 1 else -1 for k in range(2 * SEGMENTS)]).reshape(
+        SEGMENTS, 2
+    )
 
 
 class Cause(Enum):
@@ -106,7 +111,8 @@ class Robot:
     Attributes:
         folder: of the firmware; the log as well.
         feeds: (time, bits of the open valves) of each feed, s.
-        closings: (time, bits before, time of the last feed, cause) of each time at which all valves closed.
+        closings: (time, bits before, time of the last feed, cause) of each time at
+            which all valves closed.
         resets: times of the watchdog's resets, s.
     """
 
@@ -133,7 +139,11 @@ class Robot:
         environment = {**os.environ, "FIRMWARE_LOG": str(self._log)}
         with (self.folder / "errors").open("ab") as errors:
             self.process = subprocess.Popen(
-                [*command, "main.py"], cwd=self.folder, env=environment, stderr=errors, stdout=errors
+                [*command, "main.py"],
+                cwd=self.folder,
+                env=environment,
+                stderr=errors,
+                stdout=errors,
             )
 
     def _supervise(self) -> None:
@@ -150,7 +160,9 @@ class Robot:
         self._follow()
         self.resets.append(now)
         if self._before:
-            at, cause = (now, Cause.RESET) if self._bits else (self._closed, Cause.ERROR)
+            at, cause = (
+                (now, Cause.RESET) if self._bits else (self._closed, Cause.ERROR)
+            )
             self.closings.append((at, self._before, self._fed, cause))
         self._pins.clear()
         self._bits = self._before = 0
@@ -170,14 +182,18 @@ class Robot:
     def _take(self, at: float, kind: str, values: list[str]) -> None:
         if kind == "pin" and int(values[0]) in _VALVES:
             self._pins[int(values[0])] = float(values[1])
-            self._bits = sum(1 << k for k, pin in enumerate(_VALVES) if self._pins.get(pin, 0) > 0)
+            self._bits = sum(
+                1 << k for k, pin in enumerate(_VALVES) if self._pins.get(pin, 0) > 0
+            )
             if not self._bits:
                 self._closed = at
         elif kind == "watchdog":
             self._armed, self._fed = True, at
         elif kind == "feed":
             if self._before and not self._bits:
-                self.closings.append((self._closed, self._before, self._fed, Cause.EXPIRY))
+                self.closings.append(
+                    (self._closed, self._before, self._fed, Cause.EXPIRY)
+                )
             self._fed, self._before = at, self._bits
             self.feeds.append((at, self._bits))
 
@@ -210,9 +226,15 @@ class Broker:
 
     def __init__(self, folder: Path, port: int) -> None:
         self._conf = folder / "rig_broker.conf"
-        lines = (f"listener {port} 127.0.0.1", "persistence false", "user root", "log_dest none")
+        lines = (
+            f"listener {port} 127.0.0.1",
+            "persistence false",
+            "user root",
+            "log_dest none",
+        )
         self._conf.write_text(
-            "\n".join((*lines, "allow_anonymous true", "set_tcp_nodelay true", "")), "utf-8"
+            "\n".join((*lines, "allow_anonymous true", "set_tcp_nodelay true", "")),
+            "utf-8",
         )
         self._port = port
         self.start()
@@ -258,7 +280,9 @@ class Wire:
                 for one, other in ((near, far), (far, near)):
                     one.settimeout(None)
                     one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                    threading.Thread(target=self._pump, args=(one, other), daemon=True).start()
+                    threading.Thread(
+                        target=self._pump, args=(one, other), daemon=True
+                    ).start()
                 self._ends = [near, far]
 
     def _pump(self, one: socket.socket, other: socket.socket) -> None:
@@ -295,7 +319,9 @@ class Controller:
 
     def start(self) -> None:
         """Start it; it continues its numbers."""
-        self.process = subprocess.Popen([sys.executable, __file__, str(self._port), str(self._log)])
+        self.process = subprocess.Popen(
+            [sys.executable, __file__, str(self._port), str(self._log)]
+        )
 
     def kill(self) -> None:
         """End it at once."""
@@ -305,7 +331,10 @@ class Controller:
     def sent(self) -> list[tuple[int, float]]:
         """Return (bits of the valves, time in s) of all commands."""
         lines = self._log.read_text("utf-8").split("\n")[:-1]
-        return [(int(number) % PATTERNS + 1, float(at)) for number, at in (line.split() for line in lines)]
+        return [
+            (int(number) % PATTERNS + 1, float(at))
+            for number, at in (line.split() for line in lines)
+        ]
 
 
 class Rig:
@@ -328,18 +357,29 @@ class Rig:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for close in (self.controller.kill, self.robot.close, self.wire.close, self.broker.kill):
+        for close in (
+            self.controller.kill,
+            self.robot.close,
+            self.wire.close,
+            self.broker.kill,
+        ):
             close()
 
     def vents(self) -> list[Vent]:
         """Return when and after which command all chambers were vented, so far."""
         sent = self.controller.sent()
-        return [Vent(at, latest(sent, bits, fed), fed, cause) for at, bits, fed, cause in self.robot.closings]
+        return [
+            Vent(at, latest(sent, bits, fed), fed, cause)
+            for at, bits, fed, cause in self.robot.closings
+        ]
 
     def oldest(self) -> float:
         """Return the largest age of a command at the time at which the valves were set for it, s."""
         sent = self.controller.sent()
-        return max((at - latest(sent, bits, at) for at, bits in self.robot.feeds if bits), default=0.0)
+        return max(
+            (at - latest(sent, bits, at) for at, bits in self.robot.feeds if bits),
+            default=0.0,
+        )
 
 
 def latest(sent: list[tuple[int, float]], bits: int, before: float) -> float:

@@ -10,7 +10,9 @@ from srs_twin import AnalyticalSnake, Gait, TwinSnake
 from srs_twin.pneumatics import Trace
 
 
-def free_bends(plant: AnalyticalSnake | TwinSnake, gait: Gait, times: np.ndarray) -> Trace:
+def free_bends(
+    plant: AnalyticalSnake | TwinSnake, gait: Gait, times: np.ndarray
+) -> Trace:
     """Return the trace of a plant's chambers in a gait from rest, at some times (s)."""
     gait, chambers = copy.copy(gait), copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)

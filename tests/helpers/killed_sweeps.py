@@ -40,7 +40,9 @@ class Kills:
     rows: list[int] = field(default_factory=list)
 
 
-def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: float) -> Kills:
+def disturbed(
+    sweep: Path, out: Path, kills: int, rng: random.Random, longest: float
+) -> Kills:
     """Run a sweep to its end while its processes are killed a number of times.
 
     Args:
@@ -48,8 +50,8 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
         out: folder of the results.
         kills: number of kills.
         rng: random generator for times and victims.
-        longest: longest time to the next kill, s, from a start or the death of a worker, or (with probability
-            0.7) from the first row after it.
+        longest: longest time to the next kill, s, from a start or the death of a
+            worker, or (with probability 0.7) from the first row after it.
 
     Raises:
         RuntimeError: the sweep failed by itself, or ended before all kills.
@@ -64,9 +66,14 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
             if _ended(process, rng.uniform(0, longest)):
                 if process.returncode == WORKERS_DIED:
                     break
-                raise RuntimeError(f"complete after only {sum(result.victims.values())} kills: use more runs")
+                raise RuntimeError(
+                    f"complete after only {sum(result.victims.values())} kills: use"
+                    " more runs"
+                )
             who, pid = _victim(process.pid, rng)
-            with contextlib.suppress(ProcessLookupError):  # ended by itself, or with its server, just now
+            with contextlib.suppress(
+                ProcessLookupError
+            ):  # ended by itself, or with its server, just now
                 os.kill(pid, signal.SIGKILL)
                 result.victims[who] += 1
             if who == "sweep":
@@ -75,17 +82,29 @@ def disturbed(sweep: Path, out: Path, kills: int, rng: random.Random, longest: f
         result.rows.append(rows(out))
         if code == 0:
             return result
-        # A point whose workers were killed three times in a row becomes a failed row, which is repeated.
-        # The sweep itself ends if three workers in a row are killed before they begin.
+        # A point whose workers were killed three times in a row becomes a failed row,
+        # which is repeated. The sweep itself ends if three workers in a row are killed
+        # before they begin.
         if code not in (-signal.SIGKILL, WORKERS_DIED):
             raise RuntimeError(
-                f"the sweep ended with {code}: {process.stderr.read() if process.stderr else ''}"
+                f"the sweep ended with {code}:"
+                f" {process.stderr.read() if process.stderr else ''}"
             )
 
 
 def start(sweep: Path, out: Path) -> subprocess.Popen[str]:
     """Start a sweep with two workers."""
-    words = [str(COMMAND), "sweep", str(sweep), "--out", str(out), "--workers", "2", "-q", "--retry-failed"]
+    words = [
+        str(COMMAND),
+        "sweep",
+        str(sweep),
+        "--out",
+        str(out),
+        "--workers",
+        "2",
+        "-q",
+        "--retry-failed",
+    ]
     return subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
 
 
@@ -103,7 +122,10 @@ def _victim(sweep: int, rng: random.Random) -> tuple[str, int]:
 def children(pid: int) -> list[int]:
     """Return the child processes of a process."""
     try:
-        return [int(item) for item in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+        return [
+            int(item)
+            for item in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        ]
     except (FileNotFoundError, ProcessLookupError):
         return []
 

@@ -3,8 +3,8 @@
     uv run python tests/helpers/language.py                  # share of suspicious sentences by room
     uv run python tests/helpers/language.py PATH…            # the sentences themselves
 
-Reads docstrings, comments and help texts of Python files and the prose of Markdown pages. A hit is a place to
-look at: rewrite the sentence instead of swapping the word.
+Reads docstrings, comments and help texts of Python files and the prose of Markdown
+pages. A hit is a place to look at: rewrite the sentence instead of swapping the word.
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ _COUNTED = (
 )
 PATTERNS = {
     "clause as subject": r"^What (?!is\?|are\?)",
-    "verb + what": r"\b(return|say|take|give|write|show|know|find|yield|hold|read|add)s? what\b",
+    "verb + what": (
+        r"\b(return|say|take|give|write|show|know|find|yield|hold|read|add)s? what\b"
+    ),
     "whoever": r"\b(whoever|whatever|nobody|somebody|anybody|anyhow|anew)\b",
     "tell": r"\b(told|tells|tell of|telling of|untold)\b",
     "go": r"\b(goes by|goes on|go on|goes|went)\b",
@@ -48,7 +50,10 @@ PATTERNS = {
     "say whether": r"^(Say|Tell|See) (whether|that|what)\b",
     "the text": r"\bthe text(?:'s)?\b",
 }
-_COMPILED = {name: re.compile(p, 0 if p.startswith("^") else re.IGNORECASE) for name, p in PATTERNS.items()}
+_COMPILED = {
+    name: re.compile(p, 0 if p.startswith("^") else re.IGNORECASE)
+    for name, p in PATTERNS.items()
+}
 
 
 class Hit(NamedTuple):
@@ -69,9 +74,13 @@ class Hit(NamedTuple):
 
 def sentences(path: Path) -> Iterator[tuple[int, str]]:
     """Yield the line and text of each sentence; code and formulas are replaced by X."""
-    for line, block in (_python if path.suffix == ".py" else _markdown)(path.read_text("utf-8")):
+    for line, block in (_python if path.suffix == ".py" else _markdown)(
+        path.read_text("utf-8")
+    ):
         for sentence in re.split(r"(?<=[.:;?!])\s|\n\s*\n", block):
-            text = " ".join(re.sub(r"``[^`]*``|`[^`]*`|\$[^$]*\$", "X", sentence).split())
+            text = " ".join(
+                re.sub(r"``[^`]*``|`[^`]*`|\$[^$]*\$", "X", sentence).split()
+            )
             if len(re.findall(r"[A-Za-z]{2,}", text)) > 2:
                 yield line, text
 
@@ -97,8 +106,14 @@ def rooms() -> dict[str, list[Path]]:
     package = ROOT / "srs_twin"
     found: dict[str, list[Path]] = {}
     for path in sorted(package.rglob("*.py")):
-        found.setdefault(path.relative_to(package).with_suffix("").parts[0], []).append(path)
-    found["docs"] = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+        found.setdefault(path.relative_to(package).with_suffix("").parts[0], []).append(
+            path
+        )
+    found["docs"] = [
+        *sorted((ROOT / "docs").rglob("*.md")),
+        ROOT / "README.md",
+        ROOT / "CONTRIBUTING.md",
+    ]
     found["changelog"] = [ROOT / "CHANGELOG.md"]
     for folder in ("tests", "benchmarks", "examples"):
         found[folder] = sorted((ROOT / folder).rglob("*.py"))
@@ -112,14 +127,23 @@ def _python(text: str) -> Iterator[tuple[int, str]]:
         for child in body if isinstance(body, list) else ():
             value = child.value if isinstance(child, ast.Expr) else None
             if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                yield value.lineno, re.sub(r"\$\$.*?\$\$", "", value.value, flags=re.DOTALL)
+                yield (
+                    value.lineno,
+                    re.sub(r"\$\$.*?\$\$", "", value.value, flags=re.DOTALL),
+                )
         if isinstance(node, ast.Call):
             for keyword in node.keywords:
                 value = keyword.value
-                if keyword.arg == "help" and isinstance(value, ast.Constant) and isinstance(value.value, str):
+                if (
+                    keyword.arg == "help"
+                    and isinstance(value, ast.Constant)
+                    and isinstance(value.value, str)
+                ):
                     yield value.lineno, value.value
     for token in tokenize.generate_tokens(io.StringIO(text).readline):
-        if token.type == tokenize.COMMENT and not token.string.startswith(("# type:", "# noqa", "# fmt")):
+        if token.type == tokenize.COMMENT and not token.string.startswith(
+            ("# type:", "# noqa", "# fmt")
+        ):
             yield token.start[0], token.string.lstrip("#: ")
 
 
@@ -140,9 +164,15 @@ def main() -> None:
         return
     for name in sys.argv[1:]:
         place = Path(name)
-        for path in sorted([*place.rglob("*.py"), *place.rglob("*.md")]) if place.is_dir() else [place]:
+        for path in (
+            sorted([*place.rglob("*.py"), *place.rglob("*.md")])
+            if place.is_dir()
+            else [place]
+        ):
             for hit in hits(path):
-                print(f"{path}:{hit.line}: {hit.sentence}   [{', '.join(hit.patterns)}]")
+                print(
+                    f"{path}:{hit.line}: {hit.sentence}   [{', '.join(hit.patterns)}]"
+                )
 
 
 if __name__ == "__main__":

@@ -70,7 +70,9 @@ class Run:
             self.modules.step(self.controller.step(state))
             signals = self.controller.signals()
             self.bend.append(sensed)
-            self.duty.append(np.stack([signals["duty_plus"], signals["duty_minus"]], axis=-1))
+            self.duty.append(
+                np.stack([signals["duty_plus"], signals["duty_minus"]], axis=-1)
+            )
             self.events += self.controller.events()
         return self
 
@@ -80,8 +82,8 @@ class Run:
     def amplitudes(self) -> np.ndarray:
         """Return the peak bends per period that begins with a fill, shape (periods, segments, 2).
 
-        Segment j + 1 lags by a quarter of a period, and the − chamber by half a period. A fill that runs at
-        the start counts as the first.
+        Segment j + 1 lags by a quarter of a period, and the − chamber by half a period.
+        A fill that runs at the start counts as the first.
         """
         bend, length = np.array(self.bend), round(1 / self.controller.frequency / TICK)
         peaks = []
@@ -90,7 +92,10 @@ class Run:
                 lag = (j / 4 + side / 2) % 1
                 begin = round((lag if lag <= 0.5 else lag - 1) * length)
                 ends = range(begin + length, len(bend) + 1, length)
-                # The peak is read one tick after the end of the fill, well inside the period.
-                peaks.append([(sign * bend[max(end - length, 0) : end, j]).max() for end in ends])
+                # The peak is read one tick after the end of the fill, well inside the
+                # period.
+                peaks.append(
+                    [(sign * bend[max(end - length, 0) : end, j]).max() for end in ends]
+                )
         whole = min(map(len, peaks))
         return np.array([peak[:whole] for peak in peaks]).T.reshape(whole, SEGMENTS, 2)

@@ -1,7 +1,8 @@
 """Emulated robots and their shadows in simulated time, with lost and late messages.
 
-Modules spread by 10 %, chambers of compressible flow, 0.02 rad of noise. Of the messages 5 % are lost, the
-rest late by up to 20 ms; motion capture has 30 frames per second.
+Modules spread by 10 %, chambers of compressible flow, 0.02 rad of noise. Of the
+messages 5 % are lost, the rest late by up to 20 ms; motion capture has 30 frames per
+second.
 """
 
 from __future__ import annotations
@@ -22,7 +23,15 @@ from srs_twin import Gait, RobotSpec, load_robot, load_scenario
 from srs_twin.live.commands import SILENT_S
 from srs_twin.live.emulator import EmulatedRobot
 from srs_twin.live.estimate import Estimate, Prediction
-from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, SUPPLY, VALVES, Message
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    POSES,
+    PRESSURES,
+    SUPPLY,
+    VALVES,
+    Message,
+)
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import EstimateSteering
 from srs_twin.plants.twin.snake import TwinSnake
@@ -78,7 +87,8 @@ class Run:
         tau_spread: of their time constants.
         gain_spread: of the modules' gains.
         supply_kpa: of its supply; None: the robot's nominal one.
-        supply: "droop:SHARE" or "outage" from `changes_s` on, "wander", or empty: constant.
+        supply: "droop:SHARE" or "outage" from `changes_s` on, "wander", or empty:
+            constant.
         variant: one of `ROBOTS`.
         motion: "walk", "stand", "stop and go" or "hold".
         poor_sensors: whether bend sensors have a gain, an offset and a drift.
@@ -118,28 +128,45 @@ class Run:
     def supply_share(self, time: float) -> float:
         """Return the pressure of the supply as a share of the nominal one."""
         if self.supply.startswith("droop"):
-            return float(self.supply.partition(":")[2]) if time >= self.changes_s else 1.0
+            return (
+                float(self.supply.partition(":")[2]) if time >= self.changes_s else 1.0
+            )
         if self.supply == "outage":
             return OUTAGE[0] if 0 <= time - self.changes_s < OUTAGE[1] else 1.0
         if self.supply == "wander":
             low, (shortest, longest) = WANDER
             phase, where = np.random.default_rng((self.seed, 7)).random(2)
             period = shortest + where * (longest - shortest)
-            return float(low + (1 - low) * (0.5 + 0.5 * np.cos(2 * np.pi * (time / period + phase))))
+            return float(
+                low
+                + (1 - low) * (0.5 + 0.5 * np.cos(2 * np.pi * (time / period + phase)))
+            )
         return 1.0
 
     def emulated(
-        self, noise_rad: float = NOISE_RAD, fault: bool = True, start: tuple[float, float, float] = (0, 0, 0)
+        self,
+        noise_rad: float = NOISE_RAD,
+        fault: bool = True,
+        start: tuple[float, float, float] = (0, 0, 0),
     ) -> EmulatedRobot:
         """Return the robot."""
         faults = [self.fault] if fault and self.fault else []
         changes = dict(ROBOTS[self.variant])
-        changes["modules"] = {"tau_spread": self.tau_spread} | changes.get("modules", {})
+        changes["modules"] = {"tau_spread": self.tau_spread} | changes.get(
+            "modules", {}
+        )
         return EmulatedRobot(
-            self.robot, seed=self.seed, faults=faults, noise_rad=noise_rad,
-            pneumatics=self.pneumatics, gain_spread=self.gain_spread, supply_kpa=self.supply_kpa, start=start,
-            tick=self.tick, changes=changes,
-        )  # fmt: skip
+            self.robot,
+            seed=self.seed,
+            faults=faults,
+            noise_rad=noise_rad,
+            pneumatics=self.pneumatics,
+            gain_spread=self.gain_spread,
+            supply_kpa=self.supply_kpa,
+            start=start,
+            tick=self.tick,
+            changes=changes,
+        )
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:
         """Yield the valve states of each tick: a gait that crawls straight, left, right."""
@@ -158,7 +185,9 @@ class Run:
             elif self.motion == "hold":
                 if k % round(HOLDS_S / tick) == 0:
                     side = rng.integers(0, 3, segments)
-                    held = np.stack([np.where(side == each, 1.0, -1.0) for each in (0, 1)], axis=1)
+                    held = np.stack(
+                        [np.where(side == each, 1.0, -1.0) for each in (0, 1)], axis=1
+                    )
                 yield held
             else:
                 valves = gait.valves_at(time)
@@ -177,8 +206,10 @@ class Recording:
 
     Attributes:
         run: conditions.
-        updates: time of an update of the shadow (s), and the messages that arrived since the one before.
-        truth: time (s), bends (rad), centre of mass (m), heading (rad), shape (ticks, segments + 4).
+        updates: time of an update of the shadow (s), and the messages that arrived
+            since the one before.
+        truth: time (s), bends (rad), centre of mass (m), heading (rad), shape (ticks,
+            segments + 4).
         spec: the robot as it was.
         supply_pa: nominal pressure of its supply, gauge, Pa.
     """
@@ -206,11 +237,18 @@ class Wire:
         self._run, self._rng, self._count = run, np.random.default_rng((run.seed, 5)), 0
         self._waiting: list[tuple[float, int, Message]] = []
         self._frame_due = self._due = 0.0
-        draws = np.random.default_rng((run.seed, 6)).normal(size=(3, load_robot(run.robot).segments))
+        draws = np.random.default_rng((run.seed, 6)).normal(
+            size=(3, load_robot(run.robot).segments)
+        )
         self._poor = draws * run.poor_sensors
 
     def send(
-        self, kind: str, source: str, time: float, values: np.ndarray, names: tuple[str, ...] = ()
+        self,
+        kind: str,
+        source: str,
+        time: float,
+        values: np.ndarray,
+        names: tuple[str, ...] = (),
     ) -> None:
         """Send a message."""
         self._count += 1
@@ -236,10 +274,17 @@ class Wire:
             if run.tells_supply:
                 self.send(SUPPLY, run.robot, time, np.array(robot.supply_now_pa))
         if time <= run.cameras_s and time >= self._frame_due:
-            self._frame_due = max(self._frame_due + 1 / run.camera_hz, time - robot.tick)
+            self._frame_due = max(
+                self._frame_due + 1 / run.camera_hz, time - robot.tick
+            )
             seen = {f"connector_{i}": b for i, b in robot.bodies().items() if b.tracked}
             rows = [
-                [b.place[0], -b.place[2], b.place[1], 2 * np.arctan2(b.turn[1], b.turn[3])]
+                [
+                    b.place[0],
+                    -b.place[2],
+                    b.place[1],
+                    2 * np.arctan2(b.turn[1], b.turn[3]),
+                ]
                 for b in seen.values()
             ]
             self.send(POSES, "natnet", time, np.array(rows).reshape(-1, 4), tuple(seen))
@@ -266,9 +311,15 @@ def _record(run: Run) -> Recording:
 
 
 def _updates(
-    run: Run, robot: EmulatedRobot, wire: Wire, commands: Sequence[np.ndarray], first: int, last: int,
-    readings: list[np.ndarray] | None = None, truth: list[np.ndarray] | None = None,
-) -> list[tuple[float, list[Message]]]:  # fmt: skip
+    run: Run,
+    robot: EmulatedRobot,
+    wire: Wire,
+    commands: Sequence[np.ndarray],
+    first: int,
+    last: int,
+    readings: list[np.ndarray] | None = None,
+    truth: list[np.ndarray] | None = None,
+) -> list[tuple[float, list[Message]]]:
     """Run a robot for some ticks; return the messages that arrive, and fill noiseless readings and truth."""
     updates, every = [], round(TAKES_S / robot.tick)
     frozen = np.full(robot.segments, np.nan)
@@ -280,11 +331,17 @@ def _updates(
         state = robot.state
         if readings is not None:
             kept = robot._rng, robot._noise, robot._frozen
-            robot._rng, robot._noise, robot._frozen = np.random.default_rng(0), 0.0, frozen
+            robot._rng, robot._noise, robot._frozen = (
+                np.random.default_rng(0),
+                0.0,
+                frozen,
+            )
             readings.append(robot.bends())
             robot._rng, robot._noise, robot._frozen = kept
         if truth is not None:
-            truth.append(np.array([time, *state.bend, *state.com, float(state.heading)]))
+            truth.append(
+                np.array([time, *state.bend, *state.com, float(state.heading)])
+            )
         if (k + 1) % every == 0:
             updates.append((time, wire.arrived(time)))
     return updates
@@ -322,19 +379,27 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
         if told is not None:
             wire.send(COMMAND, run.robot, time, told)
         for obstacle in scenario.world.obstacles:
-            off = np.hypot(*(state.position - [obstacle.x, obstacle.y]).T).min() - obstacle.radius
+            off = (
+                np.hypot(*(state.position - [obstacle.x, obstacle.y]).T).min()
+                - obstacle.radius
+            )
             clearance = min(clearance, float(off) - robot.twin.spec.geometry.width / 2)
     return {
-        "seed": run.seed, "fault": run.fault, **steering.summary(),
-        "clearance_m": clearance, "faults": faults, "time_s": time,
+        "seed": run.seed,
+        "fault": run.fault,
+        **steering.summary(),
+        "clearance_m": clearance,
+        "faults": faults,
+        "time_s": time,
         "pose": [*robot.state.com.tolist(), float(robot.state.heading)],
-    }  # fmt: skip
+    }
 
 
 def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
     """Return estimates, predictions and true values of a run, one row per update.
 
-    `estimate` is for the time of the update, `filtered` for that of the newest message that was used.
+    `estimate` is for the time of the update, `filtered` for that of the newest message
+    that was used.
     """
     rows: list[np.ndarray] = []
     filtered: list[np.ndarray] = []
@@ -343,17 +408,31 @@ def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
     for moment in shadowed(run, **shadow):
         found = moment.estimate
         if found is not None:
-            filtered.append(np.array([moment.shadow.time, *moment.shadow.ensemble.mean("bend")]))
-            rows.append(np.array([found.time, *found.bend, *found.pose, *found.bend_sd, *found.pose_sd]))
+            filtered.append(
+                np.array([moment.shadow.time, *moment.shadow.ensemble.mean("bend")])
+            )
+            rows.append(
+                np.array(
+                    [
+                        found.time,
+                        *found.bend,
+                        *found.pose,
+                        *found.bend_sd,
+                        *found.pose_sd,
+                    ]
+                )
+            )
             if round(moment.time * 50) % 25 == 0:
                 predictions.append(moment.shadow.predict())
     spec, known = recording.spec, found.parameters if found else {}
     return {
-        "estimate": np.array(rows), "filtered": np.array(filtered), "truth": recording.truth,
+        "estimate": np.array(rows),
+        "filtered": np.array(filtered),
+        "truth": recording.truth,
         "predictions": predictions,
         "gain": spec.modules.array("gain"),
         **{f"known_{name}": np.stack(pair) for name, pair in known.items()},
-    }  # fmt: skip
+    }
 
 
 BREAKS_S, AFTER_S = 5.0, 4.0
@@ -398,13 +477,18 @@ CONDITIONS: Mapping[str, Mapping[str, Any]] = {
     "standing": {"motion": "stand"},
     "poor sensors": {"poor_sensors": True},
 }
-"""Name → how the run differs from generation 4 walking at 1.5, 1 or 0.75 Hz by turns."""
+"""Name → how the run differs from generation 4 walking at 1.5, 1 or 0.75 Hz by turns.
+"""
 
 
 def conditioned(condition: str, seed: int, seconds: float, **more: Any) -> Run:
     """Return a run under some conditions."""
     return Run(
-        seed, seconds, **({"frequency": FREQUENCIES_HZ[seed % 3]} | dict(CONDITIONS[condition]) | more)
+        seed,
+        seconds,
+        **(
+            {"frequency": FREQUENCIES_HZ[seed % 3]} | dict(CONDITIONS[condition]) | more
+        ),
     )
 
 
@@ -428,7 +512,8 @@ class Breakage:
     Attributes:
         run: conditions.
         updates: as of a `Recording`, from the fault on.
-        observable: time from which noiseless readings (or frames) differ from a sound robot's by 3 σ, s.
+        observable: time from which noiseless readings (or frames) differ from a sound
+            robot's by 3 σ, s.
     """
 
     run: Run
@@ -440,7 +525,9 @@ def breakages(
     condition: str, seed: int, kinds: Sequence[str]
 ) -> tuple[Recording, list[tuple[str, Breakage]]]:
     """Return a sound robot's recording up to the fault, and what follows each kind of fault."""
-    run = conditioned(condition, seed, BREAKS_S + AFTER_S, changes_s=DROOPS_BEFORE_FAULT_S)
+    run = conditioned(
+        condition, seed, BREAKS_S + AFTER_S, changes_s=DROOPS_BEFORE_FAULT_S
+    )
     robot, wire = run.emulated(), Wire(run)
     commands, first = list(run.commands(robot)), round(BREAKS_S / robot.tick)
     updates = _updates(run, robot, wire, commands, 0, first)
@@ -458,10 +545,20 @@ def breakages(
         sick.twin.pneumatics.stuck, sick.state = stuck, state
         channel, sick._rng = copy.deepcopy(hidden)
         readings: list[np.ndarray] = []
-        after = _updates(broken, sick, channel, commands, first, len(commands), readings)
-        off = np.abs(np.nan_to_num(np.subtract(readings, sound), nan=9.0)).max(axis=1) >= 3 * NOISE_RAD
+        after = _updates(
+            broken, sick, channel, commands, first, len(commands), readings
+        )
+        off = (
+            np.abs(np.nan_to_num(np.subtract(readings, sound), nan=9.0)).max(axis=1)
+            >= 3 * NOISE_RAD
+        )
         since = BREAKS_S + (int(off.argmax()) + 1) * robot.tick if off.any() else np.inf
-        found.append((kind, Breakage(broken, after, BREAKS_S if "lost_marker" in kind else since)))
+        found.append(
+            (
+                kind,
+                Breakage(broken, after, BREAKS_S if "lost_marker" in kind else since),
+            )
+        )
     return Recording(run, updates, np.empty(0), robot.twin.spec, robot.supply_pa), found
 
 
@@ -488,23 +585,37 @@ def isolated(
             _note_faults(named, shadow, time, messages)
         what, at = named.pop(part, ("", np.inf))
         among, since = name in what.split(" or "), breakage.observable
-        rows.append({
-            "fault": kind, "seed": seed, "condition": condition, "named": what, "at": at, "observable": since,
-            "right": what == name, "among": among,
-            "in_time": among and at <= since + 1 / breakage.run.frequency, "others": list(named.items()),
-        })  # fmt: skip
+        rows.append(
+            {
+                "fault": kind,
+                "seed": seed,
+                "condition": condition,
+                "named": what,
+                "at": at,
+                "observable": since,
+                "right": what == name,
+                "among": among,
+                "in_time": among and at <= since + 1 / breakage.run.frequency,
+                "others": list(named.items()),
+            }
+        )
     return rows
 
 
 def _note_faults(
-    named: dict[str, tuple[str, float]], shadow: Shadow, time: float, messages: Sequence[Message]
+    named: dict[str, tuple[str, float]],
+    shadow: Shadow,
+    time: float,
+    messages: Sequence[Message],
 ) -> None:
     if shadow.receive(time, messages):
         for where, what, _ in shadow.detected():
             named.setdefault(where, (what, time))
 
 
-def alarms(order: tuple[int, float, str], prepare: Callable[[Shadow], None] = unchanged) -> list[str]:
+def alarms(
+    order: tuple[int, float, str], prepare: Callable[[Shadow], None] = unchanged
+) -> list[str]:
     """Return the false alarms of a healthy robot in a number of seconds; each one is reset."""
     seed, seconds, condition = order
     recording, found = recorded(conditioned(condition, seed, seconds)), []

@@ -7,17 +7,19 @@
     uv run python tests/helpers/load_reference.py --sensitivity    # to heights, tracks and contact times
     uv run python tests/helpers/load_reference.py --slip-mm-s 0.3 --step-ms 0.05 gen2_turn    # one run
 
-MuJoCo computes the normal forces of frictionless wheels (condim 1). Friction is an explicit force: positions
-and velocities at the beginning of a step, loads of the step before. Gait, chambers, MJCF and friction law are
-implemented in this file. It shares with srs_twin the values in calibration/robots and the discretisation: two
-hinges per segment, a fiftieth of the lightest connector's mass between them, and valves that switch at whole
-slots of 0.1 ms.
+MuJoCo computes the normal forces of frictionless wheels (condim 1). Friction is an
+explicit force: positions and velocities at the beginning of a step, loads of the step
+before. Gait, chambers, MJCF and friction law are implemented in this file. It shares
+with srs_twin the values in calibration/robots and the discretisation: two hinges per
+segment, a fiftieth of the lightest connector's mass between them, and valves that
+switch at whole slots of 0.1 ms.
 
-Each wheel spins. Its rim speed is a state, driven by the contact (isotropic friction, the cone shared by slip
-along and across) and slowed by the bearing, whose moment acts on the connector.
+Each wheel spins. Its rim speed is a state, driven by the contact (isotropic friction,
+the cone shared by slip along and across) and slowed by the bearing, whose moment acts
+on the connector.
 
-Both frictions are smoothed below a slip speed. A value is extrapolated to step 0 at each slip speed, then to
-slip speed 0, see `extrapolate`.
+Both frictions are smoothed below a slip speed. A value is extrapolated to step 0 at
+each slip speed, then to slip speed 0, see `extrapolate`.
 """
 
 from __future__ import annotations
@@ -52,7 +54,8 @@ AXLE_SHARE = 0.2
 """Slip speed of the bearing over that of the contact."""
 SLIPS_M_S = (2e-3, 1e-3, 5e-4, 2.5e-4)
 STEP_SHARES_S2_M = (0.1, 0.05)
-"""Time steps over the slip speed. Friction is stable up to about 2/(mu_n g) = 0.3 s²/m."""
+"""Time steps over the slip speed. Friction is stable up to about 2/(mu_n g) = 0.3 s²/m.
+"""
 CONTACT_S = 0.001
 """Time constant of the normal contacts."""
 TWIN_SLIPS_M_S = (1e-3, 5e-4, 2.5e-4)
@@ -71,11 +74,14 @@ class Point:
         offset: of the gait.
         kpa: supply pressure; None: the robot's nominal one.
         stiffness: of a segment, N·m/rad; None: the robot's.
-        tail: of a tail on two axles, m: distances of its second axle and of its centre of mass behind the
-            last connector's axle, height of the centre of mass, radius of gyration.
-        damping_s: damping time of the segments, s; None: the mode time constant of Eq. 14.
+        tail: of a tail on two axles, m: distances of its second axle and of its centre
+            of mass behind the last connector's axle, height of the centre of mass,
+            radius of gyration.
+        damping_s: damping time of the segments, s; None: the mode time constant of Eq.
+            14.
         changes: other numbers of the robot, as (key, value).
-        periods: number of periods to simulate; from the last but two on, the gait is periodic within 0.05 %.
+        periods: number of periods to simulate; from the last but two on, the gait is
+            periodic within 0.05 %.
     """
 
     robot: str
@@ -106,7 +112,9 @@ POINTS = {
     "stiff_straight": replace(_GEN2, stiffness=20.0),
     "stiff_bend": replace(_GEN2, stiffness=20.0, offset=0.2),
     "stiff_turn": replace(_GEN2, stiffness=20.0, offset=0.4),
-    "stiff_slow_turn": replace(_GEN2, stiffness=20.0, frequency_hz=1.0, offset=0.4, periods=4),
+    "stiff_slow_turn": replace(
+        _GEN2, stiffness=20.0, frequency_hz=1.0, offset=0.4, periods=4
+    ),
     "gen1_straight": Point("gen1", 1.0),
     "gen1_turn": Point("gen1", 1.0, offset=0.3),
     "gen1_slow": Point("gen1", 1 / 3, periods=3),
@@ -129,10 +137,12 @@ class Result:
     """Measures of a run, over its last periods.
 
     Attributes:
-        speed_mm_s: length of the path of the centre of mass over time; the path is sampled once per period.
+        speed_mm_s: length of the path of the centre of mass over time; the path is
+            sampled once per period.
         yaw_rate: mean rate of the mean heading, rad/s.
         air: share of wheels and time without load.
-        swing: standard deviation of each wheel's load over its static one, mean over the wheels.
+        swing: standard deviation of each wheel's load over its static one, mean over
+            the wheels.
         ripple: standard deviation of the sum of all loads over the weight.
     """
 
@@ -147,8 +157,9 @@ class Result:
 def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untyped-def]
     """Return friction along and across (N), the new rim speed (m/s), the bearing's moment over the radius.
 
-    The rim's speed w solves m_w/2 (w - w_before)/step = mu_n N (v_t - w)/|slip| - mu_t N sgn w. Both sides
-    are smooth and monotone in w, so they cross once: Newton's method, with bisection as its safeguard.
+    The rim's speed w solves m_w/2 (w - w_before)/step = mu_n N (v_t - w)/|slip| - mu_t
+    N sgn w. Both sides are smooth and monotone in w, so they cross once: Newton's
+    method, with bisection as its safeguard.
 
     Args:
         along: speed of the wheel's foot along its heading, fixed to the connector, m/s.
@@ -165,12 +176,18 @@ def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untype
     for _ in range(60):
         slip = math.sqrt((along - w) ** 2 + across**2 + eps**2)
         rim = math.sqrt(w**2 + axle**2)
-        excess = mu_n * load * (along - w) / slip - mu_t * load * w / rim - rate * (w - spin)
+        excess = (
+            mu_n * load * (along - w) / slip - mu_t * load * w / rim - rate * (w - spin)
+        )
         if excess > 0:
             low = w
         else:
             high = w
-        slope = mu_n * load * (across**2 + eps**2) / slip**3 + mu_t * load * axle**2 / rim**3 + rate
+        slope = (
+            mu_n * load * (across**2 + eps**2) / slip**3
+            + mu_t * load * axle**2 / rim**3
+            + rate
+        )
         move = excess / slope
         if abs(move) < 1e-13:
             break
@@ -191,16 +208,25 @@ def numbers(point: Point) -> dict[str, Any]:
     """Return the robot's numbers by their keys; connectors_kg as a list."""
     text = yaml.safe_load((ROBOTS / f"{point.robot}.yaml").read_text())
     sections = (item for item in text.values() if isinstance(item, dict))
-    outcome = {key: record["value"] for item in sections for key, record in item.items() if "value" in record}
+    outcome = {
+        key: record["value"]
+        for item in sections
+        for key, record in item.items()
+        if "value" in record
+    }
     if not isinstance(outcome["connectors_kg"], list):
         outcome["connectors_kg"] = [outcome["connectors_kg"]] * outcome["connectors"]
     outcome.update(point.changes)
-    outcome["damping_time_s"] = outcome["tau_mode_s"] if point.damping_s is None else point.damping_s
+    outcome["damping_time_s"] = (
+        outcome["tau_mode_s"] if point.damping_s is None else point.damping_s
+    )
     if point.stiffness is not None:
         outcome["stiffness_nm_per_rad"] = point.stiffness
     outcome.setdefault(
         "connector_gyration_m",
-        math.sqrt((outcome["rigid_gap_m"] ** 2 + 4 * outcome["half_track_m"] ** 2) / 12),
+        math.sqrt(
+            (outcome["rigid_gap_m"] ** 2 + 4 * outcome["half_track_m"] ** 2) / 12
+        ),
     )
     # Axles: place in the list of connectors, distance behind, mass they carry.
     outcome["tail"], outcome["axles"] = (
@@ -209,7 +235,10 @@ def numbers(point: Point) -> dict[str, Any]:
     )
     if point.tail is not None:
         (i, _, mass), (back, com, _, _) = outcome["axles"].pop(), point.tail
-        outcome["axles"] += [(i, 0.0, mass * (1 - com / back)), (i, back, mass * com / back)]
+        outcome["axles"] += [
+            (i, 0.0, mass * (1 - com / back)),
+            (i, back, mass * com / back),
+        ]
     return outcome
 
 
@@ -223,20 +252,32 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
     """
     track, radius, height = n["half_track_m"], n["wheel_radius_m"], n["com_height_m"]
     pitch, edge = n["segment_length_m"] + n["rigid_gap_m"], 1 / (2 * (HINGES + 1))
-    front, rear = (n["rigid_gap_m"] / 2 + n["segment_length_m"] * share for share in (edge, 1 - edge))
+    front, rear = (
+        n["rigid_gap_m"] / 2 + n["segment_length_m"] * share
+        for share in (edge, 1 - edge)
+    )
     wheel, link = n["wheel_kg"], LINK_SHARE * min(n["connectors_kg"])
 
     def inertial(x: float, mass: float, wheels: float = 0.0) -> str:
         about = mass * n["connector_gyration_m"] ** 2
         across = about + wheels * (track**2 + radius**2 / 4)
-        return f'<inertial pos="{x} 0 0" mass="{mass + wheels}" diaginertia="{across} {about} {across}"/>'
+        return (
+            f'<inertial pos="{x} 0 0" mass="{mass + wheels}" diaginertia="{across}'
+            f' {about} {across}"/>'
+        )
 
     def joint(name: str, x: float, axis: str, stiffness: float, lag: float) -> str:
         spring = f'stiffness="{stiffness}" damping="{stiffness * lag}"'
         return f'<joint name="{name}" pos="{x} 0 0" axis="{axis}" {spring}/>'
 
     def bend(j: int, k: int, x: float) -> str:
-        return joint(f"h{j}_{k}", x, "0 0 -1", HINGES * n["stiffness_nm_per_rad"], n["damping_time_s"])
+        return joint(
+            f"h{j}_{k}",
+            x,
+            "0 0 -1",
+            HINGES * n["stiffness_nm_per_rad"],
+            n["damping_time_s"],
+        )
 
     body = ""
     for i in range(n["connectors"], 0, -1):
@@ -250,22 +291,34 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
             elements = [f'<inertial {place} diaginertia="{about} {about} {about}"/>']
         for a, (at, behind, _) in enumerate(n["axles"]):
             for side, y in (("left", track), ("right", -track)):
-                hub, name = f'pos="{-behind} {y} {radius - height}"', f'name="{side}_{a}"'
+                hub, name = (
+                    f'pos="{-behind} {y} {radius - height}"',
+                    f'name="{side}_{a}"',
+                )
                 foot = f'<geom class="foot" {name} {hub} size="{radius}"/>'
-                # A little larger than the wheel: a touch sensor adds up the contacts inside its site.
+                # A little larger than the wheel: a touch sensor adds up the contacts
+                # inside its site.
                 zone = f'<site {name} {hub} size="{1.2 * radius}"/>'
                 elements += [foot, zone] * (at == i - 1)
         if i == 1:
             return _scene(
-                f'<body name="c1" pos="0 0 {height}"><freejoint/>{"".join(elements)}{body}</body>',
+                '<body name="c1" pos="0 0'
+                f' {height}"><freejoint/>{"".join(elements)}{body}</body>',
                 n,
                 (step, contact),
             )
         j, slow = i - 1, n["out_of_plane_damping_time_s"]
         elements.append(bend(j, 2, pitch - rear))
-        elements.append(joint(f"p{j}", pitch / 2, "0 1 0", n["pitch_stiffness_nm_per_rad"], slow))
-        elements.append(joint(f"r{j}", pitch / 2, "1 0 0", n["roll_stiffness_nm_per_rad"], slow))
-        beyond = f'<body name="c{i}" pos="{front - pitch} 0 0">{"".join(elements)}{body}</body>'
+        elements.append(
+            joint(f"p{j}", pitch / 2, "0 1 0", n["pitch_stiffness_nm_per_rad"], slow)
+        )
+        elements.append(
+            joint(f"r{j}", pitch / 2, "1 0 0", n["roll_stiffness_nm_per_rad"], slow)
+        )
+        beyond = (
+            f'<body name="c{i}" pos="{front - pitch} 0'
+            f' 0">{"".join(elements)}{body}</body>'
+        )
         middle = inertial((front - rear) / 2, link)
         body = f'<body pos="{-front} 0 0">{middle}{bend(j, 1, 0.0)}{beyond}</body>'
     raise ValueError("a snake has connectors")
@@ -274,11 +327,16 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
 def _scene(body: str, n: dict[str, Any], times: tuple[float, float]) -> str:
     segments, (step, contact) = range(1, n["connectors"]), times
     bends = [
-        f'<fixed name="t{j}"><joint joint="h{j}_1" coef="1"/><joint joint="h{j}_2" coef="1"/></fixed>'
+        f'<fixed name="t{j}"><joint joint="h{j}_1" coef="1"/><joint joint="h{j}_2"'
+        ' coef="1"/></fixed>'
         for j in segments
     ]
     motors = [f'<motor tendon="t{j}"/>' for j in segments]
-    sensors = [f'<touch site="{side}_{a}"/>' for a in range(len(n["axles"])) for side in ("left", "right")]
+    sensors = [
+        f'<touch site="{side}_{a}"/>'
+        for a in range(len(n["axles"]))
+        for side in ("left", "right")
+    ]
     touch = f'condim="1" solref="{contact} 1"'
     return f"""<mujoco><compiler angle="radian"/>
     <option timestep="{step}" integrator="implicitfast" gravity="0 0 {-G}" tolerance="1e-10">
@@ -305,22 +363,38 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
     elements = math.ceil(step / SLOT_S - 1e-9)
     part = step / elements
     # The middle of a slot decides. Rounding must not decide the sign of an exact zero.
-    middle = SLOT_S * (np.floor(part * (np.arange(elements * steps) + 0.5) / SLOT_S) + 0.5)
-    wave = np.sin(2 * math.pi / point.period_s * middle[:, None] - lag) + point.offset >= -1e-12
+    middle = SLOT_S * (
+        np.floor(part * (np.arange(elements * steps) + 0.5) / SLOT_S) + 0.5
+    )
+    wave = (
+        np.sin(2 * math.pi / point.period_s * middle[:, None] - lag) + point.offset
+        >= -1e-12
+    )
     left = [math.exp(-part / n[key]) for key in ("tau_vent_s", "tau_fill_s")]
-    x = n["bend_rad"] / (1000 * n["at_pressure_kpa"]) * _differences(wave, supply, *left)
+    x = (
+        n["bend_rad"]
+        / (1000 * n["at_pressure_kpa"])
+        * _differences(wave, supply, *left)
+    )
     if (limit := n.get("bend_limit_rad")) is not None:
         x = x / (1 + (x / limit) ** 4) ** 0.25
-    # k q_f + c q_f' with q_f' = (x − q_f)/τ₂ and c = k T. With T = τ₂ the mode does not appear.
+    # k q_f + c q_f' with q_f' = (x − q_f)/τ₂ and c = k T. With T = τ₂ the mode does not
+    # appear.
     share = n["damping_time_s"] / n["tau_mode_s"]
     x = share * x + (1 - share) * _mean_lags(x, part, n["tau_mode_s"])
-    return np.asarray(n["stiffness_nm_per_rad"] * x.reshape(steps, elements, -1).mean(axis=1))
+    return np.asarray(
+        n["stiffness_nm_per_rad"] * x.reshape(steps, elements, -1).mean(axis=1)
+    )
 
 
 @njit
 def _mean_lags(x, part, time):  # type: ignore[no-untyped-def]
     """Return the mean in each part of the response of a first-order lag to values constant in each part."""
-    lagged, outcome, kept = np.zeros(x.shape[1]), np.empty_like(x), math.exp(-part / time)
+    lagged, outcome, kept = (
+        np.zeros(x.shape[1]),
+        np.empty_like(x),
+        math.exp(-part / time),
+    )
     for k in range(len(x)):
         outcome[k] = x[k] + (lagged - x[k]) * (1 - kept) * time / part
         lagged = x[k] + (lagged - x[k]) * kept
@@ -381,20 +455,34 @@ def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[n
                 for b in range(3):
                     hub[a] += frame[3 * a + b] * places[w, b]
             # cvel is the velocity at the centre of mass of the whole snake.
-            rx, ry, rz = hub[0] - com[1, 0], hub[1] - com[1, 1], hub[2] - radius - com[1, 2]
+            rx, ry, rz = (
+                hub[0] - com[1, 0],
+                hub[1] - com[1, 1],
+                hub[2] - radius - com[1, 2],
+            )
             vx, vy = v[3] + v[1] * rz - v[2] * ry, v[4] + v[2] * rx - v[0] * rz
-            along, across = vx * ahead[0] + vy * ahead[1], -vx * ahead[1] + vy * ahead[0]
+            along, across = (
+                vx * ahead[0] + vy * ahead[1],
+                -vx * ahead[1] + vy * ahead[0],
+            )
             pressed = loads[w] if constant else load[w]
-            f_t, f_n, spin[w], drag = wheel_force(along, across, spin[w], pressed, law, step)
-            # The force that spins the wheel acts at the hub, the force across at the foot.
+            f_t, f_n, spin[w], drag = wheel_force(
+                along, across, spin[w], pressed, law, step
+            )
+            # The force that spins the wheel acts at the hub, the force across at the
+            # foot.
             fx, fy = f_t * ahead[0] - f_n * ahead[1], f_t * ahead[1] + f_n * ahead[0]
             for a in range(3):
                 arm[a] = hub[a] - xipos[body, a]
             lateral = -radius * f_n
             applied[body, 0] += fx
             applied[body, 1] += fy
-            applied[body, 3] += -arm[2] * fy - lateral * ahead[0] - radius * drag * ahead[1]
-            applied[body, 4] += arm[2] * fx - lateral * ahead[1] + radius * drag * ahead[0]
+            applied[body, 3] += (
+                -arm[2] * fy - lateral * ahead[0] - radius * drag * ahead[1]
+            )
+            applied[body, 4] += (
+                arm[2] * fx - lateral * ahead[1] + radius * drag * ahead[0]
+            )
             applied[body, 5] += arm[0] * fy - arm[1] * fx
         _step2(engine[0], engine[1])
         load[:] = sensed
@@ -417,7 +505,8 @@ def simulate(
         step: s.
         slip: slip speed, m/s.
         contact: time constant of the normal contacts, s.
-        static: friction takes each wheel's static load, as the analytical model does by default.
+        static: friction takes each wheel's static load, as the analytical model does by
+            default.
     """
     n, every = numbers(point), max(1, round(RECORD_S / step))
     model = mujoco.MjModel.from_xml_string(mjcf(n, step, contact))
@@ -429,10 +518,17 @@ def simulate(
     places = np.stack([-back, side, 0 * side + radius - n["com_height_m"]], axis=1)
     rest = np.repeat([mass * G / 2 for _, _, mass in n["axles"]], 2)
     torques = moments(
-        n, point, step, round((point.periods if periods is None else periods) * point.period_s / step)
+        n,
+        point,
+        step,
+        round((point.periods if periods is None else periods) * point.period_s / step),
     )
     samples = len(torques) // every
-    records = np.empty((samples, 2)), np.empty((samples, n["connectors"])), np.empty((samples, 2 * count))
+    records = (
+        np.empty((samples, 2)),
+        np.empty((samples, n["connectors"])),
+        np.empty((samples, 2 * count)),
+    )
     _run(
         (model._address, data._address),
         (
@@ -453,12 +549,22 @@ def simulate(
     )
     path, yaw, loads = records
     return measured(
-        path, np.unwrap(yaw, axis=0), loads, rest, round(point.period_s / (every * step)), every * step
+        path,
+        np.unwrap(yaw, axis=0),
+        loads,
+        rest,
+        round(point.period_s / (every * step)),
+        every * step,
     )
 
 
 def measured(
-    com: np.ndarray, yaw: np.ndarray, loads: np.ndarray, rest: np.ndarray, period: int, step: float
+    com: np.ndarray,
+    yaw: np.ndarray,
+    loads: np.ndarray,
+    rest: np.ndarray,
+    period: int,
+    step: float,
 ) -> Result:
     """Return the measures of a run over its last `MEASURED` periods, or all but the first of a shorter run.
 
@@ -492,7 +598,8 @@ class Runs:
 
     Attributes:
         speed_mm_s, yaw_rate: see `Result`, shape (slip speeds, steps).
-        air, swing, ripple: see `Result`, of the run with the smallest slip speed and step.
+        air, swing, ripple: see `Result`, of the run with the smallest slip speed and
+            step.
     """
 
     speed_mm_s: list[list[float]]
@@ -515,16 +622,19 @@ class Runs:
 def extrapolate(values: Sequence[Sequence[float]]) -> tuple[float, float]:
     """Return the limit for step 0 and slip speed 0, and an estimate of its error.
 
-    At each slip speed, the step is extrapolated linearly. The slip speeds are extrapolated from the last
-    three of them by a power law, whose order is fitted between 1/2 and 1. The error is the difference from
-    the same extrapolation without the smallest slip speed, plus the last correction for the step.
+    At each slip speed, the step is extrapolated linearly. The slip speeds are
+    extrapolated from the last three of them by a power law, whose order is fitted
+    between 1/2 and 1. The error is the difference from the same extrapolation without
+    the smallest slip speed, plus the last correction for the step.
 
     Args:
         values: shape (slip speeds, 2), both halved from each to the next.
     """
     grid = np.asarray(values)
     fine = 2 * grid[:, 1] - grid[:, 0]
-    before, limit = (_power_limit(*fine[k : k + 3]) for k in (len(fine) - 4, len(fine) - 3))
+    before, limit = (
+        _power_limit(*fine[k : k + 3]) for k in (len(fine) - 4, len(fine) - 3)
+    )
     return limit, abs(limit - before) + abs(float(fine[-1] - grid[-1, 1]))
 
 
@@ -543,7 +653,10 @@ def stored() -> dict[str, Runs]:
 def run_all(names: Iterable[str]) -> None:
     """Run points at all slip speeds and steps, and store each when it is complete."""
     for name in names:
-        results = [[simulate(POINTS[name], None, s * e, e) for s in STEP_SHARES_S2_M] for e in SLIPS_M_S]
+        results = [
+            [simulate(POINTS[name], None, s * e, e) for s in STEP_SHARES_S2_M]
+            for e in SLIPS_M_S
+        ]
         last = results[-1][-1]
         runs = Runs(
             [[round(r.speed_mm_s, 4) for r in row] for row in results],
@@ -551,7 +664,9 @@ def run_all(names: Iterable[str]) -> None:
             *(round(item, 5) for item in (last.air, last.swing, last.ripple)),
         )
         kept = stored() | {name: runs}
-        lines = [f'"{key}": {json.dumps(vars(kept[key]))}' for key in POINTS if key in kept]
+        lines = [
+            f'"{key}": {json.dumps(vars(kept[key]))}' for key in POINTS if key in kept
+        ]
         VALUES.write_text("{\n" + ",\n".join(lines) + "\n}\n")
         print(name, runs.speed, runs.yaw, file=sys.stderr, flush=True)
 
@@ -559,7 +674,9 @@ def run_all(names: Iterable[str]) -> None:
 def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     """Return a Markdown table."""
     head = list(head)
-    return "\n".join(f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows))
+    return "\n".join(
+        f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *rows)
+    )
 
 
 def turns(runs: Runs) -> bool:
@@ -574,7 +691,10 @@ def convergence(names: Iterable[str]) -> str:
     rows = []
     for name in names:
         runs = stored()[name]
-        for values, unit, digits in ((runs.speed_mm_s, "mm/s", 2), (runs.yaw_rate, "rad/s", 4)):
+        for values, unit, digits in (
+            (runs.speed_mm_s, "mm/s", 2),
+            (runs.yaw_rate, "rad/s", 4),
+        ):
             if unit == "rad/s" and not turns(runs):
                 continue
             (limit, error), grid = extrapolate(values), np.array(values)
@@ -591,10 +711,22 @@ def convergence(names: Iterable[str]) -> str:
 
 def twins(names: Iterable[str]) -> str:
     """Return a table of the reference and the errors of the twins."""
-    from twin_at_reference import crawled  # here, because the simulation takes nothing from srs_twin
+    from twin_at_reference import (
+        crawled,
+    )  # here, because the simulation takes nothing from srs_twin
 
-    settings = [(contact, step) for contact in ("loaded", "preloaded") for step in (0.001, 0.002)]
-    head = ["point", "mm/s", "rad/s", "error, %", *(f"{c}, {1000 * step:g} ms" for c, step in settings)]
+    settings = [
+        (contact, step)
+        for contact in ("loaded", "preloaded")
+        for step in (0.001, 0.002)
+    ]
+    head = [
+        "point",
+        "mm/s",
+        "rad/s",
+        "error, %",
+        *(f"{c}, {1000 * step:g} ms" for c, step in settings),
+    ]
     rows = []
     for name in names:
         runs, cells = stored()[name], []
@@ -604,7 +736,10 @@ def twins(names: Iterable[str]) -> str:
                 continue
             cells.append(_apart(crawled(name, None, step, contact=contact), runs))
         (speed, speed_error), (yaw, yaw_error) = runs.speed, runs.yaw
-        own = [100 * speed_error / speed, *([100 * yaw_error / abs(yaw)] if turns(runs) else [])]
+        own = [
+            100 * speed_error / speed,
+            *([100 * yaw_error / abs(yaw)] if turns(runs) else []),
+        ]
         rows.append(
             [
                 name,
@@ -619,18 +754,33 @@ def twins(names: Iterable[str]) -> str:
 
 def twin_slips(names: Iterable[str]) -> str:
     """Return a table of the loaded twin's errors at smaller slip speeds, 1 ms, and extrapolated."""
-    from twin_at_reference import crawled  # here, because the simulation takes nothing from srs_twin
+    from twin_at_reference import (
+        crawled,
+    )  # here, because the simulation takes nothing from srs_twin
 
     from srs_twin import LoadedContact
 
     rows = []
     for name in names:
         runs = stored()[name]
-        results = [crawled(name, contact=LoadedContact(slip_speed=slip)) for slip in TWIN_SLIPS_M_S]
-        limit = {key: _power_limit(*(vars(r)[key] for r in results)) for key in ("speed_mm_s", "yaw_rate")}
+        results = [
+            crawled(name, contact=LoadedContact(slip_speed=slip))
+            for slip in TWIN_SLIPS_M_S
+        ]
+        limit = {
+            key: _power_limit(*(vars(r)[key] for r in results))
+            for key in ("speed_mm_s", "yaw_rate")
+        }
         results.append(replace(results[-1], **limit))
         rows.append([name, *(_apart(item, runs) for item in results)])
-    return table(["point", *(f"{1000 * slip:g} mm/s" for slip in TWIN_SLIPS_M_S), "extrapolated"], rows)
+    return table(
+        [
+            "point",
+            *(f"{1000 * slip:g} mm/s" for slip in TWIN_SLIPS_M_S),
+            "extrapolated",
+        ],
+        rows,
+    )
 
 
 def _apart(result: Result, runs: Runs) -> str:
@@ -657,38 +807,65 @@ def sensitivity(names: Iterable[str]) -> str:
             changes = [100 * (item.speed_mm_s / base.speed_mm_s - 1)]
             if abs(base.yaw_rate) > 0.05:
                 changes.append(100 * (item.yaw_rate / base.yaw_rate - 1))
-            cells.append(", ".join(f"{change:+.2f}".replace("-", "−") for change in changes))
+            cells.append(
+                ", ".join(f"{change:+.2f}".replace("-", "−") for change in changes)
+            )
         rows.append([name, *cells])
-    contacts = (f"contact time {1000 * factor * CONTACT_S:g} ms" for factor in (0.5, 2.0))
-    return table(["point", "com_height_m 12.5 mm", "half_track_m +5 %", *contacts], rows)
+    contacts = (
+        f"contact time {1000 * factor * CONTACT_S:g} ms" for factor in (0.5, 2.0)
+    )
+    return table(
+        ["point", "com_height_m 12.5 mm", "half_track_m +5 %", *contacts], rows
+    )
 
 
 def main() -> None:
     """Run points, or print tables of what is stored."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("points", nargs="*", metavar="POINT", help=f"of {', '.join(POINTS)}; default all")
-    parser.add_argument("--run", action="store_true", help="run the points again and store the values")
+    parser.add_argument(
+        "points",
+        nargs="*",
+        metavar="POINT",
+        help=f"of {', '.join(POINTS)}; default all",
+    )
+    parser.add_argument(
+        "--run", action="store_true", help="run the points again and store the values"
+    )
     tables: dict[str, Callable[[Iterable[str]], str]] = {
         "--twins": twins,
         "--twin-slip": twin_slips,
         "--sensitivity": sensitivity,
     }
     for name, make in tables.items():
-        parser.add_argument(name, action="store_const", const=make, dest="table", help=_summary(make))
-    parser.add_argument("--slip-mm-s", type=float, help="a single run at this slip speed")
+        parser.add_argument(
+            name, action="store_const", const=make, dest="table", help=_summary(make)
+        )
+    parser.add_argument(
+        "--slip-mm-s", type=float, help="a single run at this slip speed"
+    )
     parser.add_argument("--step-ms", type=float, help="step of the single run")
     parser.add_argument("--periods", type=int, help="periods of the single run")
-    parser.add_argument("--static", action="store_true", help="friction of the single run takes static loads")
+    parser.add_argument(
+        "--static",
+        action="store_true",
+        help="friction of the single run takes static loads",
+    )
     options = parser.parse_args()
     names = options.points or list(POINTS)
     if options.slip_mm_s is not None or options.step_ms is not None or options.static:
         eps = 0.3 if options.slip_mm_s is None else options.slip_mm_s
         step = 100 * eps / 1000 if options.step_ms is None else options.step_ms
         for name in names:
-            r = simulate(POINTS[name], options.periods, step / 1000, eps / 1000, static=options.static)
+            r = simulate(
+                POINTS[name],
+                options.periods,
+                step / 1000,
+                eps / 1000,
+                static=options.static,
+            )
             print(
-                f"{name:16} {r.speed_mm_s:7.2f} mm/s {r.yaw_rate:+.4f} rad/s; in the air {r.air:.1%}, "
-                f"swing {r.swing:.2f}, ripple {r.ripple:.3f}",
+                f"{name:16} {r.speed_mm_s:7.2f} mm/s {r.yaw_rate:+.4f} rad/s; in the"
+                f" air {r.air:.1%}, swing {r.swing:.2f}, ripple {r.ripple:.3f}",
                 flush=True,
             )
         return
@@ -698,7 +875,12 @@ def main() -> None:
 
 
 def _summary(function: Callable[..., Any]) -> str:
-    return (function.__doc__ or "").partition("\n")[0].replace("%", "%%").replace("Return", "print")
+    return (
+        (function.__doc__ or "")
+        .partition("\n")[0]
+        .replace("%", "%%")
+        .replace("Return", "print")
+    )
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
 """Motion of a chain of connectors without inertia, from the local connection of its friction.
 
-The module is independent of the plants. Either the friction of a connector is linear in its slip, or its
-wheels do not slip sideways. Three equations then determine the velocity of the body from the bend rates:
-ξ = −A(q) q̇ (Kelly and Murray 1995).
+The module is independent of the plants. Either the friction of a connector is linear in
+its slip, or its wheels do not slip sideways. Three equations then determine the
+velocity of the body from the bend rates: ξ = −A(q) q̇ (Kelly and Murray 1995).
 """
 
 from __future__ import annotations
@@ -20,10 +20,15 @@ from srs_twin.robot.spec import Friction, RobotSpec
 
 def wheeled(segments: int, friction: Friction) -> RobotSpec:
     """Return a snake of 1 m on wheels, whose segments bend over their whole length."""
-    spec = continuous_snake(friction.mu_t, friction.mu_t, friction.mu_n, segments=segments)
+    spec = continuous_snake(
+        friction.mu_t, friction.mu_t, friction.mu_n, segments=segments
+    )
     connectors = (1.0 / (segments + 1),) * (segments + 1)
     return replace(
-        spec, skin=None, friction=friction, mass=replace(spec.mass, connectors=connectors, segments=None)
+        spec,
+        skin=None,
+        friction=friction,
+        mass=replace(spec.mass, connectors=connectors, segments=None),
     )
 
 
@@ -36,28 +41,36 @@ def chain(q: np.ndarray, length: float) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)]), heading
 
 
-def velocity(q: np.ndarray, rate: np.ndarray, spec: RobotSpec, *, slips: bool) -> np.ndarray:
+def velocity(
+    q: np.ndarray, rate: np.ndarray, spec: RobotSpec, *, slips: bool
+) -> np.ndarray:
     """Return the velocity of connector 1 in its own frame, m/s and rad/s.
 
     Args:
         q: bends, rad.
         rate: bend rates, rad/s.
         spec: robot, for its lengths, loads and coefficients.
-        slips: whether friction is proportional to the slip (`viscous`); else wheels do not slip sideways,
-            which three connectors determine.
+        slips: whether friction is proportional to the slip (`viscous`); else wheels do
+            not slip sideways, which three connectors determine.
     """
     length, small = spec.geometry.segment_length, 1e-6
     place, heading = chain(q, length)
     ahead, behind = (chain(q + side * small * rate, length) for side in (1, -1))
-    place_rate, heading_rate = ((a - b) / (2 * small) for a, b in zip(ahead, behind, strict=True))
+    place_rate, heading_rate = (
+        (a - b) / (2 * small) for a, b in zip(ahead, behind, strict=True)
+    )
     tangent = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
     # The velocity of connector i is place_rate + motions[i] @ ξ.
     motions = np.stack([np.eye(2)] * len(place))
-    motions = np.concatenate([motions, np.stack([-place[:, 1], place[:, 0]], axis=1)[:, :, None]], axis=2)
+    motions = np.concatenate(
+        [motions, np.stack([-place[:, 1], place[:, 0]], axis=1)[:, :, None]], axis=2
+    )
     if not slips:
         rows = np.einsum("ik,ikn->in", normal, motions)
-        return np.asarray(np.linalg.solve(rows, -np.einsum("ik,ik->i", normal, place_rate)))
+        return np.asarray(
+            np.linalg.solve(rows, -np.einsum("ik,ik->i", normal, place_rate))
+        )
     load = np.array(spec.mass.connectors)
     drag = spec.friction.mu_t * np.einsum("ik,il->ikl", tangent, tangent)
     drag += spec.friction.mu_n * np.einsum("ik,il->ikl", normal, normal)
@@ -80,10 +93,13 @@ def loop(middle: Sequence[float], radius: float, period: float = 60.0) -> Path:
     return path
 
 
-def displacement(path: Path, period: float, spec: RobotSpec, *, slips: bool) -> np.ndarray:
+def displacement(
+    path: Path, period: float, spec: RobotSpec, *, slips: bool
+) -> np.ndarray:
     """Return the displacement of connector 1 in a period of a closed path of shapes.
 
-    The components are ahead (m), to the left (m) and turn (rad), in the initial frame of the connector.
+    The components are ahead (m), to the left (m) and turn (rad), in the initial frame
+    of the connector.
     """
 
     def pose_rate(time: float, pose: np.ndarray) -> np.ndarray:

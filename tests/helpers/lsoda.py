@@ -1,15 +1,17 @@
 r"""Independent implementation of the `complete` model for SciPy's LSODA, in NumPy.
 
-The unknowns (centre of mass, mean heading, velocity, angular momentum L), the friction laws with ε, and the
-valve events are those of the compiled model. The code follows the equations in docs/models.md with complex
-numbers for points of the plane. It shares no code with the compiled kernels, so it also verifies them.
+The unknowns (centre of mass, mean heading, velocity, angular momentum L), the friction
+laws with ε, and the valve events are those of the compiled model. The code follows the
+equations in docs/models.md with complex numbers for points of the plane. It shares no
+code with the compiled kernels, so it also verifies them.
 
-Between valve events the bends are sums of exponentials whose coefficients are computed once,
+Between valve events the bends are sums of exponentials whose coefficients are computed
+once,
 
 $$ q(t) = q_\infty + \sum_k c_k e^{-r_k t}, \qquad r = (1/\tau_2, a^+, a^-). $$
 
-LSODA restarts at every event, where q̈ is discontinuous. `odeint` is used because it has less overhead than
-`solve_ivp`.
+LSODA restarts at every event, where q̈ is discontinuous. `odeint` is used because it
+has less overhead than `solve_ivp`.
 """
 
 from __future__ import annotations
@@ -45,18 +47,28 @@ class BendInterval:
     rate: np.ndarray
 
 
-def bend_intervals(spec: RobotSpec, gait: Gait, duration: float, supply_pa: float) -> list[BendInterval]:
+def bend_intervals(
+    spec: RobotSpec, gait: Gait, duration: float, supply_pa: float
+) -> list[BendInterval]:
     """Return the bends of a gait from rest, in closed form between its valve events."""
     actuator, result = spec.actuator, []
     pressure, bend = np.zeros((spec.segments, 2)), np.zeros(spec.segments)
     gait.reset(spec, TICK)
     script = gait.script(duration)
-    for start, stop, valves in zip(script.starts, [*script.events, duration], script.states, strict=True):
+    for start, stop, valves in zip(
+        script.starts, [*script.events, duration], script.states, strict=True
+    ):
         fills = valves > 0
         rate = np.where(fills, 1 / actuator.tau_fill, 1 / actuator.tau_vent)
         target = np.where(fills, supply_pa, 0.0)
-        # Exponential of each chamber, filtered by the lag τ₂; − chambers have the opposite sign.
-        own = actuator.gain * np.array([1, -1]) * (pressure - target) / (1 - rate * actuator.tau_mode)
+        # Exponential of each chamber, filtered by the lag τ₂; − chambers have the
+        # opposite sign.
+        own = (
+            actuator.gain
+            * np.array([1, -1])
+            * (pressure - target)
+            / (1 - rate * actuator.tau_mode)
+        )
         resting = actuator.gain * (target[:, 0] - target[:, 1])
         swing = np.stack([bend - resting - own.sum(axis=1), *own.T])
         rates = np.stack([np.full(spec.segments, 1 / actuator.tau_mode), *rate.T])
@@ -93,7 +105,8 @@ class CompleteModel:
         self.mu_t, self.mu_n = mu.mu_t, mu.mu_n
         self.rest = np.sqrt(mu.mu_n**2 - mu.mu_t**2)
         self._law = {"axis": self._axis, "wheel": self._wheel}[friction]
-        # Headings and link directions are linear in the bends, connector positions in the links.
+        # Headings and link directions are linear in the bends, connector positions in
+        # the links.
         self.heading = relative_headings(np.eye(spec.segments)).T
         self.direction = (self.heading[1:] + self.heading[:-1]) / 2
         behind = -np.tril(np.ones((g.connectors, spec.segments)), -1)
@@ -118,7 +131,9 @@ class CompleteModel:
         push = force.sum() * ahead / self.total
         return np.array([state[3], state[4], spin, push.real, push.imag, turning])
 
-    def _shape(self, bend: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _shape(
+        self, bend: np.ndarray, rate: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return e^{iφ}, ρ and ρ̇ of each connector in the frame of the mean heading."""
         half = 0.5 * bend + 1e-30  # avoids 0/0
         cos, sin = np.cos(half), np.sin(half)
@@ -146,7 +161,9 @@ class CompleteModel:
         return f_t, f_n.sum(axis=0)
 
 
-def solve(model: CompleteModel, bends: list[BendInterval], *, rtol: float, atol: float) -> np.ndarray:
+def solve(
+    model: CompleteModel, bends: list[BendInterval], *, rtol: float, atol: float
+) -> np.ndarray:
     """Integrate with LSODA from rest, with a restart at every valve event.
 
     Args:
@@ -168,13 +185,17 @@ def solve(model: CompleteModel, bends: list[BendInterval], *, rtol: float, atol:
         # Samples within rounding of the end count as the end.
         if stop - at[-1] > 1e-9:
             at = np.append(at, stop)
-        result = odeint(model, state, at, rtol=rtol, atol=atol, tfirst=True, mxstep=100_000)
+        result = odeint(
+            model, state, at, rtol=rtol, atol=atol, tfirst=True, mxstep=100_000
+        )
         states[first:last] = result[1 : 1 + last - first]
         state = result[-1]
     return states
 
 
-def trajectory(spec: RobotSpec, gait: Gait, states: np.ndarray, bends: list[BendInterval]) -> Trajectory:
+def trajectory(
+    spec: RobotSpec, gait: Gait, states: np.ndarray, bends: list[BendInterval]
+) -> Trajectory:
     """Return the states as a trajectory."""
     times = np.arange(len(states)) / RECORD_HZ
     angles = np.empty((len(times), spec.segments))
@@ -182,7 +203,15 @@ def trajectory(spec: RobotSpec, gait: Gait, states: np.ndarray, bends: list[Bend
         inside = (times > b.start - 1e-9) & (times < b.stop + 1e-9)
         decay = np.exp(-b.rate * (times[inside] - b.start)[:, None, None])
         angles[inside] = b.resting + (b.swing * decay).sum(axis=1)
-    columns = {"time": times, "com_x": states[:, 0], "com_y": states[:, 1], "heading": states[:, 2]}
+    columns = {
+        "time": times,
+        "com_x": states[:, 0],
+        "com_y": states[:, 1],
+        "heading": states[:, 2],
+    }
     columns |= {f"bend_{j}": angles[:, j - 1] for j in range(1, spec.segments + 1)}
-    about = {"gait_frequency_hz": gait.frequency, "body_length_m": spec.geometry.body_length}
+    about = {
+        "gait_frequency_hz": gait.frequency,
+        "body_length_m": spec.geometry.body_length,
+    }
     return Trajectory(columns, metadata=about)

@@ -1,6 +1,7 @@
 """Modules that obey Eq. 14, many at once with different gains, for the search of `gains.py`.
 
-The chambers are `LagPneumatics`. The controllers run every millisecond with a noisy sensor.
+The chambers are `LagPneumatics`. The controllers run every millisecond with a noisy
+sensor.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ class Module:
         mass = replace(spec.mass, connectors=spec.mass.connectors[:1] * (count + 1))
         return replace(spec, actuator=actuator, geometry=geometry, mass=mass)
 
-    def follow(self, controller: SlidingMode, duration: float, *, count: int = 1) -> list[Trajectory]:
+    def follow(
+        self, controller: SlidingMode, duration: float, *, count: int = 1
+    ) -> list[Trajectory]:
         """Return the trajectories of several modules, each with its own gains of the controller.
 
         Args:
@@ -59,13 +62,18 @@ class Module:
         """
         spec = self.spec(count)
         air = LagPneumatics(
-            spec, supply_pa=SUPPLY_PA, layout=controller.layouts[0], leak_per_s=self.leak_per_s
+            spec,
+            supply_pa=SUPPLY_PA,
+            layout=controller.layouts[0],
+            leak_per_s=self.leak_per_s,
         )
         load = _Load(spec, self.end_kg) if self.end_kg else None
         controller.reset(spec, TICK_S)
         ticks = round(duration / TICK_S)
         # The same noise for all modules, so that only the gains differ.
-        noise = NOISE_RAD * np.random.default_rng(self.seed).standard_normal((ticks + 1, 1))
+        noise = NOISE_RAD * np.random.default_rng(self.seed).standard_normal(
+            (ticks + 1, 1)
+        )
         noise = np.repeat(noise, count, axis=1)
         bend, reference = np.zeros((ticks + 1, count)), np.zeros((ticks + 1, count))
         states = np.full((ticks + 1, count, 2), -1, dtype=np.int8)
@@ -74,8 +82,13 @@ class Module:
         for k in range(ticks):
             seen: Any = SimpleNamespace(time=k * TICK_S, sensed=bend[k] + noise[k])
             trace = air.advance(air.schedule(controller.step(seen), TICK_S), end)
-            bend[k + 1] = trace.bend[0] if load is None else load.step(trace.pressure[0])
-            states[k + 1], reference[k + 1] = air.valves, controller.signals()["reference"]
+            bend[k + 1] = (
+                trace.bend[0] if load is None else load.step(trace.pressure[0])
+            )
+            states[k + 1], reference[k + 1] = (
+                air.valves,
+                controller.signals()["reference"],
+            )
         time = TICK_S * np.arange(ticks + 1)
         return [
             Trajectory(
@@ -87,7 +100,10 @@ class Module:
                     "valve_plus_1": states[:, j, 0].astype(float),
                     "valve_minus_1": states[:, j, 1].astype(float),
                 },
-                metadata={"tick_s": TICK_S, "valve_switches": air.openings[j : j + 1].tolist()},
+                metadata={
+                    "tick_s": TICK_S,
+                    "valve_switches": air.openings[j : j + 1].tolist(),
+                },
             )
             for j in range(count)
         ]
@@ -100,12 +116,21 @@ class _Load:
         # The end of an arc of length l with bend q moves laterally by l q/2.
         inertia = end_kg * (spec.geometry.segment_length / 2) ** 2
         pull = spec.bending.stiffness / inertia
-        law = [[0, 1, 0, 0], [-pull, -pull * spec.actuator.tau_mode, pull, 0], [0, 0, 0, 1], [0, 0, 0, 0]]
+        law = [
+            [0, 1, 0, 0],
+            [-pull, -pull * spec.actuator.tau_mode, pull, 0],
+            [0, 0, 0, 1],
+            [0, 0, 0, 0],
+        ]
         self._gain, self._step = spec.actuator.gain, expm(TICK_S * np.array(law))
-        self._state = np.zeros((4, spec.segments))  # bend, its rate, free bend, its rate
+        self._state = np.zeros(
+            (4, spec.segments)
+        )  # bend, its rate, free bend, its rate
 
     def step(self, pressure: np.ndarray) -> np.ndarray:
         """Return the bends after a tick that ends with these pressures, shape (segments, 2)."""
-        self._state[3] = (self._gain * (pressure[:, 0] - pressure[:, 1]) - self._state[2]) / TICK_S
+        self._state[3] = (
+            self._gain * (pressure[:, 0] - pressure[:, 1]) - self._state[2]
+        ) / TICK_S
         self._state = self._step @ self._state
         return self._state[0].copy()

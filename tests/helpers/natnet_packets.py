@@ -8,9 +8,13 @@ from collections.abc import Mapping
 from srs_twin.live.natnet import Frame, Packet, Version, closed
 
 
-def write_server(version: Version, *, group: str | None = None, port: int = 1511) -> bytes:
+def write_server(
+    version: Version, *, group: str | None = None, port: int = 1511
+) -> bytes:
     """Return a server's answer to `Packet.CONNECT`."""
-    content = b"srs_twin".ljust(256, b"\0") + bytes([1, 0, 0, 0]) + bytes([*version, 0, 0])
+    content = (
+        b"srs_twin".ljust(256, b"\0") + bytes([1, 0, 0, 0]) + bytes([*version, 0, 0])
+    )
     if version >= (3, 0):
         octets = map(int, (group or "0.0.0.0").split("."))
         content += struct.pack("<QH?4B", 10**9, port, group is not None, *octets)
@@ -23,7 +27,13 @@ def write_models(names: Mapping[int, str], version: Version) -> bytes:
     for number, name in names.items():
         turn = struct.pack("<4f", 0, 0, 0, 1) if version >= (4, 2) else b""
         markers = struct.pack("<i", 0) if version >= (3, 0) else b""
-        body = name.encode() + b"\0" + struct.pack("<ii3f", number, -1, 0, 0, 0) + turn + markers
+        body = (
+            name.encode()
+            + b"\0"
+            + struct.pack("<ii3f", number, -1, 0, 0, 0)
+            + turn
+            + markers
+        )
         size = struct.pack("<i", len(body)) if version >= (4, 1) else b""
         content += struct.pack("<i", 1) + size + body
     return closed(Packet.MODELDEF, content)
@@ -46,8 +56,12 @@ def write_frame(frame: Frame, version: Version) -> bytes:
     ]
     content = struct.pack("<i", frame.number) + none + none + listed(bodies) + none
     # Assets, labelled markers, force plates and devices.
-    content += none * (1 + (version >= (4, 1)) + (version >= (2, 9)) + (version >= (2, 11)))
-    content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", frame.time)
+    content += none * (
+        1 + (version >= (4, 1)) + (version >= (2, 9)) + (version >= (2, 11))
+    )
+    content += struct.pack("<II", 0, 0) + struct.pack(
+        "<d" if version >= (2, 7) else "<f", frame.time
+    )
     if version >= (3, 0):
         content += struct.pack("<3Q", 0, 0, 0)
     if version >= (4, 1):

@@ -136,8 +136,14 @@ controller: {kind: KIND, frequency: 2.0}
 
 def tagged_recording(path: Path) -> Path:
     """Write a recording in the format of `FORMAT`."""
-    rows = [[f"{k / 100:.2f}", *(f"{k + 50 * m}\t{m}\t20" for m in range(5))] for k in range(200)]
-    head = ["#tagged mm", "\t".join(["time", *(f"m{m}_{axis}" for m in range(5) for axis in "xyz")])]
+    rows = [
+        [f"{k / 100:.2f}", *(f"{k + 50 * m}\t{m}\t20" for m in range(5))]
+        for k in range(200)
+    ]
+    head = [
+        "#tagged mm",
+        "\t".join(["time", *(f"m{m}_{axis}" for m in range(5) for axis in "xyz")]),
+    ]
     path.write_text("\n".join([*head, *map("\t".join, rows)]) + "\n")
     return path
 
@@ -169,7 +175,11 @@ def install(site: Path, name: str, version: str = "1.0") -> None:
     write_package(site, name)
     info = site / f"{name}-{version}.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    )
     (info / "entry_points.txt").write_text(entry_points(name))
     files = [*(site / name).glob("*.py"), *info.iterdir()]
-    (info / "RECORD").write_text("".join(f"{file.relative_to(site)},,\n" for file in files))
+    (info / "RECORD").write_text(
+        "".join(f"{file.relative_to(site)},,\n" for file in files)
+    )

@@ -47,7 +47,9 @@ class Page:
 
     @cached_property
     def blocks(self) -> list[Block]:
-        blocks = re.findall(r"^ *```([\w{}-]*) ?(.*)\n((?:.*\n)*?) *```$", self.text, re.M)
+        blocks = re.findall(
+            r"^ *```([\w{}-]*) ?(.*)\n((?:.*\n)*?) *```$", self.text, re.M
+        )
         return [Block(*block) for block in blocks]
 
     @cached_property
@@ -60,7 +62,10 @@ class Page:
         """Link targets: headings as GitHub and the site spell them, and labels such as ``(gains)=``."""
         headings = re.findall(r"^#+ (.*)$", self.prose, re.M)
         labels = re.findall(r"^\(([\w-]+)\)=$", self.prose, re.M)
-        return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings} | {*labels}
+        return {
+            re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
+            for heading in headings
+        } | {*labels}
 
     @property
     def commands(self) -> list[str]:
@@ -70,18 +75,26 @@ class Page:
             if block.language in ("", "sh"):
                 joined = block.text.replace("\\\n", " ").splitlines()
                 lines = [line.partition(" # ")[0].strip() for line in joined]
-                commands += [line for line in lines if line and (block.language or line.startswith(PROGRAMS))]
+                commands += [
+                    line
+                    for line in lines
+                    if line and (block.language or line.startswith(PROGRAMS))
+                ]
         return commands
 
     @property
     def script(self) -> str:
         """All Python blocks of the page as one script."""
-        return "\n".join(block.text for block in self.blocks if block.language == "python")
+        return "\n".join(
+            block.text for block in self.blocks if block.language == "python"
+        )
 
     @property
     def mentions(self) -> list[str]:
         """Commands in the prose, possibly incomplete, such as `srs-twin compare --explain`."""
-        commands = re.findall(r"`((?:uv run )?(?:srs-twin [a-z-]|python benchmarks)[^`]*)`", self.prose)
+        commands = re.findall(
+            r"`((?:uv run )?(?:srs-twin [a-z-]|python benchmarks)[^`]*)`", self.prose
+        )
         return [" ".join(command.split()) for command in commands]
 
     @property
@@ -104,7 +117,9 @@ class Page:
         (folder / "example.py").write_text(self.script, "utf-8")
         words = [sys.executable, "example.py"]
         paths = os.environ | {"PYTHONPATH": str(ROOT / "tests/helpers")}
-        done = subprocess.run(words, cwd=folder, env=paths, capture_output=True, text=True, timeout=600)
+        done = subprocess.run(
+            words, cwd=folder, env=paths, capture_output=True, text=True, timeout=600
+        )
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
         return done.stdout
 
@@ -117,7 +132,12 @@ def words_of(command: str) -> list[str]:
 PAGES = [
     Page(path)
     for path in sorted(
-        [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "models/README.md",
-         ROOT / "calibration/README.md", ROOT / "examples/firmware/README.md"]
+        [
+            *ROOT.glob("*.md"),
+            *(ROOT / "docs").rglob("*.md"),
+            ROOT / "models/README.md",
+            ROOT / "calibration/README.md",
+            ROOT / "examples/firmware/README.md",
+        ]
     )
-]  # fmt: skip
+]

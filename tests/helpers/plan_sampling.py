@@ -25,12 +25,22 @@ def deepest(plan: Plan, problem: Problem, spacing: float = 0.004) -> float:
         if last is not None:
             left, right, length = body.transient(last, segment.offset)
             old = wider if lasting > 0 else (0.0, 0.0)
-            wider, lasting = (max(left, old[0]), max(right, old[1])), max(lasting, length)
+            wider, lasting = (
+                (max(left, old[0]), max(right, old[1])),
+                max(lasting, length),
+            )
         start = (segment.start.x, segment.start.y, segment.start.heading)
         points = [swept_points(start, segment.curvature, segment.length, body, spacing)]
         if lasting > 0:
             points.append(
-                swept_points(start, segment.curvature, min(lasting, segment.length), body, spacing, wider)
+                swept_points(
+                    start,
+                    segment.curvature,
+                    min(lasting, segment.length),
+                    body,
+                    spacing,
+                    wider,
+                )
             )
         depth = max(depth, depth_in(np.vstack(points), problem.world))
         last, lasting = segment.offset, lasting - segment.length
@@ -38,16 +48,24 @@ def deepest(plan: Plan, problem: Problem, spacing: float = 0.004) -> float:
 
 
 def swept_points(
-    start: tuple[float, float, float], curvature: float, length: float, body: Footprint, spacing: float,
+    start: tuple[float, float, float],
+    curvature: float,
+    length: float,
+    body: Footprint,
+    spacing: float,
     wider: tuple[float, float] = (0.0, 0.0),
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Return points of the floor that the body covers along an arc, m, shape (n, 2)."""
     x, y, heading = start
     edges = [
         np.interp(curvature, body.curvatures, c) + w
         for c, w in zip((body.left, body.right), wider, strict=True)
     ]
-    s = np.linspace(-body.behind, length + body.ahead, 2 + int((length + body.ahead + body.behind) / spacing))
+    s = np.linspace(
+        -body.behind,
+        length + body.ahead,
+        2 + int((length + body.ahead + body.behind) / spacing),
+    )
     n = np.linspace(-edges[1], edges[0], 2 + int(sum(edges) / spacing))
     s, n = (grid.ravel() for grid in np.meshgrid(s, n))
     if abs(curvature) < 1e-9:
@@ -55,7 +73,10 @@ def swept_points(
     else:
         # Rotate about the centre of the turn, at 1/curvature to the left.
         radius = 1 / curvature
-        along, across = (radius - n) * np.sin(s / radius), radius - (radius - n) * np.cos(s / radius)
+        along, across = (
+            (radius - n) * np.sin(s / radius),
+            radius - (radius - n) * np.cos(s / radius),
+        )
     c, sn = math.cos(heading), math.sin(heading)
     return np.column_stack([x + c * along - sn * across, y + sn * along + c * across])
 
@@ -64,15 +85,22 @@ def depth_in(points: np.ndarray, world: World) -> float:
     """Return the largest depth of the points inside an obstacle, m."""
     x, y = points.T
     depth = [-math.inf]
-    depth += [float(np.max(c.radius - np.hypot(x - c.x, y - c.y))) for c in world.obstacles]
+    depth += [
+        float(np.max(c.radius - np.hypot(x - c.x, y - c.y))) for c in world.obstacles
+    ]
     if world.bounds:
         (west, east), (south, north) = world.bounds.x, world.bounds.y
-        depth += [float(v) for v in (west - x.min(), x.max() - east, south - y.min(), y.max() - north)]
+        depth += [
+            float(v)
+            for v in (west - x.min(), x.max() - east, south - y.min(), y.max() - north)
+        ]
     depth += [1.0 for p in world.polygons if np.any(_in_polygon(x, y, p.corners))]
     return max(depth)
 
 
-def _in_polygon(x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float], ...]) -> np.ndarray:
+def _in_polygon(
+    x: np.ndarray, y: np.ndarray, corners: tuple[tuple[float, float], ...]
+) -> np.ndarray:
     """Return for each point whether a ray from it crosses an odd number of sides."""
     odd = np.zeros(len(x), dtype=bool)
     for (ax, ay), (bx, by) in zip(corners, corners[1:] + corners[:1], strict=True):
@@ -98,11 +126,16 @@ def misses(plan: Plan, problem: Problem) -> bool:
     end, goal = plan.end or problem.start, problem.goal
     far = math.hypot(end.x - goal.x, end.y - goal.y) > goal.radius + 1e-6
     turned = goal.heading is not None and (
-        abs(math.remainder(end.heading - goal.heading, 2 * math.pi)) > goal.heading_tolerance + 1e-6
+        abs(math.remainder(end.heading - goal.heading, 2 * math.pi))
+        > goal.heading_tolerance + 1e-6
     )
     return far or turned
 
 
 def is_faulty(plan: Plan, problem: Problem) -> bool:
     """Return whether a plan collides, has gaps between its segments or misses the goal."""
-    return deepest(plan, problem) > TOUCH or joints(plan, problem) > 1e-6 or misses(plan, problem)
+    return (
+        deepest(plan, problem) > TOUCH
+        or joints(plan, problem) > 1e-6
+        or misses(plan, problem)
+    )

@@ -37,9 +37,13 @@ def drawn_problem(seed: int) -> Problem:
     scale = 1.0 if seed % 3 == 0 else 2.5
     bounds = Bounds((0.0, 2.4 * scale), (0.0, 1.6 * scale))
     width = max(a + b for a, b in zip(body.left, body.right, strict=True))
-    start = Pose(0.3 * scale, float(rng.uniform(0.3, 1.3)) * scale, float(rng.uniform(-0.8, 0.8)))
+    start = Pose(
+        0.3 * scale, float(rng.uniform(0.3, 1.3)) * scale, float(rng.uniform(-0.8, 0.8))
+    )
     heading = None if seed % 4 == 3 else float(rng.uniform(-1.0, 1.0))
-    goal = Goal(2.1 * scale, float(rng.uniform(0.3, 1.3)) * scale, heading, 0.02 * scale, 0.1)
+    goal = Goal(
+        2.1 * scale, float(rng.uniform(0.3, 1.3)) * scale, heading, 0.02 * scale, 0.1
+    )
     clear = ((start.x, start.y, 0.22 * scale), (goal.x, goal.y, 0.15 * scale))
     gap = float(rng.uniform(0.3, 2.5)) * width
     count = int(rng.integers(1, 41))
@@ -47,13 +51,21 @@ def drawn_problem(seed: int) -> Problem:
     while count and not circles:
         try:
             circles = random_circles(
-                count, bounds, seed, radius=(0.03 * scale, 0.12 * scale), gap=gap, clear=clear
+                count,
+                bounds,
+                seed,
+                radius=(0.03 * scale, 0.12 * scale),
+                gap=gap,
+                clear=clear,
             )
         except InputError:
             count -= 1
     if seed % 2:
         world = World(
-            circles[::2], bounds if seed % 7 else None, None, tuple(_cornered(c, rng) for c in circles[1::2])
+            circles[::2],
+            bounds if seed % 7 else None,
+            None,
+            tuple(_cornered(c, rng) for c in circles[1::2]),
         )
     else:
         world = World(circles, bounds)
@@ -64,7 +76,11 @@ def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
     """Return a star-shaped, usually non-convex polygon inside a circle."""
     angles = (np.arange(7) + rng.uniform(0, 0.9, 7)) * 2 * math.pi / 7
     radii = circle.radius * rng.uniform(0.4, 1.0, 7)
-    corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
+    corners = zip(
+        circle.x + radii * np.cos(angles),
+        circle.y + radii * np.sin(angles),
+        strict=True,
+    )
     return Polygon(tuple((float(x), float(y)) for x, y in corners))
 
 
@@ -85,4 +101,6 @@ ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
 def fig54_problem(count: int, seed: int, *, arcs: bool) -> Problem:
     """Return a world of Fig. 54; `arcs` adds the motion primitives of the dissertation's planner."""
     body = load_footprint("gen2_section52")
-    return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None)
+    return Problem(
+        FIG54_START, FIG54_GOAL, fig54_world(count, seed), body, ARCS if arcs else None
+    )

@@ -44,7 +44,11 @@ def measured(name: str, settings: Settings) -> Metrics:
 def error(metric: str, result: Metrics, reference: Metrics) -> float:
     """Return the error of a metric in the unit of `METRICS`; NaN for the radius of a straight gait."""
     if metric == "position":
-        return float(100 * np.linalg.norm(result[metric] - reference[metric]) / reference["path_length_m"])
+        return float(
+            100
+            * np.linalg.norm(result[metric] - reference[metric])
+            / reference["path_length_m"]
+        )
     if metric == "yaw_rate_rad_s":
         return float(1e3 * (result[metric] - reference[metric]))
     if metric == "turning_radius_m" and abs(reference["yaw_rate_rad_s"]) < 0.01:

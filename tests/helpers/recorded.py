@@ -17,13 +17,17 @@ NOISE = 2e-4  # m, the default of `Take`
 
 
 @cache
-def motion(seconds: float = 4.0, offset: float = 0.1, frequency: float = 2.0) -> Trajectory:
+def motion(
+    seconds: float = 4.0, offset: float = 0.1, frequency: float = 2.0
+) -> Trajectory:
     """Return a gait that starts from rest."""
     plant = AnalyticalSnake(SPEC, supply_pa=48e3)
     return rollout(plant, Gait(frequency, offset), seconds, record_hz=RATE)
 
 
-def recorded(folder: Path, take: Take, truth: Trajectory | None = None, **options: object) -> Recording:
+def recorded(
+    folder: Path, take: Take, truth: Trajectory | None = None, **options: object
+) -> Recording:
     """Write a recording and read it back."""
     path = folder / "take.csv"
     write_motive(truth or motion(), take, path)
@@ -44,14 +48,33 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
 def plain_csv(trajectory: Trajectory, unit: str = "m", scale: float = 1.0) -> str:
     """Return the connectors as a plain CSV file."""
     count = trajectory.position.shape[1]
-    head = ",".join(["time", *(f"{axis}_{i}_{unit}" for i in range(1, count + 1) for axis in "xy")])
-    values = np.column_stack([trajectory.time, trajectory.position.reshape(len(trajectory), -1) * scale])
-    return head + "\n" + "\n".join(",".join(f"{v:.9g}" for v in row) for row in values) + "\n"
+    head = ",".join(
+        ["time", *(f"{axis}_{i}_{unit}" for i in range(1, count + 1) for axis in "xy")]
+    )
+    values = np.column_stack(
+        [trajectory.time, trajectory.position.reshape(len(trajectory), -1) * scale]
+    )
+    return (
+        head
+        + "\n"
+        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in values)
+        + "\n"
+    )
 
 
 def valve_csv(truth: Trajectory, start: float, stop: float, shift: float) -> str:
     """Return a valve log between two times, on a clock that is ahead by `shift`."""
-    names = [f"valve_{side}_{j}" for j in range(1, SPEC.segments + 1) for side in ("plus", "minus")]
+    names = [
+        f"valve_{side}_{j}"
+        for j in range(1, SPEC.segments + 1)
+        for side in ("plus", "minus")
+    ]
     rows = (truth.time >= start - 1e-9) & (truth.time <= stop + 1e-9)
-    values = np.column_stack([truth.time[rows] + shift, *(truth[name][rows] for name in names)])
-    return ",".join(["time", *names]) + "\n" + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in values)
+    values = np.column_stack(
+        [truth.time[rows] + shift, *(truth[name][rows] for name in names)]
+    )
+    return (
+        ",".join(["time", *names])
+        + "\n"
+        + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in values)
+    )

@@ -28,10 +28,11 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
     Args:
         body: what `pose_body` filled, shape (ROWS, N).
         q: bends, shape (segments,), rad.
-        u: velocity of the centre of mass in the frame of the mean heading (m/s), yaw rate and bend rates
-            (rad/s), shape (3 + segments,).
+        u: velocity of the centre of mass in the frame of the mean heading (m/s), yaw
+            rate and bend rates (rad/s), shape (3 + segments,).
         solid: the body.
-        rows: out, shape (N, 3, 3 + segments): velocity along, across, and yaw rate by u.
+        rows: out, shape (N, 3, 3 + segments): velocity along, across, and yaw rate by
+            u.
         rates: out, shape (N, 2, 3 + segments): their inertial rates, along and across.
     """
     mass = solid.mass
@@ -47,11 +48,15 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         s = body[SIN, j] * half_c - body[COS, j] * half_s
         length_rate, bulge = slope * u[3 + j], curvature * u[3 + j]
         for k in range(n - 1):
-            # Bend k turns all behind it by −1, and everything by this much, so that the mean stays.
+            # Bend k turns all behind it by −1, and everything by this much, so that the
+            # mean stays.
             turn = (n - 1 - k) / n - (1.0 if k < j else 0.5 if k == j else 0.0)
             own = 1.0 if k == j else 0.0
             forth, aside = own * slope, span * turn
-            forth_rate, aside_rate = own * bulge - aside * spin, length_rate * turn + own * slope * spin
+            forth_rate, aside_rate = (
+                own * bulge - aside * spin,
+                length_rate * turn + own * slope * spin,
+            )
             rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + aside * s
             rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - aside * c
             rates[i, 0, 3 + k] = rates[j, 0, 3 + k] - forth_rate * c + aside_rate * s
@@ -66,8 +71,14 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         rate[1, 2] = body[VX, i] - u[2] * body[Y, i]
         c, s = body[COS, i], body[SIN, i]
         for k in range(n + 2):
-            row[0, k], row[1, k] = row[0, k] * c + row[1, k] * s, row[1, k] * c - row[0, k] * s
-            rate[0, k], rate[1, k] = rate[0, k] * c + rate[1, k] * s, rate[1, k] * c - rate[0, k] * s
+            row[0, k], row[1, k] = (
+                row[0, k] * c + row[1, k] * s,
+                row[1, k] * c - row[0, k] * s,
+            )
+            rate[0, k], rate[1, k] = (
+                rate[0, k] * c + rate[1, k] * s,
+                rate[1, k] * c - rate[0, k] * s,
+            )
             if k >= 3:
                 row[2, k] = (n + 2 - k) / n - (1.0 if k - 3 < i else 0.0)
         row[2, 0], row[2, 1], row[2, 2] = 0.0, 0.0, 1.0
@@ -88,15 +99,27 @@ def _centre(mass, rows, rates):  # type: ignore[no-untyped-def]
                 rates[i, axis, k] -= mean_rate
 
 
-def newtons_matrix(q: np.ndarray, u: np.ndarray, a: float, model: CompliantModel) -> np.ndarray:
+def newtons_matrix(
+    q: np.ndarray, u: np.ndarray, a: float, model: CompliantModel
+) -> np.ndarray:
     """Return Newton's matrix of a stage of `compliant_kernels` as a sum over the rows of all connectors."""
-    solid, floor, springs = model.solid, model.floor, a * model.damping + a * a * model.stiffness
+    solid, floor, springs = (
+        model.solid,
+        model.floor,
+        a * model.damping + a * a * model.stiffness,
+    )
     n, size = len(solid.mass), len(u)
-    body, rows, rates = np.empty((ROWS, n)), np.empty((n, 3, size)), np.empty((n, 2, size))
+    body, rows, rates = (
+        np.empty((ROWS, n)),
+        np.empty((n, 3, size)),
+        np.empty((n, 2, size)),
+    )
     pose_body(q, u[3:], solid, body)
     fill_rows(body, q, u, solid, rows, rates)
     matrix = np.diag(np.append(np.zeros(3), springs))
-    for row, rate, mass, inertia in zip(rows, rates, solid.mass, solid.inertia, strict=True):
+    for row, rate, mass, inertia in zip(
+        rows, rates, solid.mass, solid.inertia, strict=True
+    ):
         own = np.diag([mass, mass, inertia]) - a * slopes(row @ u, mass, floor)
         odd = a * mass * row[:2].T @ rate
         matrix += row.T @ own @ row + odd - odd.T
@@ -105,5 +128,7 @@ def newtons_matrix(q: np.ndarray, u: np.ndarray, a: float, model: CompliantModel
 
 def slopes(velocity: np.ndarray, mass: float, floor: FloorFriction) -> np.ndarray:
     """Return the slopes of a connector's friction by its velocities along, across, and about itself."""
-    tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(*velocity, mass * floor.gravity, floor)[3:]
+    tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
+        *velocity, mass * floor.gravity, floor
+    )[3:]
     return np.array([[tt, tn, tm], [nt, nn, nm], [tm, mn, mm]])

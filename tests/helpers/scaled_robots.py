@@ -32,11 +32,14 @@ Builder = Callable[[RobotSpec, float, Collection[str]], Plant]
 def scaled(spec: RobotSpec, s: float) -> RobotSpec:
     """Return a robot whose lengths are multiplied by s and that makes the same motion.
 
-    Masses and the axial drag are multiplied by s³, stiffness by s⁴ and times by √s. Bends per pressure stay.
+    Masses and the axial drag are multiplied by s³, stiffness by s⁴ and times by √s.
+    Bends per pressure stay.
     """
     time = math.sqrt(s)
 
-    def changed(section: Any, factor: Callable[[str], float], skip: tuple[str, ...] = ()) -> Any:
+    def changed(
+        section: Any, factor: Callable[[str], float], skip: tuple[str, ...] = ()
+    ) -> Any:
         """Return a section with each number multiplied by the factor of its name."""
         numbers = {}
         for field in fields(section):
@@ -45,7 +48,9 @@ def scaled(spec: RobotSpec, s: float) -> RobotSpec:
                 continue
             many = isinstance(value, tuple)
             numbers[field.name] = (
-                tuple(factor(field.name) * number for number in value) if many else factor(field.name) * value
+                tuple(factor(field.name) * number for number in value)
+                if many
+                else factor(field.name) * value
             )
         return replace(section, **numbers)
 
@@ -55,7 +60,9 @@ def scaled(spec: RobotSpec, s: float) -> RobotSpec:
         mass=changed(spec.mass, lambda name: s if "gyration" in name else s**3),
         friction=replace(spec.friction, drag=s**3 * spec.friction.drag),
         bending=changed(spec.bending, lambda name: time if "time" in name else s**4),
-        actuator=changed(spec.actuator, lambda name: time if name.startswith("tau") else 1.0),
+        actuator=changed(
+            spec.actuator, lambda name: time if name.startswith("tau") else 1.0
+        ),
         chamber=changed(spec.chamber, lambda name: s**3),
     )
 
@@ -64,7 +71,9 @@ def _analytical(**options: Any) -> Builder:
     def build(spec: RobotSpec, s: float, explicit: Collection[str]) -> Plant:
         time = math.sqrt(s)
         numerics = {"timestep": 0.002, "tolerance": 0.0002, "slip_speed": 0.00025}
-        chosen = {name: value * time for name, value in numerics.items() if name in explicit}
+        chosen = {
+            name: value * time for name, value in numerics.items() if name in explicit
+        }
         return AnalyticalSnake(spec, tick=TICK_S * time, **options, **chosen)
 
     return build
@@ -76,9 +85,13 @@ def _twin(contact: type[LoadedContact] | type[PreloadedContact], kind: Any) -> B
         numerics = {"slip_speed": 0.001, "timestep": 0.001}
         if contact is PreloadedContact:
             numerics |= {"slip_time": 0.0003, "axle_time": 0.002}
-        chosen = {name: value * time for name, value in numerics.items() if name in explicit}
+        chosen = {
+            name: value * time for name, value in numerics.items() if name in explicit
+        }
         steps = {"timestep": chosen.pop("timestep")} if "timestep" in chosen else {}
-        return TwinSnake(spec, contact=contact(kind, **chosen), tick=TICK_S * time, **steps)
+        return TwinSnake(
+            spec, contact=contact(kind, **chosen), tick=TICK_S * time, **steps
+        )
 
     return build
 
@@ -87,7 +100,9 @@ PLANTS: dict[str, Builder] = {
     "simplified, axis": _analytical(model="simplified"),
     "complete, axis": _analytical(),
     "complete, wheel, momentary": _analytical(friction="wheel", load="momentary"),
-    "compliant, ellipse": _analytical(model="compliant", friction="ellipse", inertia="connector"),
+    "compliant, ellipse": _analytical(
+        model="compliant", friction="ellipse", inertia="connector"
+    ),
     "twin, loaded, wheel": _twin(LoadedContact, "wheel"),
     "twin, loaded, ellipse": _twin(LoadedContact, "ellipse"),
     "twin, preloaded, rolling": _twin(PreloadedContact, "rolling"),
@@ -99,16 +114,29 @@ PLANTS: dict[str, Builder] = {
 def motion(plant: Plant, s: float) -> np.ndarray:
     """Return the speed over √s and the yaw rate times √s of a turning gait over its last periods, (2,)."""
     time, end = math.sqrt(s), PERIODS / FREQUENCY_HZ
-    run = rollout(plant, Gait(FREQUENCY_HZ / time, OFFSET), end * time, record_hz=50 / time)
-    first = int(np.searchsorted(run.time, (end - MEASURED_PERIODS / FREQUENCY_HZ - 1e-6) * time))
+    run = rollout(
+        plant, Gait(FREQUENCY_HZ / time, OFFSET), end * time, record_hz=50 / time
+    )
+    first = int(
+        np.searchsorted(run.time, (end - MEASURED_PERIODS / FREQUENCY_HZ - 1e-6) * time)
+    )
     span = (run.time[-1] - run.time[first]) / time
     way = run.com[-1] - run.com[first]
-    return np.array([math.hypot(*way) / s, run["heading"][-1] - run["heading"][first]]) / span
+    return (
+        np.array([math.hypot(*way) / s, run["heading"][-1] - run["heading"][first]])
+        / span
+    )
 
 
 def deviations(
-    name: str, spec: RobotSpec, s: float, explicit: Collection[str], reference: np.ndarray
+    name: str,
+    spec: RobotSpec,
+    s: float,
+    explicit: Collection[str],
+    reference: np.ndarray,
 ) -> np.ndarray:
     """Return the relative deviations of speed and yaw rate of a scaled robot from a reference, shape (2,)."""
-    difference: np.ndarray = motion(PLANTS[name](scaled(spec, s), s, explicit), s) / reference - 1
+    difference: np.ndarray = (
+        motion(PLANTS[name](scaled(spec, s), s, explicit), s) / reference - 1
+    )
     return difference

@@ -1,6 +1,7 @@
 """Screenshots of a recording in the Rerun viewer, without a screen or browser.
 
-Needs a Vulkan driver; the software one will do (Debian: `apt-get install mesa-vulkan-drivers`).
+Needs a Vulkan driver; the software one will do (Debian: `apt-get install
+mesa-vulkan-drivers`).
 """
 
 from __future__ import annotations
@@ -46,14 +47,17 @@ def screenshots(
         size: of the viewer's window, pixels.
 
     Raises:
-        InputError: not a whole recording; or the viewer cannot draw here, with what to install.
+        InputError: not a whole recording; or the viewer cannot draw here, with what to
+            install.
     """
     verify_recording(recording)
     with _headless_viewer(size) as client:
         client.open(str(Path(recording).resolve()))
         view = None
         if scene_only:
-            view = next(v.view_id for v in client.get_state().views if v.view_class == "3D")
+            view = next(
+                v.view_id for v in client.get_state().views if v.view_class == "3D"
+            )
         pictures = []
         for moment in times:
             client.set_time(TIMELINE, duration=float(moment), play_state="paused")
@@ -70,17 +74,25 @@ def _settled(client: ViewerClient, view: str | None) -> bytes:
         if now == before:
             return now
         before = now
-    raise InputError(f"the viewer's picture did not come to rest within {_SETTLE_S:g} s")
+    raise InputError(
+        f"the viewer's picture did not come to rest within {_SETTLE_S:g} s"
+    )
 
 
 @contextmanager
 def _headless_viewer(size: tuple[int, int]) -> Iterator[ViewerClient]:
     """Start a viewer without a window and end it with all its processes.
 
-    `ViewerClient.spawn` would do, but it listens on every network interface and prints its stack traces.
+    `ViewerClient.spawn` would do, but it listens on every network interface and prints
+    its stack traces.
     """
     port = free_port()
-    window = ("--headless", "--window-size", f"{size[0]}x{size[1]}", "--hide-welcome-screen")
+    window = (
+        "--headless",
+        "--window-size",
+        f"{size[0]}x{size[1]}",
+        "--hide-welcome-screen",
+    )
     with running_rerun("--port", str(port), *window) as (viewer, output):
         yield _connected(viewer, port, output)
 
@@ -99,7 +111,8 @@ def _connected(viewer: Rerun, port: int, output: IO[bytes]) -> ViewerClient:
     words = output_lines(output)
     if any("render context" in line or "graphics adapter" in line for line in words):
         raise InputError(
-            "no Vulkan driver to draw a picture with; install one (Debian: apt-get install "
-            "mesa-vulkan-drivers), or use the pictures made with matplotlib (report.html)"
+            "no Vulkan driver to draw a picture with; install one (Debian: apt-get"
+            " install mesa-vulkan-drivers), or use the pictures made with matplotlib"
+            " (report.html)"
         )
     raise InputError(f"the Rerun viewer did not start: {words[-1]}")

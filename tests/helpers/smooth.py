@@ -11,7 +11,8 @@ from srs_twin.pneumatics import Pneumatics, Schedule, Trace
 class Wave(Pneumatics):
     """Free bends q_j = s(t) [a sin(2π f t − β (j − 1)) + b] with s = 1 − exp(−(t/rise)⁴).
 
-    The pressures follow from the mode time constant, p⁺ − p⁻ = (q + τ₂ q̇)/G, around half the supply.
+    The pressures follow from the mode time constant, p⁺ − p⁻ = (q + τ₂ q̇)/G, around
+    half the supply.
     """
 
     kind = "wave"
@@ -25,9 +26,17 @@ class Wave(Pneumatics):
         frequency: float = 2.0,
         rise: float = 0.2,
     ) -> None:
-        self._actuator, self._lag = spec.actuator, spec.phase_step * np.arange(spec.segments)
+        self._actuator, self._lag = (
+            spec.actuator,
+            spec.phase_step * np.arange(spec.segments),
+        )
         self._middle = spec.supply.nominal / 2
-        self._amplitude, self._bias, self._omega, self._rise = amplitude, bias, 2 * np.pi * frequency, rise
+        self._amplitude, self._bias, self._omega, self._rise = (
+            amplitude,
+            bias,
+            2 * np.pi * frequency,
+            rise,
+        )
         super().__init__(spec, layout="3/2")
 
     def reset(self) -> None:
@@ -38,7 +47,11 @@ class Wave(Pneumatics):
         """Return the free bends (rad), their rates and accelerations, shape (times, segments)."""
         t, w, r = np.asarray(time)[:, None], self._omega, self._rise
         gone = np.exp(-((t / r) ** 4))
-        swell = 1 - gone, 4 * t**3 / r**4 * gone, (12 * t**2 / r**4 - (4 * t**3 / r**4) ** 2) * gone
+        swell = (
+            1 - gone,
+            4 * t**3 / r**4 * gone,
+            (12 * t**2 / r**4 - (4 * t**3 / r**4) ** 2) * gone,
+        )
         phase = w * t - self._lag
         wave = (
             self._amplitude * np.sin(phase) + self._bias,
@@ -52,7 +65,11 @@ class Wave(Pneumatics):
         )
 
     def _simulate(
-        self, schedule: Schedule, times: np.ndarray, bend: np.ndarray | None, bend_rate: np.ndarray | None
+        self,
+        schedule: Schedule,
+        times: np.ndarray,
+        bend: np.ndarray | None,
+        bend_rate: np.ndarray | None,
     ) -> Trace:
         q, dq, ddq = self.free(self._now + times)
         half = (q + self._actuator.tau_mode * dq) / self._actuator.gain / 2

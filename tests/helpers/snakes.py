@@ -7,7 +7,14 @@ from functools import cache
 
 import numpy as np
 
-from srs_twin import AnalyticalSnake, LoadedContact, Plant, RobotSpec, TwinSnake, load_robot
+from srs_twin import (
+    AnalyticalSnake,
+    LoadedContact,
+    Plant,
+    RobotSpec,
+    TwinSnake,
+    load_robot,
+)
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.twin.mjcf.belly import root_connector
 
@@ -15,7 +22,9 @@ GRAVITY = 9.81
 shipped = cache(load_robot)
 
 
-def robot(name: str = "gen2", *, stiffness: float | None = None, **friction: float) -> RobotSpec:
+def robot(
+    name: str = "gen2", *, stiffness: float | None = None, **friction: float
+) -> RobotSpec:
     """Return a shipped robot with another bending stiffness (N·m/rad) or other friction coefficients."""
     spec = shipped(name)
     if stiffness is not None:
@@ -24,11 +33,17 @@ def robot(name: str = "gen2", *, stiffness: float | None = None, **friction: flo
 
 
 def chain(
-    masses: tuple[float, ...], *, length: float = 0.037, gap: float = 0.018, **friction: float
+    masses: tuple[float, ...],
+    *,
+    length: float = 0.037,
+    gap: float = 0.018,
+    **friction: float,
 ) -> RobotSpec:
     """Return gen2 with other connector masses (kg) and lengths (m); the masses set the number."""
     spec = robot(**friction)
-    geometry = replace(spec.geometry, connectors=len(masses), segment_length=length, rigid_gap=gap)
+    geometry = replace(
+        spec.geometry, connectors=len(masses), segment_length=length, rigid_gap=gap
+    )
     return replace(spec, geometry=geometry, mass=replace(spec.mass, connectors=masses))
 
 
@@ -37,10 +52,17 @@ def vented(spec: RobotSpec) -> np.ndarray:
     return np.full((spec.segments, 2), -1, dtype=np.int8)
 
 
-def throw(plant: Plant, velocity: tuple[float, float], *, spin: float = 0.0, heading: float = 0.0) -> None:
+def throw(
+    plant: Plant,
+    velocity: tuple[float, float],
+    *,
+    spin: float = 0.0,
+    heading: float = 0.0,
+) -> None:
     """Place a straight plant at the origin with a velocity (m/s, world) and yaw rate (rad/s).
 
-    The twin is first simulated until it rests on its wheels; the wheels then roll without slip.
+    The twin is first simulated until it rests on its wheels; the wheels then roll
+    without slip.
     """
     plant.reset(pose=(0.0, 0.0, heading))
     if isinstance(plant, AnalyticalSnake):
@@ -60,7 +82,11 @@ def _throw_analytical(
     plant._body.state[kernels.STATE_VX : kernels.STATE_VY + 1] = velocity
     plant._body.state[kernels.MOMENT] = inertia * spin
     c, s = np.cos(heading), np.sin(heading)
-    plant._body.velocity[:3] = c * velocity[0] + s * velocity[1], c * velocity[1] - s * velocity[0], spin
+    plant._body.velocity[:3] = (
+        c * velocity[0] + s * velocity[1],
+        c * velocity[1] - s * velocity[0],
+        spin,
+    )
 
 
 def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) -> None:
@@ -68,7 +94,10 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
         plant.step(vented(plant.spec))
     physics, g = plant.physics, plant.spec.geometry
     centre = physics.center_of_mass()[:2]
-    headings, places = physics.connector_headings(), physics.connector_positions()[:, :2]
+    headings, places = (
+        physics.connector_headings(),
+        physics.connector_positions()[:, :2],
+    )
 
     def at(place: np.ndarray) -> np.ndarray:
         arm = place - centre
@@ -78,13 +107,19 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
     physics.data.qvel[:2] = at(places[root_connector(plant.spec) - 1])
     physics.data.qvel[5] = spin
     contact = plant.contact
-    if contact.law == "ellipse" if isinstance(contact, LoadedContact) else not contact.rolling:
+    if (
+        contact.law == "ellipse"
+        if isinstance(contact, LoadedContact)
+        else not contact.rolling
+    ):
         return
     for i, (place, heading) in enumerate(zip(places, headings, strict=True), start=1):
         along = at(place) @ [np.cos(heading), np.sin(heading)]
         for side, sign in (("left", 1), ("right", -1)):
             rolling = along - sign * g.half_track * spin
             if physics.stepper is not None:
-                physics.stepper.contact_state.rim_speed[2 * i - 2 + (side == "right")] = rolling
+                physics.stepper.contact_state.rim_speed[
+                    2 * i - 2 + (side == "right")
+                ] = rolling
                 continue
             physics.data.joint(f"axle_{side}_{i}").qvel = rolling / g.wheel_radius

@@ -16,7 +16,9 @@ def first_by_default(count: int, values: Iterable[Any]) -> list[Any]:
 
 def _slow(value: Any) -> Any:
     if hasattr(value, "marks"):
-        return pytest.param(*value.values, id=value.id, marks=[*value.marks, pytest.mark.slow])
+        return pytest.param(
+            *value.values, id=value.id, marks=[*value.marks, pytest.mark.slow]
+        )
     if isinstance(value, tuple):
         return pytest.param(*value, marks=pytest.mark.slow)
     return pytest.param(value, marks=pytest.mark.slow)

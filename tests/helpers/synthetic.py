@@ -1,7 +1,8 @@
 """Trajectories with prescribed speed, turning radius and bends.
 
-A constant-curvature snake moves along a straight line or a circle. The kinematics of the package are not
-used: the tangent of the centre line is integrated numerically along the body.
+A constant-curvature snake moves along a straight line or a circle. The kinematics of
+the package are not used: the tangent of the centre line is integrated numerically along
+the body.
 """
 
 from __future__ import annotations
@@ -49,7 +50,9 @@ class Snake:
         beat = 2 * np.pi * self.frequency * time + self.phase
         path_heading = self.yaw_rate * time
         heading = path_heading + self.heading_sway * np.sin(beat + 0.4)
-        sway = np.stack([self.sway[0] * np.sin(2 * beat), self.sway[1] * np.cos(beat)], axis=-1)
+        sway = np.stack(
+            [self.sway[0] * np.sin(2 * beat), self.sway[1] * np.cos(beat)], axis=-1
+        )
         com = _carried(self.speed, self.yaw_rate, time) + _turned(sway, path_heading)
         bend = self.bends(time)
         theta = _headings(bend, heading)
@@ -57,17 +60,26 @@ class Snake:
         position = com[:, None, :] + body - body.mean(axis=1, keepdims=True)
         return Trajectory(
             {
-                "time": time, "com_x": com[:, 0], "com_y": com[:, 1], "heading": heading,
-                **numbered("x", position[..., 0]), **numbered("y", position[..., 1]),
-                **numbered("theta", theta), **numbered("bend", bend),
+                "time": time,
+                "com_x": com[:, 0],
+                "com_y": com[:, 1],
+                "heading": heading,
+                **numbered("x", position[..., 0]),
+                **numbered("y", position[..., 1]),
+                **numbered("theta", theta),
+                **numbered("bend", bend),
             },
             metadata={
-                "plant": plant, "robot": "synthetic", "tick_s": 0.02, "duration_s": self.duration,
+                "plant": plant,
+                "robot": "synthetic",
+                "tick_s": 0.02,
+                "duration_s": self.duration,
                 "gait_frequency_hz": self.frequency if self.periodic else None,
-                "body_length_m": self.body_length, "record_hz": self.record_hz,
+                "body_length_m": self.body_length,
+                "record_hz": self.record_hz,
                 "valve_switches": [[12, 12]] * (self.connectors - 1),
             },
-        )  # fmt: skip
+        )
 
 
 def numbered(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
@@ -83,7 +95,10 @@ def with_metadata(trajectory: Trajectory, **metadata: object) -> Trajectory:
 
 
 def sampled(trajectory: Trajectory, keep: slice | np.ndarray) -> Trajectory:
-    return replace(trajectory, columns={name: column[keep] for name, column in trajectory.columns.items()})
+    return replace(
+        trajectory,
+        columns={name: column[keep] for name, column in trajectory.columns.items()},
+    )
 
 
 def moved(trajectory: Trajectory, x: float, y: float, angle: float) -> Trajectory:
@@ -93,22 +108,31 @@ def moved(trajectory: Trajectory, x: float, y: float, angle: float) -> Trajector
     position = _turned(trajectory.position, angle) + shift
     return with_columns(
         trajectory,
-        com_x=com[:, 0], com_y=com[:, 1], heading=trajectory["heading"] + angle,
-        **numbered("x", position[..., 0]), **numbered("y", position[..., 1]),
+        com_x=com[:, 0],
+        com_y=com[:, 1],
+        heading=trajectory["heading"] + angle,
+        **numbered("x", position[..., 0]),
+        **numbered("y", position[..., 1]),
         **numbered("theta", trajectory.stack("theta") + angle),
-    )  # fmt: skip
+    )
 
 
 def mirrored(trajectory: Trajectory) -> Trajectory:
     """Return the run mirrored at the x axis."""
     names = ("com_y", "heading", "y", "theta", "bend")
-    flipped = {n: -c for n, c in trajectory.columns.items() if n.rstrip("0123456789").rstrip("_") in names}
+    flipped = {
+        n: -c
+        for n, c in trajectory.columns.items()
+        if n.rstrip("0123456789").rstrip("_") in names
+    }
     return with_columns(trajectory, **flipped)
 
 
 def backwards(trajectory: Trajectory) -> Trajectory:
     """Return the run in reverse order."""
-    return with_columns(sampled(trajectory, slice(None, None, -1)), time=trajectory.time)
+    return with_columns(
+        sampled(trajectory, slice(None, None, -1)), time=trajectory.time
+    )
 
 
 def _turned(points: np.ndarray, angle: float | np.ndarray) -> np.ndarray:
@@ -125,7 +149,9 @@ def _carried(speed: float, yaw_rate: float, time: np.ndarray) -> np.ndarray:
 
 def _headings(bend: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Return connector headings with q_j = θ_j − θ_{j+1} and the given mean, shape (samples, N)."""
-    from_head = np.concatenate([np.zeros((len(bend), 1)), -np.cumsum(bend, axis=1)], axis=1)
+    from_head = np.concatenate(
+        [np.zeros((len(bend), 1)), -np.cumsum(bend, axis=1)], axis=1
+    )
     return from_head + (mean - from_head.mean(axis=1))[:, None]
 
 
@@ -137,5 +163,7 @@ def _centre_line(theta: np.ndarray, length: float, gap: float) -> np.ndarray:
     tangent = np.exp(1j * (front + (back - front) * along_arc))
     chord = length * (tangent @ (0.5 * weight)) + 0.5 * gap * np.exp(1j * theta[:, :-1])
     chord = chord + 0.5 * gap * np.exp(1j * theta[:, 1:])
-    place = np.concatenate([np.zeros((len(theta), 1)), -np.cumsum(chord, axis=1)], axis=1)
+    place = np.concatenate(
+        [np.zeros((len(theta), 1)), -np.cumsum(chord, axis=1)], axis=1
+    )
     return np.stack([place.real, place.imag], axis=-1)

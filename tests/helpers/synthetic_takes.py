@@ -19,7 +19,13 @@ from srs_twin.recordings.body.layout import LAYOUTS
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.trajectory import Trajectory
 
-MOTIVE_LENGTHS = {"Meters": "m", "Centimeters": "cm", "Millimeters": "mm", "Inches": "in", "Feet": "ft"}
+MOTIVE_LENGTHS = {
+    "Meters": "m",
+    "Centimeters": "cm",
+    "Millimeters": "mm",
+    "Inches": "in",
+    "Feet": "ft",
+}
 """Words after 'Length Units' in a Motive export."""
 
 
@@ -29,7 +35,8 @@ class Take:
 
     Attributes:
         layout: one of `LAYOUTS` except "auto".
-        apart: distance between the markers of a pair, and between the two markers of the head, m.
+        apart: distance between the markers of a pair, and between the two markers of
+            the head, m.
         across: whether pairs are placed across the body instead of along it.
         height: height of the markers above the floor, m.
         noise: standard deviation of each coordinate, m.
@@ -41,7 +48,8 @@ class Take:
         occluded: (marker from 0, start in s, end in s) of a hidden marker.
         spikes: number of outliers.
         fragments: whether a lost marker reappears in a new column, as in Motive.
-        labeled: whether columns are named after connectors; otherwise they are unlabeled and in any order.
+        labeled: whether columns are named after connectors; otherwise they are
+            unlabeled and in any order.
         unit: length unit, one that Motive exports.
         up: vertical axis, one of `floor.MAPS`.
         digits: number of decimals.
@@ -86,16 +94,22 @@ def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
         both[:, ::2], both[:, 1::2] = position, middle
         position = both
     if "head" in take.layout:
-        return np.concatenate([position[:, :1] + take.apart * along[:, :1], position], axis=1)
+        return np.concatenate(
+            [position[:, :1] + take.apart * along[:, :1], position], axis=1
+        )
     if take.layout != "pair":
         return position
     if take.across:
         along = np.stack([-along[..., 1], along[..., 0]], axis=-1)
-    pairs = np.stack([position + take.apart / 2 * along, position - take.apart / 2 * along], axis=2)
+    pairs = np.stack(
+        [position + take.apart / 2 * along, position - take.apart / 2 * along], axis=2
+    )
     return pairs.reshape(len(position), -1, 2)
 
 
-def _arcs(theta: np.ndarray, bend: np.ndarray, length: np.ndarray, upto: float) -> np.ndarray:
+def _arcs(
+    theta: np.ndarray, bend: np.ndarray, length: np.ndarray, upto: float
+) -> np.ndarray:
     """Return the displacement backward along arcs from their front ends (Simpson's rule), complex, m."""
     s = np.linspace(0.0, upto, 65)
     tangent = np.exp(1j * (theta[..., None] - bend[..., None] * s))
@@ -106,12 +120,17 @@ def lengths(trajectory: Trajectory) -> np.ndarray:
     """Return the lengths of the arcs, shape (samples, segments), m."""
     if "length_1" in trajectory.columns:
         return trajectory.stack("length")
-    return np.full(trajectory.stack("bend").shape, float(trajectory.metadata["segment_length_m"]))
+    return np.full(
+        trajectory.stack("bend").shape, float(trajectory.metadata["segment_length_m"])
+    )
 
 
 def middles(trajectory: Trajectory) -> np.ndarray:
     """Return the middles of the segments, shape (samples, segments, 2), m."""
-    theta, gap = trajectory.stack("theta")[:, :-1], float(trajectory.metadata["rigid_gap_m"]) / 2
+    theta, gap = (
+        trajectory.stack("theta")[:, :-1],
+        float(trajectory.metadata["rigid_gap_m"]) / 2,
+    )
     front = trajectory.position[:, :-1] @ [1, 1j] - gap * np.exp(1j * theta)
     place = front - _arcs(theta, trajectory.stack("bend"), lengths(trajectory), 0.5)
     return np.stack([place.real, place.imag], axis=-1)
@@ -127,7 +146,9 @@ def stretched(trajectory: Trajectory, share: float, power: float = 1.0) -> Traje
     """
     bend, theta = trajectory.stack("bend"), trajectory.stack("theta")
     gap = float(trajectory.metadata["rigid_gap_m"]) / 2
-    length = lengths(trajectory) * (1 + share * (np.abs(bend) / np.abs(bend).max()) ** power)
+    length = lengths(trajectory) * (
+        1 + share * (np.abs(bend) / np.abs(bend).max()) ** power
+    )
     facing = gap * np.exp(1j * theta)
     step = facing[:, :-1] + _arcs(theta[:, :-1], bend, length, 1.0) + facing[:, 1:]
     place = (trajectory.position[:, 0] @ [1, 1j])[:, None] - np.cumsum(step, axis=1)
@@ -148,15 +169,21 @@ def motive_csv(trajectory: Trajectory, take: Take) -> str:
     time, plane = _captured(trajectory, take)
     seen = plane + take.noise * random.standard_normal(plane.shape)
     for _ in range(take.spikes):
-        seen[random.integers(len(seen)), random.integers(seen.shape[1])] += random.uniform(-0.2, 0.2, 2)
+        seen[random.integers(len(seen)), random.integers(seen.shape[1])] += (
+            random.uniform(-0.2, 0.2, 2)
+        )
     hidden = _hidden(time, seen.shape[1], take, random)
     seen[hidden] = np.nan
     height = take.height + take.noise * random.standard_normal(seen.shape[:2])
-    columns, names = _columns(np.concatenate([seen, height[..., None]], axis=-1), hidden, take, random)
+    columns, names = _columns(
+        np.concatenate([seen, height[..., None]], axis=-1), hidden, take, random
+    )
     return _text(time, columns, names, take)
 
 
-def write_motive(trajectory: Trajectory, take: Take, path: str | os.PathLike[str]) -> None:
+def write_motive(
+    trajectory: Trajectory, take: Take, path: str | os.PathLike[str]
+) -> None:
     """Write `motive_csv` to a file atomically.
 
     Raises:
@@ -178,7 +205,9 @@ def _captured(trajectory: Trajectory, take: Take) -> tuple[np.ndarray, np.ndarra
     return frames, CubicSpline(time, plane)(frames)
 
 
-def _hidden(time: np.ndarray, count: int, take: Take, random: np.random.Generator) -> np.ndarray:
+def _hidden(
+    time: np.ndarray, count: int, take: Take, random: np.random.Generator
+) -> np.ndarray:
     """Return when each marker is hidden, shape (frames, markers)."""
     hidden = np.zeros((len(time), count), dtype=bool)
     wanted = take.lost * hidden.size
@@ -225,8 +254,12 @@ def _fragmented(points: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """Return a column for each appearance of a marker, in the order in which they appear."""
     pieces = []
     for marker in range(points.shape[1]):
-        edges = np.flatnonzero(np.diff(np.concatenate([[True], hidden[:, marker], [True]]).astype(np.int8)))
-        pieces += [(int(begin), int(end), marker) for begin, end in edges.reshape(-1, 2)]
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[True], hidden[:, marker], [True]]).astype(np.int8))
+        )
+        pieces += [
+            (int(begin), int(end), marker) for begin, end in edges.reshape(-1, 2)
+        ]
     columns = np.full((len(points), len(pieces), 3), np.nan)
     for k, (begin, end, marker) in enumerate(sorted(pieces)):
         columns[begin:end, k] = points[begin:end, marker]
@@ -241,13 +274,17 @@ def _text(time: np.ndarray, columns: np.ndarray, names: list[str], take: Take) -
     unseen = np.isnan(filed).any(axis=-1)
     cells = np.char.mod(f"%.{take.digits}f", filed)
     cells[unseen] = ""
-    word = next(word for word, unit in MOTIVE_LENGTHS.items() if unit == take.unit).capitalize()
+    word = next(
+        word for word, unit in MOTIVE_LENGTHS.items() if unit == take.unit
+    ).capitalize()
     rate = 1 / float(np.median(np.diff(time)))
     header = [
-        f"Format Version,1.21,Take Name,synthetic {take.seed},Capture Frame Rate,{rate:.6f},Export Frame "
-        "Rate,"
-        f"{rate:.6f},Capture Start Time,,Total Frames in Take,{len(time)},Total Exported Frames,{len(time)},"
-        f"Rotation Type,Quaternion,Length Units,{word},Coordinate Space,Global",
+        (
+            f"Format Version,1.21,Take Name,synthetic {take.seed},Capture Frame"
+            f" Rate,{rate:.6f},Export Frame Rate,{rate:.6f},Capture Start Time,,Total"
+            f" Frames in Take,{len(time)},Total Exported Frames,{len(time)},Rotation"
+            f" Type,Quaternion,Length Units,{word},Coordinate Space,Global"
+        ),
         "",
         ",Type" + ",Marker" * (3 * count),
         ",Name," + ",".join(name for name in names for _ in range(3)),
@@ -257,6 +294,8 @@ def _text(time: np.ndarray, columns: np.ndarray, names: list[str], take: Take) -
     ]
     rows = [
         f"{k},{t:.6f}," + ",".join(row)
-        for k, (t, row) in enumerate(zip(time, cells.reshape(len(time), -1).tolist(), strict=True))
+        for k, (t, row) in enumerate(
+            zip(time, cells.reshape(len(time), -1).tolist(), strict=True)
+        )
     ]
     return "\r\n".join([*header, *rows, ""])

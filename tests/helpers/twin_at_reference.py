@@ -12,7 +12,9 @@ from srs_twin import Gait, TwinSnake, load_robot, rollout
 from srs_twin.robot.spec import GRAVITY, Tail
 
 
-def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **options: Any) -> Result:
+def crawled(
+    name: str, periods: int | None = None, timestep: float = 0.001, **options: Any
+) -> Result:
     """Return the result of the twin at a point of the reference, measured as `load_reference.simulate` does.
 
     Args:
@@ -28,9 +30,14 @@ def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **op
         spec = replace(spec, bending=replace(spec.bending, stiffness=point.stiffness))
     if point.tail is not None:
         spec = replace(spec, tail=Tail(*point.tail))
-    period, tick = point.period_s, max(timestep, 0.001)  # a multiple of step and valve slots
+    period, tick = (
+        point.period_s,
+        max(timestep, 0.001),
+    )  # a multiple of step and valve slots
     kpa = numbers(point)["nominal_kpa"] if point.kpa is None else point.kpa
-    plant = TwinSnake(spec, supply_pa=1000 * kpa, timestep=timestep, tick=tick, **options)
+    plant = TwinSnake(
+        spec, supply_pa=1000 * kpa, timestep=timestep, tick=tick, **options
+    )
     feet: list[np.ndarray] = []
     run = rollout(
         plant,
@@ -42,4 +49,6 @@ def crawled(name: str, periods: int | None = None, timestep: float = 0.001, **op
     com = np.stack([run["com_x"], run["com_y"]], axis=1)[1:]
     rest = np.repeat([axle.mass * GRAVITY / 2 for axle in spec.axles], 2)
     ticks = round(period / tick)
-    return measured(com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, ticks, tick)
+    return measured(
+        com, run.stack("theta")[1:], np.array(feet)[-len(com) :], rest, ticks, tick
+    )

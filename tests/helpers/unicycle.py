@@ -67,9 +67,9 @@ class Unicycle(Plant):
         substeps = 10
         for _ in range(substeps if self.time < self.stops else 0):
             distance = self.speed * self.tick / substeps
-            self.curvature += (self.curvature_at(self.wheel.offset) - self.curvature) * (
-                1 - math.exp(-distance / self.settle)
-            )
+            self.curvature += (
+                self.curvature_at(self.wheel.offset) - self.curvature
+            ) * (1 - math.exp(-distance / self.settle))
             self.heading += distance * self.curvature / 2
             self.x += distance * math.cos(self.heading)
             self.y += distance * math.sin(self.heading)
@@ -81,9 +81,22 @@ class Unicycle(Plant):
         nan, pairs = np.full((5, 2), np.nan), np.full((4, 2), np.nan)
         swing = self.wag * math.sin(2 * math.pi * Wheel.frequency * self.time)
         return SnakeState(
-            time=self.time, com=np.array([self.x, self.y]), com_velocity=np.full(2, np.nan),
-            heading=self.heading + swing, position=nan, theta=np.full(5, np.nan), bend=NOT_MODELLED,
-            bend_rate=NOT_MODELLED, pressure=pairs, valves=pairs, sensed=np.zeros(4), contact_force=nan,
-            obstacle_force=nan, torque=NOT_MODELLED, work=math.nan, internal_loss=math.nan,
-            air=math.nan, qpos=np.empty(0),
-        )  # fmt: skip
+            time=self.time,
+            com=np.array([self.x, self.y]),
+            com_velocity=np.full(2, np.nan),
+            heading=self.heading + swing,
+            position=nan,
+            theta=np.full(5, np.nan),
+            bend=NOT_MODELLED,
+            bend_rate=NOT_MODELLED,
+            pressure=pairs,
+            valves=pairs,
+            sensed=np.zeros(4),
+            contact_force=nan,
+            obstacle_force=nan,
+            torque=NOT_MODELLED,
+            work=math.nan,
+            internal_loss=math.nan,
+            air=math.nan,
+            qpos=np.empty(0),
+        )

@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 from synthetic import Snake, numbered, with_columns
 
-from srs_twin.robot.spec import Actuator, Bending, Chamber, Friction, Geometry, Mass, RobotSpec, Supply
+from srs_twin.robot.spec import (
+    Actuator,
+    Bending,
+    Chamber,
+    Friction,
+    Geometry,
+    Mass,
+    RobotSpec,
+    Supply,
+)
 from srs_twin.trajectory import Trajectory
 
 SUPPLY_PA = 48_300.0
@@ -44,5 +53,7 @@ def run(plant: str, snake: Snake) -> Trajectory:
 def pair(**changes: object) -> dict[str, Trajectory]:
     """Both plants over ten seconds; the twin bends less, is slower and turns a little."""
     snake = replace(Snake(speed=0.22, amplitude=1.2, duration=10.0), **changes)
-    twin = replace(snake, speed=0.91 * snake.speed, amplitude=0.9 * snake.amplitude, yaw_rate=-0.02)
+    twin = replace(
+        snake, speed=0.91 * snake.speed, amplitude=0.9 * snake.amplitude, yaw_rate=-0.02
+    )
     return {"analytical": run("analytical", snake), "twin": run("twin", twin)}

@@ -1,7 +1,8 @@
 """Solvable worlds by construction: a path is drawn first, then obstacles next to it.
 
-The path consists of arcs that the body can follow. It is checked in the final world by sampling (`deepest`),
-which shares no code with the planner. `drawn` has six kinds, `KINDS`.
+The path consists of arcs that the body can follow. It is checked in the final world by
+sampling (`deepest`), which shares no code with the planner. `drawn` has six kinds,
+`KINDS`.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ def bodies() -> dict[str, Footprint]:
     """Return six footprints: the shipped ones, and that of generation 4 as its scenarios use it."""
     names = ("gen2_gait", "gen2_section52", "gen4_ilc", "gen4_table8", "gen4_table9")
     result = {name: load_footprint(name) for name in names}
-    return result | {"gen4_ilc_half": result["gen4_ilc"].reduced(turn_share=0.5, margin=0.05)}
+    return result | {
+        "gen4_ilc_half": result["gen4_ilc"].reduced(turn_share=0.5, margin=0.05)
+    }
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,9 @@ def walls(seed: int, body: Footprint, ratio: float, count: int) -> Witnessed:
     return _first(seed, lambda rng: _walls(rng, body, ratio, count))
 
 
-def drawn(kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: float = 0.0) -> Witnessed:
+def drawn(
+    kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: float = 0.0
+) -> Witnessed:
     """Return a world of a kind.
 
     Args:
@@ -70,7 +75,9 @@ def drawn(kind: str, seed: int, body: Footprint, run_up: float = 0.0, room: floa
     return _first(seed, lambda rng: KINDS[kind](rng, start))
 
 
-def _first(seed: int, make: Callable[[np.random.Generator], Witnessed | None]) -> Witnessed:
+def _first(
+    seed: int, make: Callable[[np.random.Generator], Witnessed | None]
+) -> Witnessed:
     for attempt in range(400):
         if (result := make(np.random.default_rng([seed, attempt]))) is not None:
             return result
@@ -91,25 +98,46 @@ class _Start:
         pieces, left = [(0.0, self.run_up + 0.05)], length
         while left > 0:
             piece = float(rng.uniform(0.3, 0.8))
-            pieces.append((float(rng.uniform(0.9 * low, 0.9 * high)) * (rng.random() < 0.7), piece))
+            pieces.append(
+                (
+                    float(rng.uniform(0.9 * low, 0.9 * high)) * (rng.random() < 0.7),
+                    piece,
+                )
+            )
             left -= piece
         return pieces
 
     def finished(
-        self, pieces: Pieces, circles: list[Circle], polygons: list[Polygon], gap: float = math.inf
+        self,
+        pieces: Pieces,
+        circles: list[Circle],
+        polygons: list[Polygon],
+        gap: float = math.inf,
     ) -> Witnessed | None:
         """Return the world with the given obstacles if the path and the run-up are free of them."""
         start = Pose(0.0, 0.0, 0.0)
         path = path_from_arcs(start, pieces, self.body)
-        corners = [(c.x + sx * c.radius, c.y + sx * c.radius) for c in circles for sx in (-1, 1)]
+        corners = [
+            (c.x + sx * c.radius, c.y + sx * c.radius)
+            for c in circles
+            for sx in (-1, 1)
+        ]
         corners += [corner for item in polygons for corner in item.corners]
-        corners += [(item.start.x, item.start.y) for item in path] + [(path[-1].end.x, path[-1].end.y)]
-        far = self.body.ahead + self.body.behind + 3 * (self.body.at(0.0).left + self.room)
+        corners += [(item.start.x, item.start.y) for item in path] + [
+            (path[-1].end.x, path[-1].end.y)
+        ]
+        far = (
+            self.body.ahead
+            + self.body.behind
+            + 3 * (self.body.at(0.0).left + self.room)
+        )
         x, y = zip(*corners, strict=True)
         bounds = Bounds((min(x) - far, max(x) + far), (min(y) - far, max(y) + far))
         world = World(tuple(circles), bounds, None, tuple(polygons))
         straight = self.body.at(0.0)
-        beginning = swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.01, (self.room, self.room))
+        beginning = swept_points(
+            (0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.01, (self.room, self.room)
+        )
         if depth_in(beginning, world) >= 0:
             return None
         width = straight.left + straight.right
@@ -119,8 +147,20 @@ class _Start:
         """Return the points that the path covers, including the space of the run-up."""
         path = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, self.body)
         points = [
-            swept_points((0.0, 0.0, 0.0), 0.0, self.run_up, self.body, 0.02, (self.room, self.room)),
-            *(swept_points((*item.start,), item.curvature, item.length, self.body, 0.02) for item in path),
+            swept_points(
+                (0.0, 0.0, 0.0),
+                0.0,
+                self.run_up,
+                self.body,
+                0.02,
+                (self.room, self.room),
+            ),
+            *(
+                swept_points(
+                    (*item.start,), item.curvature, item.length, self.body, 0.02
+                )
+                for item in path
+            ),
         ]
         return np.vstack(points)
 
@@ -136,7 +176,11 @@ def _polygons(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     for circle in _strewn(rng, start, pieces):
         angles = (np.arange(6) + rng.uniform(0, 0.9, 6)) * math.pi / 3
         radii = circle.radius * rng.uniform(0.5, 1.0, 6)
-        corners = zip(circle.x + radii * np.cos(angles), circle.y + radii * np.sin(angles), strict=True)
+        corners = zip(
+            circle.x + radii * np.cos(angles),
+            circle.y + radii * np.sin(angles),
+            strict=True,
+        )
         result.append(Polygon(tuple((float(x), float(y)) for x, y in corners)))
     return start.finished(pieces, [], result)
 
@@ -149,7 +193,9 @@ def _strewn(rng: np.random.Generator, start: _Start, pieces: Pieces) -> list[Cir
     for _ in range(600):
         x, y = rng.uniform(low, high)
         near = float(np.min(np.hypot(swept[:, 0] - x, swept[:, 1] - y))) - 0.012
-        apart = min((math.hypot(c.x - x, c.y - y) - c.radius for c in result), default=math.inf)
+        apart = min(
+            (math.hypot(c.x - x, c.y - y) - c.radius for c in result), default=math.inf
+        )
         radius = min(near, apart, float(rng.uniform(0.05, 0.25)))
         if radius > 0.03 and len(result) < 25:
             result.append(Circle(float(x), float(y), radius))
@@ -163,25 +209,41 @@ def _gaps(rng: np.random.Generator, start: _Start) -> Witnessed | None:
 
 def _corridor(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     pieces = start.draw_path(rng, float(rng.uniform(1.2, 2.5)))
-    return start.finished(pieces, [], _sides(start, pieces[1:], pieces[:1], float(rng.uniform(1.1, 1.6))))
+    return start.finished(
+        pieces, [], _sides(start, pieces[1:], pieces[:1], float(rng.uniform(1.1, 1.6)))
+    )
 
 
-def _sides(start: _Start, pieces: Pieces, before: Pieces, ratio: float) -> list[Polygon]:
+def _sides(
+    start: _Start, pieces: Pieces, before: Pieces, ratio: float
+) -> list[Polygon]:
     """Return walls along both sides of a part of a path, at a multiple of the half width."""
     body, thick = start.body, 0.03
     left, right = max(body.left), max(body.right)
     for item in body.transients:
-        left, right = max(left, max(body.left) + item.left), max(right, max(body.right) + item.right)
-    path = path_from_arcs(path_from_arcs(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body)
-    poses = [item.pose(s) for item in path for s in np.arange(0.0, item.length, 0.08)] + [path[-1].end]
+        left, right = (
+            max(left, max(body.left) + item.left),
+            max(right, max(body.right) + item.right),
+        )
+    path = path_from_arcs(
+        path_from_arcs(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body
+    )
+    poses = [
+        item.pose(s) for item in path for s in np.arange(0.0, item.length, 0.08)
+    ] + [path[-1].end]
     result = []
     for near in (ratio * left, -ratio * right):
         far = near + math.copysign(thick, near)
         rows = [
-            [(p.x - n * math.sin(p.heading), p.y + n * math.cos(p.heading)) for n in (near, far)]
+            [
+                (p.x - n * math.sin(p.heading), p.y + n * math.cos(p.heading))
+                for n in (near, far)
+            ]
             for p in poses
         ]
-        result += [Polygon((*a, *reversed(b))) for a, b in zip(rows, rows[1:], strict=False)]
+        result += [
+            Polygon((*a, *reversed(b))) for a, b in zip(rows, rows[1:], strict=False)
+        ]
     return [item for item in result if _convex(item)]
 
 
@@ -203,12 +265,23 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
         *start.draw_path(rng, float(rng.uniform(1.0, 2.0))),
         (0.0, _settled(body) + body.behind + depth),
     ]
-    walls = _sides(start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio)
+    walls = _sides(
+        start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio
+    )
     end = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
     ahead, half = body.ahead + 0.03, ratio * max(*body.left, *body.right)
     c, s = math.cos(end.heading), math.sin(end.heading)
-    corners = [(ahead, half), (ahead + 0.03, half), (ahead + 0.03, -half), (ahead, -half)]
-    walls.append(Polygon(tuple((end.x + c * u - s * n, end.y + s * u + c * n) for u, n in corners)))
+    corners = [
+        (ahead, half),
+        (ahead + 0.03, half),
+        (ahead + 0.03, -half),
+        (ahead, -half),
+    ]
+    walls.append(
+        Polygon(
+            tuple((end.x + c * u - s * n, end.y + s * u + c * n) for u, n in corners)
+        )
+    )
     return start.finished(pieces, [], walls)
 
 
@@ -223,7 +296,11 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     while trail:
         at = trail[-1]
         near = [(at[0] + i, at[1] + j) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
-        fresh = [n for n in near if 0 <= n[0] < columns and 0 <= n[1] < rows and n not in seen]
+        fresh = [
+            n
+            for n in near
+            if 0 <= n[0] < columns and 0 <= n[1] < rows and n not in seen
+        ]
         if not fresh:
             trail.pop()
             continue
@@ -234,7 +311,11 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     cells = [(columns - 1, int(rng.integers(rows)))]
     while cells[0] in before:
         cells.insert(0, before[cells[0]])
-    moves = [(1, 0), *((b[0] - a[0], b[1] - a[1]) for a, b in zip(cells, cells[1:], strict=False)), (1, 0)]
+    moves = [
+        (1, 0),
+        *((b[0] - a[0], b[1] - a[1]) for a, b in zip(cells, cells[1:], strict=False)),
+        (1, 0),
+    ]
     if moves[-2] == (-1, 0):
         return None
     settle = _settled(body)
@@ -242,14 +323,30 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     for (ax, ay), (bx, by) in zip(moves, moves[1:], strict=False):
         turn = ax * by - ay * bx
         radius = cell / 2 - settle
-        bend = [(turn / radius, radius * math.pi / 2)] if turn else [(0.0, cell - 2 * settle)]
+        bend = (
+            [(turn / radius, radius * math.pi / 2)]
+            if turn
+            else [(0.0, cell - 2 * settle)]
+        )
         pieces += [(0.0, settle), *bend, (0.0, settle)]
     pieces.append((0.0, body.behind + 0.05))
     walls, (x0, y0), thick = [], (entry, -cell / 2), 0.02
 
     def wall(ax: float, ay: float, bx: float, by: float) -> None:
-        low, high = (min(ax, bx) - thick, min(ay, by) - thick), (max(ax, bx) + thick, max(ay, by) + thick)
-        walls.append(Polygon(((low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1]))))
+        low, high = (
+            (min(ax, bx) - thick, min(ay, by) - thick),
+            (max(ax, bx) + thick, max(ay, by) + thick),
+        )
+        walls.append(
+            Polygon(
+                (
+                    (low[0], low[1]),
+                    (high[0], low[1]),
+                    (high[0], high[1]),
+                    (low[0], high[1]),
+                )
+            )
+        )
 
     ends = {((-1, 0), (0, 0)), (cells[-1], (columns, cells[-1][1]))}
     for i in range(columns + 1):
@@ -265,15 +362,24 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
 
 
 KINDS = {
-    "circles": _circles, "polygons": _polygons, "walls": _gaps, "corridors": _corridor, "pockets": _pocket,
+    "circles": _circles,
+    "polygons": _polygons,
+    "walls": _gaps,
+    "corridors": _corridor,
+    "pockets": _pocket,
     "mazes": _maze,
-}  # fmt: skip
+}
 """Functions that draw a world, by name of its kind."""
 
 
 def _walls(
-    rng: np.random.Generator, body: Footprint, ratio: float, count: int, first: float = 0.0, room: float = 0.0
-) -> Witnessed | None:  # fmt: skip
+    rng: np.random.Generator,
+    body: Footprint,
+    ratio: float,
+    count: int,
+    first: float = 0.0,
+    room: float = 0.0,
+) -> Witnessed | None:
     straight = body.at(0.0)
     width, thick = straight.left + straight.right, float(rng.uniform(0.02, 0.08))
     run_up, run_out = _settled(body) + body.ahead + 0.01, body.behind + 0.01
@@ -290,21 +396,34 @@ def _walls(
         ends.append(path_from_arcs(ends[-1], [(k, length)], body)[-1].end)
     x, y = [item.x for item in ends], [item.y for item in ends]
     room = 3 * width + body.ahead + body.behind
-    bounds = Bounds((min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room))
+    bounds = Bounds(
+        (min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room)
+    )
     polygons: list[Polygon] = []
     circles: list[Circle] = []
     for place in places:
         if rng.random() < 0.3:
-            circles += _row(rng, ends[place], straight.left, straight.right, ratio, bounds)
+            circles += _row(
+                rng, ends[place], straight.left, straight.right, ratio, bounds
+            )
         else:
-            polygons += _wall(rng, ends[place], straight.left, straight.right, ratio, thick, bounds)
+            polygons += _wall(
+                rng, ends[place], straight.left, straight.right, ratio, thick, bounds
+            )
     world = World(tuple(circles), bounds, None, tuple(polygons))
-    if depth_in(swept_points((0.0, 0.0, 0.0), 0.0, first, body, 0.01, (room, room)), world) >= 0:
+    if (
+        depth_in(
+            swept_points((0.0, 0.0, 0.0), 0.0, first, body, 0.01, (room, room)), world
+        )
+        >= 0
+    ):
         return None
     return _checked(start, pieces, ends[-1], world, body, width, ratio)
 
 
-def _bend(rng: np.random.Generator, body: Footprint, heading: float, to: float) -> Pieces:
+def _bend(
+    rng: np.random.Generator, body: Footprint, heading: float, to: float
+) -> Pieces:
     """Return arcs that end with another heading, some with a lateral offset."""
     low, high = body.curvatures[0], body.curvatures[-1]
     share = float(rng.uniform(0.4, 0.95))
@@ -318,8 +437,14 @@ def _bend(rng: np.random.Generator, body: Footprint, heading: float, to: float) 
 
 
 def _wall(
-    rng: np.random.Generator, at: Pose, left: float, right: float, ratio: float, thick: float, bounds: Bounds
-) -> list[Polygon]:  # fmt: skip
+    rng: np.random.Generator,
+    at: Pose,
+    left: float,
+    right: float,
+    ratio: float,
+    thick: float,
+    bounds: Bounds,
+) -> list[Polygon]:
     """Return both sides of a wall across a path, with its gap at the body and a small inclination."""
     tilt = float(rng.uniform(-0.1, 0.1))
     half = ratio * (left + right) / 2 / math.cos(tilt) + thick / 2 * math.tan(abs(tilt))
@@ -335,16 +460,29 @@ def _wall(
         near, end = sign * half, sign * far
         corners = [(near, 1.0), (end, 1.0), (end, -1.0), (near, -1.0)]
         made.append(
-            Polygon(tuple((x + c * u + w * across[0], y + s * u + w * across[1]) for u, w in corners))
+            Polygon(
+                tuple(
+                    (x + c * u + w * across[0], y + s * u + w * across[1])
+                    for u, w in corners
+                )
+            )
         )
     return made
 
 
 def _row(
-    rng: np.random.Generator, at: Pose, left: float, right: float, ratio: float, bounds: Bounds
+    rng: np.random.Generator,
+    at: Pose,
+    left: float,
+    right: float,
+    ratio: float,
+    bounds: Bounds,
 ) -> list[Circle]:
     """Return a row of circles across a path, as a wall with a gap."""
-    half, along = ratio * (left + right) / 2, at.heading + math.pi / 2 + float(rng.uniform(-0.1, 0.1))
+    half, along = (
+        ratio * (left + right) / 2,
+        at.heading + math.pi / 2 + float(rng.uniform(-0.1, 0.1)),
+    )
     middle = (left - right) / 2
     x, y = at.x - middle * math.sin(at.heading), at.y + middle * math.cos(at.heading)
     made = []
@@ -354,17 +492,31 @@ def _row(
             radius = float(rng.uniform(0.2, 0.6)) * (left + right)
             place += radius
             made.append(
-                Circle(x + sign * place * math.cos(along), y + sign * place * math.sin(along), radius)
+                Circle(
+                    x + sign * place * math.cos(along),
+                    y + sign * place * math.sin(along),
+                    radius,
+                )
             )
             place += radius
     return made
 
 
 def _checked(
-    start: Pose, pieces: Pieces, end: Pose, world: World, body: Footprint, width: float, gap: float = math.inf
+    start: Pose,
+    pieces: Pieces,
+    end: Pose,
+    world: World,
+    body: Footprint,
+    width: float,
+    gap: float = math.inf,
 ) -> Witnessed | None:
     """Return the world if the path is free."""
     goal = Goal(end.x, end.y, end.heading, 0.02 + 0.1 * width, 0.1)
     problem = Problem(start, goal, world, body)
     witness = Plan(Outcome.FOUND, "drawn first", path_from_arcs(start, pieces, body))
-    return Witnessed(problem, witness, width, gap) if deepest(witness, problem) < 0 else None
+    return (
+        Witnessed(problem, witness, width, gap)
+        if deepest(witness, problem) < 0
+        else None
+    )

@@ -1,8 +1,9 @@
 """Parsers of untrusted files: types for their malformed and valid files, and checks that apply to all.
 
-A new parser needs one `Parser` in `parsers.PARSERS`; the tests and ``benchmarks/fuzz.py`` then use it. They
-check three properties: every malformed file is rejected with an `InputError` that names file and position,
-generated files raise no other exception, and files written by this package are read back unchanged.
+A new parser needs one `Parser` in `parsers.PARSERS`; the tests and
+``benchmarks/fuzz.py`` then use it. They check three properties: every malformed file is
+rejected with an `InputError` that names file and position, generated files raise no
+other exception, and files written by this package are read back unchanged.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ class Malformed:
 
     Attributes:
         name: defect of the file.
-        content: bytes of the file, or a function that creates it at a path (a pipe, a link, several files).
-        message: part of the expected message, with the position if the format has positions.
+        content: bytes of the file, or a function that creates it at a path (a pipe, a
+            link, several files).
+        message: part of the expected message, with the position if the format has
+            positions.
     """
 
     name: str
@@ -70,10 +73,12 @@ class Parser:
         parse: reads a path; raises only `InputError`.
         malformed: files to reject, in addition to `SPECIAL_FILES`.
         values: strategy for files of the right format with arbitrary values.
-        command: command line that reads the file, with {} for its path; empty if there is none.
+        command: command line that reads the file, with {} for its path; empty if there
+            is none.
         function: "module:name" of the reading function if there is no command.
         quick: faster version of `parse` for generated files.
-        round_trip: objects to write and read back, for kinds of files that this package writes.
+        round_trip: objects to write and read back, for kinds of files that this package
+            writes.
         same: comparison of two results of `parse`.
     """
 
@@ -97,7 +102,11 @@ class Parser:
     @property
     def generated(self) -> dict[str, Contents]:
         """Strategies for random files, by name."""
-        return {"damaged": damaged(self.good), "values": self.values, "bytes": st.binary(max_size=400)}
+        return {
+            "damaged": damaged(self.good),
+            "values": self.values,
+            "bytes": st.binary(max_size=400),
+        }
 
     def path_in(self, folder: Path) -> Path:
         """Return a path for a file of this kind."""
@@ -108,7 +117,10 @@ class Parser:
         return [word.format(path) for word in self.command.split()]
 
     def read_or_reject(self, content: bytes, path: Path) -> str | None:
-        """Parse bytes; return None, or the message of an `InputError`. Other exceptions are not caught."""
+        """Parse bytes; return None, or the message of an `InputError`.
+
+        Other exceptions are not caught.
+        """
         path.write_bytes(content)
         try:
             (self.quick or self.parse)(path)
@@ -124,7 +136,8 @@ def rejection(parser: Parser, path: Path) -> str:
     """Return the message with which a path is rejected.
 
     Raises:
-        AssertionError: it is accepted, or a line of the message does not begin with the file.
+        AssertionError: it is accepted, or a line of the message does not begin with the
+            file.
     """
     try:
         parser.parse(path)
@@ -138,20 +151,32 @@ def rejection(parser: Parser, path: Path) -> str:
 
 def check_lines(message: str, name: str) -> None:
     """Check that every line of a message begins with the name of a file."""
-    assert all(line.lstrip("'").startswith(name) for line in message.splitlines()), message
+    assert all(line.lstrip("'").startswith(name) for line in message.splitlines()), (
+        message
+    )
 
 
 def damaged(good: bytes) -> Contents:
     """Return a strategy for a valid file with deletions, insertions, copies and changed bytes."""
     offset = st.integers(0, len(good))
-    text = st.text("\t\n :#-?{}[],&*!|>'\"%@`<=~/.0123456789aexyn_\\", max_size=5).map(str.encode)
+    text = st.text("\t\n :#-?{}[],&*!|>'\"%@`<=~/.0123456789aexyn_\\", max_size=5).map(
+        str.encode
+    )
     edit = st.one_of(
         st.tuples(offset, st.integers(0, 6), text | st.binary(max_size=5)),
-        st.tuples(offset, st.integers(0, 200), st.sampled_from([b"", b"\0", b"1e999", b"-1", b"\xff\xfe"])),
         st.tuples(
-            offset, st.just(0), st.tuples(offset, offset).map(lambda ends: good[min(ends) : max(ends)])
+            offset,
+            st.integers(0, 200),
+            st.sampled_from([b"", b"\0", b"1e999", b"-1", b"\xff\xfe"]),
         ),
-        st.tuples(offset, st.just(1), st.integers(0, 255).map(lambda byte: bytes([byte]))),
+        st.tuples(
+            offset,
+            st.just(0),
+            st.tuples(offset, offset).map(lambda ends: good[min(ends) : max(ends)]),
+        ),
+        st.tuples(
+            offset, st.just(1), st.integers(0, 255).map(lambda byte: bytes([byte]))
+        ),
     )
 
     def apply(edits: list[tuple[int, int, bytes]]) -> bytes:
@@ -181,7 +206,9 @@ SPECIAL_FILES: tuple[Malformed, ...] = (
     Malformed("endless zeros", link("/dev/zero"), "not a regular file"),
     Malformed("endless noise", link("/dev/urandom"), "not a regular file"),
     Malformed("terminal", link("/dev/tty"), "not a regular file"),
-    Malformed("link to itself", lambda path: path.symlink_to(path.name), "a broken link"),
+    Malformed(
+        "link to itself", lambda path: path.symlink_to(path.name), "a broken link"
+    ),
     Malformed("link to a missing file", link("nowhere"), "a broken link"),
     Malformed("link to a folder", link("/etc"), "a folder; give one file"),
     Malformed("empty", b"", ""),

@@ -30,12 +30,19 @@ def archive(arrays: dict[str, Any], packed: int = zipfile.ZIP_DEFLATED) -> bytes
 
 def npy(header: str, data: bytes = b"") -> bytes:
     """Return a .npy file of version 1.0 with a header and data."""
-    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header.encode() + data
+    return (
+        b"\x93NUMPY\x01\x00"
+        + len(header).to_bytes(2, "little")
+        + header.encode()
+        + data
+    )
 
 
 def declared(shape: str, kind: str) -> bytes:
     """Return a .npy file that declares a shape and a type, and has eight bytes of data."""
-    return npy(f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n", bytes(8))
+    return npy(
+        f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}}}\n", bytes(8)
+    )
 
 
 def with_wrong_crc(good: bytes) -> bytes:
@@ -63,18 +70,28 @@ def damaged(good: dict[str, Any], name: str) -> tuple[Malformed, ...]:
         return archive(good | {name: array})
 
     sizes = {
-        "3 GB in a header": "(402653184,)", "2**62 numbers in a header": "(4611686018427387904,)",
-        "a negative size": "(-1,)", "a shape of a billion zeros": "(0, 1000000000, 5)",
-    }  # fmt: skip
+        "3 GB in a header": "(402653184,)",
+        "2**62 numbers in a header": "(4611686018427387904,)",
+        "a negative size": "(-1,)",
+        "a shape of a billion zeros": "(0, 1000000000, 5)",
+    }
     return (
         *(
             Malformed(what, replaced(declared(shape, "<f8")), "an array of shape")
             for what, shape in sizes.items()
         ),
-        Malformed("a billion empty texts", replaced(declared("(1000000000,)", "<U0")), "an array of shape"),
-        Malformed("300 MB", replaced(np.zeros(300 << 17)), "bytes unpacked; the limit is"),
         Malformed(
-            "nested signs in a header", replaced(npy("-" * 9000 + "1")), "the header of an array is damaged"
+            "a billion empty texts",
+            replaced(declared("(1000000000,)", "<U0")),
+            "an array of shape",
+        ),
+        Malformed(
+            "300 MB", replaced(np.zeros(300 << 17)), "bytes unpacked; the limit is"
+        ),
+        Malformed(
+            "nested signs in a header",
+            replaced(npy("-" * 9000 + "1")),
+            "the header of an array is damaged",
         ),
         Malformed("cut header", replaced(npy("{'descr'")), ""),
         Malformed("array of objects", replaced(np.array([{}], dtype=object)), ""),
@@ -83,27 +100,50 @@ def damaged(good: dict[str, Any], name: str) -> tuple[Malformed, ...]:
         Malformed("archive cut off", raw[:-30], "not a zip file"),
         Malformed("wrong checksum", with_wrong_crc(raw), "Bad CRC-32"),
         Malformed("encrypted archive", encrypted(raw), "encrypted"),
-        Malformed("archive packed with bz2", archive(good, zipfile.ZIP_BZIP2), "packed by another method"),
-        Malformed("archive packed with LZMA", archive(good, zipfile.ZIP_LZMA), "packed by another method"),
+        Malformed(
+            "archive packed with bz2",
+            archive(good, zipfile.ZIP_BZIP2),
+            "packed by another method",
+        ),
+        Malformed(
+            "archive packed with LZMA",
+            archive(good, zipfile.ZIP_LZMA),
+            "packed by another method",
+        ),
         Malformed("archive of nothing", archive({}), ""),
         Malformed("other arrays", archive({"a": np.zeros(3)}), ""),
     )
 
 
 _ARRAYS = st.sampled_from(
-    [np.zeros(2), np.zeros((2, 2)), np.zeros((3, 2)), np.array(1.0), np.array("GoTo"),
-     np.array(["x_m", "y_m"]), np.full(2, np.nan), np.array([1, 2]), np.zeros((0, 2)),
-     np.zeros(2, complex), np.array([], dtype="U1"), b"x"]
-)  # fmt: skip
+    [
+        np.zeros(2),
+        np.zeros((2, 2)),
+        np.zeros((3, 2)),
+        np.array(1.0),
+        np.array("GoTo"),
+        np.array(["x_m", "y_m"]),
+        np.full(2, np.nan),
+        np.array([1, 2]),
+        np.zeros((0, 2)),
+        np.zeros(2, complex),
+        np.array([], dtype="U1"),
+        b"x",
+    ]
+)
 
 POLICY = {
-    "task": np.array("GoTo"), "observations": np.array(["x_m", "y_m"]),
-    "weights_0": np.ones((3, 2), np.float32), "biases_0": np.ones(3, np.float32),
-}  # fmt: skip
+    "task": np.array("GoTo"),
+    "observations": np.array(["x_m", "y_m"]),
+    "weights_0": np.ones((3, 2), np.float32),
+    "biases_0": np.ones(3, np.float32),
+}
 
 
 def _policy(message: str, **changed: Any) -> Malformed:
-    return Malformed(" ".join(f"{changed}: {message}".split()), archive(POLICY | changed), message)
+    return Malformed(
+        " ".join(f"{changed}: {message}".split()), archive(POLICY | changed), message
+    )
 
 
 _NO_FIT = "the layers of the policy do not fit together, or have no finite numbers"
@@ -122,9 +162,9 @@ POLICY_MALFORMED = damaged(POLICY, "biases_0") + (
     _policy(_NO_FIT, weights_0=np.ones((3, 4))),
     _policy(_NO_FIT, observations=np.array([], dtype="U1"), weights_0=np.ones((3, 2))),
 )
-POLICY_VALUES = st.fixed_dictionaries({name: st.just(array) | _ARRAYS for name, array in POLICY.items()}).map(
-    archive
-)
+POLICY_VALUES = st.fixed_dictionaries(
+    {name: st.just(array) | _ARRAYS for name, array in POLICY.items()}
+).map(archive)
 
 _DOCUMENT = {
     "version": VERSION,
@@ -135,7 +175,11 @@ STATE = {"state": np.array(json.dumps(_DOCUMENT)), "array_0": np.ones(3)}
 
 
 def _state(name: str, message: str = "not a saved state", **changed: Any) -> Malformed:
-    return Malformed(name, archive(STATE | {"state": np.array(json.dumps(_DOCUMENT | changed))}), message)
+    return Malformed(
+        name,
+        archive(STATE | {"state": np.array(json.dumps(_DOCUMENT | changed))}),
+        message,
+    )
 
 
 STATE_MALFORMED = damaged(STATE, "array_0") + (
@@ -143,16 +187,33 @@ STATE_MALFORMED = damaged(STATE, "array_0") + (
     _state("settings as a number", of=3),
     _state("content as a number", content=3.0),
     _state("content in a list", content={"@": "list", "items": []}),
-    _state("unknown array", content={"@": "dict", "items": [["a", {"@": "array", "name": "b"}]]}),
+    _state(
+        "unknown array",
+        content={"@": "dict", "items": [["a", {"@": "array", "name": "b"}]]},
+    ),
     _state("a class of another package", content={"@": "os:system", "items": ["true"]}),
     _state("another version", "saved state of version 1", version=1),
-    Malformed("a number as document", archive(STATE | {"state": np.array(3.0)}), "not a saved state"),
-    Malformed("a list as document", archive(STATE | {"state": np.array("[]")}), "not a saved state"),
-    Malformed("a document of 20 MB", archive(STATE | {"state": np.array("[" * (20 << 20))}), "the limit is"),
     Malformed(
-        "deeply nested document", archive(STATE | {"state": np.array("[" * 100_000)}), "not a saved state"
+        "a number as document",
+        archive(STATE | {"state": np.array(3.0)}),
+        "not a saved state",
     ),
-)  # fmt: skip
+    Malformed(
+        "a list as document",
+        archive(STATE | {"state": np.array("[]")}),
+        "not a saved state",
+    ),
+    Malformed(
+        "a document of 20 MB",
+        archive(STATE | {"state": np.array("[" * (20 << 20))}),
+        "the limit is",
+    ),
+    Malformed(
+        "deeply nested document",
+        archive(STATE | {"state": np.array("[" * 100_000)}),
+        "not a saved state",
+    ),
+)
 _JSON = st.recursive(
     st.none()
     | st.integers()

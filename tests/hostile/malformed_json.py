@@ -25,19 +25,38 @@ MALFORMED = (
     Malformed("a number beyond floats", _with("1e999"), "1e999 is out of range"),
     Malformed("an integer beyond floats", _with("9" * 400), "is out of range"),
     Malformed("an integer of 5000 digits", _with("9" * 5000), "is out of range"),
-    Malformed("100,000 lists deep", b"[" * 100_000 + b"]" * 100_000, "nested more than 64 deep"),
-    Malformed("100,000 lists deep, cut off", b"[" * 100_000, "nested more than 64 deep"),
-    Malformed("900 objects deep", b'{"a":' * 900 + b"1" + b"}" * 900, "nested more than 64 deep"),
-    Malformed("duplicate key", GOOD.replace(b'"comparison"', b'"plants"'), "key 'plants' is given twice"),
+    Malformed(
+        "100,000 lists deep",
+        b"[" * 100_000 + b"]" * 100_000,
+        "nested more than 64 deep",
+    ),
+    Malformed(
+        "100,000 lists deep, cut off", b"[" * 100_000, "nested more than 64 deep"
+    ),
+    Malformed(
+        "900 objects deep",
+        b'{"a":' * 900 + b"1" + b"}" * 900,
+        "nested more than 64 deep",
+    ),
+    Malformed(
+        "duplicate key",
+        GOOD.replace(b'"comparison"', b'"plants"'),
+        "key 'plants' is given twice",
+    ),
     Malformed("JSON cut off", GOOD[:60], ":2:"),
     Malformed("UTF-16", GOOD.decode().encode("utf-16"), "not UTF-8 text"),
     Malformed("two documents", GOOD + GOOD, "not JSON: Extra data"),
 )
 
-_NUMBERS = st.integers(-(2**53), 2**53) | st.floats(allow_nan=False, allow_infinity=False)
+_NUMBERS = st.integers(-(2**53), 2**53) | st.floats(
+    allow_nan=False, allow_infinity=False
+)
 DATA = st.recursive(
     st.none() | st.booleans() | _NUMBERS | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=20,
 )
 VALUES = DATA.map(lambda data: json.dumps(data).encode())

@@ -24,8 +24,18 @@ SAMPLES = 50
 def trajectory() -> Trajectory:
     """Return a small valid trajectory."""
     time = np.arange(SAMPLES) / 100
-    columns = {"time": time, "com_x": np.sin(time), "bend_1": np.cos(time), "duty": np.ones(SAMPLES)}
-    return Trajectory(columns, {"duty": "%"}, (Event(0.1, "contact", "wall"),), {"plant": "twin", "seed": 3})
+    columns = {
+        "time": time,
+        "com_x": np.sin(time),
+        "bend_1": np.cos(time),
+        "duty": np.ones(SAMPLES),
+    }
+    return Trajectory(
+        columns,
+        {"duty": "%"},
+        (Event(0.1, "contact", "wall"),),
+        {"plant": "twin", "seed": 3},
+    )
 
 
 def content(run: Trajectory) -> bytes:
@@ -39,12 +49,16 @@ GOOD = content(trajectory())
 FOOTER = int.from_bytes(GOOD[-8:-4], "little")
 
 
-def table(columns: Any, metadata: dict[str, Any] | None = None, **options: Any) -> bytes:
+def table(
+    columns: Any, metadata: dict[str, Any] | None = None, **options: Any
+) -> bytes:
     """Return a Parquet file with other columns or other metadata."""
     file = io.BytesIO()
     content = columns if isinstance(columns, pa.Table) else pa.table(columns)
     pq.write_table(
-        content.replace_schema_metadata(METADATA if metadata is None else metadata), file, **options
+        content.replace_schema_metadata(METADATA if metadata is None else metadata),
+        file,
+        **options,
     )
     return file.getvalue()
 
@@ -58,7 +72,9 @@ def flipped(offset: int) -> bytes:
 
 def events(data: Any) -> bytes:
     """Return a file with other events."""
-    return table({"time": [0.0, 1.0]}, {**METADATA, "srs_twin.events": json.dumps(data)})
+    return table(
+        {"time": [0.0, 1.0]}, {**METADATA, "srs_twin.events": json.dumps(data)}
+    )
 
 
 def metadata(text: str | bytes) -> bytes:
@@ -76,18 +92,27 @@ def nested(depth: int) -> Any:
 
 def duplicate_column() -> bytes:
     """Return a file with two columns of one name."""
-    return table(pa.Table.from_arrays([pa.array([0.0, 1.0])] * 3, names=["time", "x", "x"]))
+    return table(
+        pa.Table.from_arrays([pa.array([0.0, 1.0])] * 3, names=["time", "x", "x"])
+    )
 
 
 def many_rows() -> bytes:
     """Return a file of 200 kB with two hundred million missing values."""
-    return table({"time": pa.nulls(200_000_000)}, compression="zstd", row_group_size=1 << 26)
+    return table(
+        {"time": pa.nulls(200_000_000)}, compression="zstd", row_group_size=1 << 26
+    )
 
 
 def inflating() -> bytes:
     """Return a small file that unpacks to three gigabytes of zeros."""
-    file, zeros = io.BytesIO(), pa.table({"time": [bytes(1 << 22)]}).replace_schema_metadata(METADATA)
-    with pq.ParquetWriter(file, zeros.schema, compression="zstd", use_dictionary=False) as writer:
+    file, zeros = (
+        io.BytesIO(),
+        pa.table({"time": [bytes(1 << 22)]}).replace_schema_metadata(METADATA),
+    )
+    with pq.ParquetWriter(
+        file, zeros.schema, compression="zstd", use_dictionary=False
+    ) as writer:
         for _ in range(768):
             writer.write_table(zeros)
     return file.getvalue()
@@ -108,17 +133,23 @@ def on_disk(make: Callable[[], bytes]) -> MakeFile:
 OURS = ": not a trajectory written by srs-twin ("
 DATA = 4  # after the first magic number
 CUTS = {
-    "the first magic number": 3, "the first page": 40, "half of it": len(GOOD) // 2,
-    "before the footer": len(GOOD) - FOOTER - 8, "in the footer": len(GOOD) - FOOTER // 2,
-    "without the footer's length": len(GOOD) - 8, "without the last magic number": len(GOOD) - 4,
+    "the first magic number": 3,
+    "the first page": 40,
+    "half of it": len(GOOD) // 2,
+    "before the footer": len(GOOD) - FOOTER - 8,
+    "in the footer": len(GOOD) - FOOTER // 2,
+    "without the footer's length": len(GOOD) - 8,
+    "without the last magic number": len(GOOD) - 4,
     "one byte": len(GOOD) - 1,
-}  # fmt: skip
+}
 
 MALFORMED: tuple[Malformed, ...] = (
     *(Malformed(f"cut: {name}", GOOD[:length], OURS) for name, length in CUTS.items()),
     Malformed("trailing byte", GOOD + b"x", OURS),
     Malformed("two files in one", GOOD + GOOD[:-4], OURS),
-    Malformed("a footer longer than the file", GOOD[:-8] + b"\xff\xff\xff\x7fPAR1", OURS),
+    Malformed(
+        "a footer longer than the file", GOOD[:-8] + b"\xff\xff\xff\x7fPAR1", OURS
+    ),
     Malformed("empty footer", GOOD[:-8] + b"\0\0\0\0PAR1", OURS),
     Malformed("a footer of 4 GB", GOOD[:-8] + b"\xff\xff\xff\xffPAR1", OURS),
     Malformed("magic number of encrypted files", GOOD[:-4] + b"PARE", OURS),
@@ -129,79 +160,221 @@ MALFORMED: tuple[Malformed, ...] = (
         for offset in (60, 120, 250, 400, 700)
     ),
     Malformed("inverted first footer byte", flipped(len(GOOD) - FOOTER - 8), OURS),
-    Malformed("footer of noise", GOOD[: -FOOTER - 8] + b"\xa5" * FOOTER + GOOD[-8:], OURS),
-    Malformed("200,000,000 rows", on_disk(many_rows), f"{OURS}200000000 values; the limit is "),
-    Malformed("3 GB in a small file", on_disk(inflating), " uncompressed bytes; the limit is 2147483648"),
-    Malformed("5,000 columns", table({"time": [0.0], **{f"x{k}": [0.0] for k in range(5000)}}), f"{OURS}5001 columns; the limit is "),
+    Malformed(
+        "footer of noise", GOOD[: -FOOTER - 8] + b"\xa5" * FOOTER + GOOD[-8:], OURS
+    ),
+    Malformed(
+        "200,000,000 rows", on_disk(many_rows), f"{OURS}200000000 values; the limit is "
+    ),
+    Malformed(
+        "3 GB in a small file",
+        on_disk(inflating),
+        " uncompressed bytes; the limit is 2147483648",
+    ),
+    Malformed(
+        "5,000 columns",
+        table({"time": [0.0], **{f"x{k}": [0.0] for k in range(5000)}}),
+        f"{OURS}5001 columns; the limit is ",
+    ),
     Malformed("110,000 column chunks", on_disk(numerous_groups), f"{OURS}"),
-    Malformed("metadata of 100 MB", on_disk(lambda: metadata('"' + "x" * 10**8 + '"')), f"{OURS}"),
-    Malformed("metadata of 40 MB", on_disk(lambda: metadata("[" + "1," * (20 << 20) + "1]")), f"{OURS}"),
-    Malformed("no metadata", table({"time": [1.0]}, {}), f"{OURS}a Parquet file with other content)"),
-    Malformed("no events", table({"time": [1.0]}, {"srs_twin.metadata": "{}"}), f"{OURS}a Parquet file with other"),
+    Malformed(
+        "metadata of 100 MB",
+        on_disk(lambda: metadata('"' + "x" * 10**8 + '"')),
+        f"{OURS}",
+    ),
+    Malformed(
+        "metadata of 40 MB",
+        on_disk(lambda: metadata("[" + "1," * (20 << 20) + "1]")),
+        f"{OURS}",
+    ),
+    Malformed(
+        "no metadata",
+        table({"time": [1.0]}, {}),
+        f"{OURS}a Parquet file with other content)",
+    ),
+    Malformed(
+        "no events",
+        table({"time": [1.0]}, {"srs_twin.metadata": "{}"}),
+        f"{OURS}a Parquet file with other",
+    ),
     Malformed("metadata that are not JSON", metadata("{"), OURS),
     Malformed("metadata that are not text", metadata(b"\xff\xfe"), OURS),
-    Malformed("metadata that are a list", metadata("[]"), f"{OURS}its metadata is not a mapping)"),
+    Malformed(
+        "metadata that are a list",
+        metadata("[]"),
+        f"{OURS}its metadata is not a mapping)",
+    ),
     Malformed("metadata a million deep", metadata("[" * 10**6 + "]" * 10**6), OURS),
-    Malformed("metadata with a number of 5,000 digits", metadata('{"a": ' + "9" * 5000 + "}"), OURS),
+    Malformed(
+        "metadata with a number of 5,000 digits",
+        metadata('{"a": ' + "9" * 5000 + "}"),
+        OURS,
+    ),
     Malformed("number as event", events([3]), OURS),
     Malformed("empty event", events([{}]), f"{OURS}"),
-    Malformed("event with an unknown key", events([{"time": 0, "kind": "a", "text": "b", "x": 1}]), OURS),
-    Malformed("event without a time", events([{"time": None, "kind": "a", "text": "b"}]), OURS),
-    Malformed("event at NaN", events([{"time": float("nan"), "kind": "a", "text": "b"}]), f"{OURS}an event's time must be"),
-    Malformed("text as event time", events([{"time": "0", "kind": "a", "text": "b"}]), OURS),
-    Malformed("list as event kind", events([{"time": 0, "kind": ["a"], "text": "b"}]), f"{OURS}an event's kind and text"),
+    Malformed(
+        "event with an unknown key",
+        events([{"time": 0, "kind": "a", "text": "b", "x": 1}]),
+        OURS,
+    ),
+    Malformed(
+        "event without a time", events([{"time": None, "kind": "a", "text": "b"}]), OURS
+    ),
+    Malformed(
+        "event at NaN",
+        events([{"time": float("nan"), "kind": "a", "text": "b"}]),
+        f"{OURS}an event's time must be",
+    ),
+    Malformed(
+        "text as event time", events([{"time": "0", "kind": "a", "text": "b"}]), OURS
+    ),
+    Malformed(
+        "list as event kind",
+        events([{"time": 0, "kind": ["a"], "text": "b"}]),
+        f"{OURS}an event's kind and text",
+    ),
     Malformed("number as events", events(3), OURS),
     Malformed("mapping as events", events({"time": 1}), OURS),
     Malformed("no time", table({"x": [1.0]}), ": a trajectory needs a column 'time'"),
-    Malformed("no column at all", table(pa.table({})), ": a trajectory needs a column 'time'"),
-    Malformed("text as time", table({"time": ["now"]}), f"{OURS}column time holds string, not float64)"),
-    Malformed("integers as time", table({"time": [0, 1]}), f"{OURS}column time holds int64, not float64)"),
-    Malformed("half precision", table({"time": [0.0], "x": pa.array(np.zeros(1, np.float16))}), f"{OURS}column x holds halffloat"),
-    Malformed("a list in a column", table({"time": [0.0], "x": [[1.0]]}), f"{OURS}column x holds list<"),
-    Malformed("a record in a column", table({"time": [0.0], "x": [{"a": 1.0}]}), f"{OURS}column x holds struct<"),
-    Malformed("lists of lists", table({"time": pa.nulls(1, nested(30))}), f"{OURS}column time holds list<"),
+    Malformed(
+        "no column at all", table(pa.table({})), ": a trajectory needs a column 'time'"
+    ),
+    Malformed(
+        "text as time",
+        table({"time": ["now"]}),
+        f"{OURS}column time holds string, not float64)",
+    ),
+    Malformed(
+        "integers as time",
+        table({"time": [0, 1]}),
+        f"{OURS}column time holds int64, not float64)",
+    ),
+    Malformed(
+        "half precision",
+        table({"time": [0.0], "x": pa.array(np.zeros(1, np.float16))}),
+        f"{OURS}column x holds halffloat",
+    ),
+    Malformed(
+        "a list in a column",
+        table({"time": [0.0], "x": [[1.0]]}),
+        f"{OURS}column x holds list<",
+    ),
+    Malformed(
+        "a record in a column",
+        table({"time": [0.0], "x": [{"a": 1.0}]}),
+        f"{OURS}column x holds struct<",
+    ),
+    Malformed(
+        "lists of lists",
+        table({"time": pa.nulls(1, nested(30))}),
+        f"{OURS}column time holds list<",
+    ),
     Malformed("very deep lists", table({"time": pa.nulls(1, nested(300))}), OURS),
-    Malformed("missing times", table({"time": [0.0, None, 1.0]}), f"{OURS}column time has 1 missing values)"),
-    Malformed("column of nulls", table({"time": [0.0, 1.0], "x": [None, None]}, None), f"{OURS}column x holds null"),
-    Malformed("NaN in time", table({"time": [0.0, float("nan"), 1.0]}), ": column time: must be finite and increase"),
-    Malformed("infinity in time", table({"time": [0.0, float("inf")]}), ": column time: must be finite and increase"),
-    Malformed("time backwards", table({"time": [0.0, 2.0, 1.0]}), ": column time: must be finite and increase"),
-    Malformed("repeated time", table({"time": [0.0, 1.0, 1.0]}), ": column time: must be finite and increase"),
+    Malformed(
+        "missing times",
+        table({"time": [0.0, None, 1.0]}),
+        f"{OURS}column time has 1 missing values)",
+    ),
+    Malformed(
+        "column of nulls",
+        table({"time": [0.0, 1.0], "x": [None, None]}, None),
+        f"{OURS}column x holds null",
+    ),
+    Malformed(
+        "NaN in time",
+        table({"time": [0.0, float("nan"), 1.0]}),
+        ": column time: must be finite and increase",
+    ),
+    Malformed(
+        "infinity in time",
+        table({"time": [0.0, float("inf")]}),
+        ": column time: must be finite and increase",
+    ),
+    Malformed(
+        "time backwards",
+        table({"time": [0.0, 2.0, 1.0]}),
+        ": column time: must be finite and increase",
+    ),
+    Malformed(
+        "repeated time",
+        table({"time": [0.0, 1.0, 1.0]}),
+        ": column time: must be finite and increase",
+    ),
     Malformed("duplicate column", duplicate_column(), f"{OURS}column x: given twice)"),
-    Malformed("unit that is not text", table(pa.table([pa.array([0.0])], pa.schema([pa.field("time", pa.float64(), metadata={"unit": b"\xff"})]))), OURS),
-)  # fmt: skip
+    Malformed(
+        "unit that is not text",
+        table(
+            pa.table(
+                [pa.array([0.0])],
+                pa.schema([pa.field("time", pa.float64(), metadata={"unit": b"\xff"})]),
+            )
+        ),
+        OURS,
+    ),
+)
 
 numbers = st.floats(width=64)
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | numbers | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=5,
 )
 columns_of_three = st.one_of(
-    st.lists(numbers, min_size=3, max_size=3), st.lists(st.integers(-9, 9), min_size=3, max_size=3),
-    st.lists(st.none() | numbers, min_size=3, max_size=3), st.lists(st.text(max_size=3), min_size=3, max_size=3),
-    st.lists(st.lists(numbers, max_size=2), min_size=3, max_size=3), st.just([0.0, 0.5, 1.0]),
-)  # fmt: skip
+    st.lists(numbers, min_size=3, max_size=3),
+    st.lists(st.integers(-9, 9), min_size=3, max_size=3),
+    st.lists(st.none() | numbers, min_size=3, max_size=3),
+    st.lists(st.text(max_size=3), min_size=3, max_size=3),
+    st.lists(st.lists(numbers, max_size=2), min_size=3, max_size=3),
+    st.just([0.0, 0.5, 1.0]),
+)
 
 
-def _any_table(columns: dict[str, Any], metadata: dict[str, Any], compression: str) -> bytes:
+def _any_table(
+    columns: dict[str, Any], metadata: dict[str, Any], compression: str
+) -> bytes:
     return table(
-        columns, {key: json.dumps(value) for key, value in metadata.items()}, compression=compression
+        columns,
+        {key: json.dumps(value) for key, value in metadata.items()},
+        compression=compression,
     )
 
 
 VALUES = st.builds(
     _any_table,
-    st.dictionaries(st.sampled_from(["time", "com_x", "x_1", "qpos_1"]) | st.text(max_size=5), columns_of_three, max_size=4)
-    .filter(lambda columns: all("\0" not in name and name.isprintable() for name in columns)),
-    st.dictionaries(st.sampled_from(["srs_twin.events", "srs_twin.metadata", "x"]), json_values, max_size=3)
-    | st.builds(lambda events, metadata: {"srs_twin.events": events, "srs_twin.metadata": metadata},
-                st.lists(st.dictionaries(st.sampled_from(["time", "kind", "text"]), json_values, max_size=3), max_size=2),
-                st.dictionaries(st.text(max_size=5), json_values, max_size=3)),
+    st.dictionaries(
+        st.sampled_from(["time", "com_x", "x_1", "qpos_1"]) | st.text(max_size=5),
+        columns_of_three,
+        max_size=4,
+    ).filter(
+        lambda columns: all("\0" not in name and name.isprintable() for name in columns)
+    ),
+    st.dictionaries(
+        st.sampled_from(["srs_twin.events", "srs_twin.metadata", "x"]),
+        json_values,
+        max_size=3,
+    )
+    | st.builds(
+        lambda events, metadata: {
+            "srs_twin.events": events,
+            "srs_twin.metadata": metadata,
+        },
+        st.lists(
+            st.dictionaries(
+                st.sampled_from(["time", "kind", "text"]), json_values, max_size=3
+            ),
+            max_size=2,
+        ),
+        st.dictionaries(st.text(max_size=5), json_values, max_size=3),
+    ),
     st.sampled_from(["none", "zstd", "snappy", "gzip"]),
-)  # fmt: skip
+)
 
-names = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9)
+names = st.text(
+    st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9
+)
 
 
 @st.composite
@@ -214,7 +387,11 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
     unit, text = st.text(st.characters(codec="utf-8"), max_size=4), st.text(max_size=9)
     units = draw(st.dictionaries(st.sampled_from(list(columns)), unit, max_size=2))
     events = draw(st.lists(st.builds(Event, st.floats(0, 1e6), text, text), max_size=3))
-    metadata = draw(st.dictionaries(text, json_values.filter(lambda value: value == value), max_size=3))
+    metadata = draw(
+        st.dictionaries(
+            text, json_values.filter(lambda value: value == value), max_size=3
+        )
+    )
     return Trajectory(columns, units, tuple(events), metadata)
 
 
@@ -225,5 +402,6 @@ def same(one: Trajectory, other: Trajectory) -> bool:
         and all(one[name].tobytes() == other[name].tobytes() for name in one.columns)
         and all(one.unit(name) == other.unit(name) for name in one.columns)
         and one.events == other.events
-        and json.dumps(one.metadata, sort_keys=True) == json.dumps(other.metadata, sort_keys=True)
+        and json.dumps(one.metadata, sort_keys=True)
+        == json.dumps(other.metadata, sort_keys=True)
     )

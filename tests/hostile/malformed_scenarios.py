@@ -71,79 +71,324 @@ expect:
   - {metric: plan_found, plant: analytical, above: 1}
 """
 
-BENCH_MALFORMED = edited(BENCH, [
-    ("bench: true", "bench: yes", ":4:8: bench: must be true or false, not text 'yes'"),
-    ("bench: true", "bench: true\nstart: {}", ":5:1: start: a module on a bench starts at its clamp"),
-    ("analytical: {}", "analytical: {friction: axis}", ":10:16: plants.analytical.friction: there is no floor on a bench"),
-    ("analytical: {}", "analytical: {slip_speed_m_s: 0.01}", ":10:16: plants.analytical.slip_speed_m_s:"),
-    ("twin: {", "twin: {wheels: rolling, ", ":11:10: plants.twin.wheels: there is no floor on a bench"),
-    ("analytical: {}", "analytical: {model: compliant}", ":10:23: plants.analytical.model: compliant needs a free snake"),
-    ("in_out", "5/2", ":6:18: valves.layout: must be one of 3/2, in_out, not text '5/2'"),
-    ("in_out", "3/2", ":6:18: valves.layout: direct_smc drives valves of layout in_out, not 3/2; 3/2 va"),
-    ("{kind: direct_smc, d_per_s: 20,", "{kind: iterative_smc, carrier_hz: 60,", ":6:18: valves.layout: iterative_smc drives valves of layout 3/2, not in_out"),
-    ("kind: direct_smc, ", "", ":8:13: controller.kind: missing; it selects"),
-    ("direct_smc", "direct_smd", ":8:20: controller.kind: must be one of gait, ilc, direct_smc, iterative_smc, hold_valves, grasp, replay"),
-    ("direct_smc", "compliant_gait", "not text 'compliant_gait': it was retired, because none of its reactions helps"),
-    (BENCH.decode().splitlines()[7], "controller: [1]", ":8:13: controller: must be a block of keys"),
-    ("d_per_s: 20", "carrier_hz: 60", ":8:32: controller.carrier_hz: unknown key"),
-    ("d_per_s: 20", "d_per_s: 0", ":8:41: controller.d_per_s: must be a number from 0.001 to 1000, not 0"),
-    ("reference: {kind: sine, amplitude_rad: 0.6, frequency_hz: 2}", "cutoff_hz: 20", ":8:13: controller.reference: missing"),
-    ("kind: sine", "kind: sinus", ":8:63: controller.reference.kind: must be one of constant, step, sin"),
-    ("frequency_hz: 2", "frequency_hz: 2, hold_s: 1", "controller.reference.hold_s: unknown key"),
-    ("amplitude_rad: 0.6", "amplitude_rad: 0.9", ":8:56: controller.reference: the reference reaches 5"),
-    ("amplitude_rad: 0.6", "amplitude_rad: 1.6", "must be a number from 0.001 to 1.5708, not 1.6"),
-    ("d_per_s: 20", "beyond_range: clip", ":8:46: controller.beyond_range: must be one of refuse, satur"),
-    ("kind: hall, span_rad: 0.8", "kind: ideal", ":7:9: sensor: bits requires kind: hall"),
-    ("bits: 10", "bits: 0", ":7:43: sensor.bits: must be a whole number from 1 to 32, not 0"),
-    ("0.00025}", "0.0003}", "plants.twin.tick_s: tick 0.001 s is not a multiple of time step 0.0003 s"),
-    ("amplitude_rel", "amplitude", ":13:14: expect[0].metric: unknown metric 'amplitude'"),
-])  # fmt: skip
+BENCH_MALFORMED = edited(
+    BENCH,
+    [
+        (
+            "bench: true",
+            "bench: yes",
+            ":4:8: bench: must be true or false, not text 'yes'",
+        ),
+        (
+            "bench: true",
+            "bench: true\nstart: {}",
+            ":5:1: start: a module on a bench starts at its clamp",
+        ),
+        (
+            "analytical: {}",
+            "analytical: {friction: axis}",
+            ":10:16: plants.analytical.friction: there is no floor on a bench",
+        ),
+        (
+            "analytical: {}",
+            "analytical: {slip_speed_m_s: 0.01}",
+            ":10:16: plants.analytical.slip_speed_m_s:",
+        ),
+        (
+            "twin: {",
+            "twin: {wheels: rolling, ",
+            ":11:10: plants.twin.wheels: there is no floor on a bench",
+        ),
+        (
+            "analytical: {}",
+            "analytical: {model: compliant}",
+            ":10:23: plants.analytical.model: compliant needs a free snake",
+        ),
+        (
+            "in_out",
+            "5/2",
+            ":6:18: valves.layout: must be one of 3/2, in_out, not text '5/2'",
+        ),
+        (
+            "in_out",
+            "3/2",
+            (
+                ":6:18: valves.layout: direct_smc drives valves of layout in_out, not"
+                " 3/2; 3/2 va"
+            ),
+        ),
+        (
+            "{kind: direct_smc, d_per_s: 20,",
+            "{kind: iterative_smc, carrier_hz: 60,",
+            (
+                ":6:18: valves.layout: iterative_smc drives valves of layout 3/2, not"
+                " in_out"
+            ),
+        ),
+        ("kind: direct_smc, ", "", ":8:13: controller.kind: missing; it selects"),
+        (
+            "direct_smc",
+            "direct_smd",
+            (
+                ":8:20: controller.kind: must be one of gait, ilc, direct_smc,"
+                " iterative_smc, hold_valves, grasp, replay"
+            ),
+        ),
+        (
+            "direct_smc",
+            "compliant_gait",
+            (
+                "not text 'compliant_gait': it was retired, because none of its"
+                " reactions helps"
+            ),
+        ),
+        (
+            BENCH.decode().splitlines()[7],
+            "controller: [1]",
+            ":8:13: controller: must be a block of keys",
+        ),
+        ("d_per_s: 20", "carrier_hz: 60", ":8:32: controller.carrier_hz: unknown key"),
+        (
+            "d_per_s: 20",
+            "d_per_s: 0",
+            ":8:41: controller.d_per_s: must be a number from 0.001 to 1000, not 0",
+        ),
+        (
+            "reference: {kind: sine, amplitude_rad: 0.6, frequency_hz: 2}",
+            "cutoff_hz: 20",
+            ":8:13: controller.reference: missing",
+        ),
+        (
+            "kind: sine",
+            "kind: sinus",
+            ":8:63: controller.reference.kind: must be one of constant, step, sin",
+        ),
+        (
+            "frequency_hz: 2",
+            "frequency_hz: 2, hold_s: 1",
+            "controller.reference.hold_s: unknown key",
+        ),
+        (
+            "amplitude_rad: 0.6",
+            "amplitude_rad: 0.9",
+            ":8:56: controller.reference: the reference reaches 5",
+        ),
+        (
+            "amplitude_rad: 0.6",
+            "amplitude_rad: 1.6",
+            "must be a number from 0.001 to 1.5708, not 1.6",
+        ),
+        (
+            "d_per_s: 20",
+            "beyond_range: clip",
+            ":8:46: controller.beyond_range: must be one of refuse, satur",
+        ),
+        (
+            "kind: hall, span_rad: 0.8",
+            "kind: ideal",
+            ":7:9: sensor: bits requires kind: hall",
+        ),
+        (
+            "bits: 10",
+            "bits: 0",
+            ":7:43: sensor.bits: must be a whole number from 1 to 32, not 0",
+        ),
+        (
+            "0.00025}",
+            "0.0003}",
+            "plants.twin.tick_s: tick 0.001 s is not a multiple of time step 0.0003 s",
+        ),
+        (
+            "amplitude_rel",
+            "amplitude",
+            ":13:14: expect[0].metric: unknown metric 'amplitude'",
+        ),
+    ],
+)
 
-LEARNING_MALFORMED = edited(LEARNING, [
-    ("offset: 0.3", "offset: 0.31", ":5:52: controller.offset: must be a number from -0.3 to 0.3"),
-    ("offset: 0.3", "target: smallest", ":5:13: controller: give either target or target_rad"),
-    ("target_rad: 0.7", "target: largest", "controller.target: must be smallest, not text 'largest'"),
-    ("target_rad: 0.7", "target_rad: 0", "controller.target_rad: must be a number from 0.01 to 1.5708"),
-    ("target_rad: 0.7", "target: 0.7", "controller.target: must be smallest, not 0.7"),
-    ("k_per_rad: 0.3", "k_per_rad: -0.3", "controller.k_per_rad: must be a number from 0.0001 to 100"),
-    ("k_per_rad: 0.3", "free_periods: 0", "controller.free_periods: must be a whole number from 1"),
-    ("k_per_rad: 0.3", "free_periods: 1.5", "controller.free_periods: must be a whole number from 1 to"),
-    ("carrier_hz: 60", "carrier_hz: 2", "controller: a gait of this frequency needs a carrier_hz of at least 16"),
-    ("k_per_rad: 0.3", "on_fault: ignore", "controller.on_fault: must be one of go_on, stop, not text"),
-    ("duration_s: 2", "duration_s: 2\nvalves: {layout: in_out}", "valves.layout: ilc drives valves of"),
-    ("k_per_rad: 0.3", "reference: {kind: constant, bend_rad: 0.1}", "controller.reference: unknown key"),
-])  # fmt: skip
+LEARNING_MALFORMED = edited(
+    LEARNING,
+    [
+        (
+            "offset: 0.3",
+            "offset: 0.31",
+            ":5:52: controller.offset: must be a number from -0.3 to 0.3",
+        ),
+        (
+            "offset: 0.3",
+            "target: smallest",
+            ":5:13: controller: give either target or target_rad",
+        ),
+        (
+            "target_rad: 0.7",
+            "target: largest",
+            "controller.target: must be smallest, not text 'largest'",
+        ),
+        (
+            "target_rad: 0.7",
+            "target_rad: 0",
+            "controller.target_rad: must be a number from 0.01 to 1.5708",
+        ),
+        (
+            "target_rad: 0.7",
+            "target: 0.7",
+            "controller.target: must be smallest, not 0.7",
+        ),
+        (
+            "k_per_rad: 0.3",
+            "k_per_rad: -0.3",
+            "controller.k_per_rad: must be a number from 0.0001 to 100",
+        ),
+        (
+            "k_per_rad: 0.3",
+            "free_periods: 0",
+            "controller.free_periods: must be a whole number from 1",
+        ),
+        (
+            "k_per_rad: 0.3",
+            "free_periods: 1.5",
+            "controller.free_periods: must be a whole number from 1 to",
+        ),
+        (
+            "carrier_hz: 60",
+            "carrier_hz: 2",
+            "controller: a gait of this frequency needs a carrier_hz of at least 16",
+        ),
+        (
+            "k_per_rad: 0.3",
+            "on_fault: ignore",
+            "controller.on_fault: must be one of go_on, stop, not text",
+        ),
+        (
+            "duration_s: 2",
+            "duration_s: 2\nvalves: {layout: in_out}",
+            "valves.layout: ilc drives valves of",
+        ),
+        (
+            "k_per_rad: 0.3",
+            "reference: {kind: constant, bend_rad: 0.1}",
+            "controller.reference: unknown key",
+        ),
+    ],
+)
 
-FOLLOWING_MALFORMED = edited(FOLLOWING, [
-    ("footprint: gen2_section52", "footprint: /dev/zero", "planner.footprint: /dev/zero: not a regular file"),
-    ("footprint: gen2_section52", "footprint: gen2", "planner.footprint: unknown footprint 'gen2'"),
-    ("footprint: gen2_section52, ", "", "planner.footprint: missing"),
-    ("kind: best_first", "kind: best", "planner.kind: must be one of best_first, greedy, given"),
-    ("kind: best_first", "kind: ompl", "planner.kind: must be one of best_first, greedy, given, not text 'ompl': it was retired"),
-    ("kind: best_first", "kind: greedy", "planner.nodes: unknown key; allowed: footprint, turn_share"),
-    ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
-    ("nodes: 5000", "seconds: .inf", "planner.seconds: "),
-    ("margin_m: 0.02", "margin_m: 0.5", "planner: footprint gen2_section52: left: 0.517 m reaches the centre"),
-    ("turn_share: 0.8", "turn_share: 1.1", "planner.turn_share: must be a number from 0.05"),
-    ("rate_hz: 60", "rate_hz: 0", "controller.camera.rate_hz: must be a number from 5"),
-    ("position_noise_m: 0.001", "position_noise_m: -1", "controller.camera.position_noise_m: must be a number"),
-    ("delay_s: 0.1", "delay_s: -0.1", "controller.delay_s: must be a number from 0"),
-    ("frequency_hz: 2.0", "frequency_hz: 2.0, offset: 0.1", "controller: the follower sets the offset"),
-    ("gait: {kind: gait, frequency_hz: 2.0}", "gait: {kind: hold_valves}", "controller.gait.kind: must be one of gait, ilc"),
-    ("gait: {kind: gait, frequency_hz: 2.0}", "gait: {kind: follow}", "controller.gait.kind: must be one of gait, ilc"),
-    ("follower: path", "follower: bearing", "controller: lookahead_m requires follower: path"),
-    ("lookahead_m: 0.15", "near_m: 0.15", "controller: near_m requires follower: bearing"),
-    ("[0.6, 0.5], [0.6, 0.6]", "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]", "world.polygons[0].corners_m: these corners do not bound an area"),
-    (", [0.6, 0.6]", "", "world.polygons[0].corners_m: "),
-    ("[0.6, 0.6]", "[0.6, 0.6, 0.1]", "world.polygons[0].corners_m[2]"),
-    ("[0.6, 0.6]", "[0.6, .nan]", "world.polygons[0].corners_m[2]"),
-    ("count: 2", "count: 900", "world.random: 900 circles do not fit"),
-    ("radius_m: [0.02, 0.05]", "radius_m: [0.05, 0.02]", "world.random.radius_m: the smallest radius comes first"),
-    ("count: 2", "kind: fig54, count: 19", "world.random: 19 obstacles cannot be drawn from 18 sites"),
-    ("  goal: {x_m: 1.0, y_m: 0.2, heading_rad: 0.5, heading_tolerance_rad: 0.1, radius_m: 0.05}\n", "", "planner: kind: best_first needs world.goal"),
-])  # fmt: skip
+FOLLOWING_MALFORMED = edited(
+    FOLLOWING,
+    [
+        (
+            "footprint: gen2_section52",
+            "footprint: /dev/zero",
+            "planner.footprint: /dev/zero: not a regular file",
+        ),
+        (
+            "footprint: gen2_section52",
+            "footprint: gen2",
+            "planner.footprint: unknown footprint 'gen2'",
+        ),
+        ("footprint: gen2_section52, ", "", "planner.footprint: missing"),
+        (
+            "kind: best_first",
+            "kind: best",
+            "planner.kind: must be one of best_first, greedy, given",
+        ),
+        (
+            "kind: best_first",
+            "kind: ompl",
+            (
+                "planner.kind: must be one of best_first, greedy, given, not text"
+                " 'ompl': it was retired"
+            ),
+        ),
+        (
+            "kind: best_first",
+            "kind: greedy",
+            "planner.nodes: unknown key; allowed: footprint, turn_share",
+        ),
+        ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
+        ("nodes: 5000", "seconds: .inf", "planner.seconds: "),
+        (
+            "margin_m: 0.02",
+            "margin_m: 0.5",
+            "planner: footprint gen2_section52: left: 0.517 m reaches the centre",
+        ),
+        (
+            "turn_share: 0.8",
+            "turn_share: 1.1",
+            "planner.turn_share: must be a number from 0.05",
+        ),
+        (
+            "rate_hz: 60",
+            "rate_hz: 0",
+            "controller.camera.rate_hz: must be a number from 5",
+        ),
+        (
+            "position_noise_m: 0.001",
+            "position_noise_m: -1",
+            "controller.camera.position_noise_m: must be a number",
+        ),
+        (
+            "delay_s: 0.1",
+            "delay_s: -0.1",
+            "controller.delay_s: must be a number from 0",
+        ),
+        (
+            "frequency_hz: 2.0",
+            "frequency_hz: 2.0, offset: 0.1",
+            "controller: the follower sets the offset",
+        ),
+        (
+            "gait: {kind: gait, frequency_hz: 2.0}",
+            "gait: {kind: hold_valves}",
+            "controller.gait.kind: must be one of gait, ilc",
+        ),
+        (
+            "gait: {kind: gait, frequency_hz: 2.0}",
+            "gait: {kind: follow}",
+            "controller.gait.kind: must be one of gait, ilc",
+        ),
+        (
+            "follower: path",
+            "follower: bearing",
+            "controller: lookahead_m requires follower: path",
+        ),
+        (
+            "lookahead_m: 0.15",
+            "near_m: 0.15",
+            "controller: near_m requires follower: bearing",
+        ),
+        (
+            "[0.6, 0.5], [0.6, 0.6]",
+            "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]",
+            "world.polygons[0].corners_m: these corners do not bound an area",
+        ),
+        (", [0.6, 0.6]", "", "world.polygons[0].corners_m: "),
+        ("[0.6, 0.6]", "[0.6, 0.6, 0.1]", "world.polygons[0].corners_m[2]"),
+        ("[0.6, 0.6]", "[0.6, .nan]", "world.polygons[0].corners_m[2]"),
+        ("count: 2", "count: 900", "world.random: 900 circles do not fit"),
+        (
+            "radius_m: [0.02, 0.05]",
+            "radius_m: [0.05, 0.02]",
+            "world.random.radius_m: the smallest radius comes first",
+        ),
+        (
+            "count: 2",
+            "kind: fig54, count: 19",
+            "world.random: 19 obstacles cannot be drawn from 18 sites",
+        ),
+        (
+            (
+                "  goal: {x_m: 1.0, y_m: 0.2, heading_rad: 0.5, heading_tolerance_rad:"
+                " 0.1, radius_m: 0.05}\n"
+            ),
+            "",
+            "planner: kind: best_first needs world.goal",
+        ),
+    ],
+)
 
-TEXT = st.text(st.characters(codec="utf-8", exclude_categories=["Cc"]), min_size=1, max_size=30)
+TEXT = st.text(
+    st.characters(codec="utf-8", exclude_categories=["Cc"]), min_size=1, max_size=30
+)
 """Text that YAML may contain; control characters are rejected."""
 
 DURATION = st.integers(1, 3600)
@@ -164,77 +409,186 @@ def block(
     """Return a strategy for a mapping; values are strategies or constants."""
 
     def strategies(mapping: dict[str, object]) -> dict[str, st.SearchStrategy[object]]:
-        return {k: v if isinstance(v, st.SearchStrategy) else st.just(v) for k, v in mapping.items()}
+        return {
+            k: v if isinstance(v, st.SearchStrategy) else st.just(v)
+            for k, v in mapping.items()
+        }
 
     return st.fixed_dictionaries(strategies(keys), optional=strategies(optional or {}))
 
 
-SCENARIOS = varied(SCENARIO, {
-    "robot": choice("gen1", "gen2", "gen3", "gen4"), "duration_s": DURATION, "seed": SEED, "title": TEXT,
-    "allow_overpressure": True, "supply.pressure_kpa": st.floats(0.1, 2000), "expect": None,
-    "controller": block(kind="gait", frequency_hz=FREQUENCY, offset=st.floats(-0.95, 0.95), phase_rad=ANGLE),
-    "start": block(x_m=COORDINATE, heading_rad=ANGLE),
-    "pneumatics": choice({}, {"kind": "orifice"}, {"leak_per_s": 1e-5, "valve_delay_s": 1e-9}),
-    "world": block(optional={"goal": block(x_m=COORDINATE, y_m=0.0)}),
-    "plants": block(analytical=choice({}, {"model": "compliant", "friction": "wheel"}),
-                    optional={"twin": block(hinges_per_segment=st.integers(1, 4))}),
-})  # fmt: skip
+SCENARIOS = varied(
+    SCENARIO,
+    {
+        "robot": choice("gen1", "gen2", "gen3", "gen4"),
+        "duration_s": DURATION,
+        "seed": SEED,
+        "title": TEXT,
+        "allow_overpressure": True,
+        "supply.pressure_kpa": st.floats(0.1, 2000),
+        "expect": None,
+        "controller": block(
+            kind="gait",
+            frequency_hz=FREQUENCY,
+            offset=st.floats(-0.95, 0.95),
+            phase_rad=ANGLE,
+        ),
+        "start": block(x_m=COORDINATE, heading_rad=ANGLE),
+        "pneumatics": choice(
+            {}, {"kind": "orifice"}, {"leak_per_s": 1e-5, "valve_delay_s": 1e-9}
+        ),
+        "world": block(optional={"goal": block(x_m=COORDINATE, y_m=0.0)}),
+        "plants": block(
+            analytical=choice({}, {"model": "compliant", "friction": "wheel"}),
+            optional={"twin": block(hinges_per_segment=st.integers(1, 4))},
+        ),
+    },
+)
 
 _BEND = st.floats(-0.7, 0.7)
 _REFERENCES = st.one_of(
     block(kind="constant", bend_rad=st.floats(-1.5, 1.5)),
     block(kind="step", bend_rad=_BEND, optional={"time_s": st.floats(0, 9)}),
-    block(kind="staircase", bends_rad=st.lists(_BEND, min_size=1, max_size=9), hold_s=st.floats(0.001, 9)),
-    block(kind=choice("sine", "square"), amplitude_rad=st.floats(0.001, 0.5), frequency_hz=FREQUENCY,
-          optional={"phase_rad": ANGLE, "offset_rad": st.floats(-0.2, 0.2)}),
-)  # fmt: skip
-
-BENCHES = varied(BENCH, {
-    "duration_s": DURATION, "valves": None, "supply": None, "expect": None,
-    "controller": st.one_of(
-        block(kind=choice("direct_smc", "iterative_smc"), reference=_REFERENCES, beyond_range="saturate"),
-        block(kind="gait", frequency_hz=FREQUENCY),
-        block(kind="hold_valves", plus=choice("fill", "hold", "vent")),
+    block(
+        kind="staircase",
+        bends_rad=st.lists(_BEND, min_size=1, max_size=9),
+        hold_s=st.floats(0.001, 9),
     ),
-    "sensor": choice({}, {"kind": "ideal"}, {"kind": "hall"}, {"kind": "hall", "span_rad": 0.8, "noise_uv": 0},
-                     {"kind": "hall", "distance_mm": 4.6, "orientation": "side", "bits": 12, "bias_v": -0.1}),
-    "plants": choice({"analytical": {}}, {"twin": {}}, {"analytical": {}, "twin": {"tick_s": 0.002}}),
-})  # fmt: skip
-
-LEARNERS = varied(LEARNING, {
-    "duration_s": DURATION, "supply.pressure_kpa": st.floats(0.1, 131), "expect": None,
-    "controller": st.builds(
-        dict.__or__,
-        block(kind="ilc", frequency_hz=st.floats(0.01, 6.0), offset=st.floats(-0.3, 0.3),
-              k_per_rad=st.floats(1e-4, 100), free_periods=st.integers(1, 1000), carrier_hz=st.floats(50, 1000),
-              on_fault=choice("go_on", "stop")),
-        choice({}, {"target": "smallest"}, {"target_rad": 0.4}, {"phase_rad": 1.0, "phase_step_rad": 2}),
+    block(
+        kind=choice("sine", "square"),
+        amplitude_rad=st.floats(0.001, 0.5),
+        frequency_hz=FREQUENCY,
+        optional={"phase_rad": ANGLE, "offset_rad": st.floats(-0.2, 0.2)},
     ),
-    "plants": choice({"analytical": {}}, {"analytical": {}, "twin": {"tick_s": 0.005}}),
-})  # fmt: skip
+)
+
+BENCHES = varied(
+    BENCH,
+    {
+        "duration_s": DURATION,
+        "valves": None,
+        "supply": None,
+        "expect": None,
+        "controller": st.one_of(
+            block(
+                kind=choice("direct_smc", "iterative_smc"),
+                reference=_REFERENCES,
+                beyond_range="saturate",
+            ),
+            block(kind="gait", frequency_hz=FREQUENCY),
+            block(kind="hold_valves", plus=choice("fill", "hold", "vent")),
+        ),
+        "sensor": choice(
+            {},
+            {"kind": "ideal"},
+            {"kind": "hall"},
+            {"kind": "hall", "span_rad": 0.8, "noise_uv": 0},
+            {
+                "kind": "hall",
+                "distance_mm": 4.6,
+                "orientation": "side",
+                "bits": 12,
+                "bias_v": -0.1,
+            },
+        ),
+        "plants": choice(
+            {"analytical": {}},
+            {"twin": {}},
+            {"analytical": {}, "twin": {"tick_s": 0.002}},
+        ),
+    },
+)
+
+LEARNERS = varied(
+    LEARNING,
+    {
+        "duration_s": DURATION,
+        "supply.pressure_kpa": st.floats(0.1, 131),
+        "expect": None,
+        "controller": st.builds(
+            dict.__or__,
+            block(
+                kind="ilc",
+                frequency_hz=st.floats(0.01, 6.0),
+                offset=st.floats(-0.3, 0.3),
+                k_per_rad=st.floats(1e-4, 100),
+                free_periods=st.integers(1, 1000),
+                carrier_hz=st.floats(50, 1000),
+                on_fault=choice("go_on", "stop"),
+            ),
+            choice(
+                {},
+                {"target": "smallest"},
+                {"target_rad": 0.4},
+                {"phase_rad": 1.0, "phase_step_rad": 2},
+            ),
+        ),
+        "plants": choice(
+            {"analytical": {}}, {"analytical": {}, "twin": {"tick_s": 0.005}}
+        ),
+    },
+)
 
 _LENGTH = st.floats(0.001, 100)
 _FOLLOW = {
-    "kind": "follow", "delay_s": st.floats(0, 10), "replans": st.integers(0, 1000),
-    "gait": choice({"kind": "gait", "frequency_hz": 2.0}, {"kind": "ilc", "frequency_hz": 1.5, "target_rad": 0.7}),
+    "kind": "follow",
+    "delay_s": st.floats(0, 10),
+    "replans": st.integers(0, 1000),
+    "gait": choice(
+        {"kind": "gait", "frequency_hz": 2.0},
+        {"kind": "ilc", "frequency_hz": 1.5, "target_rad": 0.7},
+    ),
     "camera": block(rate_hz=st.floats(5, 1000), heading_noise_rad=st.floats(0, 3)),
-}  # fmt: skip
+}
 
-FOLLOWERS = varied(FOLLOWING, {
-    "robot": "gen4", "duration_s": DURATION, "seed": SEED, "expect": None,
-    "controller": st.one_of(
-        block(**_FOLLOW, follower="bearing", optional=dict.fromkeys(("gain_per_rad", "node_m", "near_m"), _LENGTH)),
-        block(**_FOLLOW, follower="path", optional=dict.fromkeys(("lookahead_m", "settle_m"), _LENGTH)),
-    ),
-    "planner": st.builds(
-        dict.__or__,
-        block(footprint=choice("gen4_table9", "gen4_table8"), turn_share=0.7),
-        choice({"kind": "best_first", "levels": 2, "weight": 1.5, "improve": True, "run_up_m": 0.2},
-               {"kind": "greedy", "primitives": {"count": 5, "turn_rad": 0.3, "length_m": 0.4}},
-               {"kind": "given", "turns_rad": [0.2, -0.3, 0.0], "step_m": 0.5}),
-    ),
-    "world": block(goal=block(x_m=COORDINATE, y_m=0.0),
-                   obstacles=st.tuples(block(x_m=1.0, y_m=st.floats(-5, 5), radius_m=0.1)).map(list),
-                   optional={"random": choice({"kind": "fig54", "count": 5},
-                                              {"count": 3, "area": {"x_m": [5, 9], "y_m": [5, 9]}, "seed": 7})}),
-})  # fmt: skip
+FOLLOWERS = varied(
+    FOLLOWING,
+    {
+        "robot": "gen4",
+        "duration_s": DURATION,
+        "seed": SEED,
+        "expect": None,
+        "controller": st.one_of(
+            block(
+                **_FOLLOW,
+                follower="bearing",
+                optional=dict.fromkeys(("gain_per_rad", "node_m", "near_m"), _LENGTH),
+            ),
+            block(
+                **_FOLLOW,
+                follower="path",
+                optional=dict.fromkeys(("lookahead_m", "settle_m"), _LENGTH),
+            ),
+        ),
+        "planner": st.builds(
+            dict.__or__,
+            block(footprint=choice("gen4_table9", "gen4_table8"), turn_share=0.7),
+            choice(
+                {
+                    "kind": "best_first",
+                    "levels": 2,
+                    "weight": 1.5,
+                    "improve": True,
+                    "run_up_m": 0.2,
+                },
+                {
+                    "kind": "greedy",
+                    "primitives": {"count": 5, "turn_rad": 0.3, "length_m": 0.4},
+                },
+                {"kind": "given", "turns_rad": [0.2, -0.3, 0.0], "step_m": 0.5},
+            ),
+        ),
+        "world": block(
+            goal=block(x_m=COORDINATE, y_m=0.0),
+            obstacles=st.tuples(block(x_m=1.0, y_m=st.floats(-5, 5), radius_m=0.1)).map(
+                list
+            ),
+            optional={
+                "random": choice(
+                    {"kind": "fig54", "count": 5},
+                    {"count": 3, "area": {"x_m": [5, 9], "y_m": [5, 9]}, "seed": 7},
+                )
+            },
+        ),
+    },
+)

@@ -49,57 +49,205 @@ cancels: [{{mass.connectors_kg_5: 1.0}}]
 quality: {{samples: 20, independent_samples: 20.0, rms: 1.0, converged: true}}
 """.encode()
 
-SWEEP_MALFORMED = edited(SWEEP, [
-    ("source: Fig. 0", "note2: x", ":12:3: beside.source: missing; it must be text"),
-    ("source: Fig. 0", "source: ''", ":12:11: beside.source: must be text of 1 to 60"),
-    ("Fig. 0", "F" * 61, ":12:11: beside.source: must be text of 1 to 60 characters"),
-    ("at: {controller.frequency_hz: [0.5, 1], supply.pressure_kpa: [20, 30]}", "at: {}", ":14:7: beside.at: must be a block of keys"),
-    ("supply.pressure_kpa: [20, 30]}", "supply.presure_kpa: [20, 30]}", ":14:43: beside.at.supply.presure_kpa: is not varied; did you mean supply.pressure_kpa?"),
-    ("[20, 30]", "[20, high]", ":14:69: beside.at.supply.pressure_kpa[1]: supply.pressure_kpa never is"),
-    ("[20, 30]", "[20, true]", "supply.pressure_kpa never is True; it is varied over"),
-    ("[20, 30]", "[20, null]", ":14:69: beside.at.supply.pressure_kpa[1]: must be"),
-    ("[20, 30]", "[[20], 30]", ":14:65: beside.at.supply.pressure_kpa[0]: must be"),
-    ("[20, 30]", "[20]", ":14:64: beside.at.supply.pressure_kpa: has 1 values, but controller.frequency_hz has 2"),
-    ("at: {controller.frequency_hz: [0.5, 1], supply.pressure_kpa: [20, 30]}", "at: {controller.frequency_hz: [1, 1.0]}", ":14:7: beside.at: controller.frequency_hz 1 is given twice"),
-    ("[0.1, null]", "[0.1, null, 3]", ":15:28: beside.metrics.com_speed_m_s: has 3 values, but controller.frequency_hz has 2"),
-    ("com_speed_m_s: [", "com_sped_m_s: [", "unknown metric 'com_sped_m_s'; did you mean com_speed_m_s"),
-    ("yaw_rate_rad_s: [", "com_speed_rel: [", ":15:41: beside.metrics.com_speed_rel: unknown metric"),
-    ("plots:", "metrics: [com_speed_m_s]\nplots:", ":16:41: beside.metrics.yaw_rate_rad_s: is not among the sweep's metrics; add it there"),
-    ("[0.1, null]", "[0.1, fast]", ":15:34: beside.metrics.com_speed_m_s[1]: must be a number from"),
-    ("[0.1, null]", "[0.1, .inf]", ":15:34: beside.metrics.com_speed_m_s[1]: must"),
-    ("[0.1, null]", "[true, null]", ":15:29: beside.metrics.com_speed_m_s[0]: must be"),
-    ("metrics: {com_speed_m_s: [0.1, null], yaw_rate_rad_s: [0, 0.5]}", "metrics: {}", ":15:12: beside.metrics: must be a block of keys"),
-    ("beside:\n", "beside:\n  - 1\n", "not YAML"),
-    ("note: Read off the axes.", "note: [a]", ":13:9: beside.note: must be text of 1 to 1000"),
-])  # fmt: skip
+SWEEP_MALFORMED = edited(
+    SWEEP,
+    [
+        (
+            "source: Fig. 0",
+            "note2: x",
+            ":12:3: beside.source: missing; it must be text",
+        ),
+        (
+            "source: Fig. 0",
+            "source: ''",
+            ":12:11: beside.source: must be text of 1 to 60",
+        ),
+        (
+            "Fig. 0",
+            "F" * 61,
+            ":12:11: beside.source: must be text of 1 to 60 characters",
+        ),
+        (
+            "at: {controller.frequency_hz: [0.5, 1], supply.pressure_kpa: [20, 30]}",
+            "at: {}",
+            ":14:7: beside.at: must be a block of keys",
+        ),
+        (
+            "supply.pressure_kpa: [20, 30]}",
+            "supply.presure_kpa: [20, 30]}",
+            (
+                ":14:43: beside.at.supply.presure_kpa: is not varied; did you mean"
+                " supply.pressure_kpa?"
+            ),
+        ),
+        (
+            "[20, 30]",
+            "[20, high]",
+            ":14:69: beside.at.supply.pressure_kpa[1]: supply.pressure_kpa never is",
+        ),
+        (
+            "[20, 30]",
+            "[20, true]",
+            "supply.pressure_kpa never is True; it is varied over",
+        ),
+        ("[20, 30]", "[20, null]", ":14:69: beside.at.supply.pressure_kpa[1]: must be"),
+        ("[20, 30]", "[[20], 30]", ":14:65: beside.at.supply.pressure_kpa[0]: must be"),
+        (
+            "[20, 30]",
+            "[20]",
+            (
+                ":14:64: beside.at.supply.pressure_kpa: has 1 values, but"
+                " controller.frequency_hz has 2"
+            ),
+        ),
+        (
+            "at: {controller.frequency_hz: [0.5, 1], supply.pressure_kpa: [20, 30]}",
+            "at: {controller.frequency_hz: [1, 1.0]}",
+            ":14:7: beside.at: controller.frequency_hz 1 is given twice",
+        ),
+        (
+            "[0.1, null]",
+            "[0.1, null, 3]",
+            (
+                ":15:28: beside.metrics.com_speed_m_s: has 3 values, but"
+                " controller.frequency_hz has 2"
+            ),
+        ),
+        (
+            "com_speed_m_s: [",
+            "com_sped_m_s: [",
+            "unknown metric 'com_sped_m_s'; did you mean com_speed_m_s",
+        ),
+        (
+            "yaw_rate_rad_s: [",
+            "com_speed_rel: [",
+            ":15:41: beside.metrics.com_speed_rel: unknown metric",
+        ),
+        (
+            "plots:",
+            "metrics: [com_speed_m_s]\nplots:",
+            (
+                ":16:41: beside.metrics.yaw_rate_rad_s: is not among the sweep's"
+                " metrics; add it there"
+            ),
+        ),
+        (
+            "[0.1, null]",
+            "[0.1, fast]",
+            ":15:34: beside.metrics.com_speed_m_s[1]: must be a number from",
+        ),
+        ("[0.1, null]", "[0.1, .inf]", ":15:34: beside.metrics.com_speed_m_s[1]: must"),
+        (
+            "[0.1, null]",
+            "[true, null]",
+            ":15:29: beside.metrics.com_speed_m_s[0]: must be",
+        ),
+        (
+            "metrics: {com_speed_m_s: [0.1, null], yaw_rate_rad_s: [0, 0.5]}",
+            "metrics: {}",
+            ":15:12: beside.metrics: must be a block of keys",
+        ),
+        ("beside:\n", "beside:\n  - 1\n", "not YAML"),
+        (
+            "note: Read off the axes.",
+            "note: [a]",
+            ":13:9: beside.note: must be text of 1 to 1000",
+        ),
+    ],
+)
 
-FIT_MALFORMED = edited(FIT, [
-    ("not identifiable, why", "not identifiable, value: 0.1, why", "parameters[2].value: a parameter that is not identifiable has no value"),
-    ("value: 0.0966, ", "", "parameters[0].verdict: identified, but value is missing"),
-    (", high: 0.0977", "", "parameters[0].verdict: identified, but high is missing"),
-    ("value: 0.0966", "value: 0.2", ":12:66: parameters[0].value: must be between low and high, 0.0955 and 0.0977"),
-    ("low: 0.4, high: 0.9", "low: 0.9, high: 0.4", "parameters[1].value: must be between"),
-    ("verdict: identified", "verdict: certain", "parameters[0].verdict: must be one of identified, weakly identified, cannot tell, not identifiable, not text 'certain'"),
-    ("friction.mu_t", "friction.mu_x", "parameters[0].name: "),
-    ("connectors_kg_5, unit", "connectors_kg_0, unit", "parameters[2].name: "),
-    ("friction.mu_n", "friction.mu_t", "parameters: friction.mu_t is listed 2 times"),
-    ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
-    ("b" * 64, "a" * 64, ":8:3: data: later.csv: the same data as pulls.csv"),
-    ("role: validation", "role: test", "data[1].role: must be one of fit, validation, not text 'test'"),
-    ("role: fit", "role: validation", "data: no data of role fit"),
-    ("a" * 64, "a" * 63, "data[0].sha256: "),
-    ("a" * 64, "A" * 64, "data[0].sha256: "),
-    (", to_s: 5.0", "", "data[1]: from_s and to_s belong together"),
-    ("to_s: 5.0", "to_s: -5.0", "data[1].to_s: must be 0 or more"),
-    ("0.2, 1.0]]", "1.5, 1.0]]", "correlation[1][0]: must be a number from -1 to 1"),
-    ("0.2, 1.0]]", "0.3, 1.0]]", "correlation[1][0]: must be 0.2, as the matrix is symmetric"),
-    ("[[1.0, 0.2]", "[[0.5, 0.2]", "correlation[0][0]: must be 1 on the diagonal"),
-    ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must have 2 rows of 2"),
-    ("standard_error: 0.1", "standard_error: -0.1", "parameters[1].standard_error: must be a number from 0"),
-    ("standard_error: 0.1", "standard_error: .inf", "parameters[1].standard_error: must be a number from 0"),
-    ("converged: true", "converged: yes", "quality.converged: must be true or false, not text 'yes'"),
-    ("verdict: identified, value", "verdict: identified, valeu", "parameters[0].valeu: unknown key; did you mean value?"),
-])  # fmt: skip
+FIT_MALFORMED = edited(
+    FIT,
+    [
+        (
+            "not identifiable, why",
+            "not identifiable, value: 0.1, why",
+            "parameters[2].value: a parameter that is not identifiable has no value",
+        ),
+        (
+            "value: 0.0966, ",
+            "",
+            "parameters[0].verdict: identified, but value is missing",
+        ),
+        (
+            ", high: 0.0977",
+            "",
+            "parameters[0].verdict: identified, but high is missing",
+        ),
+        (
+            "value: 0.0966",
+            "value: 0.2",
+            (
+                ":12:66: parameters[0].value: must be between low and high, 0.0955 and"
+                " 0.0977"
+            ),
+        ),
+        (
+            "low: 0.4, high: 0.9",
+            "low: 0.9, high: 0.4",
+            "parameters[1].value: must be between",
+        ),
+        (
+            "verdict: identified",
+            "verdict: certain",
+            (
+                "parameters[0].verdict: must be one of identified, weakly identified,"
+                " cannot tell, not identifiable, not text 'certain'"
+            ),
+        ),
+        ("friction.mu_t", "friction.mu_x", "parameters[0].name: "),
+        ("connectors_kg_5, unit", "connectors_kg_0, unit", "parameters[2].name: "),
+        (
+            "friction.mu_n",
+            "friction.mu_t",
+            "parameters: friction.mu_t is listed 2 times",
+        ),
+        ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
+        ("b" * 64, "a" * 64, ":8:3: data: later.csv: the same data as pulls.csv"),
+        (
+            "role: validation",
+            "role: test",
+            "data[1].role: must be one of fit, validation, not text 'test'",
+        ),
+        ("role: fit", "role: validation", "data: no data of role fit"),
+        ("a" * 64, "a" * 63, "data[0].sha256: "),
+        ("a" * 64, "A" * 64, "data[0].sha256: "),
+        (", to_s: 5.0", "", "data[1]: from_s and to_s belong together"),
+        ("to_s: 5.0", "to_s: -5.0", "data[1].to_s: must be 0 or more"),
+        (
+            "0.2, 1.0]]",
+            "1.5, 1.0]]",
+            "correlation[1][0]: must be a number from -1 to 1",
+        ),
+        (
+            "0.2, 1.0]]",
+            "0.3, 1.0]]",
+            "correlation[1][0]: must be 0.2, as the matrix is symmetric",
+        ),
+        ("[[1.0, 0.2]", "[[0.5, 0.2]", "correlation[0][0]: must be 1 on the diagonal"),
+        ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must have 2 rows of 2"),
+        (
+            "standard_error: 0.1",
+            "standard_error: -0.1",
+            "parameters[1].standard_error: must be a number from 0",
+        ),
+        (
+            "standard_error: 0.1",
+            "standard_error: .inf",
+            "parameters[1].standard_error: must be a number from 0",
+        ),
+        (
+            "converged: true",
+            "converged: yes",
+            "quality.converged: must be true or false, not text 'yes'",
+        ),
+        (
+            "verdict: identified, value",
+            "verdict: identified, valeu",
+            "parameters[0].valeu: unknown key; did you mean value?",
+        ),
+    ],
+)
 
 
 @st.composite
@@ -110,17 +258,31 @@ def fits(draw: st.DrawFn) -> FitFile:
     parameters = []
     for name in names:
         low, value, high = sorted(draw(st.tuples(*[st.floats(1e-9, 1e9)] * 3)))
-        verdict = draw(st.sampled_from(["identified", "weakly identified", "not identifiable"]))
-        numbers = (value, draw(st.floats(0, 1e9)), low, high) if verdict != "not identifiable" else ()
+        verdict = draw(
+            st.sampled_from(["identified", "weakly identified", "not identifiable"])
+        )
+        numbers = (
+            (value, draw(st.floats(0, 1e9)), low, high)
+            if verdict != "not identifiable"
+            else ()
+        )
         parameters.append(Parameter(name, "1", verdict, *numbers, why=draw(TEXT)))
     correlation = np.full((len(names), len(names)), draw(st.floats(-1, 1)))
     np.fill_diagonal(correlation, 1.0)
     roles = ["fit", *draw(st.lists(st.sampled_from(["fit", "validation"]), max_size=3))]
     count = st.integers(0, 10**9)
-    data = [DataSet(draw(TEXT), f"{k:064x}", role, draw(count)) for k, role in enumerate(roles)]
+    data = [
+        DataSet(draw(TEXT), f"{k:064x}", role, draw(count))
+        for k, role in enumerate(roles)
+    ]
     held = {"mass_kg": draw(st.floats(-1e9, 1e9))}
     return fit_file(
         FitEstimate(tuple(parameters), correlation, samples=draw(count), held=held),
-        name="any", title=draw(TEXT), robot=draw(TEXT), method="pulls", command=draw(TEXT),
-        versions={"srs_twin": draw(TEXT)}, data=data,
-    )  # fmt: skip
+        name="any",
+        title=draw(TEXT),
+        robot=draw(TEXT),
+        method="pulls",
+        command=draw(TEXT),
+        versions={"srs_twin": draw(TEXT)},
+        data=data,
+    )

@@ -36,17 +36,21 @@ def _positions(frame: int) -> list[tuple[float, float]]:
 def _motive() -> bytes:
     count = CONNECTORS
     header = [
-        "Format Version,1.21,Take Name,good,Capture Frame Rate,100.0,Export Frame Rate,100.0,"
-        f"Total Exported Frames,{FRAMES},Rotation Type,Quaternion,Length Units,Millimeters,Coordinate Space,Global",
+        (
+            "Format Version,1.21,Take Name,good,Capture Frame Rate,100.0,Export Frame"
+            f" Rate,100.0,Total Exported Frames,{FRAMES},Rotation"
+            " Type,Quaternion,Length Units,Millimeters,Coordinate Space,Global"
+        ),
         "",
         ",Type" + ",Marker" * 3 * count,
         ",Name" + "".join(f",Unlabeled {k}" * 3 for k in range(count)),
         ",ID" + "".join(f",{k}" * 3 for k in range(count)),
         "," + ",Position" * 3 * count,
         "Frame,Time (Seconds)" + ",X,Y,Z" * count,
-    ]  # fmt: skip
+    ]
     rows = [
-        f"{k},{k / 100:.6f}," + ",".join(f"{1e3 * x:.3f},30.000,{-1e3 * y:.3f}" for x, y in _positions(k))
+        f"{k},{k / 100:.6f},"
+        + ",".join(f"{1e3 * x:.3f},30.000,{-1e3 * y:.3f}" for x, y in _positions(k))
         for k in range(FRAMES)
     ]
     return ("\r\n".join([*header, *rows]) + "\r\n").encode()
@@ -55,7 +59,8 @@ def _motive() -> bytes:
 def _plain() -> bytes:
     names = ",".join(f"x_{k}_mm,y_{k}_mm" for k in range(1, CONNECTORS + 1))
     rows = [
-        f"{k / 100:.2f}," + ",".join(f"{1e3 * x:.3f},{1e3 * y:.3f}" for x, y in _positions(k))
+        f"{k / 100:.2f},"
+        + ",".join(f"{1e3 * x:.3f},{1e3 * y:.3f}" for x, y in _positions(k))
         for k in range(FRAMES)
     ]
     return ("\n".join([f"time,{names}", *rows]) + "\n").encode()
@@ -63,7 +68,10 @@ def _plain() -> bytes:
 
 def _valves() -> bytes:
     names = ",".join(f"valve_plus_{j},valve_minus_{j}" for j in range(1, CONNECTORS))
-    rows = [f"{k / 10:.1f}" + f",{(-1) ** k},{-((-1) ** k)}" * (CONNECTORS - 1) for k in range(8)]
+    rows = [
+        f"{k / 10:.1f}" + f",{(-1) ** k},{-((-1) ** k)}" * (CONNECTORS - 1)
+        for k in range(8)
+    ]
     return ("\n".join([f"time,{names}", *rows]) + "\n").encode()
 
 
@@ -91,60 +99,228 @@ _HEADER = b"\r\n".join(_LINES[:7]) + b"\r\n"
 _ROW = _LINES[7] + b"\r\n"
 
 MOTIVE_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("older format version", _edited(MOTIVE, "1.21", "0.9"), ":1:2: Format Version '0.9' cannot be read; allowed: 1.0"),
-    Malformed("no version", _edited(MOTIVE, "1.21", ""), ":1:2: Format Version '' cannot be read"),
-    Malformed("an unknown unit", _edited(MOTIVE, "Millimeters", "Milimeters"), ":1: unit of length 'Milimeters' is not known"),
-    Malformed("no unit", _edited(MOTIVE, "Length Units,", "Length,"), ":1: unit of length '' is not known"),
-    Malformed("a wrong unit", _edited(MOTIVE, "Millimeters", "Meters"), "apart, the connectors of gen2 55 mm; are the lengths in mm?"),
-    Malformed("the header cut after one line", _LINES[0] + b"\r\n", ":2: the header is cut"),
-    Malformed("the header cut before Frame", b"\r\n".join(_LINES[:6]) + b"\r\n", ": the header is cut: no line 'Frame"),
-    Malformed("no rows Type and Name", _LINES[0] + b"\r\n" + b"\r\n".join(_LINES[6:]), ":2: the header is cut: it must have rows Type"),
+    Malformed(
+        "older format version",
+        _edited(MOTIVE, "1.21", "0.9"),
+        ":1:2: Format Version '0.9' cannot be read; allowed: 1.0",
+    ),
+    Malformed(
+        "no version",
+        _edited(MOTIVE, "1.21", ""),
+        ":1:2: Format Version '' cannot be read",
+    ),
+    Malformed(
+        "an unknown unit",
+        _edited(MOTIVE, "Millimeters", "Milimeters"),
+        ":1: unit of length 'Milimeters' is not known",
+    ),
+    Malformed(
+        "no unit",
+        _edited(MOTIVE, "Length Units,", "Length,"),
+        ":1: unit of length '' is not known",
+    ),
+    Malformed(
+        "a wrong unit",
+        _edited(MOTIVE, "Millimeters", "Meters"),
+        "apart, the connectors of gen2 55 mm; are the lengths in mm?",
+    ),
+    Malformed(
+        "the header cut after one line", _LINES[0] + b"\r\n", ":2: the header is cut"
+    ),
+    Malformed(
+        "the header cut before Frame",
+        b"\r\n".join(_LINES[:6]) + b"\r\n",
+        ": the header is cut: no line 'Frame",
+    ),
+    Malformed(
+        "no rows Type and Name",
+        _LINES[0] + b"\r\n" + b"\r\n".join(_LINES[6:]),
+        ":2: the header is cut: it must have rows Type",
+    ),
     Malformed("a header only", _HEADER, ":8: the header has no rows below it"),
     Malformed("one row", _HEADER + _ROW, ": 1 frames; a recording has 12 or more"),
-    Malformed("the same row forty times", _HEADER + _ROW * 40, ": 1 frames; a recording has 12 or more"),
-    Malformed("a word in place of a number", MOTIVE.replace(b"30.000", b"3O.000", 7).replace(b"3O.000", b"30.000", 6), ":9:7: '3O.000' is not a number"),
-    Malformed("decimal commas", MOTIVE.replace(b"30.000", b"30,000"), ":8: 22 cells, but the header has 17"),
-    Malformed("missing cell", _edited(MOTIVE, "\r\n5,0.050000,", "\r\n5,"), ":13: 16 cells, but the header has 17"),
-    Malformed("no time", _edited(MOTIVE, "5,0.050000,", "5,,"), ":13:2: the row has no time"),
-    Malformed("only rotations", MOTIVE.replace(b"Position", b"Rotation"), ":7: the header has no positions of markers"),
-    Malformed("only bones", MOTIVE.replace(b",Marker", b",Bone"), "types with positions: Bone; allowed: Marker"),
-    Malformed("no visible marker", _HEADER + b"".join(b"%d,%.3f" % (k, k / 100) + b"," * 15 + b"\r\n" for k in range(40)), ""),
-    Malformed("missing marker", _HEADER + b"".join(line[: line.rfind(b",", 0, line.rfind(b",", 0, line.rfind(b",")))] + b",,,\r\n" for line in _LINES[7:-1]), ": 4 markers may belong to the robot, but 5 connectors have 5 (single), 6 (head), 10 (pair)"),
+    Malformed(
+        "the same row forty times",
+        _HEADER + _ROW * 40,
+        ": 1 frames; a recording has 12 or more",
+    ),
+    Malformed(
+        "a word in place of a number",
+        MOTIVE.replace(b"30.000", b"3O.000", 7).replace(b"3O.000", b"30.000", 6),
+        ":9:7: '3O.000' is not a number",
+    ),
+    Malformed(
+        "decimal commas",
+        MOTIVE.replace(b"30.000", b"30,000"),
+        ":8: 22 cells, but the header has 17",
+    ),
+    Malformed(
+        "missing cell",
+        _edited(MOTIVE, "\r\n5,0.050000,", "\r\n5,"),
+        ":13: 16 cells, but the header has 17",
+    ),
+    Malformed(
+        "no time", _edited(MOTIVE, "5,0.050000,", "5,,"), ":13:2: the row has no time"
+    ),
+    Malformed(
+        "only rotations",
+        MOTIVE.replace(b"Position", b"Rotation"),
+        ":7: the header has no positions of markers",
+    ),
+    Malformed(
+        "only bones",
+        MOTIVE.replace(b",Marker", b",Bone"),
+        "types with positions: Bone; allowed: Marker",
+    ),
+    Malformed(
+        "no visible marker",
+        _HEADER
+        + b"".join(b"%d,%.3f" % (k, k / 100) + b"," * 15 + b"\r\n" for k in range(40)),
+        "",
+    ),
+    Malformed(
+        "missing marker",
+        _HEADER
+        + b"".join(
+            line[: line.rfind(b",", 0, line.rfind(b",", 0, line.rfind(b",")))]
+            + b",,,\r\n"
+            for line in _LINES[7:-1]
+        ),
+        ": 4 markers may belong to the robot, but 5 connectors have 5 (single), 6"
+        " (head), 10 (pair)",
+    ),
     Malformed("duplicate marker", _HEADER.replace(b"\r\n", b",\r\n") + _ROW, ""),
-    Malformed("no motion", _HEADER + b"".join(b"%d,%.3f" % (k, k / 100) + _ROW[10:] for k in range(40)), ": the head cannot be determined"),
-    Malformed("time in another unit", _HEADER + b"".join(b"%d,%d" % (k * 10**9, k * 10**9) + _ROW[10:] for k in range(40)), "is the unit right?"),
-    Malformed("latin-1", _edited(MOTIVE, "good", "größe").decode().encode("latin-1"), ": not UTF-8 text (byte "),
-    Malformed("UTF-16", MOTIVE.decode().encode("utf-16"), ": not UTF-8 text (byte 1 is 0xff)"),
-    Malformed("a zero byte", MOTIVE[:900] + b"\0" + MOTIVE[900:], ": not a text file (byte 901 is 0x00)"),
-    Malformed("unclosed quote", _edited(MOTIVE, "Take Name,", 'Take Name,"'), ":1: the line is not CSV"),
-    Malformed("200 MB of junk after the header", _large(_HEADER, b"junk,junk\n"), "rows of 17 cells; at most"),
-    Malformed("200 MB without a line end", _large(_HEADER, b"1", 9), ":8: the header, or a line, is longer than 4 MB"),
-    Malformed("a header of 200 MB", _large(b"Format Version,1.21,", b"x,", 9), ":1: the header, or a line, is longer than 4 MB"),
-)  # fmt: skip
+    Malformed(
+        "no motion",
+        _HEADER + b"".join(b"%d,%.3f" % (k, k / 100) + _ROW[10:] for k in range(40)),
+        ": the head cannot be determined",
+    ),
+    Malformed(
+        "time in another unit",
+        _HEADER
+        + b"".join(b"%d,%d" % (k * 10**9, k * 10**9) + _ROW[10:] for k in range(40)),
+        "is the unit right?",
+    ),
+    Malformed(
+        "latin-1",
+        _edited(MOTIVE, "good", "größe").decode().encode("latin-1"),
+        ": not UTF-8 text (byte ",
+    ),
+    Malformed(
+        "UTF-16", MOTIVE.decode().encode("utf-16"), ": not UTF-8 text (byte 1 is 0xff)"
+    ),
+    Malformed(
+        "a zero byte",
+        MOTIVE[:900] + b"\0" + MOTIVE[900:],
+        ": not a text file (byte 901 is 0x00)",
+    ),
+    Malformed(
+        "unclosed quote",
+        _edited(MOTIVE, "Take Name,", 'Take Name,"'),
+        ":1: the line is not CSV",
+    ),
+    Malformed(
+        "200 MB of junk after the header",
+        _large(_HEADER, b"junk,junk\n"),
+        "rows of 17 cells; at most",
+    ),
+    Malformed(
+        "200 MB without a line end",
+        _large(_HEADER, b"1", 9),
+        ":8: the header, or a line, is longer than 4 MB",
+    ),
+    Malformed(
+        "a header of 200 MB",
+        _large(b"Format Version,1.21,", b"x,", 9),
+        ":1: the header, or a line, is longer than 4 MB",
+    ),
+)
 
 PLAIN_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("words", b"just text\n", ":1: not a known motion recording: its first line is"),
-    Malformed("no names", PLAIN.split(b"\n", 1)[1], ":1: 11 numbers but no names of columns; give --columns"),
-    Malformed("decimal commas and points", PLAIN.replace(b",", b";").replace(b".", b",", 50), " is not a number"),
-    Malformed("decimal commas between commas", PLAIN.replace(b".", b","), " cells, but the header has 11"),
-    Malformed("missing y", _edited(PLAIN, "y_3_mm", "q_3_mm"), ":1:6: x_3_mm belongs to no marker: each marker has x and y, once, in m, cm, mm"),
-    Malformed("missing connector", _edited(PLAIN, "x_2_mm,y_2_mm", "x_7_mm,y_7_mm"), ":1: x_2 is missing; connectors are numbered"),
-    Malformed("duplicate name", _edited(PLAIN, "x_2_mm", "x_1_mm"), ":1:2: x_1_mm: two columns have this name"),
-    Malformed("an unknown unit", _edited(PLAIN, "x_2_mm", "x_2_mile"), ":1:4: x_2_mile belongs to no marker: each marker has x and y, once, in m, cm, mm, in, ft"),
-    Malformed("x without a number", _edited(PLAIN, "x_2_mm", "x"), ":1:5: y_2_mm belongs to no marker"),
-    Malformed("only time", b"time\n" + b"".join(b"%d\n" % k for k in range(40)), ":1: the file has no positions"),
-    Malformed("a word", _edited(PLAIN, "\n0.05,", "\nhalf,"), ":7:1: 'half' is not a number"),
-    Malformed("200 MB of junk", _large(b"", b"junk,junk\n"), ":1: not a known motion recording: its first line is"),
+    Malformed(
+        "words", b"just text\n", ":1: not a known motion recording: its first line is"
+    ),
+    Malformed(
+        "no names",
+        PLAIN.split(b"\n", 1)[1],
+        ":1: 11 numbers but no names of columns; give --columns",
+    ),
+    Malformed(
+        "decimal commas and points",
+        PLAIN.replace(b",", b";").replace(b".", b",", 50),
+        " is not a number",
+    ),
+    Malformed(
+        "decimal commas between commas",
+        PLAIN.replace(b".", b","),
+        " cells, but the header has 11",
+    ),
+    Malformed(
+        "missing y",
+        _edited(PLAIN, "y_3_mm", "q_3_mm"),
+        ":1:6: x_3_mm belongs to no marker: each marker has x and y, once, in m,"
+        " cm, mm",
+    ),
+    Malformed(
+        "missing connector",
+        _edited(PLAIN, "x_2_mm,y_2_mm", "x_7_mm,y_7_mm"),
+        ":1: x_2 is missing; connectors are numbered",
+    ),
+    Malformed(
+        "duplicate name",
+        _edited(PLAIN, "x_2_mm", "x_1_mm"),
+        ":1:2: x_1_mm: two columns have this name",
+    ),
+    Malformed(
+        "an unknown unit",
+        _edited(PLAIN, "x_2_mm", "x_2_mile"),
+        ":1:4: x_2_mile belongs to no marker: each marker has x and y, once, in m, cm,"
+        " mm, in, ft",
+    ),
+    Malformed(
+        "x without a number",
+        _edited(PLAIN, "x_2_mm", "x"),
+        ":1:5: y_2_mm belongs to no marker",
+    ),
+    Malformed(
+        "only time",
+        b"time\n" + b"".join(b"%d\n" % k for k in range(40)),
+        ":1: the file has no positions",
+    ),
+    Malformed(
+        "a word", _edited(PLAIN, "\n0.05,", "\nhalf,"), ":7:1: 'half' is not a number"
+    ),
+    Malformed(
+        "200 MB of junk",
+        _large(b"", b"junk,junk\n"),
+        ":1: not a known motion recording: its first line is",
+    ),
     Malformed("300 MB", _large(PLAIN, b"1,2\n", 300), " MB; at most 256 MB are read"),
-)  # fmt: skip
+)
 
 VALVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed("words", b"just text\n", ":1: no column 'time'"),
-    Malformed("invalid valve state", _edited(VALVES, "0.3,-1", "0.3,7"), ":5:2: valve_plus_1: 7 is not allowed"),
-    Malformed("missing chamber", _edited(VALVES, "valve_minus_3", "valve_minus_8"), ":1: valve_minus_3 is missing"),
-    Malformed("one row", b"\n".join(VALVES.split(b"\n")[:2]) + b"\n", ": a log has 2 rows or more"),
-    Malformed("200 MB of junk", _large(VALVES, b"junk\n"), " rows of 9 cells; at most 20000 columns"),
-)  # fmt: skip
+    Malformed(
+        "invalid valve state",
+        _edited(VALVES, "0.3,-1", "0.3,7"),
+        ":5:2: valve_plus_1: 7 is not allowed",
+    ),
+    Malformed(
+        "missing chamber",
+        _edited(VALVES, "valve_minus_3", "valve_minus_8"),
+        ":1: valve_minus_3 is missing",
+    ),
+    Malformed(
+        "one row",
+        b"\n".join(VALVES.split(b"\n")[:2]) + b"\n",
+        ": a log has 2 rows or more",
+    ),
+    Malformed(
+        "200 MB of junk",
+        _large(VALVES, b"junk\n"),
+        " rows of 9 cells; at most 20000 columns",
+    ),
+)
 
 STATIC = b"pressure_plus_1_kpa,pressure_minus_1_kpa,bend_1_deg\n" + b"".join(
     b"%d,0,%d.5\n" % (5 * k, 5 * k) for k in range(8)
@@ -152,25 +328,64 @@ STATIC = b"pressure_plus_1_kpa,pressure_minus_1_kpa,bend_1_deg\n" + b"".join(
 
 STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed("words", b"just text\n", ":1: no column 'bend_1'"),
-    Malformed("no bends", STATIC.replace(b"bend_1", b"bent_1"), ":1: no column 'bend_1'"),
-    Malformed("invalid segment", STATIC.replace(b"bend_1", b"bend_2"), ":1:3: bend_2_deg: gen4_module has segments 1 to 1"),
-    Malformed("an unknown unit", STATIC.replace(b"kpa", b"ata", 1), ":1:1: pressure_plus_1_ata: unit 'ata' is not known"),
-    Malformed("a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"),
-    Malformed("a row without pressure", STATIC.replace(b"10,0", b",0"), ": pressures must be from -2e+06 to 2e+06 Pa in every row"),
-    Malformed("degrees as radians", STATIC.replace(b"_deg", b""), ": bends must be at most 6.28 rad; check the unit (bend_1_deg)"),
+    Malformed(
+        "no bends", STATIC.replace(b"bend_1", b"bent_1"), ":1: no column 'bend_1'"
+    ),
+    Malformed(
+        "invalid segment",
+        STATIC.replace(b"bend_1", b"bend_2"),
+        ":1:3: bend_2_deg: gen4_module has segments 1 to 1",
+    ),
+    Malformed(
+        "an unknown unit",
+        STATIC.replace(b"kpa", b"ata", 1),
+        ":1:1: pressure_plus_1_ata: unit 'ata' is not known",
+    ),
+    Malformed(
+        "a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"
+    ),
+    Malformed(
+        "a row without pressure",
+        STATIC.replace(b"10,0", b",0"),
+        ": pressures must be from -2e+06 to 2e+06 Pa in every row",
+    ),
+    Malformed(
+        "degrees as radians",
+        STATIC.replace(b"_deg", b""),
+        ": bends must be at most 6.28 rad; check the unit (bend_1_deg)",
+    ),
     Malformed("a header only", STATIC.split(b"\n")[0] + b"\n", ""),
-)  # fmt: skip
+)
 
 _READ_MARKERS, _READ_FILE = (
     "srs_twin.recordings.formats:read_markers",
     "srs_twin.recordings.recorded_file:read_file",
 )
-# Name, valid file, reading function, malformed files, and the function for a separate process.
+# Name, valid file, reading function, malformed files, and the function for a separate
+# process.
 TABLES = (
-    ("Motive export", MOTIVE, partial(read_motion, spec=SPEC), MOTIVE_MALFORMED, _READ_MARKERS),
-    ("plain motion", PLAIN, partial(read_motion, spec=SPEC), PLAIN_MALFORMED, _READ_MARKERS),
+    (
+        "Motive export",
+        MOTIVE,
+        partial(read_motion, spec=SPEC),
+        MOTIVE_MALFORMED,
+        _READ_MARKERS,
+    ),
+    (
+        "plain motion",
+        PLAIN,
+        partial(read_motion, spec=SPEC),
+        PLAIN_MALFORMED,
+        _READ_MARKERS,
+    ),
     ("valve log", VALVES, partial(read_valves, spec=SPEC), VALVE_MALFORMED, _READ_FILE),
-    ("static table", STATIC, partial(read_static_table, spec=MODULE), STATIC_MALFORMED, _READ_FILE),
+    (
+        "static table",
+        STATIC,
+        partial(read_static_table, spec=MODULE),
+        STATIC_MALFORMED,
+        _READ_FILE,
+    ),
 )
 
 
@@ -183,7 +398,22 @@ def values(good: bytes) -> Contents:
     """Return a strategy for a valid file with arbitrary cells."""
     rows = [line.split(",") for line in good.decode().splitlines()]
     cell = st.one_of(
-        st.sampled_from(["", "nan", "inf", "-inf", "1e308", "1e-320", "0", "-1", "999999", "x", '"', " 5 "]),
+        st.sampled_from(
+            [
+                "",
+                "nan",
+                "inf",
+                "-inf",
+                "1e308",
+                "1e-320",
+                "0",
+                "-1",
+                "999999",
+                "x",
+                '"',
+                " 5 ",
+            ]
+        ),
         st.floats(-2e3, 2e3).map(repr),
     )
     edit = st.tuples(st.integers(0, len(rows) - 1), st.integers(0, 40), cell)

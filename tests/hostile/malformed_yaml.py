@@ -37,25 +37,71 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("a list", b"- 1\n- 2\n", ":1:1: must be a block of keys ("),
     Malformed("a number", b"1e999\n", ":1:1: must be a block of keys ("),
     Malformed("no keys", b"{}", ": missing; it must be"),
-    Malformed("UTF-16 with its mark", "title: x\n".encode("utf-16"), ": not UTF-8 text (byte 1 is 0xff)"),
-    Malformed("UTF-16, big end first", b"\xfe\xff" + "title: x\n".encode("utf-16-be"), ": not UTF-8 text (byte 1"),
-    Malformed("UTF-16 without its mark", "title: x\n".encode("utf-16-le"), ":1:2: not YAML: unusable character U+0000"),
-    Malformed("UTF-32 with its mark", "title: x\n".encode("utf-32"), ": not UTF-8 text (byte 1 is 0xff)"),
-    Malformed("UTF-32, big end first", b"\0\0\xfe\xff" + "a: b".encode("utf-32-be"), ": not UTF-8 text (byte 3 is 0xfe"),
+    Malformed(
+        "UTF-16 with its mark",
+        "title: x\n".encode("utf-16"),
+        ": not UTF-8 text (byte 1 is 0xff)",
+    ),
+    Malformed(
+        "UTF-16, big end first",
+        b"\xfe\xff" + "title: x\n".encode("utf-16-be"),
+        ": not UTF-8 text (byte 1",
+    ),
+    Malformed(
+        "UTF-16 without its mark",
+        "title: x\n".encode("utf-16-le"),
+        ":1:2: not YAML: unusable character U+0000",
+    ),
+    Malformed(
+        "UTF-32 with its mark",
+        "title: x\n".encode("utf-32"),
+        ": not UTF-8 text (byte 1 is 0xff)",
+    ),
+    Malformed(
+        "UTF-32, big end first",
+        b"\0\0\xfe\xff" + "a: b".encode("utf-32-be"),
+        ": not UTF-8 text (byte 3 is 0xfe",
+    ),
     Malformed("UTF-7", b"+AHQ-itle: x\n", ":1:1: +AHQ-itle: unknown key"),
-    Malformed("Latin-1", "title: größe\n".encode("latin-1"), ": not UTF-8 text (byte 10 is 0xf6); save it as UTF-8"),
-    Malformed("overlong UTF-8", b"title: \xc0\xaf\n", ": not UTF-8 text (byte 8 is 0xc0)"),
-    Malformed("surrogate in UTF-8", b"title: \xed\xa0\x80\n", ": not UTF-8 text (byte 8 is 0xed)"),
-    Malformed("half a surrogate pair", b'title: "\\uD800"\n', ":1:8: half a surrogate pair is not allowed"),
-    Malformed("escape that is no character", b'title: "\\UFFFFFFFF"\n', ":1:1: not YAML:"),
+    Malformed(
+        "Latin-1",
+        "title: größe\n".encode("latin-1"),
+        ": not UTF-8 text (byte 10 is 0xf6); save it as UTF-8",
+    ),
+    Malformed(
+        "overlong UTF-8", b"title: \xc0\xaf\n", ": not UTF-8 text (byte 8 is 0xc0)"
+    ),
+    Malformed(
+        "surrogate in UTF-8",
+        b"title: \xed\xa0\x80\n",
+        ": not UTF-8 text (byte 8 is 0xed)",
+    ),
+    Malformed(
+        "half a surrogate pair",
+        b'title: "\\uD800"\n',
+        ":1:8: half a surrogate pair is not allowed",
+    ),
+    Malformed(
+        "escape that is no character", b'title: "\\UFFFFFFFF"\n', ":1:1: not YAML:"
+    ),
     Malformed("unknown escape", b'title: "\\q"\n', ":1:10: not YAML:"),
-    Malformed("a byte order mark inside", "title: x\n\ufefftitle: y\n".encode(), ":2:1: "),
+    Malformed(
+        "a byte order mark inside", "title: x\n\ufefftitle: y\n".encode(), ":2:1: "
+    ),
     Malformed("two byte order marks", "\ufeff\ufefftitle: x\n".encode(), ":1:"),
     Malformed("NUL", b"title: a\0b\n", ":1:9: not YAML: unusable character U+0000"),
     Malformed("bell", b"\x07title: x", ":1:1: not YAML: unusable character U+0007"),
     Malformed("delete", b"title: \x7f\n", ":1:8: not YAML: unusable character U+007F"),
-    Malformed("escape sequence of a terminal", b"title: \x1b[2J\n", ":1:8: not YAML: unusable character U+001B"),
-    Malformed("not a character", "title: \ufffe\n".encode(), ":1:8: not YAML: unusable character U+FFFE"),
+    Malformed(
+        "escape sequence of a terminal",
+        b"title: \x1b[2J\n",
+        ":1:8: not YAML: unusable character U+001B",
+    ),
+    Malformed(
+        "not a character",
+        "title: \ufffe\n".encode(),
+        ":1:8: not YAML: unusable character U+FFFE",
+    ),
     Malformed("more than 64 kB", b"a: " + b"x" * 70_000, ": larger than 64 kB"),
     Malformed("64 kB of comments", b"#\n" * 40_000, ": larger than 64 kB"),
     Malformed("64 kB of spaces", b" " * 65_000, ": must be a block of keys ("),
@@ -64,29 +110,93 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("64 kB of escapes", b'title: "' + b"\\n" * 32_000, ":1:64009: not YAML:"),
     Malformed("60 kB key", b"x" * 60_000 + b": 1\n", ":1:60001: not YAML"),
     Malformed("60 kB scalar", b"title: " + b"x" * 60_000, ":1:8: title: "),
-    Malformed("unclosed brackets", b"a: " + b"[" * 60_000, ":1:19: nested more than 16 deep"),
-    Malformed("unclosed braces", b"a: " + b"{a: " * 10_000, ":1:64: nested more than 16 deep"),
+    Malformed(
+        "unclosed brackets", b"a: " + b"[" * 60_000, ":1:19: nested more than 16 deep"
+    ),
+    Malformed(
+        "unclosed braces", b"a: " + b"{a: " * 10_000, ":1:64: nested more than 16 deep"
+    ),
     Malformed("nested dashes", b"- " * 30_000, ":1:33: nested more than 16 deep"),
     Malformed("nested question marks", b"? " * 30_000, ":1:"),
-    Malformed("deep indentation", b"".join(b" " * k + b"a:\n" for k in range(300)), ":17:17: nested more than 16"),
-    Malformed("10,000 keys", b"".join(b"k%d:\n" % i for i in range(5_500)), ":5000:7: more than 10000 keys and values"),
-    Malformed("10,000 entries", b"a: [" + b"1," * 20_000 + b"]", ":1:19999: more than 10000 keys and values"),
+    Malformed(
+        "deep indentation",
+        b"".join(b" " * k + b"a:\n" for k in range(300)),
+        ":17:17: nested more than 16",
+    ),
+    Malformed(
+        "10,000 keys",
+        b"".join(b"k%d:\n" % i for i in range(5_500)),
+        ":5000:7: more than 10000 keys and values",
+    ),
+    Malformed(
+        "10,000 entries",
+        b"a: [" + b"1," * 20_000 + b"]",
+        ":1:19999: more than 10000 keys and values",
+    ),
     Malformed("a billion laughs", laughs(), ":1:5: anchors (&a0) are not allowed"),
-    Malformed("a list that contains itself", b"a: &a [*a]\n", ":1:4: anchors (&a) are not allowed"),
-    Malformed("an undefined alias", b"title: *nowhere\n", ":1:8: aliases (*nowhere) are not allowed"),
-    Malformed("anchor on a key", b"&k title: x\n", ":1:1: anchors (&k) are not allowed"),
-    Malformed("Python tag", b"title: !!python/object/apply:os.system [id]\n", ":1:8: tags (tag:yaml.org,2002:python/object/"),
-    Malformed("binary tag", b"title: !!binary aGk=\n", ":1:8: tags (tag:yaml.org,2002:binary) are not allowed"),
-    Malformed("tag of a float", b"title: !!float 1\n", ":1:8: tags (tag:yaml.org,2002:float) are not allowed"),
+    Malformed(
+        "a list that contains itself",
+        b"a: &a [*a]\n",
+        ":1:4: anchors (&a) are not allowed",
+    ),
+    Malformed(
+        "an undefined alias",
+        b"title: *nowhere\n",
+        ":1:8: aliases (*nowhere) are not allowed",
+    ),
+    Malformed(
+        "anchor on a key", b"&k title: x\n", ":1:1: anchors (&k) are not allowed"
+    ),
+    Malformed(
+        "Python tag",
+        b"title: !!python/object/apply:os.system [id]\n",
+        ":1:8: tags (tag:yaml.org,2002:python/object/",
+    ),
+    Malformed(
+        "binary tag",
+        b"title: !!binary aGk=\n",
+        ":1:8: tags (tag:yaml.org,2002:binary) are not allowed",
+    ),
+    Malformed(
+        "tag of a float",
+        b"title: !!float 1\n",
+        ":1:8: tags (tag:yaml.org,2002:float) are not allowed",
+    ),
     Malformed("verbatim tag", b"title: !<x> 1\n", ":1:8: tags (x) are not allowed"),
-    Malformed("directive", b"%YAML 1.1\n---\ntitle: x\n", ":1:1: YAML directives are not allowed"),
-    Malformed("tag directive", b"%TAG ! tag:x,2000:\n---\ntitle: !a x\n", ":1:1: YAML directives are not allowed"),
+    Malformed(
+        "directive",
+        b"%YAML 1.1\n---\ntitle: x\n",
+        ":1:1: YAML directives are not allowed",
+    ),
+    Malformed(
+        "tag directive",
+        b"%TAG ! tag:x,2000:\n---\ntitle: !a x\n",
+        ":1:1: YAML directives are not allowed",
+    ),
     Malformed("YAML 9.9", b"%YAML 9.9\n---\ntitle: x\n", ":1:1: not YAML"),
-    Malformed("second document", b"title: x\n---\ntitle: y\n", ":2:1: a second document begins here"),
-    Malformed("merge key", b"<<: {title: x}\n", ":1:1: merge keys (<<) are not allowed"),
-    Malformed("merge of aliases", b"a: &a {title: x}\n<<: [*a, *a]\n", ":2:1: merge keys (<<) are not allowed"),
-    Malformed("key given twice", b"title: x\ntitle: y\n", ":2:1: title: given twice; the first is in line 1"),
-    Malformed("key given twice in braces", b"{title: x, 'title': y}", ":1:12: title: given twice"),
+    Malformed(
+        "second document",
+        b"title: x\n---\ntitle: y\n",
+        ":2:1: a second document begins here",
+    ),
+    Malformed(
+        "merge key", b"<<: {title: x}\n", ":1:1: merge keys (<<) are not allowed"
+    ),
+    Malformed(
+        "merge of aliases",
+        b"a: &a {title: x}\n<<: [*a, *a]\n",
+        ":2:1: merge keys (<<) are not allowed",
+    ),
+    Malformed(
+        "key given twice",
+        b"title: x\ntitle: y\n",
+        ":2:1: title: given twice; the first is in line 1",
+    ),
+    Malformed(
+        "key given twice in braces",
+        b"{title: x, 'title': y}",
+        ":1:12: title: given twice",
+    ),
     Malformed("a list as key", b"? [a, b]\n: 1\n", ":1:3: a key must be plain text"),
     Malformed("a block as key", b"{? {a: b} : 1}", ":1:4: a key must be plain text"),
     Malformed("tab as indentation", b"a:\n\tb: 1\n", ":2:1: not YAML:"),
@@ -94,25 +204,58 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("bracket of the wrong kind", b"a: [1, 2}\n", ":1:9: not YAML:"),
     Malformed("unclosed quote", b"title: 'x\n", ":2:1: not YAML:"),
     Malformed("two colons", b"a: b: c\n", ":1:5: not YAML:"),
-    Malformed("carriage returns as line ends", b"title: x\rtitle: y\r", ":2:1: title: given twice"),
-    Malformed("mixed line ends", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"),
+    Malformed(
+        "carriage returns as line ends",
+        b"title: x\rtitle: y\r",
+        ":2:1: title: given twice",
+    ),
+    Malformed(
+        "mixed line ends", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"
+    ),
     Malformed("on as key", b"on: x\n", ":1:1: on: unknown key"),
     Malformed("a number as key", b"1: x\n", ":1:1: 1: unknown key"),
     Malformed("empty key", b": x\n", ":1:1: "),
     Malformed("__class__", b"__class__: x\n", ":1:1: __class__: unknown key"),
-    *(Malformed(name, f"{key}: x\n".encode(), message) for name, (key, message) in CONFUSABLES.items()),
-)  # fmt: skip
+    *(
+        Malformed(name, f"{key}: x\n".encode(), message)
+        for name, (key, message) in CONFUSABLES.items()
+    ),
+)
 
 # Text in place of a number → its description in the message.
 NOT_NUMBERS: dict[str, str] = {
-    ".nan": "NaN", ".inf": "infinity", "-.inf": "infinity", "1e999": "infinity", "-1e999": "infinity",
-    "9" * 5000: "infinity", "0x" + "f" * 300: "infinity", "1." + "0" * 3000 + "e400": "infinity",
-    "NaN": "text 'NaN'", "inf": "text 'inf'", "0b1": "text '0b1'", "1_000": "text '1_000'", "1,5": "",
-    "'2.0'": "text '2.0'", "true": "true", "yes": "text 'yes'", "~": "nothing", "": "nothing", "[2]": "a list of 1",
-    "{a: 1}": "a block of keys", "2Hz": "text '2Hz'", "1:30": "text '1:30'", "\u0662": "text '\u0662'",
-    "\uff12": "text '\uff12'", "2000-01-01": "text '2000-01-01'", "+-1": "text '+-1'", "1e": "text '1e'",
-    "0o9": "text '0o9'", "-0x1": "text '-0x1'", "--1": "text '--1'", "1e308": "infinity",
-}  # fmt: skip
+    ".nan": "NaN",
+    ".inf": "infinity",
+    "-.inf": "infinity",
+    "1e999": "infinity",
+    "-1e999": "infinity",
+    "9" * 5000: "infinity",
+    "0x" + "f" * 300: "infinity",
+    "1." + "0" * 3000 + "e400": "infinity",
+    "NaN": "text 'NaN'",
+    "inf": "text 'inf'",
+    "0b1": "text '0b1'",
+    "1_000": "text '1_000'",
+    "1,5": "",
+    "'2.0'": "text '2.0'",
+    "true": "true",
+    "yes": "text 'yes'",
+    "~": "nothing",
+    "": "nothing",
+    "[2]": "a list of 1",
+    "{a: 1}": "a block of keys",
+    "2Hz": "text '2Hz'",
+    "1:30": "text '1:30'",
+    "\u0662": "text '\u0662'",
+    "\uff12": "text '\uff12'",
+    "2000-01-01": "text '2000-01-01'",
+    "+-1": "text '+-1'",
+    "1e": "text '1e'",
+    "0o9": "text '0o9'",
+    "-0x1": "text '-0x1'",
+    "--1": "text '--1'",
+    "1e308": "infinity",
+}
 
 
 def not_numbers(good: bytes, key: str, loc: str) -> tuple[Malformed, ...]:
@@ -120,7 +263,8 @@ def not_numbers(good: bytes, key: str, loc: str) -> tuple[Malformed, ...]:
 
     Args:
         good: a valid file.
-        key: regular expression of the key, which occurs once with a plain number after it.
+        key: regular expression of the key, which occurs once with a plain number after
+            it.
         loc: path of the key in messages.
     """
     text = good.decode()
@@ -142,7 +286,11 @@ def edited(good: bytes, edits: list[tuple[str, str, str]]) -> tuple[Malformed, .
     text = good.decode()
     assert all(old in text for old, _, _ in edits)
     return tuple(
-        Malformed(f"{old} → {new}", text.replace(old, new, 1).encode("utf-8", "surrogatepass"), message)
+        Malformed(
+            f"{old} → {new}",
+            text.replace(old, new, 1).encode("utf-8", "surrogatepass"),
+            message,
+        )
         for old, new, message in edits
     )
 
@@ -160,7 +308,10 @@ def varied(good: bytes, values: dict[str, Any]) -> st.SearchStrategy[dict[str, A
         good: a valid file.
         values: dotted path → strategy or constant; a value of None removes the key.
     """
-    strategies = {k: v if isinstance(v, st.SearchStrategy) else st.just(v) for k, v in values.items()}
+    strategies = {
+        k: v if isinstance(v, st.SearchStrategy) else st.just(v)
+        for k, v in values.items()
+    }
 
     def build(drawn: dict[str, Any]) -> dict[str, Any]:
         data = plain_data(good)
@@ -179,7 +330,10 @@ def varied(good: bytes, values: dict[str, Any]) -> st.SearchStrategy[dict[str, A
 
 any_data = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(st.text(max_size=8), inner, max_size=3)
+    ),
     max_leaves=5,
 )
 
@@ -207,12 +361,20 @@ def arbitrary_values(good: bytes, keys: Iterable[str]) -> st.SearchStrategy[byte
         return text.replace("NaN", ".nan").replace("Infinity", ".inf").encode()
 
     changes = st.lists(st.tuples(st.sampled_from(paths), any_data), max_size=3)
-    extra = st.dictionaries(st.sampled_from(list(keys)) | st.text(max_size=8), any_data, max_size=2)
+    extra = st.dictionaries(
+        st.sampled_from(list(keys)) | st.text(max_size=8), any_data, max_size=2
+    )
     return st.builds(build, changes, extra)
 
 
 def _paths(value: object, path: Loc = ()) -> Iterator[Loc]:
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    items = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, inner in items:
         yield (*path, key)
         yield from _paths(inner, (*path, key))

@@ -52,7 +52,10 @@ for line in sys.stdin:
 @cache
 def _server() -> subprocess.Popen[str]:
     server = subprocess.Popen(
-        [sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", SERVER],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     )
     atexit.register(server.kill)
     return server
@@ -78,7 +81,9 @@ def raise_faults(path: Path, report: ModelReport) -> ModelReport:
         InputError: there are faults; the message is that of the command line.
     """
     if report.faults:
-        raise InputFileError([f"{display_path(path)}: {fault}" for fault in report.faults])
+        raise InputFileError(
+            [f"{display_path(path)}: {fault}" for fault in report.faults]
+        )
     if not report.sizes:
         raise InputError(f"{display_path(path)}: measured nothing")
     return report

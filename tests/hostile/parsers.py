@@ -38,11 +38,15 @@ from srs_twin.studies.sweep.points import SweepFile
 from srs_twin.trajectory import Trajectory
 
 ROBOT = (shipped_folder("robot") / "gen2.yaml").read_bytes()
-_PRIOR = st.none() | scenarios.block(kind="normal", sd=st.floats(1e-9, 1e3), source=scenarios.TEXT)
+_PRIOR = st.none() | scenarios.block(
+    kind="normal", sd=st.floats(1e-9, 1e3), source=scenarios.TEXT
+)
 _RANGES = {
-    "friction.mu_t": (0.0, 10.0), "friction.mu_n": (0.0, 10.0), "actuator.tau_fill_s": (1e-3, 4.0),
+    "friction.mu_t": (0.0, 10.0),
+    "friction.mu_n": (0.0, 10.0),
+    "actuator.tau_fill_s": (1e-3, 4.0),
     "bending.stiffness_nm_per_rad": (4e-3, 50.0),
-}  # fmt: skip
+}
 _ROBOT_VALUES: dict[str, Any] = {"title": scenarios.TEXT}
 for _path, (_low, _high) in _RANGES.items():
     _ROBOT_VALUES |= {
@@ -53,11 +57,21 @@ for _path, (_low, _high) in _RANGES.items():
 
 # Name or path in place of a robot or scenario → part of the message.
 REFERENCES = {
-    "/dev/zero": "not a regular file", "/dev/tty": "not a regular file", "/": "a folder; give one file",
-    "../../none/../../passwd.yaml": "no such file", "./none.yaml": "no such file", "x/" * 2000 + "x.yaml": "",
-    "/proc/self/mem": "", "gen22": "unknown {} 'gen22'", "'a\\0b.yaml'": "", '"a\\0b.yaml"': "", "[gen2]": "",
-    "{base: /dev/zero}": "", "~": "", "1": "",
-}  # fmt: skip
+    "/dev/zero": "not a regular file",
+    "/dev/tty": "not a regular file",
+    "/": "a folder; give one file",
+    "../../none/../../passwd.yaml": "no such file",
+    "./none.yaml": "no such file",
+    "x/" * 2000 + "x.yaml": "",
+    "/proc/self/mem": "",
+    "gen22": "unknown {} 'gen22'",
+    "'a\\0b.yaml'": "",
+    '"a\\0b.yaml"': "",
+    "[gen2]": "",
+    "{base: /dev/zero}": "",
+    "~": "",
+    "1": "",
+}
 
 
 def references(key: str, name: str, good: bytes) -> tuple[Malformed, ...]:
@@ -65,7 +79,11 @@ def references(key: str, name: str, good: bytes) -> tuple[Malformed, ...]:
     old = f"{key}: {name}"
     line = good.decode().split(old)[0].count("\n") + 1
     return edited(
-        good, [(old, f"{key}: {new}", text.format(key) or f":{line}:") for new, text in REFERENCES.items()]
+        good,
+        [
+            (old, f"{key}: {new}", text.format(key) or f":{line}:")
+            for new, text in REFERENCES.items()
+        ],
     )
 
 
@@ -88,50 +106,154 @@ def yaml_parser(
     **fields: Any,
 ) -> Parser:
     """Return a parser of YAML files that a model validates."""
-    return Parser(name, ".yaml", good, parse, malformed, arbitrary_values(good, model.model_fields), **fields)
+    return Parser(
+        name,
+        ".yaml",
+        good,
+        parse,
+        malformed,
+        arbitrary_values(good, model.model_fields),
+        **fields,
+    )
 
 
 def scenario_parser(
-    name: str, good: bytes, malformed: tuple[Malformed, ...], data: Any, command: str = "run {}"
+    name: str,
+    good: bytes,
+    malformed: tuple[Malformed, ...],
+    data: Any,
+    command: str = "run {}",
 ) -> Parser:
     """Return a parser of scenario files with one kind of controller."""
     round_trip = RoundTrip(
-        data.map(partial(parse_scenario, name=name)), lambda scenario: yaml_bytes(scenario.document)
+        data.map(partial(parse_scenario, name=name)),
+        lambda scenario: yaml_bytes(scenario.document),
     )
     return yaml_parser(
-        name, good, load_scenario, ScenarioFile, malformed, command=command, round_trip=round_trip
+        name,
+        good,
+        load_scenario,
+        ScenarioFile,
+        malformed,
+        command=command,
+        round_trip=round_trip,
     )
 
 
 S, T, P, M, J = scenarios, studies, malformed_parquet, malformed_mjcf, malformed_json
 A = malformed_archives
 PARSERS: tuple[Parser, ...] = (
-    scenario_parser("scenario", S.SCENARIO, STRUCTURE + not_numbers(S.SCENARIO, "frequency_hz", "controller.frequency_hz")
-                    + references("robot", "gen2", S.SCENARIO), S.SCENARIOS),
+    scenario_parser(
+        "scenario",
+        S.SCENARIO,
+        STRUCTURE
+        + not_numbers(S.SCENARIO, "frequency_hz", "controller.frequency_hz")
+        + references("robot", "gen2", S.SCENARIO),
+        S.SCENARIOS,
+    ),
     scenario_parser("bench", S.BENCH, S.BENCH_MALFORMED, S.BENCHES),
     scenario_parser("learning", S.LEARNING, S.LEARNING_MALFORMED, S.LEARNERS),
-    scenario_parser("following", S.FOLLOWING, S.FOLLOWING_MALFORMED, S.FOLLOWERS, "plan {}"),
-    yaml_parser("robot", ROBOT, load_robot_file, RobotFile,
-                STRUCTURE + not_numbers(ROBOT, r"damping_time_s: \{value", "bending.damping_time_s.value"),
-                command="models export {}",
-                round_trip=RoundTrip(varied(ROBOT, _ROBOT_VALUES).map(RobotFile.model_validate), model_bytes)),
-    yaml_parser("sweep", T.SWEEP, load_sweep, SweepFile,
-                STRUCTURE + not_numbers(T.SWEEP, "from", "vary.controller.frequency_hz.from")
-                + references("scenario", "gen2_straight", T.SWEEP) + T.SWEEP_MALFORMED, command="sweep {}"),
-    yaml_parser("fit", T.FIT, load_fit, FitFile,
-                STRUCTURE + not_numbers(T.FIT, "independent_samples", "quality.independent_samples") + T.FIT_MALFORMED,
-                function="srs_twin.identification.fit_file:load_fit", round_trip=RoundTrip(T.fits(), model_bytes)),
-    Parser("trajectory", ".parquet", P.GOOD, Trajectory.from_parquet, P.MALFORMED, P.VALUES,
-           function="srs_twin.trajectory:Trajectory.from_parquet",
-           round_trip=RoundTrip(P.trajectories(), P.content), same=P.same),
-    Parser("mjcf", ".xml", M.GOOD, lambda path: raise_faults(path, check_mjcf(path)), M.MALFORMED, M.VALUES,
-           command="models check {}", quick=lambda path: raise_faults(path, check(path))),
-    Parser("JSON", ".json", J.GOOD, read_json, J.MALFORMED, J.VALUES, function="srs_twin.io.untrusted:read_json",
-           round_trip=RoundTrip(J.DATA, lambda data: json.dumps(data).encode())),
-    Parser("policy", ".npz", A.archive(A.POLICY), load_policy, A.POLICY_MALFORMED, A.POLICY_VALUES,
-           function="srs_twin.envs.policy:load_policy", same=lambda one, other: repr(one) == repr(other)),
-    Parser("saved state", ".npz", A.archive(A.STATE), SavedState.read, A.STATE_MALFORMED, A.STATE_VALUES,
-           function="srs_twin.io.saved_state:SavedState.read", same=lambda one, other: repr(one) == repr(other)),
-    *(Parser(name, ".csv", good, parse, malformed, tables.values(good), function=function, same=tables.same)
-      for name, good, parse, malformed, function in tables.TABLES),
-)  # fmt: skip
+    scenario_parser(
+        "following", S.FOLLOWING, S.FOLLOWING_MALFORMED, S.FOLLOWERS, "plan {}"
+    ),
+    yaml_parser(
+        "robot",
+        ROBOT,
+        load_robot_file,
+        RobotFile,
+        STRUCTURE
+        + not_numbers(
+            ROBOT, r"damping_time_s: \{value", "bending.damping_time_s.value"
+        ),
+        command="models export {}",
+        round_trip=RoundTrip(
+            varied(ROBOT, _ROBOT_VALUES).map(RobotFile.model_validate), model_bytes
+        ),
+    ),
+    yaml_parser(
+        "sweep",
+        T.SWEEP,
+        load_sweep,
+        SweepFile,
+        STRUCTURE
+        + not_numbers(T.SWEEP, "from", "vary.controller.frequency_hz.from")
+        + references("scenario", "gen2_straight", T.SWEEP)
+        + T.SWEEP_MALFORMED,
+        command="sweep {}",
+    ),
+    yaml_parser(
+        "fit",
+        T.FIT,
+        load_fit,
+        FitFile,
+        STRUCTURE
+        + not_numbers(T.FIT, "independent_samples", "quality.independent_samples")
+        + T.FIT_MALFORMED,
+        function="srs_twin.identification.fit_file:load_fit",
+        round_trip=RoundTrip(T.fits(), model_bytes),
+    ),
+    Parser(
+        "trajectory",
+        ".parquet",
+        P.GOOD,
+        Trajectory.from_parquet,
+        P.MALFORMED,
+        P.VALUES,
+        function="srs_twin.trajectory:Trajectory.from_parquet",
+        round_trip=RoundTrip(P.trajectories(), P.content),
+        same=P.same,
+    ),
+    Parser(
+        "mjcf",
+        ".xml",
+        M.GOOD,
+        lambda path: raise_faults(path, check_mjcf(path)),
+        M.MALFORMED,
+        M.VALUES,
+        command="models check {}",
+        quick=lambda path: raise_faults(path, check(path)),
+    ),
+    Parser(
+        "JSON",
+        ".json",
+        J.GOOD,
+        read_json,
+        J.MALFORMED,
+        J.VALUES,
+        function="srs_twin.io.untrusted:read_json",
+        round_trip=RoundTrip(J.DATA, lambda data: json.dumps(data).encode()),
+    ),
+    Parser(
+        "policy",
+        ".npz",
+        A.archive(A.POLICY),
+        load_policy,
+        A.POLICY_MALFORMED,
+        A.POLICY_VALUES,
+        function="srs_twin.envs.policy:load_policy",
+        same=lambda one, other: repr(one) == repr(other),
+    ),
+    Parser(
+        "saved state",
+        ".npz",
+        A.archive(A.STATE),
+        SavedState.read,
+        A.STATE_MALFORMED,
+        A.STATE_VALUES,
+        function="srs_twin.io.saved_state:SavedState.read",
+        same=lambda one, other: repr(one) == repr(other),
+    ),
+    *(
+        Parser(
+            name,
+            ".csv",
+            good,
+            parse,
+            malformed,
+            tables.values(good),
+            function=function,
+            same=tables.same,
+        )
+        for name, good, parse, malformed, function in tables.TABLES
+    ),
+)

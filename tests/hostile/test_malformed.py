@@ -18,9 +18,16 @@ from srs_twin.io.documents import parse_yaml
 
 # Large files that take seconds to write and to reject.
 LARGE = {
-    "metadata of 100 MB", "metadata of 40 MB", "3 GB in a small file", "110,000 column chunks", "300 MB",
-    "200,000,000 rows", "200 MB of junk", "200 MB of junk after the header", "200 MB without a line end",
-}  # fmt: skip
+    "metadata of 100 MB",
+    "metadata of 40 MB",
+    "3 GB in a small file",
+    "110,000 column chunks",
+    "300 MB",
+    "200,000,000 rows",
+    "200 MB of junk",
+    "200 MB of junk after the header",
+    "200 MB without a line end",
+}
 
 
 def cases() -> Iterator[Any]:
@@ -50,10 +57,22 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_malformed_files_are_distinct():
-    assert len({(parser.name, malformed.name) for parser, malformed in (p.values for p in CASES)}) == len(
-        CASES
+    assert len(
+        {
+            (parser.name, malformed.name)
+            for parser, malformed in (p.values for p in CASES)
+        }
+    ) == len(CASES)
+    assert (
+        len(
+            {
+                malformed.content
+                for parser in PARSERS
+                for malformed in parser.all_malformed
+            }
+        )
+        >= 150
     )
-    assert len({malformed.content for parser in PARSERS for malformed in parser.all_malformed}) >= 150
 
 
 @each_parser
@@ -65,7 +84,10 @@ def test_valid_file_is_read(parser: Parser, folder: Path):
 
 @pytest.mark.parametrize(("parser", "malformed"), CASES)
 def test_malformed_file_is_rejected_with_its_position(
-    parser: Parser, malformed: Malformed, folder: Path, capsys: pytest.CaptureFixture[str]
+    parser: Parser,
+    malformed: Malformed,
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
 ):
     path = parser.path_in(folder)
     malformed.write(path)
@@ -89,7 +111,9 @@ def test_unreadable_file_is_rejected(parser: Parser, folder: Path):
     path = parser.path_in(folder)
     path.write_bytes(parser.good)
     path.chmod(0)
-    assert "cannot be read" in rejection(parser, path) or "denied" in rejection(parser, path)
+    assert "cannot be read" in rejection(parser, path) or "denied" in rejection(
+        parser, path
+    )
 
 
 def read_generated(parser: Parser, kind: str, path: Path, **options: Any) -> None:
@@ -108,19 +132,28 @@ def read_generated(parser: Parser, kind: str, path: Path, **options: Any) -> Non
 def test_sample_of_generated_files_is_read_or_rejected(parser: Parser, tmp_path: Path):
     for kind in EXAMPLES:
         read_generated(
-            parser, kind, parser.path_in(tmp_path), max_examples=8, derandomize=True, database=None
+            parser,
+            kind,
+            parser.path_in(tmp_path),
+            max_examples=8,
+            derandomize=True,
+            database=None,
         )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", EXAMPLES)
 @each_parser
-def test_generated_files_are_read_or_rejected(parser: Parser, kind: str, tmp_path: Path):
+def test_generated_files_are_read_or_rejected(
+    parser: Parser, kind: str, tmp_path: Path
+):
     read_generated(parser, kind, parser.path_in(tmp_path), max_examples=EXAMPLES[kind])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("parser", [p for p in PARSERS if p.round_trip], ids=lambda parser: parser.name)
+@pytest.mark.parametrize(
+    "parser", [p for p in PARSERS if p.round_trip], ids=lambda parser: parser.name
+)
 def test_written_file_is_read_back_unchanged(parser: Parser, tmp_path: Path):
     path, round_trip = parser.path_in(tmp_path), parser.round_trip
     assert round_trip is not None

@@ -22,113 +22,379 @@ plants: {analytical: {}, twin: {}}
 
 # Command line, and part of the message.
 COMMANDS = [
-    ("run gen2straight", "unknown scenario 'gen2straight'; did you mean gen2_straight?"),
+    (
+        "run gen2straight",
+        "unknown scenario 'gen2straight'; did you mean gen2_straight?",
+    ),
     ("run scenario/gen2_straight.yaml", "no such file; did you mean gen2_straight?"),
     ("run mine.yml", "mine.yml: no such file"),
     ("comapre gen2_straight", "Did you mean 'compare'?"),
     ("compare gen2_straight --explian", "--explain"),
-    ("compare gen2_straight --set stiffness=0.2", "did you mean robot.bending.stiffness_nm_per_rad?"),
+    (
+        "compare gen2_straight --set stiffness=0.2",
+        "did you mean robot.bending.stiffness_nm_per_rad?",
+    ),
     ("compare gen2_straight --set robot.mu_t=0.2", "did you mean robot.friction.mu_t?"),
-    ("compare gen2_straight --set friction.mu_t=0.2", "did you mean robot.friction.mu_t?"),
+    (
+        "compare gen2_straight --set friction.mu_t=0.2",
+        "did you mean robot.friction.mu_t?",
+    ),
     ("compare gen2_straight --set supply.pressure_kpa", "must be FIELD=VALUE"),
-    ("compare gen2_straight --duration=-1", "--duration -1: duration_s: must be a number from 0.001"),
-    ("compare gen2_straight --duration 3s", "write the number without a unit, which the key names"),
+    (
+        "compare gen2_straight --duration=-1",
+        "--duration -1: duration_s: must be a number from 0.001",
+    ),
+    (
+        "compare gen2_straight --duration 3s",
+        "write the number without a unit, which the key names",
+    ),
     ("run gen2_straight --seed 1.5", "--seed 1.5: seed: must be a whole number from 0"),
-    ("run gen2_straight --plants both", "--plants: 'both' is unknown; allowed: analytical, twin"),
+    (
+        "run gen2_straight --plants both",
+        "--plants: 'both' is unknown; allowed: analytical, twin",
+    ),
     ("show gen5", "unknown scenario or robot 'gen5'; did you mean gen"),
     ("list robot", "unknown kind 'robot'; did you mean robots?"),
-    ("sweep gen2_straight", "unknown sweep 'gen2_straight' (available: 17 names; `srs-twin list sweeps` lists them)"),
-    ("plan gen2_straight", "there is no planner section; add planner, and controller.kind: follow"),
+    (
+        "sweep gen2_straight",
+        (
+            "unknown sweep 'gen2_straight' (available: 17 names; `srs-twin list sweeps`"
+            " lists them)"
+        ),
+    ),
+    (
+        "plan gen2_straight",
+        "there is no planner section; add planner, and controller.kind: follow",
+    ),
     ("view gen2_straight", "no recording found"),
     ("render gen2_straight", "give exactly one of --video FILE.mp4"),
     ("diff a b", "a: no such file"),
     ("models export gen7", "unknown robot 'gen7'; did you mean gen"),
     ("models export gen2 --contact loaded", "an MJCF file would contain none"),
     ("models check model.xml", "model.xml: no such file; give an MJCF or URDF file"),
-    ("models check ./model.xml", "give an MJCF or URDF file, or the name of a shipped robot"),
+    (
+        "models check ./model.xml",
+        "give an MJCF or URDF file, or the name of a shipped robot",
+    ),
     ("play gen22", "unknown scenario or robot 'gen22'; did you mean gen2,"),
-    ("play gen2 --set controller.offset=0.1", "a robot has no scenario; set a field of robot"),
+    (
+        "play gen2 --set controller.offset=0.1",
+        "a robot has no scenario; set a field of robot",
+    ),
     ("reproduce --only XY", "docs/reproduction.md lists them"),
     ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),
     ("replay walk.csv --robot gen2", "walk.csv: no such file"),
-]  # fmt: skip
+]
 
 # Text of MINE, its replacement, and part of the message of `srs-twin run`.
 SCENARIO_EDITS = [
-    ("robot: gen2", "robot: gen 2", "2:8: robot: unknown robot 'gen 2'; did you mean gen2?"),
-    ("title: Mine", "title: Mine\nbending: {k: 1}", "2:1: bending: unknown key; did you mean robot.bending?"),
-    ("frequency_hz: 2.0", "frequency: 2.0", "controller.frequency: unknown key; did you mean frequency_hz?"),
-    ("frequency_hz: 2.0", "frequency_hz: 2,0", "unknown key; write a decimal point, not a comma"),
-    ("frequency_hz: 2.0", "frequency_hz: 2 Hz", "not text '2 Hz'; write the number without a unit"),
-    ("pressure_kpa: 48.3", "pressure_psi: 7", "supply.pressure_psi: unknown key; did you mean pressure_kpa?"),
-    ("pressure_kpa: 48.3", "pressure_kpa: 483", "lower it, or set allow_overpressure: true"),
+    (
+        "robot: gen2",
+        "robot: gen 2",
+        "2:8: robot: unknown robot 'gen 2'; did you mean gen2?",
+    ),
+    (
+        "title: Mine",
+        "title: Mine\nbending: {k: 1}",
+        "2:1: bending: unknown key; did you mean robot.bending?",
+    ),
+    (
+        "frequency_hz: 2.0",
+        "frequency: 2.0",
+        "controller.frequency: unknown key; did you mean frequency_hz?",
+    ),
+    (
+        "frequency_hz: 2.0",
+        "frequency_hz: 2,0",
+        "unknown key; write a decimal point, not a comma",
+    ),
+    (
+        "frequency_hz: 2.0",
+        "frequency_hz: 2 Hz",
+        "not text '2 Hz'; write the number without a unit",
+    ),
+    (
+        "pressure_kpa: 48.3",
+        "pressure_psi: 7",
+        "supply.pressure_psi: unknown key; did you mean pressure_kpa?",
+    ),
+    (
+        "pressure_kpa: 48.3",
+        "pressure_kpa: 483",
+        "lower it, or set allow_overpressure: true",
+    ),
     ("pressure_kpa: 48.3", "pressure_kpa: 48300", "not 48300; did you mean 48.3?"),
     ("kind: gait", "kind: sine", "controller.kind: must be one of gait, ilc,"),
     ("kind: gait, ", "", "controller.kind: missing"),
-    ("duration_s: 2", "duration_s: 2.005", "not a multiple of the analytical plant's tick 0.02 s; use 2 s"),
-    ("duration_s: 2", "duration: 2", "3:1: duration: unknown key; did you mean duration_s?"),
-    ("duration_s: 2", "duration_s: 2\n\tseed: 1", "YAML is indented with spaces, not tabs"),
-    ("twin: {}", "twin: {wheels: skis}", "one of rolling, skid, not text 'skis'; did you mean skid?"),
-    ("twin: {}", "twin: {timestep_ms: 1}", "plants.twin.timestep_ms: unknown key; did you mean timestep_s?"),
-    ("twin: {}", "twin: {contact: preloaded, friction: wheel}", "plants.twin: friction needs contact: loaded"),
+    (
+        "duration_s: 2",
+        "duration_s: 2.005",
+        "not a multiple of the analytical plant's tick 0.02 s; use 2 s",
+    ),
+    (
+        "duration_s: 2",
+        "duration: 2",
+        "3:1: duration: unknown key; did you mean duration_s?",
+    ),
+    (
+        "duration_s: 2",
+        "duration_s: 2\n\tseed: 1",
+        "YAML is indented with spaces, not tabs",
+    ),
+    (
+        "twin: {}",
+        "twin: {wheels: skis}",
+        "one of rolling, skid, not text 'skis'; did you mean skid?",
+    ),
+    (
+        "twin: {}",
+        "twin: {timestep_ms: 1}",
+        "plants.twin.timestep_ms: unknown key; did you mean timestep_s?",
+    ),
+    (
+        "twin: {}",
+        "twin: {contact: preloaded, friction: wheel}",
+        "plants.twin: friction needs contact: loaded",
+    ),
     ("analytical: {}", "analytical: {model: compliance}", "did you mean compliant?"),
-    ("twin: {}}", "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}", "7:16: world.floor: a twin on this floor needs contact: loaded (plants.twin)"),
-    ("title: Mine", "title: Mine\nworld: {obstacles: [{x: 1}]}", "allowed: x_m, y_m, radius_m"),
-    ("title: Mine", "title: Mine\nexpect: [{metric: speed, plant: twin, below: 1}]", "did you mean com_speed_m_s"),
-    ("title: Mine", "title: Mine\nexpect: [{metric: com_speed_m_s, plant: twin, near: 1}]", "either rel or abs"),
-    ("robot: gen2", "robot: {base: gen2, geometry: {segment_length_m: 37}}", "robot.geometry.segment_length_m: 37 m does not fit the other lengths of the robot, such as wheel_radius_m, 0.008 m; 37 mm would be 0.037 m"),
-    ("pressure_kpa: 48.3", "pressure_kpa: 1200", "or set allow_overpressure: true; 1200 mbar would be 120 kPa"),
-    ("title: Mine", "title: Mine: the second", "1:12: not YAML: mapping values are not allowed here; a text with a colon and a blank must be in quotes"),
-    ("robot: gen2", "  robot: gen2", "2:8: not YAML: mapping values are not allowed here; its indent is wrong: keys of one block begin in the same column"),
-    ("robot: gen2", "supply:\n    pressure_kpa: 40\n  robot: gen2", "its indent is wrong: keys of one block begin in the same column"),
-    ("robot: gen2", "robot gen2", "could not find expected ':'; a key is followed by a colon and a blank"),
-    ("title: Mine", "zzz: 1", "1:1: zzz: unknown key; allowed: name, title, robot, duration_s, seed, record_hz, supply, pneumatics, allow_overpressure, valves, sensor, faults, … (`srs-twin schema` lists all "),
-    ("supply: {pressure_kpa: 48.3}", "supply: 48.3", "4:9: supply: must be a block of keys (pressure_kpa,"),
-    ("controller:", "controllers:", "5:1: controllers: unknown key; did you mean controller?"),
-]  # fmt: skip
+    (
+        "twin: {}}",
+        "twin: {contact: preloaded}}\nworld: {floor: {tilt_deg: 3}}",
+        "7:16: world.floor: a twin on this floor needs contact: loaded (plants.twin)",
+    ),
+    (
+        "title: Mine",
+        "title: Mine\nworld: {obstacles: [{x: 1}]}",
+        "allowed: x_m, y_m, radius_m",
+    ),
+    (
+        "title: Mine",
+        "title: Mine\nexpect: [{metric: speed, plant: twin, below: 1}]",
+        "did you mean com_speed_m_s",
+    ),
+    (
+        "title: Mine",
+        "title: Mine\nexpect: [{metric: com_speed_m_s, plant: twin, near: 1}]",
+        "either rel or abs",
+    ),
+    (
+        "robot: gen2",
+        "robot: {base: gen2, geometry: {segment_length_m: 37}}",
+        (
+            "robot.geometry.segment_length_m: 37 m does not fit the other lengths of"
+            " the robot, such as wheel_radius_m, 0.008 m; 37 mm would be 0.037 m"
+        ),
+    ),
+    (
+        "pressure_kpa: 48.3",
+        "pressure_kpa: 1200",
+        "or set allow_overpressure: true; 1200 mbar would be 120 kPa",
+    ),
+    (
+        "title: Mine",
+        "title: Mine: the second",
+        (
+            "1:12: not YAML: mapping values are not allowed here; a text with a colon"
+            " and a blank must be in quotes"
+        ),
+    ),
+    (
+        "robot: gen2",
+        "  robot: gen2",
+        (
+            "2:8: not YAML: mapping values are not allowed here; its indent is wrong:"
+            " keys of one block begin in the same column"
+        ),
+    ),
+    (
+        "robot: gen2",
+        "supply:\n    pressure_kpa: 40\n  robot: gen2",
+        "its indent is wrong: keys of one block begin in the same column",
+    ),
+    (
+        "robot: gen2",
+        "robot gen2",
+        "could not find expected ':'; a key is followed by a colon and a blank",
+    ),
+    (
+        "title: Mine",
+        "zzz: 1",
+        (
+            "1:1: zzz: unknown key; allowed: name, title, robot, duration_s, seed,"
+            " record_hz, supply, pneumatics, allow_overpressure, valves, sensor,"
+            " faults, … (`srs-twin schema` lists all "
+        ),
+    ),
+    (
+        "supply: {pressure_kpa: 48.3}",
+        "supply: 48.3",
+        "4:9: supply: must be a block of keys (pressure_kpa,",
+    ),
+    (
+        "controller:",
+        "controllers:",
+        "5:1: controllers: unknown key; did you mean controller?",
+    ),
+]
 
 # Text of GOOD, its replacement, and the message of `load_scenario`.
 POSITIONS = [
     ("2.0", "2,0", "5:42: controller.0: unknown key"),
-    ("2.0", "", "5:26: controller.frequency_hz: must be a number from 0.01 to 50, not nothing"),
-    ("frequency_hz", "frequency", "5:26: controller.frequency: unknown key; did you mean frequency_hz?"),
-    ("offset: 0.0", "offset: 1", "5:53: controller.offset: must be a number from -0.95 to 0.95, not 1"),
-    ("duration_s: 1", "duration_s: 1e9", "3:13: duration_s: must be a number from 0.001 to 3600, not 10000"),
-    ("duration_s: 1", "duration: 1", "3:1: duration: unknown key; did you mean duration_s?"),
-    ("world: {}", "world: []", "6:8: world: must be a block of keys (obstacles, circles, map, polygons, random, pegs, obstacle_friction, floor, steps, objects, bounds, goal), "),
-    ("world: {}", "world: {floor: {tilt_deg: 90}}", "6:27: world.floor.tilt_deg: must be a number from 0 to 60, not 90"),
-    ("world: {}", "world: {steps: [{x_m: 0.5, height_m: 0.002}]}", "6:16: world.steps: the floor of the analytical model is a plane; only the twin has steps"),
-    ("friction: axis", "load: momentary", "8:15: plants.analytical: friction axis acts at one point per connector"),
-    ("twin: {wheels: rolling}", "twin:", "8:3: plants: twin is empty; write 'twin: {}' for"),
-    ("kind: gait", "kind: smc", "5:20: controller.kind: must be one of gait, ilc, direct_smc, "),
-    ("48.3", "96.5", "4:24: supply.pressure_kpa: 96.5 kPa is above the limit of gen2 in pulses of a gait, 68.9476 kPa"),
-    ("48.3", "48kPa", "4:24: supply.pressure_kpa: must be a number from 0.1 to 2000, not text '48kPa'"),
-    ("48.3}", "96, allow_overpressure: yes}", "4:48: supply.allow_overpressure: must be true or false, not t"),
-    ("friction: axis", "tick_s: 0.02005", "3:13: duration_s: duration 1 s is not a multiple of the analytical plant"),
-    ("wheels: rolling", "wheels: ski", "9:18: plants.twin.wheels: must be one of rolling, skid, not text 'ski'; did you mean sk"),
-    ("gen2\n", "{base: gen2, mass: {wheel_kg: -1}}\n", "2:38: robot.mass.wheel_kg: must be a number from 1e-10"),
-    ("gen2\n", "gen2\nrobot: gen3\n", "3:1: robot: given twice; the first is in line 2"),
+    (
+        "2.0",
+        "",
+        "5:26: controller.frequency_hz: must be a number from 0.01 to 50, not nothing",
+    ),
+    (
+        "frequency_hz",
+        "frequency",
+        "5:26: controller.frequency: unknown key; did you mean frequency_hz?",
+    ),
+    (
+        "offset: 0.0",
+        "offset: 1",
+        "5:53: controller.offset: must be a number from -0.95 to 0.95, not 1",
+    ),
+    (
+        "duration_s: 1",
+        "duration_s: 1e9",
+        "3:13: duration_s: must be a number from 0.001 to 3600, not 10000",
+    ),
+    (
+        "duration_s: 1",
+        "duration: 1",
+        "3:1: duration: unknown key; did you mean duration_s?",
+    ),
+    (
+        "world: {}",
+        "world: []",
+        (
+            "6:8: world: must be a block of keys (obstacles, circles, map, polygons,"
+            " random, pegs, obstacle_friction, floor, steps, objects, bounds, goal), "
+        ),
+    ),
+    (
+        "world: {}",
+        "world: {floor: {tilt_deg: 90}}",
+        "6:27: world.floor.tilt_deg: must be a number from 0 to 60, not 90",
+    ),
+    (
+        "world: {}",
+        "world: {steps: [{x_m: 0.5, height_m: 0.002}]}",
+        (
+            "6:16: world.steps: the floor of the analytical model is a plane; only the"
+            " twin has steps"
+        ),
+    ),
+    (
+        "friction: axis",
+        "load: momentary",
+        "8:15: plants.analytical: friction axis acts at one point per connector",
+    ),
+    (
+        "twin: {wheels: rolling}",
+        "twin:",
+        "8:3: plants: twin is empty; write 'twin: {}' for",
+    ),
+    (
+        "kind: gait",
+        "kind: smc",
+        "5:20: controller.kind: must be one of gait, ilc, direct_smc, ",
+    ),
+    (
+        "48.3",
+        "96.5",
+        (
+            "4:24: supply.pressure_kpa: 96.5 kPa is above the limit of gen2 in pulses"
+            " of a gait, 68.9476 kPa"
+        ),
+    ),
+    (
+        "48.3",
+        "48kPa",
+        (
+            "4:24: supply.pressure_kpa: must be a number from 0.1 to 2000, not text"
+            " '48kPa'"
+        ),
+    ),
+    (
+        "48.3}",
+        "96, allow_overpressure: yes}",
+        "4:48: supply.allow_overpressure: must be true or false, not t",
+    ),
+    (
+        "friction: axis",
+        "tick_s: 0.02005",
+        "3:13: duration_s: duration 1 s is not a multiple of the analytical plant",
+    ),
+    (
+        "wheels: rolling",
+        "wheels: ski",
+        (
+            "9:18: plants.twin.wheels: must be one of rolling, skid, not text 'ski';"
+            " did you mean sk"
+        ),
+    ),
+    (
+        "gen2\n",
+        "{base: gen2, mass: {wheel_kg: -1}}\n",
+        "2:38: robot.mass.wheel_kg: must be a number from 1e-10",
+    ),
+    (
+        "gen2\n",
+        "gen2\nrobot: gen3\n",
+        "3:1: robot: given twice; the first is in line 2",
+    ),
     ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
-    ("gen2\n", "!!python/name:os.system\n", "2:8: tags (tag:yaml.org,2002:python/name:os.system) are not"),
-    ("gen2\n", "../../../etc/passwd\n", "2:8: robot: ../../../etc/passwd: no such file"),
-    ("world: {}", "world: {goal: {x_m: 1}}", "6:15: world.goal.y_m: missing; it must be a number from -1000 to"),
-    ("world: {}", "\tworld: {}", "6:1: not YAML: while scanning for the next token: found character '\\t'"),
+    (
+        "gen2\n",
+        "!!python/name:os.system\n",
+        "2:8: tags (tag:yaml.org,2002:python/name:os.system) are not",
+    ),
+    (
+        "gen2\n",
+        "../../../etc/passwd\n",
+        "2:8: robot: ../../../etc/passwd: no such file",
+    ),
+    (
+        "world: {}",
+        "world: {goal: {x_m: 1}}",
+        "6:15: world.goal.y_m: missing; it must be a number from -1000 to",
+    ),
+    (
+        "world: {}",
+        "\tworld: {}",
+        "6:1: not YAML: while scanning for the next token: found character '\\t'",
+    ),
     ("world: {}", "world: {}}", "6:10: not YAML: "),
     ("title: G", "---\ntitle: x\n---\ntitle: G", "3:1: a second document begins here"),
     ("title: G", "\x07title: G", "1:1: not YAML: unusable character U+0007"),
     ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
-]  # fmt: skip
+]
 
 # Text in place of a number, and its description in the message.
 NUMBERS = [
-    ("0", "0"), ("-2", "-2"), ("1e3", "1000"), (".nan", "NaN"), (".inf", "infinity"), ("1e999", "infinity"),
-    ("9" * 5000, "infinity"), ("NaN", "text 'NaN'"), ("2Hz", "text '2Hz'; write the number without a unit, which the key names"),
-    ("'2.0'", "text '2.0'"), ("true", "true"), ("[2]", "a list of 1"), ("{a: 1}", "a block of keys"), ("~", "nothing"),
-]  # fmt: skip
+    ("0", "0"),
+    ("-2", "-2"),
+    ("1e3", "1000"),
+    (".nan", "NaN"),
+    (".inf", "infinity"),
+    ("1e999", "infinity"),
+    ("9" * 5000, "infinity"),
+    ("NaN", "text 'NaN'"),
+    ("2Hz", "text '2Hz'; write the number without a unit, which the key names"),
+    ("'2.0'", "text '2.0'"),
+    ("true", "true"),
+    ("[2]", "a list of 1"),
+    ("{a: 1}", "a block of keys"),
+    ("~", "nothing"),
+]
 
 
 @pytest.mark.parametrize(("command", "message"), COMMANDS)
-def test_mistyped_command_is_rejected_with_a_remedy(srs_twin, tmp_path, command, message):
+def test_mistyped_command_is_rejected_with_a_remedy(
+    srs_twin, tmp_path, command, message
+):
     done = srs_twin(*command.split(), cwd=tmp_path)
     assert done.returncode == 2
     assert message in done.stderr
@@ -136,12 +402,17 @@ def test_mistyped_command_is_rejected_with_a_remedy(srs_twin, tmp_path, command,
 
 
 @pytest.mark.parametrize(("old", "new", "message"), SCENARIO_EDITS)
-def test_mistake_in_a_scenario_is_rejected_with_a_remedy(srs_twin, tmp_path, old, new, message):
+def test_mistake_in_a_scenario_is_rejected_with_a_remedy(
+    srs_twin, tmp_path, old, new, message
+):
     assert old in MINE
     (tmp_path / "mine.yaml").write_text(MINE.replace(old, new))
     done = srs_twin("run", "mine.yaml", cwd=tmp_path)
     assert done.returncode == 2
-    assert any(line.startswith("mine.yaml:") and message in line for line in done.stderr.splitlines())
+    assert any(
+        line.startswith("mine.yaml:") and message in line
+        for line in done.stderr.splitlines()
+    )
     assert [path.name for path in tmp_path.iterdir()] == ["mine.yaml"]
 
 
@@ -171,8 +442,14 @@ def test_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path):
 @pytest.mark.fast
 @pytest.mark.parametrize(("written", "description"), NUMBERS)
 def test_invalid_frequency_is_described(rejected, written, description):
-    expected = f"x.yaml:5:40: controller.frequency_hz: must be a number from 0.01 to 50, not {description}"
-    assert rejected(GOOD.replace("frequency_hz: 2.0", f"frequency_hz: {written}")) == expected
+    expected = (
+        "x.yaml:5:40: controller.frequency_hz: must be a number from 0.01 to 50, not"
+        f" {description}"
+    )
+    assert (
+        rejected(GOOD.replace("frequency_hz: 2.0", f"frequency_hz: {written}"))
+        == expected
+    )
 
 
 @pytest.mark.fast
@@ -186,7 +463,12 @@ def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):
 
 @pytest.mark.fast
 def test_all_mistakes_are_reported_in_the_order_of_the_file(rejected):
-    text = GOOD.replace("title", "titel").replace("gen2", "gen22").replace("48.3", "x").replace("2.0", "0")
+    text = (
+        GOOD.replace("title", "titel")
+        .replace("gen2", "gen22")
+        .replace("48.3", "x")
+        .replace("2.0", "0")
+    )
     text = text.replace("rolling", "&a rolling").replace("near: 0.214, ", "")
     assert [line.split(": ")[:2] for line in rejected(text).splitlines()] == [
         ["x.yaml:1:1", "titel"],
@@ -204,5 +486,8 @@ def test_missing_file_folder_and_unknown_name_are_rejected(tmp_path):
         load_scenario(tmp_path / "nope.yaml")
     with pytest.raises(InputError, match="a folder; give one file"):
         load_scenario(tmp_path)
-    with pytest.raises(InputError, match=r"unknown scenario 'gen2_strait'; did you mean gen2_straight\?"):
+    with pytest.raises(
+        InputError,
+        match=r"unknown scenario 'gen2_strait'; did you mean gen2_straight\?",
+    ):
         load_scenario("gen2_strait")

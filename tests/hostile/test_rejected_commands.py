@@ -38,48 +38,89 @@ plants: {analytical: {}}
 FILES = {
     "good.yaml": SCENARIO.decode(),
     "plan.yaml": _PLAN % "best_first, footprint: gen2_gait",
-    "turns.yaml": _PLAN
-    % "greedy, footprint: gen2_section52, primitives: {count: 3, turn_rad: 0.8, length_m: 0.1}",
-    "sweep.yaml": "{title: S, scenario: ./good.yaml, plants: [analytical], vary: {seed: [1, 2]}}",
-    "study.yaml": """\
+    "turns.yaml": (
+        _PLAN
+        % "greedy, footprint: gen2_section52, primitives: {count: 3, turn_rad: 0.8,"
+        " length_m: 0.1}"
+    ),
+    "sweep.yaml": (
+        "{title: S, scenario: ./good.yaml, plants: [analytical], vary: {seed: [1, 2]}}"
+    ),
+    "study.yaml": (
+        """\
 title: S
 scenario: ./good.yaml
 variables: {controller.frequency_hz: {low: 0.5, high: 3.0}}
 objectives: [{metric: com_speed_m_s, goal: maximize}]
 budget: {compliant: 8, twin: 4}
-""",
-    "result.json": '{"versions": {}, "scenario": "s", "plants": {}, "comparison": {}, "expectations": []}',
+"""
+    ),
+    "result.json": (
+        '{"versions": {}, "scenario": "s", "plants": {}, "comparison": {},'
+        ' "expectations": []}'
+    ),
     "journal.mcap": "is not read before the output folder is checked",
     "file": "",
 }
 # Folders with the names of result files.
-FOLDERS = ("metrics.json", "plan.png", "sweep.json", "reproduce.json", "gen2/scene.xml", "f.yaml", "g.html")
+FOLDERS = (
+    "metrics.json",
+    "plan.png",
+    "sweep.json",
+    "reproduce.json",
+    "gen2/scene.xml",
+    "f.yaml",
+    "g.html",
+)
 UNUSABLE_FOLDERS = {
-    "a file": "file", "below a file": "file/x", "5000 characters": "x" * 5000, "300 characters": "new/" + "x" * 300,
-    "200 levels": "/".join("a" * 200), "2000 levels": "/".join("a" * 2000), "proc": "/proc/x", "a device": "/dev/null",
-    "a pipe": "pipe", "a broken link": "link", "a link to itself": "loop",
-}  # fmt: skip
+    "a file": "file",
+    "below a file": "file/x",
+    "5000 characters": "x" * 5000,
+    "300 characters": "new/" + "x" * 300,
+    "200 levels": "/".join("a" * 200),
+    "2000 levels": "/".join("a" * 2000),
+    "proc": "/proc/x",
+    "a device": "/dev/null",
+    "a pipe": "pipe",
+    "a broken link": "link",
+    "a link to itself": "loop",
+}
 # Commands with {} in place of the output folder.
 COMMANDS = (
-    "run ./good.yaml --out {}", "run ./good.yaml gen2_straight --out {}", "run ./good.yaml --junit {}/x.xml",
-    "compare ./good.yaml --out {}", "plan ./plan.yaml --search --out {}", "models export gen2 --out {}",
-    "calibrate footprint gen2 --out {}", "calibrate margin ./plan.yaml --out {}",
-    f"calibrate friction {PULLS} --robot gen2 --out {{}}/f.yaml", f"calibrate robot {FIT} --name r --out {{}}/r.yaml",
-    f"inspect {WALK} --write-map {{}}/m.yaml", f"inspect {WALK} --picture {{}}/m.png",
-    "diff result.json result.json --junit {}/x.xml", "shadow gen2 --out {}", "shadow gen2 --mcap journal.mcap --out {}",
-)  # fmt: skip
+    "run ./good.yaml --out {}",
+    "run ./good.yaml gen2_straight --out {}",
+    "run ./good.yaml --junit {}/x.xml",
+    "compare ./good.yaml --out {}",
+    "plan ./plan.yaml --search --out {}",
+    "models export gen2 --out {}",
+    "calibrate footprint gen2 --out {}",
+    "calibrate margin ./plan.yaml --out {}",
+    f"calibrate friction {PULLS} --robot gen2 --out {{}}/f.yaml",
+    f"calibrate robot {FIT} --name r --out {{}}/r.yaml",
+    f"inspect {WALK} --write-map {{}}/m.yaml",
+    f"inspect {WALK} --picture {{}}/m.png",
+    "diff result.json result.json --junit {}/x.xml",
+    "shadow gen2 --out {}",
+    "shadow gen2 --mcap journal.mcap --out {}",
+)
 # These start worker processes before they check the folder.
 SLOW = (
-    "sweep ./sweep.yaml --out {}", "optimize ./study.yaml --out {}",
-    "uncertainty ./good.yaml --samples 16 --twin 16 --out {}", f"{REPRODUCE} --no-figures --out {{}}",
-)  # fmt: skip
+    "sweep ./sweep.yaml --out {}",
+    "optimize ./study.yaml --out {}",
+    "uncertainty ./good.yaml --samples 16 --twin 16 --out {}",
+    f"{REPRODUCE} --no-figures --out {{}}",
+)
 each_command = pytest.mark.parametrize(
-    "command", [*COMMANDS, *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW)]
+    "command",
+    [*COMMANDS, *(pytest.param(command, marks=pytest.mark.slow) for command in SLOW)],
 )
 
 TOO_LONG = "File name too long"
 FOLDER = "cannot be replaced (a folder)"
-TURNS = "turns.yaml: curvature -8 1/m is outside the footprint's range -5.23599 to 5.23599 1/m"
+TURNS = (
+    "turns.yaml: curvature -8 1/m is outside the footprint's range -5.23599 to"
+    " 5.23599 1/m"
+)
 BYTES = "cannot be used (not UTF-8); rename it"
 CONTROL = "cannot be used (a control character in it); rename it"
 REJECTED = [
@@ -123,19 +164,36 @@ REJECTED = [
     ("run --\x1b[31m", rf"--\x1b[31m: {CONTROL}"),
     # The current folder is not a recording.
     ("replay . --robot gen2", "a folder; give one file"),
-]  # fmt: skip
+]
 
 # Commands with {} in place of a file name that is too long.
 FILE_COMMANDS = (
-    "run {}", "plan {}", "view {}", "show {}", "inspect {}", "diff {} file", "models check {}", "replay {} --robot gen2",
-    f"inspect {WALK} --map {{}}", f"calibrate robot {FIT} --name r --out {{}}", "calibrate robot {} --name r",
-    "calibrate friction {} --robot gen2 --name f", "shadow gen2 --mcap {}",
-)  # fmt: skip
+    "run {}",
+    "plan {}",
+    "view {}",
+    "show {}",
+    "inspect {}",
+    "diff {} file",
+    "models check {}",
+    "replay {} --robot gen2",
+    f"inspect {WALK} --map {{}}",
+    f"calibrate robot {FIT} --name r --out {{}}",
+    "calibrate robot {} --name r",
+    "calibrate friction {} --robot gen2 --name f",
+    "shadow gen2 --mcap {}",
+)
 LONG_NAMES = ("x" * 300, "./" + "x" * 300 + ".yaml", "y" * 5000, "a/" * 2000 + "x.yaml")
 ANY_COMMANDS = (
-    "list", "--version", "run gen2_straight --out /tmp/new", "plan gen2_straight", "sweep fig41", "diff / /",
-    "emulate gen2", "doctor", "models check",
-)  # fmt: skip
+    "list",
+    "--version",
+    "run gen2_straight --out /tmp/new",
+    "plan gen2_straight",
+    "sweep fig41",
+    "diff / /",
+    "emulate gen2",
+    "doctor",
+    "models check",
+)
 
 
 @pytest.fixture
@@ -155,7 +213,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def tree(folder: Path) -> dict[bytes, bytes | None]:
     """Return path → content of everything in a folder; None for a folder or special file."""
     paths = sorted(folder.rglob("*"))
-    return {os.fsencode(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in paths}
+    return {
+        os.fsencode(p.relative_to(folder)): p.read_bytes() if p.is_file() else None
+        for p in paths
+    }
 
 
 def rejection(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -165,7 +226,9 @@ def rejection(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         main(list(arguments))
     output, message = capsys.readouterr()
     assert (exit_.value.code, output) == (2, ""), message
-    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff]", message), ascii(message)
+    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff]", message), ascii(
+        message
+    )
     assert tree(Path.cwd()) == before
     return message
 
@@ -194,7 +257,9 @@ def immutable(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 @pytest.mark.parametrize(
-    ("command", "message"), REJECTED, ids=[ascii(command[:50])[1:-1] for command, _ in REJECTED]
+    ("command", "message"),
+    REJECTED,
+    ids=[ascii(command[:50])[1:-1] for command, _ in REJECTED],
 )
 def test_rejected_command_changes_no_file(folder, capsys, command, message):
     assert message in rejection(capsys, *command.split(" "))
@@ -241,11 +306,15 @@ def test_too_long_name_of_a_start_is_rejected(folder, capsys, name):
 
 
 def test_empty_recording_name_is_rejected(folder, capsys):
-    assert "a folder; give one file" in rejection(capsys, "calibrate", "locomotion", "", "-r", "gen2")
+    assert "a folder; give one file" in rejection(
+        capsys, "calibrate", "locomotion", "", "-r", "gen2"
+    )
 
 
 @pytest.mark.parametrize("command", ANY_COMMANDS)
-def test_every_command_rejects_a_removed_current_folder(tmp_path, monkeypatch, capsys, command):
+def test_every_command_rejects_a_removed_current_folder(
+    tmp_path, monkeypatch, capsys, command
+):
     removed = tmp_path / "removed"
     removed.mkdir()
     monkeypatch.chdir(removed)
@@ -255,15 +324,21 @@ def test_every_command_rejects_a_removed_current_folder(tmp_path, monkeypatch, c
     output, message = capsys.readouterr()
     assert (exit_.value.code, output) == (2, "")
     assert message.startswith(
-        "cannot use the current folder (No such file or directory); it may have been removed"
+        "cannot use the current folder (No such file or directory); it may have been"
+        " removed"
     )
-    assert display_path(tmp_path / "x") == str(tmp_path / "x")  # the folder may also be removed later
+    assert display_path(tmp_path / "x") == str(
+        tmp_path / "x"
+    )  # the folder may also be removed later
 
 
 @pytest.mark.parametrize(
-    ("number", "code"), [(errno.EROFS, 2), (errno.ENAMETOOLONG, 2), (errno.ENOSPC, 2), (errno.ENOENT, 4)]
+    ("number", "code"),
+    [(errno.EROFS, 2), (errno.ENAMETOOLONG, 2), (errno.ENOSPC, 2), (errno.ENOENT, 4)],
 )
-def test_errors_of_the_file_system_are_not_internal_errors(monkeypatch, capsys, number, code):
+def test_errors_of_the_file_system_are_not_internal_errors(
+    monkeypatch, capsys, number, code
+):
     def fails(**_: object) -> None:
         raise OSError(number, os.strerror(number), "some/file")
 
@@ -272,17 +347,27 @@ def test_errors_of_the_file_system_are_not_internal_errors(monkeypatch, capsys, 
         main(["list"])
     message = capsys.readouterr().err
     assert exit_.value.code == code and os.strerror(number) in message
-    assert message.startswith("some/file: " if code == 2 else "srs-twin: internal error")
+    assert message.startswith(
+        "some/file: " if code == 2 else "srs-twin: internal error"
+    )
 
 
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b'title: "\\e[31mred"\n' + SCENARIO.partition(b"\n")[2], "1:8: the control character \\x1b is not"),
-        (SCENARIO.replace(b"world", b'"wor\\x9bld"'), "6:1: the control character \\x9b is not"),
+        (
+            b'title: "\\e[31mred"\n' + SCENARIO.partition(b"\n")[2],
+            "1:8: the control character \\x1b is not",
+        ),
+        (
+            SCENARIO.replace(b"world", b'"wor\\x9bld"'),
+            "6:1: the control character \\x9b is not",
+        ),
     ],
-)  # fmt: skip
-def test_control_characters_in_a_file_are_escaped_in_messages(folder, capsys, content, message):
+)
+def test_control_characters_in_a_file_are_escaped_in_messages(
+    folder, capsys, content, message
+):
     Path("painted.yaml").write_bytes(content)
     assert f"painted.yaml:{message}" in rejection(capsys, "run", "./painted.yaml")
 
@@ -298,4 +383,6 @@ def test_unprintable_names_in_a_folder_are_rejected(folder, capsys):
 
 def test_control_characters_in_a_recording_are_escaped_in_messages(folder, capsys):
     Path("painted.csv").write_bytes(b"Format Version,1.23\n\x1b[31m,\x9b1m\n")
-    assert "painted.csv" in rejection(capsys, "replay", "painted.csv", "--robot", "gen2")
+    assert "painted.csv" in rejection(
+        capsys, "replay", "painted.csv", "--robot", "gen2"
+    )

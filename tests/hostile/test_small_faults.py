@@ -48,7 +48,13 @@ def test_fixed_values_that_are_no_block_are_refused_with_set(tmp_path, capfd, fi
     path = tmp_path / "mine.yaml"
     path.write_text(SWEEP.format(fixed=f"fixed: {fixed}\n"))
     error = refused(
-        capfd, "sweep", str(path), "--set", "controller.offset=0.1", "--out", str(tmp_path / "out")
+        capfd,
+        "sweep",
+        str(path),
+        "--set",
+        "controller.offset=0.1",
+        "--out",
+        str(tmp_path / "out"),
     )
     assert f"mine.yaml:2:8: fixed: must be a block of keys, not {fixed}" in error
 
@@ -57,14 +63,22 @@ def test_a_number_in_place_of_an_inner_block_is_refused_with_set(tmp_path, capfd
     path = tmp_path / "mine.yaml"
     path.write_text(SCENARIO)
     error = refused(
-        capfd, "run", str(path), "--set", "robot.friction.mu_n=0.4", "--out", str(tmp_path / "out")
+        capfd,
+        "run",
+        str(path),
+        "--set",
+        "robot.friction.mu_n=0.4",
+        "--out",
+        str(tmp_path / "out"),
     )
     assert "mine.yaml:2:31: robot.friction: must be a block of keys, not 3" in error
 
 
 @pytest.mark.parametrize("share", ["1e400%", "nan", "-5%", "0%", "inf", "much"])
 def test_impossible_accuracy_is_refused(capfd, share):
-    error = refused(capfd, "calibrate", "design", "gen2", "--want", f"friction.mu_t={share}")
+    error = refused(
+        capfd, "calibrate", "design", "gen2", "--want", f"friction.mu_t={share}"
+    )
     assert "must be NAME=PERCENT" in error
 
 
@@ -88,11 +102,19 @@ def test_command_with_too_little_memory_says_so(tmp_path):
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
 
-    code = "import numpy as np\nfrom srs_twin.cli import main\nimport srs_twin.cli.app as app\n"
+    code = (
+        "import numpy as np\nfrom srs_twin.cli import main\nimport srs_twin.cli.app as"
+        " app\n"
+    )
     code += "app.command = lambda: lambda **_: np.zeros(1 << 32)\nmain([])\n"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, preexec_fn=limit)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, preexec_fn=limit
+    )
     assert done.returncode == 4
-    assert "the memory is exhausted (" in done.stderr and "Unable to allocate 32.0 GiB" in done.stderr
+    assert (
+        "the memory is exhausted (" in done.stderr
+        and "Unable to allocate 32.0 GiB" in done.stderr
+    )
 
 
 KILLED = """
@@ -130,7 +152,9 @@ def test_file_of_a_live_writer_is_kept_by_other_writers(tmp_path):
     assert [*tmp_path.iterdir()] == [target]
 
 
-def test_kernels_of_a_folder_that_a_group_can_write_are_not_trusted(tmp_path, monkeypatch):
+def test_kernels_of_a_folder_that_a_group_can_write_are_not_trusted(
+    tmp_path, monkeypatch
+):
     folder = tmp_path / "kernels"
     folder.mkdir()
     folder.chmod(0o775)
@@ -144,23 +168,35 @@ def test_a_group_that_others_may_share_is_not_the_users_own(monkeypatch):
     own = SimpleNamespace(pw_name="ann", pw_gid=100)
     monkeypatch.setattr("pwd.getpwuid", lambda number: own)
     groups = {100: ("users", []), 1000: ("ann", []), 1001: ("ann", ["ann", "bob"])}
-    monkeypatch.setattr("grp.getgrgid", lambda number: SimpleNamespace(
-        gr_name=groups[number][0], gr_mem=groups[number][1]))  # fmt: skip
+    monkeypatch.setattr(
+        "grp.getgrgid",
+        lambda number: SimpleNamespace(
+            gr_name=groups[number][0], gr_mem=groups[number][1]
+        ),
+    )
     assert [_is_own_group(number) for number in groups] == [False, True, False]
 
 
 def test_output_of_the_action_cannot_be_a_workflow_command(tmp_path):
-    action = yaml.safe_load((ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8"))
-    (script,) = (step["run"] for step in action["runs"]["steps"] if step.get("id") == "run")
+    action = yaml.safe_load(
+        (ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8")
+    )
+    (script,) = (
+        step["run"] for step in action["runs"]["steps"] if step.get("id") == "run"
+    )
     program = tmp_path / "uv"
     text = "::error::forged\\n```\\n# forged\\n"
     program.write_text(f"#!/bin/sh\nprintf '{text}'\nprintf '{text}' >&2\n")
     program.chmod(0o755)
     environment = os.environ | {
-        "PATH": f"{tmp_path}:{os.environ['PATH']}", "PROJECT": ".", "SCENARIOS": "s", "ARGUMENTS": "--check",
-        "OUT": str(tmp_path / "out"), "GITHUB_OUTPUT": str(tmp_path / "o"),
+        "PATH": f"{tmp_path}:{os.environ['PATH']}",
+        "PROJECT": ".",
+        "SCENARIOS": "s",
+        "ARGUMENTS": "--check",
+        "OUT": str(tmp_path / "out"),
+        "GITHUB_OUTPUT": str(tmp_path / "o"),
         "GITHUB_STEP_SUMMARY": str(tmp_path / "s"),
-    }  # fmt: skip
+    }
     done = subprocess.run(
         ["bash", "-e", "-c", script],
         cwd=tmp_path,
@@ -173,7 +209,9 @@ def test_output_of_the_action_cannot_be_a_workflow_command(tmp_path):
     command, _, token = first.removeprefix("::").partition("::")
     assert command == "stop-commands" and len(token) == 64 and last == f"::{token}::"
     assert inside.count("::error::forged") == 2
-    assert all(line.startswith("    ") for line in (tmp_path / "s").read_text().splitlines())
+    assert all(
+        line.startswith("    ") for line in (tmp_path / "s").read_text().splitlines()
+    )
 
 
 def test_sparse_file_with_a_large_directory_is_refused_before_it_is_read(tmp_path):
@@ -203,7 +241,9 @@ def test_number_in_place_of_an_array_of_a_state_is_refused(plant):
     assert snake.restore(state).time == 0.0
 
 
-def array_places(content: Mapping[str, Any], place: tuple[str, ...] = ()) -> Iterator[tuple[str, ...]]:
+def array_places(
+    content: Mapping[str, Any], place: tuple[str, ...] = ()
+) -> Iterator[tuple[str, ...]]:
     """Yield the names that lead to each array of nested states."""
     for name, value in content.items():
         if isinstance(value, np.ndarray):

@@ -14,11 +14,29 @@ from synthetic_takes import Take
 
 from srs_twin import AnalyticalSnake, Controller, Trajectory, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.identification.actuator import Response, default_actuator_parameters, fit_actuator
-from srs_twin.identification.fit_file import array_hash, data_sets, fit_file, trajectory_hash, write_fit
+from srs_twin.identification.actuator import (
+    Response,
+    default_actuator_parameters,
+    fit_actuator,
+)
+from srs_twin.identification.fit_file import (
+    array_hash,
+    data_sets,
+    fit_file,
+    trajectory_hash,
+    write_fit,
+)
 from srs_twin.identification.fitted_robot import fitted_robot
-from srs_twin.identification.parameters import free_parameters, parameter_names, with_values
-from srs_twin.identification.static_tables import StaticTable, fit_static, read_static_table
+from srs_twin.identification.parameters import (
+    free_parameters,
+    parameter_names,
+    with_values,
+)
+from srs_twin.identification.static_tables import (
+    StaticTable,
+    fit_static,
+    read_static_table,
+)
 from srs_twin.pneumatics import LagPneumatics, Schedule
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.recording import ValveLog
@@ -28,9 +46,13 @@ from srs_twin.robot.spec import RobotSpec
 
 MODULE = load_robot("gen4_module")
 TRUTH = {
-    "actuator.tau_fill_s": 0.15, "actuator.tau_vent_s": 0.09, "actuator.tau_mode_s": 0.01,
-    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
-}  # fmt: skip
+    "actuator.tau_fill_s": 0.15,
+    "actuator.tau_vent_s": 0.09,
+    "actuator.tau_mode_s": 0.01,
+    "modules.gain_plus_1": 1.2,
+    "modules.gain_minus_1": 0.8,
+    "modules.bias_rad_1": 0.05,
+}
 SUPPLY = 48e3
 STEPS = Schedule(
     3.0,
@@ -43,7 +65,9 @@ def free_bends(
     spec: RobotSpec, time: np.ndarray, schedule: Schedule = STEPS
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the bends and pressures of free segments."""
-    trace = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out").advance(schedule, time)
+    trace = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out").advance(
+        schedule, time
+    )
     return trace.bend, trace.pressure
 
 
@@ -58,19 +82,31 @@ def response(truth=TRUTH, *, noise=0.0, seed=0, name="step") -> Response:
 def response_of(run: Trajectory) -> Response:
     """Return the response of a plant from rest; valves switch at samples."""
     time = run.time - run.time[0]
-    sides = np.stack([run.stack(f"valve_{side}") for side in ("plus", "minus")], axis=-1)
+    sides = np.stack(
+        [run.stack(f"valve_{side}") for side in ("plus", "minus")], axis=-1
+    )
     states = sides.astype(np.int8)[1:]  # those that led to a sample
-    starts = np.append(0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1)
-    schedule = Schedule(float(time[-1]), time[starts], np.ascontiguousarray(states[starts]))
-    return Response("bench", trajectory_hash(run), schedule, SUPPLY, time, run.stack("bend"))
+    starts = np.append(
+        0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
+    )
+    schedule = Schedule(
+        float(time[-1]), time[starts], np.ascontiguousarray(states[starts])
+    )
+    return Response(
+        "bench", trajectory_hash(run), schedule, SUPPLY, time, run.stack("bend")
+    )
 
 
 @given(
     st.tuples(
-        st.floats(0.05, 0.4), st.floats(0.05, 0.4), st.floats(0.004, 0.02), st.floats(0.6, 1.6),
-        st.floats(0.6, 1.6), st.floats(-0.2, 0.2),
+        st.floats(0.05, 0.4),
+        st.floats(0.05, 0.4),
+        st.floats(0.004, 0.02),
+        st.floats(0.6, 1.6),
+        st.floats(0.6, 1.6),
+        st.floats(-0.2, 0.2),
     )
-)  # fmt: skip
+)
 @settings(max_examples=8)
 def test_any_module_is_recovered(numbers):
     truth = dict(zip(TRUTH, numbers, strict=True))
@@ -78,7 +114,9 @@ def test_any_module_is_recovered(numbers):
     for name, value in truth.items():
         assert fit[name].value == pytest.approx(value, rel=1e-4, abs=1e-6), name
         assert fit[name].verdict == "identified"
-    assert fit.held["actuator.bend_rad"] == pytest.approx(MODULE.actuator.gain * MODULE.supply.nominal)
+    assert fit.held["actuator.bend_rad"] == pytest.approx(
+        MODULE.actuator.gain * MODULE.supply.nominal
+    )
 
 
 @pytest.mark.slow
@@ -95,25 +133,35 @@ def test_intervals_from_responses_cover_the_truth():
 
 def test_a_common_factor_of_the_gains_is_not_identifiable():
     fit = fit_actuator(
-        [response()], MODULE, names=[*default_actuator_parameters(MODULE), "actuator.bend_rad"]
+        [response()],
+        MODULE,
+        names=[*default_actuator_parameters(MODULE), "actuator.bend_rad"],
     )
     for name in ("modules.gain_plus_1", "modules.gain_minus_1", "actuator.bend_rad"):
-        assert fit[name].verdict == "not identifiable" and "combination" in fit[name].why
+        assert (
+            fit[name].verdict == "not identifiable" and "combination" in fit[name].why
+        )
     for name in ("actuator.tau_fill_s", "actuator.tau_mode_s", "modules.bias_rad_1"):
         assert fit[name].value == pytest.approx(TRUTH[name], rel=1e-4)
 
 
 def test_a_chamber_that_is_never_filled_has_no_gain():
-    one_sided = Schedule(3.0, np.array([0.0, 1.5]), np.array([[[1, -1]], [[-1, -1]]], dtype=np.int8))
+    one_sided = Schedule(
+        3.0, np.array([0.0, 1.5]), np.array([[[1, -1]], [[-1, -1]]], dtype=np.int8)
+    )
     time = np.arange(0.0, 3.0, 0.01)
     bend, _ = free_bends(with_values(MODULE, TRUTH), time, one_sided)
-    fit = fit_actuator([Response("x", array_hash(bend), one_sided, SUPPLY, time, bend)], MODULE)
+    fit = fit_actuator(
+        [Response("x", array_hash(bend), one_sided, SUPPLY, time, bend)], MODULE
+    )
     assert fit["modules.gain_minus_1"].why == "the residuals do not depend on it"
     assert fit["modules.gain_plus_1"].value == pytest.approx(1.2, rel=1e-4)
 
 
 def test_a_mode_faster_than_the_camera_is_not_identified():
-    fit = fit_actuator([response(TRUTH | {"actuator.tau_mode_s": 0.001}, noise=0.019)], MODULE)
+    fit = fit_actuator(
+        [response(TRUTH | {"actuator.tau_mode_s": 0.001}, noise=0.019)], MODULE
+    )
     assert fit["actuator.tau_mode_s"].verdict == "not identifiable"
     assert fit["actuator.tau_vent_s"].verdict == "identified"
 
@@ -121,7 +169,11 @@ def test_a_mode_faster_than_the_camera_is_not_identified():
 def test_measured_pressures_separate_the_mode_from_the_filling():
     """From bends alone the two time constants can be exchanged if filling and venting are equally slow."""
     time = np.arange(0.0, 3.0, 0.01)
-    truth = TRUTH | {"actuator.tau_fill_s": 0.04, "actuator.tau_vent_s": 0.04, "actuator.tau_mode_s": 0.06}
+    truth = TRUTH | {
+        "actuator.tau_fill_s": 0.04,
+        "actuator.tau_vent_s": 0.04,
+        "actuator.tau_mode_s": 0.06,
+    }
     bend, pressure = free_bends(with_values(MODULE, truth), time)
     seen = Response("x", array_hash(bend), STEPS, SUPPLY, time, bend, pressure)
     fit = fit_actuator([seen], MODULE)
@@ -131,12 +183,19 @@ def test_measured_pressures_separate_the_mode_from_the_filling():
 
 def test_a_pressure_log_identifies_gains_and_biases():
     time = np.arange(0.0, 3.0, 0.01)
-    bend, pressure = free_bends(with_values(MODULE, TRUTH | {"actuator.tau_mode_s": 0.004}), time)
+    bend, pressure = free_bends(
+        with_values(MODULE, TRUTH | {"actuator.tau_mode_s": 0.004}), time
+    )
     log = ValveLog("pressure", time, pressure, "p.csv", "0" * 64, ())
-    fit = fit_actuator([Response("x", array_hash(bend), log, SUPPLY, time, bend)], MODULE)
+    fit = fit_actuator(
+        [Response("x", array_hash(bend), log, SUPPLY, time, bend)], MODULE
+    )
     for name in ("modules.gain_plus_1", "modules.gain_minus_1", "modules.bias_rad_1"):
         assert fit[name].value == pytest.approx(TRUTH[name], rel=0.01, abs=5e-4)
-    assert fit["actuator.tau_fill_s"].value is None and fit["actuator.tau_vent_s"].value is None
+    assert (
+        fit["actuator.tau_fill_s"].value is None
+        and fit["actuator.tau_vent_s"].value is None
+    )
 
 
 class Steps(Controller):
@@ -173,7 +232,8 @@ def test_a_recording_with_another_clock_is_fitted(tmp_path: Path):
     joined = join(recording, read_valves(log, SPEC), SPEC)
     data = Response.from_recording(joined, "take", 48e3)
     assert not data.clock_known
-    # Valve columns hold the state before their sample and logs the state after it: one sample of shift.
+    # Valve columns hold the state before their sample and logs the state after it: one
+    # sample of shift.
     names = ("actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.bend_rad")
     fit = fit_actuator([data], SPEC, names=names)
     for name in names:
@@ -183,7 +243,9 @@ def test_a_recording_with_another_clock_is_fitted(tmp_path: Path):
         Response.from_recording(recording, "take", 48e3)
 
 
-def table(limit: float, noise: float = 0.0, seed: int = 0, most: float = 90e3) -> StaticTable:
+def table(
+    limit: float, noise: float = 0.0, seed: int = 0, most: float = 90e3
+) -> StaticTable:
     """Return held pressures and the bends at rest of a module with TRUTH's gains, by another formula."""
     pressure = np.zeros((14, 1, 2))
     pressure[:7, 0, 0] = pressure[7:, 0, 1] = np.linspace(0, most, 7)
@@ -194,9 +256,11 @@ def table(limit: float, noise: float = 0.0, seed: int = 0, most: float = 90e3) -
 
 
 STATIC = {
-    "modules.gain_plus_1": 1.2, "modules.gain_minus_1": 0.8, "modules.bias_rad_1": 0.05,
+    "modules.gain_plus_1": 1.2,
+    "modules.gain_minus_1": 0.8,
+    "modules.bias_rad_1": 0.05,
     "actuator.bend_limit_rad": 1.4,
-}  # fmt: skip
+}
 
 
 def test_static_tables_identify_gains_bias_and_limit():
@@ -234,7 +298,9 @@ def convex(curve, noise: float = 0.004) -> StaticTable:
     share = (1.2 * pressure[..., 0] - 0.8 * pressure[..., 1]) / 60e3
     bend = 0.05 + np.sign(share) * curve(np.abs(share))
     bend = bend + noise * np.random.default_rng(3).normal(size=bend.shape)
-    return StaticTable("convex", array_hash(bend), pressure, bend, np.full(bend.shape, noise))
+    return StaticTable(
+        "convex", array_hash(bend), pressure, bend, np.full(bend.shape, noise)
+    )
 
 
 @pytest.mark.slow
@@ -242,7 +308,11 @@ def convex(curve, noise: float = 0.004) -> StaticTable:
     "curve",
     [
         lambda u: 1.5 * np.maximum(u - 0.3, 0.0),
-        lambda u: 1.5 * 0.06 * (np.logaddexp(0, (u - 0.3) / 0.06) - np.logaddexp(0, -0.3 / 0.06)),
+        lambda u: (
+            1.5
+            * 0.06
+            * (np.logaddexp(0, (u - 0.3) / 0.06) - np.logaddexp(0, -0.3 / 0.06))
+        ),
         lambda u: 0.5 * u + np.maximum(u - 0.4, 0.0),
         lambda u: np.expm1(1.3 * u) / 2,
         lambda u: 1.2 / (1 + np.exp((0.5 - u) / 0.12)) - 1.2 / (1 + np.exp(0.5 / 0.12)),
@@ -253,7 +323,9 @@ def test_a_dead_zone_explains_curves_that_a_straight_line_does_not(curve):
     """The curves do not follow the model's law, but the fitted robot reproduces them."""
     table = convex(curve)
     straight = fit_static(
-        [table], MODULE, names=["modules.gain_plus_1", "modules.gain_minus_1", "modules.bias_rad_1"]
+        [table],
+        MODULE,
+        names=["modules.gain_plus_1", "modules.gain_minus_1", "modules.bias_rad_1"],
     )
     fit = fit_static([table], MODULE)
     assert straight.residual_scale > 8
@@ -272,23 +344,38 @@ def test_parameters_of_a_dead_zone_are_recovered_in_the_robot(tmp_path):
         return x - 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
 
     result = fit_static([table := convex(law)], MODULE)
-    truth = {"actuator.onset_rad": 0.3, "actuator.onset_width_rad": 0.2, "modules.gain_plus_1": 1.2}
+    truth = {
+        "actuator.onset_rad": 0.3,
+        "actuator.onset_width_rad": 0.2,
+        "modules.gain_plus_1": 1.2,
+    }
     for name, value in truth.items():
         assert result[name].low <= value <= result[name].high, result[name]
-    about = {"name": "late", "title": "late", "robot": "gen4_module", "method": "static", "command": "x"}
+    about = {
+        "name": "late",
+        "title": "late",
+        "robot": "gen4_module",
+        "method": "static",
+        "command": "x",
+    }
     fit = fit_file(result, **about, versions={}, data=data_sets([table], []))
     write_fit(fit, path := tmp_path / "late.yaml")
     spec = fitted_robot([path], "late").spec()
     assert spec.actuator.onset_share == 1.0
     expected = with_values(MODULE, result.held | result.values)
-    assert air_bend(spec, table.pressure) == pytest.approx(air_bend(expected, table.pressure), abs=1e-6)
+    assert air_bend(spec, table.pressure) == pytest.approx(
+        air_bend(expected, table.pressure), abs=1e-6
+    )
 
 
 @pytest.mark.slow
 def test_a_straight_line_rarely_gets_a_dead_zone():
     """The F-test has a level of 1 %: 3 of 20 would have a probability of 1 in 1,000."""
     fit = [fit_static([table(1.4, 0.01, seed)], MODULE) for seed in range(20)]
-    assert sum("actuator.onset_rad" in estimate.held | estimate.values for estimate in fit) < 3
+    assert (
+        sum("actuator.onset_rad" in estimate.held | estimate.values for estimate in fit)
+        < 3
+    )
 
 
 def test_a_static_table_identifies_no_mass_or_time_constant():
@@ -305,18 +392,26 @@ def test_a_static_table_identifies_no_mass_or_time_constant():
 
 
 def test_fit_and_validation_data_must_differ():
-    with pytest.raises(InputError, match="the same data as step, to which the model is fitted"):
+    with pytest.raises(
+        InputError, match="the same data as step, to which the model is fitted"
+    ):
         fit_actuator([response()], MODULE, validation=[response(name="again")])
     with pytest.raises(InputError, match="the same data as table"):
         fit_static([table(1.4)], MODULE, validation=[table(1.4)])
     fit = fit_actuator([response()], MODULE, validation=[response(noise=0.01, seed=1)])
-    assert fit.rms("validation") == pytest.approx(1.0, abs=0.1) and fit.rms("fit") < 1e-6
+    assert (
+        fit.rms("validation") == pytest.approx(1.0, abs=0.1) and fit.rms("fit") < 1e-6
+    )
 
 
 def test_unsuitable_actuator_data_are_refused():
-    with pytest.raises(UnknownNameError, match=r"actuator.tau_fil_s.*did you mean actuator.tau_fill_s"):
+    with pytest.raises(
+        UnknownNameError, match=r"actuator.tau_fil_s.*did you mean actuator.tau_fill_s"
+    ):
         fit_actuator([response()], MODULE, names=["actuator.tau_fil_s"])
-    with pytest.raises(InputError, match="modules.bias_rad_2: gen4_module has 1 segments"):
+    with pytest.raises(
+        InputError, match="modules.bias_rad_2: gen4_module has 1 segments"
+    ):
         fit_actuator([response()], MODULE, names=["modules.bias_rad_2"])
     with pytest.raises(InputError, match="given twice"):
         free_parameters(MODULE, ["friction.mu_t", "friction.mu_t"])
@@ -333,12 +428,22 @@ def test_every_parameter_is_written_to_the_field_it_is_read_from(name):
     name = name.replace("_N", "_2")
     everything = [name.replace("_N", "_2") for name in parameter_names()]
     (before,) = free_parameters(spec, [name])
-    changed = with_values(spec, {name: before.start * 1.25 if before.scale is None else before.start + 0.01})
+    changed = with_values(
+        spec,
+        {name: before.start * 1.25 if before.scale is None else before.start + 0.01},
+    )
     (after,) = free_parameters(changed, [name])
-    assert after.start == pytest.approx(before.start * 1.25 if before.scale is None else before.start + 0.01)
+    assert after.start == pytest.approx(
+        before.start * 1.25 if before.scale is None else before.start + 0.01
+    )
     for other in everything:
-        if other != name and not (other.startswith("mass.") and name.startswith("mass.")):
-            assert free_parameters(changed, [other])[0].start == free_parameters(spec, [other])[0].start
+        if other != name and not (
+            other.startswith("mass.") and name.startswith("mass.")
+        ):
+            assert (
+                free_parameters(changed, [other])[0].start
+                == free_parameters(spec, [other])[0].start
+            )
 
 
 def test_a_static_table_is_read_from_a_file(tmp_path: Path):
@@ -349,5 +454,7 @@ def test_a_static_table_is_read_from_a_file(tmp_path: Path):
     path.write_text("pressure_plus_1_kpa,bend_1_deg\n0,0\n10,9\n20,\n")
     fit = read_static_table(path, MODULE)
     assert fit.pressure[:, 0].tolist() == [[0, 0], [10e3, 0], [20e3, 0]]
-    assert fit.bend[:2, 0] == pytest.approx([0, np.pi / 20]) and np.isnan(fit.bend[2, 0])
+    assert fit.bend[:2, 0] == pytest.approx([0, np.pi / 20]) and np.isnan(
+        fit.bend[2, 0]
+    )
     assert fit.data_set("fit").samples == 2

@@ -24,14 +24,20 @@ pytestmark = pytest.mark.fast
 SPEC = load_robot("gen4")
 
 
-@given(width=st.floats(0.02, 0.3), drawn=st.lists(st.floats(0.01, 0.1), min_size=6, max_size=6))
+@given(
+    width=st.floats(0.02, 0.3),
+    drawn=st.lists(st.floats(0.01, 0.1), min_size=6, max_size=6),
+)
 def test_a_known_width_is_recovered(width, drawn):
     """Edges of a body by a sum of our own: how far the middle reaches, and half of the width."""
     runs = [
         BoxEdges(
             0.1 * i,
             (drawn[2 * i] + width / 2, drawn[2 * i + 1] + width / 2),
-            (drawn[2 * i] + SPEC.geometry.width / 2, drawn[2 * i + 1] + SPEC.geometry.width / 2),
+            (
+                drawn[2 * i] + SPEC.geometry.width / 2,
+                drawn[2 * i + 1] + SPEC.geometry.width / 2,
+            ),
         )
         for i in range(3)
     ]
@@ -40,10 +46,17 @@ def test_a_known_width_is_recovered(width, drawn):
 
 def test_a_wider_body_moves_alike_and_reaches_farther_by_half():
     """What the fit takes for granted, of a snake that crawls and turns."""
-    wide = replace(SPEC, geometry=replace(SPEC.geometry, width=SPEC.geometry.width + 0.04))
-    runs = [rollout(AnalyticalSnake(item), Gait(1.0, 0.2), 2.0) for item in (SPEC, wide)]
+    wide = replace(
+        SPEC, geometry=replace(SPEC.geometry, width=SPEC.geometry.width + 0.04)
+    )
+    runs = [
+        rollout(AnalyticalSnake(item), Gait(1.0, 0.2), 2.0) for item in (SPEC, wide)
+    ]
     assert np.array_equal(runs[0]["com_x"], runs[1]["com_x"])
-    narrow, far = (body_sides(run, spec.geometry) for run, spec in zip(runs, (SPEC, wide), strict=True))
+    narrow, far = (
+        body_sides(run, spec.geometry)
+        for run, spec in zip(runs, (SPEC, wide), strict=True)
+    )
     apart = np.hypot(*np.moveaxis(far - narrow, -1, 0))
     assert apart == pytest.approx(np.full_like(apart, 0.02), abs=1e-9)
 
@@ -64,7 +77,9 @@ def test_the_shipped_width_is_what_its_command_finds():
         "offset 0.3",
         "offset -0.3",
     }
-    table = {f"offset {row.offset:g}": (row.left_m, row.right_m) for row in published_runs()}
+    table = {
+        f"offset {row.offset:g}": (row.left_m, row.right_m) for row in published_runs()
+    }
     for item in shipped.data:
         assert (item.measured["left_m"], item.measured["right_m"]) == table[item.name]
 
@@ -74,15 +89,23 @@ def test_the_page_shows_the_edges_of_the_shipped_width():
     done = run_benchmark("table8_width.py", "--show")
     assert done.returncode == 0, done.stderr
     table = "\n".join(line for line in done.stdout.splitlines() if line.startswith("|"))
-    assert "Table 8 (m)" in table and table in (ROOT / "docs/dissertation-data.md").read_text("utf-8")
+    assert "Table 8 (m)" in table and table in (
+        ROOT / "docs/dissertation-data.md"
+    ).read_text("utf-8")
 
 
 def test_the_scenario_has_the_robot_of_the_fits():
-    moves, width = load_fit(place("analytical")).estimate().values, load_fit(place("width")).estimate().values
+    moves, width = (
+        load_fit(place("analytical")).estimate().values,
+        load_fit(place("width")).estimate().values,
+    )
     robot = load_scenario("ilc_table8").robot
     assert robot.geometry.segment_length == moves["geometry.segment_length_m"]
     assert robot.friction.mu_t == moves["friction.mu_t"]
-    assert robot.modules.sensor_bias == (moves["modules.sensor_bias_rad"],) * robot.segments
+    assert (
+        robot.modules.sensor_bias
+        == (moves["modules.sensor_bias_rad"],) * robot.segments
+    )
     assert robot.geometry.width == pytest.approx(width[WIDTH], abs=5e-5)
     assert robot.mass == SPEC.mass and robot.bending == SPEC.bending
 

@@ -45,23 +45,46 @@ def test_a_table_of_pulls_is_read(tmp_path):
     assert list(pulls.along) == pytest.approx([3e-3, 2.5e-3, 2.8e-3])
     assert list(pulls.across) == pytest.approx([26e-3, 25e-3])
     assert pulls.coefficients("along")[0] == pytest.approx(30 * 3e-3 / (0.15 * GRAVITY))
-    assert is_pull_table(tmp_path / "pulls.csv") and not is_pull_table(EXAMPLE / "held.csv")
+    assert is_pull_table(tmp_path / "pulls.csv") and not is_pull_table(
+        EXAMPLE / "held.csv"
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         (PULLS.replace("2.5,25", "2.5,x"), r"pulls.csv:3:2: 'x' is not a number"),
-        (PULLS.replace("2.5,25", "-2.5,25"), r"pulls.csv:3:1: along_mm: -2.5 is not allowed; a deformation"),
-        (PULLS.replace("2.5,25,30", "2.5,25,31"), r"pulls.csv:3:3: spring_n_per_m: 31 here and 30 above"),
-        (PULLS.replace("along_mm", "along_kg"), r"pulls.csv:1:1: along_kg: unit 'kg' is not known"),
+        (
+            PULLS.replace("2.5,25", "-2.5,25"),
+            r"pulls.csv:3:1: along_mm: -2.5 is not allowed; a deformation",
+        ),
+        (
+            PULLS.replace("2.5,25,30", "2.5,25,31"),
+            r"pulls.csv:3:3: spring_n_per_m: 31 here and 30 above",
+        ),
+        (
+            PULLS.replace("along_mm", "along_kg"),
+            r"pulls.csv:1:1: along_kg: unit 'kg' is not known",
+        ),
         (PULLS.replace(",mass_kg", ",weight"), r"pulls.csv:1: no column 'mass_kg'"),
-        (PULLS.replace("along_mm", "along_1_mm"), r"pulls.csv:1:1: along_1_mm: these columns have no"),
-        ("along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n", r"pulls.csv: one pull along does not show"),
-        ("along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n", r"pulls.csv:2:2: spring_n_per_m: "),
-        (PULLS.replace("2.5,25,30,0.15", "2.5,25,30"), r"pulls.csv:3: 3 cells, but the header has 4"),
+        (
+            PULLS.replace("along_mm", "along_1_mm"),
+            r"pulls.csv:1:1: along_1_mm: these columns have no",
+        ),
+        (
+            "along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n",
+            r"pulls.csv: one pull along does not show",
+        ),
+        (
+            "along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n",
+            r"pulls.csv:2:2: spring_n_per_m: ",
+        ),
+        (
+            PULLS.replace("2.5,25,30,0.15", "2.5,25,30"),
+            r"pulls.csv:3: 3 cells, but the header has 4",
+        ),
     ],
-)  # fmt: skip
+)
 def test_invalid_tables_of_pulls_are_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         read_pull_table(pulls_file(tmp_path, text))
@@ -71,7 +94,10 @@ def test_table_without_columns_of_pulls_is_refused_with_these_columns(tmp_path, 
     path = pulls_file(tmp_path, "direction,force_n\nahead,0.05\n")
     with pytest.raises(SystemExit, match="^2$"):
         main(["calibrate", "friction", str(path), "--robot", "gen2"])
-    assert "a table of pulls has the columns along_mm,across_mm," in capsys.readouterr().err
+    assert (
+        "a table of pulls has the columns along_mm,across_mm,"
+        in capsys.readouterr().err
+    )
 
 
 def test_residuals_are_printed_on_one_line_each(tmp_path, monkeypatch, capsys):
@@ -92,12 +118,26 @@ def test_residuals_are_printed_on_one_line_each(tmp_path, monkeypatch, capsys):
 def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     pulls_file(tmp_path)
     pulls_file(tmp_path, PULLS.replace("2.5,", "2.6,"), "more.csv")
-    options = ["calibrate", "friction", "pulls.csv", "--robot", "gen2", "--validate", "more.csv"]
+    options = [
+        "calibrate",
+        "friction",
+        "pulls.csv",
+        "--robot",
+        "gen2",
+        "--validate",
+        "more.csv",
+    ]
     done = srs_twin(*options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     fit = load_fit(tmp_path / "calibration/fits/gen2_friction.yaml")
-    assert fit.command == "srs-twin calibrate friction pulls.csv --robot=gen2 --validate=more.csv"
-    assert [(data.name, data.role) for data in fit.data] == [("pulls.csv", "fit"), ("more.csv", "validation")]
+    assert (
+        fit.command
+        == "srs-twin calibrate friction pulls.csv --robot=gen2 --validate=more.csv"
+    )
+    assert [(data.name, data.role) for data in fit.data] == [
+        ("pulls.csv", "fit"),
+        ("more.csv", "validation"),
+    ]
     mu_t = np.mean([3, 2.5, 2.8]) * 1e-3 * 30 / (0.15 * GRAVITY)
     assert fit.parameters[0].value == pytest.approx(mu_t, rel=1e-6)
     assert f"{mu_t:.5g}" in done.stdout and "validation: residuals" in done.stdout
@@ -109,7 +149,10 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     again = srs_twin(*options, "-q", cwd=tmp_path)
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     other = srs_twin(*options[:3], "--robot", "gen2", cwd=tmp_path)
-    assert other.returncode == 2 and "another fit (srs-twin calibrate friction" in other.stderr
+    assert (
+        other.returncode == 2
+        and "another fit (srs-twin calibrate friction" in other.stderr
+    )
     assert load_fit(tmp_path / "calibration/fits/gen2_friction.yaml") == fit
 
 
@@ -134,21 +177,41 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             ["friction", "p.csv", "--out", "My-Fit.yaml"],
             "--out names the fit, without --name: 'My-Fit' is not allowed",
         ),
-        (["friction", "p.csv", "--out", "x.txt"], "--out: x.txt is not allowed; a fit file ends in .yaml"),
+        (
+            ["friction", "p.csv", "--out", "x.txt"],
+            "--out: x.txt is not allowed; a fit file ends in .yaml",
+        ),
         (
             ["actuator", "h.csv", "--valves", "p.csv"],
             "--valves: remove this option; tables of constant pressures",
         ),
-        (["actuator", "h.csv", "--find", "modules.gan_plus_1"], "did you mean modules.gain_plus_N"),
+        (
+            ["actuator", "h.csv", "--find", "modules.gan_plus_1"],
+            "did you mean modules.gain_plus_N",
+        ),
         (["actuator", "h.csv", "--find", ","], "--find: ',' names nothing"),
         (["locomotion", "w.csv"], "w.valves.csv: no such file"),
-        (["locomotion", "w.csv", "--valves", "a", "--valves", "b"], "2 logs of valves for 1 recordings"),
-        (["locomotion", "w.csv", "--plant", "twn"], "unknown plant 'twn'; did you mean twin"),
-        (["locomotion", "w.csv", "--plant", "twin", "--law", "wheel"], "--law: remove this option"),
-        (["locomotion", "w.csv", "--pressure", "nan"], "--pressure: nan kPa is not allowed"),
+        (
+            ["locomotion", "w.csv", "--valves", "a", "--valves", "b"],
+            "2 logs of valves for 1 recordings",
+        ),
+        (
+            ["locomotion", "w.csv", "--plant", "twn"],
+            "unknown plant 'twn'; did you mean twin",
+        ),
+        (
+            ["locomotion", "w.csv", "--plant", "twin", "--law", "wheel"],
+            "--law: remove this option",
+        ),
+        (
+            ["locomotion", "w.csv", "--pressure", "nan"],
+            "--pressure: nan kPa is not allowed",
+        ),
     ],
 )
-def test_unsuitable_options_and_data_are_refused(tmp_path, monkeypatch, capsys, options, message):
+def test_unsuitable_options_and_data_are_refused(
+    tmp_path, monkeypatch, capsys, options, message
+):
     pulls_file(tmp_path, name="p.csv")
     pulls_file(tmp_path, PULLS.replace("3,", "3.1,"), name="q.csv")
     (tmp_path / "h.csv").write_bytes((EXAMPLE / "held.csv").read_bytes())
@@ -167,14 +230,25 @@ def test_friction_is_fitted_to_throws_by_the_command(tmp_path, monkeypatch, caps
     for name, speed in (("a", 0.6), ("b", 0.5)):
         way = speed * time_ - deceleration * time_**2 / 2
         x = way[:, None] - SPEC.geometry.pitch * np.arange(5)
-        head = ",".join(["time", *(f"{axis}_{i}" for i in range(1, 6) for axis in "xy")])
+        head = ",".join(
+            ["time", *(f"{axis}_{i}" for i in range(1, 6) for axis in "xy")]
+        )
         rows = [
             ",".join([f"{t:.3f}", *(f"{number:.6f},0" for number in row)])
             for t, row in zip(time_, x, strict=True)
         ]
         (tmp_path / f"{name}.csv").write_text("\n".join([head, *rows, ""]))
     monkeypatch.chdir(tmp_path)
-    main_ok("calibrate", "friction", "a.csv", "--validate", "b.csv", "-r", "gen2", "--no-wheel-inertia")
+    main_ok(
+        "calibrate",
+        "friction",
+        "a.csv",
+        "--validate",
+        "b.csv",
+        "-r",
+        "gen2",
+        "--no-wheel-inertia",
+    )
     out = capsys.readouterr().out
     fit = load_fit("calibration/fits/gen2_friction.yaml")
     assert fit.method == "coasting"
@@ -199,9 +273,17 @@ def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
     assert "robot in robots/mine.yaml" in capsys.readouterr().err
     mine, gen2 = load_robot("robots/mine.yaml"), load_robot("gen2")
     assert mine.friction.mu_t == pytest.approx(load_fit("f.yaml").parameters[0].value)
-    gains = {parameter.name: parameter.value for parameter in load_fit("a.yaml").parameters}
-    assert mine.modules.array("gain")[1, 0] == pytest.approx(gains["modules.gain_plus_2"])
-    assert (mine.name, mine.geometry, mine.bending) == ("mine", gen2.geometry, gen2.bending)
+    gains = {
+        parameter.name: parameter.value for parameter in load_fit("a.yaml").parameters
+    }
+    assert mine.modules.array("gain")[1, 0] == pytest.approx(
+        gains["modules.gain_plus_2"]
+    )
+    assert (mine.name, mine.geometry, mine.bending) == (
+        "mine",
+        gen2.geometry,
+        gen2.bending,
+    )
     for options, message in (
         (["f.yaml", "--name", "mine"], "the file exists; --overwrite replaces it"),
         (["pulls.csv", "--name", "other"], "pulls.csv"),
@@ -218,9 +300,21 @@ def test_an_interrupted_fit_leaves_no_files(tmp_path):
     """The fit, which would take minutes, is interrupted as soon as it has read its recordings."""
     script = Path(sys.executable).with_name("srs-twin")
     started = subprocess.Popen(
-        [script, "calibrate", "locomotion", EXAMPLE / "walk_straight.csv", "-r", "gen2", "--plant", "twin"],
-        cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        [
+            script,
+            "calibrate",
+            "locomotion",
+            EXAMPLE / "walk_straight.csv",
+            "-r",
+            "gen2",
+            "--plant",
+            "twin",
+        ],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     lines = []
     assert started.stderr is not None
     for line in started.stderr:
@@ -257,7 +351,10 @@ def test_a_replayed_gait_equals_the_gait():
     gait = Gait(1.7, 0.1)
     gait.reset(SPEC, 0.02)
     again = Replay(gait.script(2.0), 1.7)
-    runs = [rollout(AnalyticalSnake(SPEC, supply_pa=48e3), controller, 2.0) for controller in (gait, again)]
+    runs = [
+        rollout(AnalyticalSnake(SPEC, supply_pa=48e3), controller, 2.0)
+        for controller in (gait, again)
+    ]
     assert (runs[0].com == runs[1].com).all()
     ticks = []  # and tick by tick, as for a plant that follows no script
     for controller in (gait, again):
@@ -274,11 +371,17 @@ def test_replayed_valves_keep_their_last_state_and_check_the_robot():
     states = np.full((2, 4, 2), -1, dtype=np.int8)
     states[1, 0, 0] = 1
     replay = Replay(Schedule(1.0, np.array([0.0, 0.5]), states))
-    assert replay.script(3.0).span == 3.0 and (replay.script(3.0).states[-1] == states[-1]).all()
+    assert (
+        replay.script(3.0).span == 3.0
+        and (replay.script(3.0).states[-1] == states[-1]).all()
+    )
     assert replay.script(0.4).states.shape[0] == 1
     assert replay.layouts == ("3/2", "in_out")
     assert Replay(Schedule(1.0, np.zeros(1), 0 * states[:1])).layouts == ("in_out",)
-    with pytest.raises(InputError, match="the recorded valves belong to 4 segments, but gen4_module has 1"):
+    with pytest.raises(
+        InputError,
+        match="the recorded valves belong to 4 segments, but gen4_module has 1",
+    ):
         replay.reset(load_robot("gen4_module"), 0.02)
 
 
@@ -294,7 +397,9 @@ def test_the_frequency_of_a_gait_is_estimated(tmp_path, frequency):
     truth = motion(8.0, frequency=frequency)
     path = tmp_path / "v.csv"
     path.write_text(valve_csv(truth, 0.0, 8.0, 3.0))
-    assert read_valves(path, SPEC).gait_frequency() == pytest.approx(frequency, rel=0.01)
+    assert read_valves(path, SPEC).gait_frequency() == pytest.approx(
+        frequency, rel=0.01
+    )
     path.write_text(valve_csv(truth, 0.0, 1.2 / frequency, 3.0))
     assert read_valves(path, SPEC).gait_frequency() is None
 
@@ -302,10 +407,18 @@ def test_the_frequency_of_a_gait_is_estimated(tmp_path, frequency):
 @pytest.mark.parametrize("carrier", [20.0, 30.0, 50.0])
 def test_the_frequency_of_a_gait_is_not_that_of_its_carrier(carrier):
     clock = np.arange(0.0, 6.0, 0.002)
-    filling = (clock * 1.5 % 1 < 0.5)[:, None, None] & (clock * carrier % 1 < 0.6)[:, None, None]
+    filling = (clock * 1.5 % 1 < 0.5)[:, None, None] & (clock * carrier % 1 < 0.6)[
+        :, None, None
+    ]
     states = np.where(np.broadcast_to(filling, (len(clock), 4, 2)), 1.0, -1.0)
-    assert ValveLog("valve", clock, states, "x", "", ()).gait_frequency() == pytest.approx(1.5, rel=0.02)
-    always = np.where(np.broadcast_to((clock * carrier % 1 < 0.6)[:, None, None], states.shape), 1.0, -1.0)
+    assert ValveLog(
+        "valve", clock, states, "x", "", ()
+    ).gait_frequency() == pytest.approx(1.5, rel=0.02)
+    always = np.where(
+        np.broadcast_to((clock * carrier % 1 < 0.6)[:, None, None], states.shape),
+        1.0,
+        -1.0,
+    )
     assert ValveLog("valve", clock, always, "x", "", ()).gait_frequency() is None
 
 
@@ -314,37 +427,70 @@ def test_a_recording_is_converted_to_a_run(tmp_path):
     truth = motion(4.0)
     path = tmp_path / "v.csv"
     path.write_text(valve_csv(truth, 0.0, 4.0, 3.0))
-    take = join(recorded(tmp_path, Take(layout="pair", noise=1e-4)), read_valves(path, SPEC), SPEC)
+    take = join(
+        recorded(tmp_path, Take(layout="pair", noise=1e-4)),
+        read_valves(path, SPEC),
+        SPEC,
+    )
     run = gait_run(take, "take", 48e3)
     assert run.controller.frequency is None  # read without: the metadata say so
     again = rollout(AnalyticalSnake(SPEC, supply_pa=48e3), run.controller, 3.5)
     assert again["bend_1"] == pytest.approx(truth["bend_1"][: len(again)], abs=0.2)
-    assert np.sqrt(np.mean((again["bend_1"] - truth["bend_1"][: len(again)]) ** 2)) < 0.06
+    assert (
+        np.sqrt(np.mean((again["bend_1"] - truth["bend_1"][: len(again)]) ** 2)) < 0.06
+    )
     begin = take.start_pose()
     assert begin[:2] == pytest.approx(tuple(truth.com[0] * [1, 1]), abs=2e-3)
     pressures = tmp_path / "p.csv"
     names = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
     rows = np.column_stack([truth.time, *(truth[name] for name in names)])
     pressures.write_text(
-        ",".join(["time", *names]) + "\n" + "".join(",".join(f"{v:.6g}" for v in row) + "\n" for row in rows)
+        ",".join(["time", *names])
+        + "\n"
+        + "".join(",".join(f"{v:.6g}" for v in row) + "\n" for row in rows)
     )
-    other = join(recorded(tmp_path, Take(layout="pair")), read_valves(pressures, SPEC), SPEC, offset=0.0)
+    other = join(
+        recorded(tmp_path, Take(layout="pair")),
+        read_valves(pressures, SPEC),
+        SPEC,
+        offset=0.0,
+    )
     driven = gait_run(other, "take", 48e3)
     plant = AnalyticalSnake(SPEC, supply_pa=48e3, pneumatics=driven.chambers(SPEC))
     by_pressures = rollout(plant, driven.controller, 3.5)
-    # When a valve switches, the drive's rate jumps by 2 A/τ₁; the log has a chord there, and x lags by τ₂.
+    # When a valve switches, the drive's rate jumps by 2 A/τ₁; the log has a chord
+    # there, and x lags by τ₂.
     swing, tau = SPEC.actuator.gain * 48e3, SPEC.actuator.tau_mode
     difference = by_pressures["bend_1"] - truth["bend_1"][:351]
     assert np.abs(difference).max() < 2 * swing / SPEC.actuator.tau_fill * tau
     assert np.sqrt((difference**2).mean()) < 0.01
-    late = join(recorded(tmp_path, Take(layout="pair")), read_valves(path, SPEC), SPEC, offset=-3.1)
+    late = join(
+        recorded(tmp_path, Take(layout="pair")),
+        read_valves(path, SPEC),
+        SPEC,
+        offset=-3.1,
+    )
     assert other.starts_at_rest() and not late.starts_at_rest()
 
 
 def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     pulls_file(tmp_path, name="a b.csv")
-    main_ok("calibrate", "friction", "-q", "-r", "gen2", "--no-wheel-inertia", "a b.csv", "--out", "x.yaml")
+    main_ok(
+        "calibrate",
+        "friction",
+        "-q",
+        "-r",
+        "gen2",
+        "--no-wheel-inertia",
+        "a b.csv",
+        "--out",
+        "x.yaml",
+    )
     command = load_fit("x.yaml").command
-    assert command == ("srs-twin calibrate friction 'a b.csv' --robot=gen2 --no-wheel-inertia --out=x.yaml")
+    assert (
+        command
+        == "srs-twin calibrate friction 'a b.csv' --robot=gen2 --no-wheel-inertia"
+        " --out=x.yaml"
+    )
     assert re.search("'a b.csv'", command)

@@ -29,15 +29,28 @@ from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
 from srs_twin.planning.footprint import validate_footprint
-from srs_twin.planning.footprint_file import load_footprint, load_footprint_file, save_footprint
+from srs_twin.planning.footprint_file import (
+    load_footprint,
+    load_footprint_file,
+    save_footprint,
+)
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Problem
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 SHORT = (
-    "calibrate", "footprint", "gen2", "--plant", "analytical", "--offsets=0.2,-0.2,0", "--no-transients",
-    "--phases", "1", "--periods", "3",
-)  # fmt: skip
+    "calibrate",
+    "footprint",
+    "gen2",
+    "--plant",
+    "analytical",
+    "--offsets=0.2,-0.2,0",
+    "--no-transients",
+    "--phases",
+    "1",
+    "--periods",
+    "3",
+)
 FILE = Path("calibration/footprints/gen2_gait.yaml")
 
 
@@ -47,16 +60,22 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
     assert "curvature 1/m" in done.stdout and f"footprint in {FILE}" in done.stderr
     body = load_footprint(tmp_path / FILE)
     assert body.offsets == (-0.2, 0.0, 0.2) and not body.transients
-    for curvature, speed, left in zip(body.curvatures, body.speeds, body.left, strict=True):
-        assert all(f"{value:.4f}" in done.stdout for value in (curvature or 0.0, speed, left))
+    for curvature, speed, left in zip(
+        body.curvatures, body.speeds, body.left, strict=True
+    ):
+        assert all(
+            f"{value:.4f}" in done.stdout for value in (curvature or 0.0, speed, left)
+        )
     file = load_footprint_file(tmp_path / FILE)
     assert (
-        file.speed_m_s.status == "calibrated" and "analytical model compliant" in file.curvature_per_m.source
+        file.speed_m_s.status == "calibrated"
+        and "analytical model compliant" in file.curvature_per_m.source
     )
     lines = (tmp_path / FILE).read_text("utf-8").splitlines()
-    assert lines[0] == (
-        "# measured by: srs-twin calibrate footprint gen2 --name gen2_gait --controller gait --frequency 2 "
-        "--pressure 48.3 --plant analytical --offsets=-0.2,0,0.2 --no-transients --periods 3 --phases 1"
+    assert (
+        lines[0] == "# measured by: srs-twin calibrate footprint gen2 --name gen2_gait"
+        " --controller gait --frequency 2 --pressure 48.3 --plant analytical"
+        " --offsets=-0.2,0,0.2 --no-transients --periods 3 --phases 1"
     )
     assert lines[1].endswith(robot_hash(load_robot("gen2"))) and "mujoco 3." in lines[2]
 
@@ -67,8 +86,10 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
     assert (again.returncode, again.stdout, again.stderr) == (0, "", "")
     assert (tmp_path / FILE).read_bytes() == before
     other = srs_twin(*SHORT, "--periods", "4", cwd=tmp_path)
-    assert other.returncode == 2 and other.stderr == (
-        f"{FILE}: the file exists with another footprint; --overwrite replaces it; "
+    assert (
+        other.returncode == 2
+        and other.stderr
+        == f"{FILE}: the file exists with another footprint; --overwrite replaces it; "
         "--name or --out choose another file\n"
     )
     assert (tmp_path / FILE).read_bytes() == before
@@ -77,29 +98,52 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         main([*SHORT, "--periods", "4", "--overwrite", "-q"])
     assert end.value.code == 0
     assert (tmp_path / FILE).read_bytes() != before
-    assert sorted(path.name for path in (tmp_path / FILE).parent.iterdir()) == [FILE.name]
+    assert sorted(path.name for path in (tmp_path / FILE).parent.iterdir()) == [
+        FILE.name
+    ]
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
         (["gen9"], "unknown robot 'gen9'; did you mean gen"),
-        (["gen2", "--controller", "gate"], "unknown controller 'gate'; did you mean gait?"),
+        (
+            ["gen2", "--controller", "gate"],
+            "unknown controller 'gate'; did you mean gait?",
+        ),
         (["gen2", "--plant", "real"], "unknown plant 'real'"),
-        (["gen2", "--offsets=a,b"], "--offsets: 'a,b' is not a list of numbers such as -0.3,0,0.3"),
+        (
+            ["gen2", "--offsets=a,b"],
+            "--offsets: 'a,b' is not a list of numbers such as -0.3,0,0.3",
+        ),
         (["gen2", "--offsets="], "--offsets: '' is not a list of numbers"),
         (["gen2", "--offsets=nan,0,0.3"], "offset nan is not allowed"),
         (["gen2", "--offsets=0,0.3"], "on both sides of 0"),
         (["gen2", "--pressure", "1e9"], "is above the"),
         (["gen2", "--pressure", "nan"], "pressure nan kPa is not allowed"),
         (["gen2", "--frequency", "-1"], "frequency -1 Hz is not allowed"),
-        (["gen4", "--controller", "ilc", "--target", "0"], "ilc target 0.0 is not allowed"),
+        (
+            ["gen4", "--controller", "ilc", "--target", "0"],
+            "ilc target 0.0 is not allowed",
+        ),
         (["gen2", "--contact", "lose"], "did you mean loaded?"),
-        (["gen2", "--plant", "analytical", "--contact", "loaded"], "contact 'loaded' is only for the twin"),
+        (
+            ["gen2", "--plant", "analytical", "--contact", "loaded"],
+            "contact 'loaded' is only for the twin",
+        ),
         (["gen2", "--periods", "-3"], "periods -3 is not allowed"),
-        (["gen2", "--chambers", "orifce"], "unknown chambers 'orifce'; did you mean orifice?"),
-        (["gen2", "--phases", "1000000"], "phases 1000000 is not allowed; it must be from 1 to 64"),
-        (["gen2", "--name", "../x"], "--name: '../x' is not allowed; lower-case letters"),
+        (
+            ["gen2", "--chambers", "orifce"],
+            "unknown chambers 'orifce'; did you mean orifice?",
+        ),
+        (
+            ["gen2", "--phases", "1000000"],
+            "phases 1000000 is not allowed; it must be from 1 to 64",
+        ),
+        (
+            ["gen2", "--name", "../x"],
+            "--name: '../x' is not allowed; lower-case letters",
+        ),
         (["gen2", "--out", "/dev/null/x"], "cannot write there"),
         (["gen4_module"], "one segment"),
     ],
@@ -108,7 +152,9 @@ def test_invalid_footprint_options_are_refused_before_any_run(
     options, message, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(study_module, "run_many", lambda *_, **__: pytest.fail("something ran"))
+    monkeypatch.setattr(
+        study_module, "run_many", lambda *_, **__: pytest.fail("something ran")
+    )
     with pytest.raises(SystemExit) as end:
         main(["calibrate", "footprint", *options])
     said = capsys.readouterr().err
@@ -124,7 +170,10 @@ def test_an_interrupted_footprint_leaves_no_files(tmp_path, monkeypatch, capsys)
     monkeypatch.setattr(study_module, "run_many", interrupted)
     with pytest.raises(SystemExit) as end:
         main(list(SHORT))
-    assert end.value.code == 130 and capsys.readouterr().err == "interrupted; nothing was written\n"
+    assert (
+        end.value.code == 130
+        and capsys.readouterr().err == "interrupted; nothing was written\n"
+    )
     assert not list(tmp_path.rglob("*.yaml"))
 
 
@@ -132,10 +181,14 @@ def test_an_interrupted_footprint_leaves_no_files(tmp_path, monkeypatch, capsys)
 def test_a_measurement_records_the_contact_of_its_twin(contact):
     drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, contact=contact)
     assert drive.plant_factory()().contact.name == contact
-    asked = footprint_study(drive, offsets=(-0.2, 0.0, 0.2), changes=(), periods=3, phases=1)
+    asked = footprint_study(
+        drive, offsets=(-0.2, 0.0, 0.2), changes=(), periods=3, phases=1
+    )
     assert f" --contact {contact} " in calibrate_command(asked, "gen2", "short")
     path = SteadyPath(*[0.1] * len(fields(SteadyPath)))
-    measured = FootprintMeasurement(drive, asked.offsets, (path,) * 3, (path,) * 3, (), 1, 3)
+    measured = FootprintMeasurement(
+        drive, asked.offsets, (path,) * 3, (path,) * 3, (), 1, 3
+    )
     assert footprint_file(measured, "short").contact == contact
 
 
@@ -146,33 +199,57 @@ def test_a_diverged_run_is_named_in_the_message(tmp_path, monkeypatch, capsys):
     with pytest.raises(SystemExit) as end:
         main(list(SHORT))
     assert end.value.code == 3
-    assert "offset 0: twin diverged at t = 1.5 s: its state contains nan" in capsys.readouterr().err
+    assert (
+        "offset 0: twin diverged at t = 1.5 s: its state contains nan"
+        in capsys.readouterr().err
+    )
 
 
 def test_help_of_calibrate_footprint(srs_twin, tmp_path):
     done = srs_twin("calibrate", "--help", cwd=tmp_path)
     assert done.returncode == 0 and "footprint" in done.stdout
-    assert "--no-transients" in srs_twin("calibrate", "footprint", "--help", cwd=tmp_path).stdout
+    assert (
+        "--no-transients"
+        in srs_twin("calibrate", "footprint", "--help", cwd=tmp_path).stdout
+    )
 
 
 def test_arrays_are_written_row_by_row_and_read_back():
-    data = {"a": [1.0, -2.5, 3], "b": [{"x": 1.0, "y": -0.25}, {"x": 2.0, "y": 0.5}], "c": ["x", []], "d": {}}
+    data = {
+        "a": [1.0, -2.5, 3],
+        "b": [{"x": 1.0, "y": -0.25}, {"x": 2.0, "y": 0.5}],
+        "c": ["x", []],
+        "d": {},
+    }
     text = dump_yaml(data, compact=True)
     assert text.splitlines()[:3] == ["a: [1.0, -2.5, 3]", "b:", "- {x: 1.0, y: -0.25}"]
-    assert parse_yaml(text, "text").data == data == parse_yaml(dump_yaml(data), "text").data
+    assert (
+        parse_yaml(text, "text").data
+        == data
+        == parse_yaml(dump_yaml(data), "text").data
+    )
 
 
 @pytest.mark.slow
 def test_a_footprint_with_transients_is_read_back_from_its_file(tmp_path):
     drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
-    planned = footprint_study(drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1)
+    planned = footprint_study(
+        drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1
+    )
     measured = planned.measure()
     path = tmp_path / "x.yaml"
     save_footprint(
-        footprint_file(measured, "x"), path, header=header_lines(planned, "gen2", "x", {"srs_twin": "1"})
+        footprint_file(measured, "x"),
+        path,
+        header=header_lines(planned, "gen2", "x", {"srs_twin": "1"}),
     )
     body = load_footprint(path)
-    columns = {"curvatures": "curvature", "speeds": "speed", "left": "left", "right": "right"}
+    columns = {
+        "curvatures": "curvature",
+        "speeds": "speed",
+        "left": "left",
+        "right": "right",
+    }
     for column, key in columns.items():
         whole = [getattr(path, key) for path in measured.steady]
         assert getattr(body, column) == pytest.approx(whole, abs=6e-5)
@@ -199,7 +276,10 @@ SHIPPED = {
 
 
 LEARNT = "gen4_ilc"  # takes seven seconds
-CURRENT = [pytest.param(name, marks=[pytest.mark.slow] if name == LEARNT else []) for name in SHIPPED]
+CURRENT = [
+    pytest.param(name, marks=[pytest.mark.slow] if name == LEARNT else [])
+    for name in SHIPPED
+]
 
 
 @pytest.mark.slow
@@ -208,13 +288,26 @@ def test_shipped_footprints_are_current(name):
     """One offset is repeated at one phase of the gait; the file has the mean over several phases."""
     robot, controller, frequency, supply, offset, chambers = SHIPPED[name]
     spec = load_robot(robot)
-    first, second = (shipped_folder("footprint") / f"{name}.yaml").read_text("utf-8").splitlines()[:2]
-    assert first.startswith(f"# measured by: srs-twin calibrate footprint {robot} --name {name} ")
+    first, second = (
+        (shipped_folder("footprint") / f"{name}.yaml")
+        .read_text("utf-8")
+        .splitlines()[:2]
+    )
+    assert first.startswith(
+        f"# measured by: srs-twin calibrate footprint {robot} --name {name} "
+    )
     assert f"--pressure {supply / 1000:g} " in first and " --no-transients" not in first
-    assert second.endswith(robot_hash(spec)), "the robot has changed; measure it again with the command above"
+    assert second.endswith(robot_hash(spec)), (
+        "the robot has changed; measure it again with the command above"
+    )
 
     drive = GaitSetup(
-        spec, frequency, supply, controller, chambers=chambers, contact=load_footprint_file(name).twin_contact
+        spec,
+        frequency,
+        supply,
+        controller,
+        chambers=chambers,
+        contact=load_footprint_file(name).twin_contact,
     )
     job = drive.steady_job(drive.plant_factory(), offset, 0.0, FootprintStudy.periods)
     again = steady_path(
@@ -224,18 +317,33 @@ def test_shipped_footprints_are_current(name):
     )
     file = load_footprint_file(name)
     row = file.offset.value.index(offset)
-    columns = {"curvature": "curvature_per_m", "speed": "speed_m_s", "left": "left_m", "right": "right_m"}
+    columns = {
+        "curvature": "curvature_per_m",
+        "speed": "speed_m_s",
+        "left": "left_m",
+        "right": "right_m",
+    }
     for key, column in columns.items():
-        value, spread = getattr(file, column).value[row], getattr(file.spread, column)[row]
-        assert getattr(again, key) == pytest.approx(value, abs=2 * spread + 2e-3 * abs(value)), key
-    assert again.ahead <= file.ahead_m.value * 1.01 and again.behind <= file.behind_m.value * 1.01
+        value, spread = (
+            getattr(file, column).value[row],
+            getattr(file.spread, column)[row],
+        )
+        assert getattr(again, key) == pytest.approx(
+            value, abs=2 * spread + 2e-3 * abs(value)
+        ), key
+    assert (
+        again.ahead <= file.ahead_m.value * 1.01
+        and again.behind <= file.behind_m.value * 1.01
+    )
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_footprints_are_symmetric_and_can_be_planned_with(name):
     """All modules of a robot are equal, so left and right turns are mirror images."""
     body = validate_footprint(load_footprint(name))
-    assert body.curvatures == pytest.approx([-k for k in body.curvatures[::-1]], abs=0.02)
+    assert body.curvatures == pytest.approx(
+        [-k for k in body.curvatures[::-1]], abs=0.02
+    )
     assert body.left == pytest.approx(body.right[::-1], abs=1e-3)
     assert body.speeds == pytest.approx(body.speeds[::-1], rel=0.01)
     changes = {(t.before, t.after): t for t in body.transients}
@@ -243,6 +351,15 @@ def test_shipped_footprints_are_symmetric_and_can_be_planned_with(name):
     for (before, after), change in changes.items():
         other = changes[-before, -after]
         assert change.dheading == pytest.approx(-other.dheading, abs=0.03)
-        assert change.dheading * (after - before) < 0, "a turn that comes late is missing"
-    answer = plan(Problem(Pose(0, 0, 0), Goal(3.0, 0.0, 0.0, 0.02), World((Circle(1.5, 0.0, 0.1),)), body))
+        assert change.dheading * (after - before) < 0, (
+            "a turn that comes late is missing"
+        )
+    answer = plan(
+        Problem(
+            Pose(0, 0, 0),
+            Goal(3.0, 0.0, 0.0, 0.02),
+            World((Circle(1.5, 0.0, 0.1),)),
+            body,
+        )
+    )
     assert answer.outcome == "found"

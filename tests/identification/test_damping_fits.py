@@ -18,7 +18,12 @@ from srs_twin.identification.damping import NAMES, HangingBody, fit_damping
 from srs_twin.identification.decay import free_swing, read_decay
 from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.hanging_segment import NO_BRANCHES, Material, ringing, swing
+from srs_twin.identification.hanging_segment import (
+    NO_BRANCHES,
+    Material,
+    ringing,
+    swing,
+)
 
 STIFFNESS, DAMPING_TIME = NAMES
 MASS, INERTIA = 0.2, 4e-5
@@ -27,20 +32,35 @@ MASS, INERTIA = 0.2, 4e-5
 def known_swing(**changes) -> Swing:
     spec = srs.load_robot("gen2")
     values = dict(
-        length=spec.geometry.segment_length, gap=spec.geometry.rigid_gap, mass=MASS, inertia=INERTIA,
-        stiffness=0.5, viscosity=0.5 * 0.004, branches=(), rest=0.03, gain=spec.actuator.gain,
-        dead=spec.chamber.dead_volume, growth=spec.chamber.displacement, closed=False, leak=0.2, leads=True,
-    )  # fmt: skip
+        length=spec.geometry.segment_length,
+        gap=spec.geometry.rigid_gap,
+        mass=MASS,
+        inertia=INERTIA,
+        stiffness=0.5,
+        viscosity=0.5 * 0.004,
+        branches=(),
+        rest=0.03,
+        gain=spec.actuator.gain,
+        dead=spec.chamber.dead_volume,
+        growth=spec.chamber.displacement,
+        closed=False,
+        leak=0.2,
+        leads=True,
+    )
     return Swing(**(values | changes))
 
 
-def record(segment: Swing, bend: float = 0.4, *, noise: float = 1e-3, rate: float = 200.0):
+def record(
+    segment: Swing, bend: float = 0.4, *, noise: float = 1e-3, rate: float = 200.0
+):
     time = np.arange(-1.0, 2.0, 1 / rate)
     bends, _ = segment.record(bend, 0.5, time)
     return time + 1.0, bends + np.random.default_rng(0).normal(0.0, noise, len(time))
 
 
-def recording(folder: Path, time, bend, name: str = "decay.csv", header: str = "time_s,bend_rad") -> Path:
+def recording(
+    folder: Path, time, bend, name: str = "decay.csv", header: str = "time_s,bend_rad"
+) -> Path:
     path = folder / name
     rows = "\n".join(f"{t:.6f},{q:.6f}" for t, q in zip(time, bend, strict=True))
     path.write_text(f"{header}\n{rows}\n")
@@ -59,7 +79,11 @@ def answers(estimate: FitEstimate) -> dict[str, Parameter]:
 
 
 def contains(parameter: Parameter | None, value: float) -> bool:
-    return parameter is not None and parameter.value is not None and parameter.low <= value <= parameter.high
+    return (
+        parameter is not None
+        and parameter.value is not None
+        and parameter.low <= value <= parameter.high
+    )
 
 
 @pytest.mark.parametrize("closed", [False, True], ids=["open", "closed"])
@@ -71,7 +95,9 @@ def test_motion_is_that_of_an_independent_equation(closed):
     calm = 101_325.0 * truth.volumes(truth.hanging())
     material = Material(0.5, 0.004)
     start = np.concatenate([[0.4, 0.0], calm if closed else np.zeros(2)])
-    bends, end = swing(time, start, np.full(200, 0.03), 200.0, material, segment, NO_BRANCHES)
+    bends, end = swing(
+        time, start, np.full(200, 0.03), 200.0, material, segment, NO_BRANCHES
+    )
     assert bends == pytest.approx(expected, abs=1e-4 if closed else 1e-6)
     small, wanted = ringing(segment, material, 0.03, end[2:]), truth.answers(amount)
     assert small.frequency == pytest.approx(wanted["frequency"], rel=1e-5)
@@ -80,9 +106,16 @@ def test_motion_is_that_of_an_independent_equation(closed):
 
 def test_small_and_large_swings_give_one_material(tmp_path):
     truth = known_swing()
-    paths = [recording(tmp_path, *record(truth, bend), f"{bend}.csv") for bend in (0.15, -0.6)]
+    paths = [
+        recording(tmp_path, *record(truth, bend), f"{bend}.csv")
+        for bend in (0.15, -0.6)
+    ]
     found = srs.calibrate_damping(
-        paths, "gen2", mass_kg=MASS, inertia_kg_m2=INERTIA, out=tmp_path / "damping.yaml"
+        paths,
+        "gen2",
+        mass_kg=MASS,
+        inertia_kg_m2=INERTIA,
+        out=tmp_path / "damping.yaml",
     )
     wanted = truth.answers()
     quantities = answers(found.estimate)
@@ -93,11 +126,20 @@ def test_small_and_large_swings_give_one_material(tmp_path):
         assert contains(quantities[name], value), name
 
     stored = load_fit(tmp_path / "damping.yaml")
-    assert [quantity.name for quantity in stored.derived] == ["frequency", "loss_factor"]
+    assert [quantity.name for quantity in stored.derived] == [
+        "frequency",
+        "loss_factor",
+    ]
     assert stored.held["mass_kg"] == MASS and stored.method == "damping"
-    assert stored.estimate().derived[0].value == pytest.approx(quantities["frequency"].value, rel=1e-8)
-    robot = srs.calibrate_robot([tmp_path / "damping.yaml"], "mine", out=tmp_path / "mine.yaml")
-    assert robot.spec().bending.stiffness == pytest.approx(found.estimate[STIFFNESS].value, rel=1e-8)
+    assert stored.estimate().derived[0].value == pytest.approx(
+        quantities["frequency"].value, rel=1e-8
+    )
+    robot = srs.calibrate_robot(
+        [tmp_path / "damping.yaml"], "mine", out=tmp_path / "mine.yaml"
+    )
+    assert robot.spec().bending.stiffness == pytest.approx(
+        found.estimate[STIFFNESS].value, rel=1e-8
+    )
     text = (tmp_path / "mine.yaml").read_text()
     assert "fit damping (damping), 95 %" in text and "status: calibrated" in text
 
@@ -109,14 +151,23 @@ def test_closed_valves_raise_frequency_and_keep_the_stiffness(tmp_path):
         path = recording(tmp_path, *record(truth, 0.3, rate=300.0), f"{valves}.csv")
         notes: list[str] = []
         fits[valves] = srs.calibrate_damping(
-            [path], "gen2", valves=valves, mass_kg=MASS, inertia_kg_m2=INERTIA, notify=notes.append
+            [path],
+            "gen2",
+            valves=valves,
+            mass_kg=MASS,
+            inertia_kg_m2=INERTIA,
+            notify=notes.append,
         ).estimate
-    frequency = {valves: answers(each)["frequency"].value for valves, each in fits.items()}
+    frequency = {
+        valves: answers(each)["frequency"].value for valves, each in fits.items()
+    }
     assert frequency["closed"] > 2 * frequency["open"]
     for each in fits.values():
         assert contains(each[STIFFNESS], 0.5)
-    assert notes[-1] == (
-        "valves closed: frequency and loss_factor contain the spring of the air and its loss"
+    assert (
+        notes[-1]
+        == "valves closed: frequency and loss_factor contain the spring of the air and"
+        " its loss"
     )
     assert fits["closed"].held["air_stiffness_nm_per_rad"] > 1.0
 
@@ -147,7 +198,8 @@ def test_stiffness_is_proportional_to_the_mass_that_is_given():
     decay = free_swing("decay", "0" * 64, *record(known_swing()))
     spec = srs.load_robot("gen2")
     one, two = (
-        fit_damping([decay], spec, body=HangingBody(factor * MASS, factor * INERTIA)) for factor in (1, 2)
+        fit_damping([decay], spec, body=HangingBody(factor * MASS, factor * INERTIA))
+        for factor in (1, 2)
     )
     assert two[STIFFNESS].value == pytest.approx(2 * one[STIFFNESS].value, rel=1e-3)
     assert two[DAMPING_TIME].value == pytest.approx(one[DAMPING_TIME].value, rel=1e-3)
@@ -166,13 +218,22 @@ def ring(time, hertz=8.0, size=0.4):
     ("rate", "motion", "message"),
     [
         (80, ring, "80 samples per second; 100 Hz or more is needed"),
-        (200, overdamped, "0 visible half swings; 3 or more are needed. An overdamped decay tells only the"),
+        (
+            200,
+            overdamped,
+            (
+                "0 visible half swings; 3 or more are needed. An overdamped decay tells"
+                " only the"
+            ),
+        ),
         (200, lambda t: ring(t, size=1e-3), "the amplitude is within the noise"),
         (100, lambda t: ring(t, hertz=30.0), "samples per swing; 5 or more are needed"),
     ],
     ids=["slow", "overdamped", "small", "fast"],
 )
-def test_recordings_that_do_not_show_a_decay_are_refused(tmp_path, rate, motion, message):
+def test_recordings_that_do_not_show_a_decay_are_refused(
+    tmp_path, rate, motion, message
+):
     time = np.arange(0.0, 3.0, 1 / rate)
     noise = np.random.default_rng(0).normal(0.0, 1e-3, len(time))
     path = recording(tmp_path, time, motion(time) + noise)
@@ -184,11 +245,16 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
     time = np.arange(0.0, 0.1, 0.01)
     with pytest.raises(InputError, match="10 samples; at least 20"):
         read_decay(recording(tmp_path, time, ring(time)))
-    with pytest.raises(InputError, match="no column 'bend_rad'; a recording of a decay has time_s,bend_rad"):
+    with pytest.raises(
+        InputError,
+        match="no column 'bend_rad'; a recording of a decay has time_s,bend_rad",
+    ):
         read_decay(recording(tmp_path, time, ring(time), header="time_s,angle"))
     path = tmp_path / "pressure.csv"
     path.write_text("time_s,bend_rad,pressure_plus_kpa\n0,0.1,3\n")
-    with pytest.raises(InputError, match="pressure_plus alone; give the pressures of both chambers"):
+    with pytest.raises(
+        InputError, match="pressure_plus alone; give the pressures of both chambers"
+    ):
         read_decay(path)
 
 
@@ -197,8 +263,12 @@ def test_free_swing_may_start_at_a_given_time():
     decay = free_swing("decay", "0" * 64, time, bend, start=1.2)
     assert decay.time[0] == pytest.approx(1.2)
     body = HangingBody(MASS, INERTIA)
-    assert contains(fit_damping([decay], srs.load_robot("gen2"), body=body)[STIFFNESS], 0.5)
-    with pytest.raises(InputError, match="it ends at 2.995 s, before the free swing from 4 s"):
+    assert contains(
+        fit_damping([decay], srs.load_robot("gen2"), body=body)[STIFFNESS], 0.5
+    )
+    with pytest.raises(
+        InputError, match="it ends at 2.995 s, before the free swing from 4 s"
+    ):
         free_swing("decay", "0" * 64, time, bend, start=4.0)
 
 
@@ -206,13 +276,23 @@ def test_closed_recordings_must_begin_at_rest():
     time, bend = record(known_swing(closed=True), rate=300.0)
     held = time > 0.6
     decay = free_swing("decay", "0" * 64, time[held], bend[held])
-    with pytest.raises(InputError, match="begins with a bent or moving segment; close the valves at rest"):
-        fit_damping([decay], srs.load_robot("gen2"), valves="closed", body=HangingBody(MASS, INERTIA))
+    with pytest.raises(
+        InputError,
+        match="begins with a bent or moving segment; close the valves at rest",
+    ):
+        fit_damping(
+            [decay],
+            srs.load_robot("gen2"),
+            valves="closed",
+            body=HangingBody(MASS, INERTIA),
+        )
 
 
 @pytest.mark.parametrize("robot", ["skin_example", "spatial_example"])
 def test_robots_without_planar_segments_are_refused(robot):
-    with pytest.raises(InputError, match="only fitted for planar segments between connectors"):
+    with pytest.raises(
+        InputError, match="only fitted for planar segments between connectors"
+    ):
         HangingBody.of(srs.load_robot(robot))
 
 
@@ -220,10 +300,18 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
     monkeypatch.chdir(tmp_path)
     recording(tmp_path, *record(known_swing()))
     with pytest.raises(SystemExit, match="^0$"):
-        main(f"calibrate damping decay.csv --robot gen2 --mass-kg {MASS} --inertia {INERTIA} --json".split())
+        main(
+            f"calibrate damping decay.csv --robot gen2 --mass-kg {MASS} --inertia"
+            f" {INERTIA} --json".split()
+        )
     printed = json.loads(capsys.readouterr().out)
-    assert [quantity["name"] for quantity in printed["derived"]] == ["frequency", "loss_factor"]
-    assert printed["command"].startswith("srs-twin calibrate damping decay.csv --robot=gen2 --mass-kg=0.2")
+    assert [quantity["name"] for quantity in printed["derived"]] == [
+        "frequency",
+        "loss_factor",
+    ]
+    assert printed["command"].startswith(
+        "srs-twin calibrate damping decay.csv --robot=gen2 --mass-kg=0.2"
+    )
     assert (tmp_path / "calibration/fits/gen2_damping.html").exists()
 
 
@@ -231,14 +319,21 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
 def test_other_laws_of_the_material_are_within_the_model_error(law):
     each = draw(2000, law, closed=True)
     quantities = answers(fit(each))
-    assert quantities["stiffness"].value == pytest.approx(each.answers["stiffness"], rel=0.05)
-    assert quantities["loss_factor"].value == pytest.approx(each.answers["loss_factor"], rel=0.15)
+    assert quantities["stiffness"].value == pytest.approx(
+        each.answers["stiffness"], rel=0.05
+    )
+    assert quantities["loss_factor"].value == pytest.approx(
+        each.answers["loss_factor"], rel=0.15
+    )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
-    """Half of the valves are closed. Seeds below 3000 served the development of the fit."""
+    """Half of the valves are closed.
+
+    Seeds below 3000 served the development of the fit.
+    """
     inside, refused = Counter(), 0
     for seed in range(3000, 3060):
         each = draw(seed, law, closed=seed % 2 == 1)
@@ -247,7 +342,11 @@ def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
         except InputError:
             refused += 1
             continue
-        inside.update(name for name, value in each.answers.items() if contains(quantities.get(name), value))
+        inside.update(
+            name
+            for name, value in each.answers.items()
+            if contains(quantities.get(name), value)
+        )
     with capsys.disabled():
         print(f"\n{law}: {dict(inside)} of 60, {refused} refused")
     assert inside["stiffness"] >= 54 and inside["loss_factor"] >= 54

@@ -10,7 +10,12 @@ from snakes import GRAVITY
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
-from srs_twin.identification.design import PULL_SHARE, _information, candidates, choose_experiments
+from srs_twin.identification.design import (
+    PULL_SHARE,
+    _information,
+    candidates,
+    choose_experiments,
+)
 from srs_twin.identification.friction import Pulls, fit_pulls
 
 SPEC = load_robot("gen2")
@@ -19,12 +24,16 @@ SPEC = load_robot("gen2")
 @pytest.mark.slow
 def test_predicted_intervals_agree_with_the_scatter_of_fits():
     fit = choose_experiments(SPEC, {}, {"friction.mu_n": 0.04})
-    assert [experiment.description for experiment in fit.chosen][0].startswith("10 pulls across")
+    assert [experiment.description for experiment in fit.chosen][0].startswith(
+        "10 pulls across"
+    )
     rng, fits = np.random.default_rng(0), []
     force = SPEC.friction.mu_n * SPEC.mass.total * GRAVITY
     for _ in range(300):
         pulled = force * (1 + PULL_SHARE * np.sqrt(10) * rng.standard_normal(10)) / 30.0
-        pulls = Pulls(along=[], across=list(pulled), stiffness=30.0, mass=SPEC.mass.total)
+        pulls = Pulls(
+            along=[], across=list(pulled), stiffness=30.0, mass=SPEC.mass.total
+        )
         fits.append(fit_pulls(pulls)["friction.mu_n"].value)
     scatter = 1.96 * np.std(fits) / SPEC.friction.mu_n
     assert fit.after["friction.mu_n"][0] == pytest.approx(scatter, rel=0.2)
@@ -33,9 +42,17 @@ def test_predicted_intervals_agree_with_the_scatter_of_fits():
 def test_walks_do_not_separate_mass_from_stiffness():
     """A common factor of all masses and stiffnesses changes metrics by less than the third digit."""
     names = ["mass.connectors_kg", "bending.stiffness_nm_per_rad", "friction.mu_t"]
-    values = {"mass.connectors_kg": 0.03, "bending.stiffness_nm_per_rad": 0.44, "friction.mu_t": 0.043}
+    values = {
+        "mass.connectors_kg": 0.03,
+        "bending.stiffness_nm_per_rad": 0.44,
+        "friction.mu_t": 0.043,
+    }
     scale = np.array([values[name] for name in names])
-    walks = [experiment for experiment in candidates(SPEC) if experiment.description.startswith("walk")]
+    walks = [
+        experiment
+        for experiment in candidates(SPEC)
+        if experiment.description.startswith("walk")
+    ]
     for walk in walks[2:4]:
         fit = _information(walk, SPEC, names, values, scale)
         alike = np.array([1.0, 1.0, 0.0])
@@ -52,20 +69,39 @@ def test_a_load_separates_drag_from_wheel_inertia():
         for experiment in fit.chosen
         if experiment.description.startswith("10 pulls along")
     ]
-    assert any("300 g" in text for text in loads) and any("g on it" not in text for text in loads)
+    assert any("300 g" in text for text in loads) and any(
+        "g on it" not in text for text in loads
+    )
     assert fit.unmet == ()
-    assert list(fit.after["friction.mu_t"]) == sorted(fit.after["friction.mu_t"], reverse=True)
+    assert list(fit.after["friction.mu_t"]) == sorted(
+        fit.after["friction.mu_t"], reverse=True
+    )
 
 
 @pytest.mark.slow
 def test_unreachable_targets_are_reported(srs_twin, tmp_path):
-    done = srs_twin("calibrate", "design", "gen2", "--want", "friction.mu_n=0.1%", cwd=tmp_path)
+    done = srs_twin(
+        "calibrate", "design", "gen2", "--want", "friction.mu_n=0.1%", cwd=tmp_path
+    )
     assert done.returncode == 0
     assert "friction.mu_n: no further experiment of" in done.stdout
-    printed = srs_twin("calibrate", "design", "gen2", "--want", "friction.mu_n=3%", "--json", cwd=tmp_path)
+    printed = srs_twin(
+        "calibrate",
+        "design",
+        "gen2",
+        "--want",
+        "friction.mu_n=3%",
+        "--json",
+        cwd=tmp_path,
+    )
     document = json.loads(printed.stdout)
-    assert document["unmet"] == [] and document["experiments"][-1]["after"]["friction.mu_n"] <= 0.03
-    wrong = srs_twin("calibrate", "design", "gen2", "--want", "friction.mu_n=much", cwd=tmp_path)
+    assert (
+        document["unmet"] == []
+        and document["experiments"][-1]["after"]["friction.mu_n"] <= 0.03
+    )
+    wrong = srs_twin(
+        "calibrate", "design", "gen2", "--want", "friction.mu_n=much", cwd=tmp_path
+    )
     assert wrong.returncode == 2
     assert "must be NAME=PERCENT" in wrong.stderr
     with pytest.raises(InputError, match="names nothing"):

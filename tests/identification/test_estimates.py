@@ -19,7 +19,9 @@ pytestmark = pytest.mark.fast
 TIME = np.linspace(0.0, 1.0, 60)
 
 
-def unknown(name: str, start: float, scale: float | None = 1.0, low: float = -50.0) -> FreeParameter:
+def unknown(
+    name: str, start: float, scale: float | None = 1.0, low: float = -50.0
+) -> FreeParameter:
     return FreeParameter(name, "1", start, low if scale else 1e-3, 50.0, scale)
 
 
@@ -37,20 +39,28 @@ def ar1(rng: np.random.Generator, count: int, rho: float) -> np.ndarray:
 
 
 @given(
-    st.floats(-20, 20), st.floats(-20, 20), st.integers(0, 1000), st.floats(1e-3, 0.05), st.floats(0.1, 10)
+    st.floats(-20, 20),
+    st.floats(-20, 20),
+    st.integers(0, 1000),
+    st.floats(1e-3, 0.05),
+    st.floats(0.1, 10),
 )
 @settings(max_examples=30)
 def test_a_straight_line_fit_agrees_with_the_closed_form(a, b, seed, noise, scale):
     """Values and standard errors agree for any weight of the residuals."""
     measured = a + b * TIME + noise * np.random.default_rng(seed).normal(size=len(TIME))
-    result = least_squares(line(measured, scale), [unknown("a", 0.0), unknown("b", 0.0)])
+    result = least_squares(
+        line(measured, scale), [unknown("a", 0.0), unknown("b", 0.0)]
+    )
     fit = stats.linregress(TIME, measured)
     assert result["a"].value == pytest.approx(fit.intercept, abs=1e-7)
     assert result["b"].value == pytest.approx(fit.slope, abs=1e-7)
     # Seemingly correlated noise widens the interval; nothing narrows it.
     grown = math.sqrt(result.samples / result.independent)
     freedom = (result.samples - 2) / (result.independent - 2) / grown**2
-    assert result["b"].standard_error == pytest.approx(fit.stderr * grown * math.sqrt(freedom), rel=1e-4)
+    assert result["b"].standard_error == pytest.approx(
+        fit.stderr * grown * math.sqrt(freedom), rel=1e-4
+    )
     assert result.correlation[0, 1] == pytest.approx(-math.sqrt(3) / 2, abs=0.02)
 
 
@@ -69,12 +79,15 @@ def test_intervals_cover_the_truth(rho):
         time = np.linspace(0.0, 1.0, 300)
         measured = 1.0 + 0.5 * time + 0.1 * ar1(np.random.default_rng(seed), 300, rho)
         fit = least_squares(
-            lambda v, t=time, m=measured: [Residual("x", "1", m - v["a"] - v["b"] * t, 0.1)],
+            lambda v, t=time, m=measured: [
+                Residual("x", "1", m - v["a"] - v["b"] * t, 0.1)
+            ],
             [unknown("a", 0.0), unknown("b", 0.0)],
         )
         for k, truth in enumerate((1.0, 0.5)):
             parameter = fit.parameters[k]
-            # Weak ones have an interval too; a slope of 0.5 with an error beyond 1 would have none.
+            # Weak ones have an interval too; a slope of 0.5 with an error beyond 1
+            # would have none.
             assert parameter.low is not None and parameter.high is not None
             hits[k] += parameter.low <= truth <= parameter.high
     assert stats.binom.cdf(32, 40, 0.95) < 1e-3
@@ -97,13 +110,21 @@ def test_short_series_are_treated_as_independent():
 def test_factors_of_a_product_are_not_identifiable_and_have_no_value():
     measured = 6.0 * TIME
     fit = least_squares(
-        lambda v: [Residual("x", "1", measured - v["m"] * v["k"] * TIME + 0 * v["c"], 0.01)],
+        lambda v: [
+            Residual("x", "1", measured - v["m"] * v["k"] * TIME + 0 * v["c"], 0.01)
+        ],
         [unknown("m", 1.0, None), unknown("k", 2.0, None), unknown("c", 1.0, None)],
     )
     for name in ("m", "k", "c"):
         assert fit[name].verdict == "not identifiable"
-        assert fit[name].value is None and fit[name].standard_error is None and fit[name].low is None
-    assert "combination of it with k" in fit["m"].why and "m" not in fit["c"].why.split()
+        assert (
+            fit[name].value is None
+            and fit[name].standard_error is None
+            and fit[name].low is None
+        )
+    assert (
+        "combination of it with k" in fit["m"].why and "m" not in fit["c"].why.split()
+    )
     assert fit["c"].why == "the residuals do not depend on it"
     product = next(row for row in fit.cancels if "m" in row)
     assert product["m"] == pytest.approx(-product["k"]) and "c" not in product
@@ -113,19 +134,26 @@ def test_factors_of_a_product_are_not_identifiable_and_have_no_value():
 def test_other_parameters_are_identified_although_some_cancel():
     measured = 6.0 * TIME + 0.5
     fit = least_squares(
-        lambda v: [Residual("x", "1", measured - v["m"] * v["k"] * TIME - v["a"], 0.01)],
+        lambda v: [
+            Residual("x", "1", measured - v["m"] * v["k"] * TIME - v["a"], 0.01)
+        ],
         [unknown("m", 1.0, None), unknown("k", 2.0, None), unknown("a", 0.0)],
     )
-    assert fit["a"].verdict == "identified" and fit["a"].value == pytest.approx(0.5, abs=1e-6)
+    assert fit["a"].verdict == "identified" and fit["a"].value == pytest.approx(
+        0.5, abs=1e-6
+    )
     assert np.isnan(fit.correlation[0]).all() and fit.correlation[2, 2] == 1.0
 
 
 @pytest.mark.parametrize(
-    ("noise", "verdict"), [(1e-3, "identified"), (1.0, "weakly identified"), (30.0, "not identifiable")]
+    ("noise", "verdict"),
+    [(1e-3, "identified"), (1.0, "weakly identified"), (30.0, "not identifiable")],
 )
 def test_the_verdict_follows_the_noise(noise, verdict):
     measured = 2.0 + noise * np.random.default_rng(3).normal(size=len(TIME))
-    fit = least_squares(lambda v: [Residual("x", "1", measured - v["a"], noise)], [unknown("a", 1.0)])
+    fit = least_squares(
+        lambda v: [Residual("x", "1", measured - v["a"], noise)], [unknown("a", 1.0)]
+    )
     assert fit["a"].verdict == verdict
 
 
@@ -146,7 +174,10 @@ def test_a_model_without_an_effect_in_the_data_has_no_estimate(lacks):
     def residuals(v):
         curve = 2 + v["b"] * TIME
         seen = 2 + 3 * TIME + (8 * np.maximum(TIME - 0.5, 0.0) ** 2 if lacks else 0.0)
-        return [Residual(f"walk {name}", "m", seen + noise[name] - curve, 0.1) for name in noise]
+        return [
+            Residual(f"walk {name}", "m", seen + noise[name] - curve, 0.1)
+            for name in noise
+        ]
 
     noise = {name: 0.1 * rng.normal(size=len(TIME)) for name in ("path_x", "path_y")}
     fit = least_squares(residuals, [unknown("b", 0.0)])
@@ -155,8 +186,13 @@ def test_a_model_without_an_effect_in_the_data_has_no_estimate(lacks):
         return
     assert fit["b"].verdict == "cannot tell" and fit["b"].value is not None
     assert "spread about the best value under a wrong model" in fit["b"].why
-    assert fit.misfit[0] == "the model does not explain the data; these intervals do not hold"
-    assert fit.misfit[1].startswith("residuals of path: ") and fit.misfit[1].endswith("growing with time")
+    assert (
+        fit.misfit[0]
+        == "the model does not explain the data; these intervals do not hold"
+    )
+    assert fit.misfit[1].startswith("residuals of path: ") and fit.misfit[1].endswith(
+        "growing with time"
+    )
     assert fit.misfit[0] in fit.text()
 
 
@@ -165,8 +201,14 @@ def test_one_unexplained_kind_of_signal_is_enough():
     noise = np.random.default_rng(0).normal(size=(8, len(TIME)))
 
     def residuals(v):
-        bends = [Residual(f"walk bend_{j}", "rad", v["a"] + part, 1.0) for j, part in enumerate(noise, 1)]
-        return [*bends, Residual("walk yaw_rate", "rad/s", np.array([v["a"] + 4.0]), 1.0)]
+        bends = [
+            Residual(f"walk bend_{j}", "rad", v["a"] + part, 1.0)
+            for j, part in enumerate(noise, 1)
+        ]
+        return [
+            *bends,
+            Residual("walk yaw_rate", "rad/s", np.array([v["a"] + 4.0]), 1.0),
+        ]
 
     fit = least_squares(residuals, [unknown("a", 0.0)])
     assert fit.residual_scale < 1.2 and fit["a"].verdict == "cannot tell"
@@ -182,7 +224,9 @@ def test_a_reference_fit_adds_the_model_error_to_the_intervals(bias):
     alone = least_squares(residuals, one)["b"]
     fit = least_squares(residuals, one, refit=lambda v: {"b": v["b"] + bias})["b"]
     assert fit.value == alone.value
-    assert fit.standard_error == pytest.approx(math.hypot(alone.standard_error, bias), rel=1e-6)
+    assert fit.standard_error == pytest.approx(
+        math.hypot(alone.standard_error, bias), rel=1e-6
+    )
     assert fit.verdict == ("weakly identified" if bias > 0.1 else "identified")
     assert ("model error" in fit.why) == (bias > 0)
 
@@ -192,9 +236,13 @@ def test_the_bias_is_evaluated_at_the_true_value(slope):
     """Five searches converge to the bias at the truth, 0.05; after two with slope −0.7 it would be 0.026."""
     true, bias = 2.0, 0.05
     at = lambda b: bias + slope * (b - true)  # noqa: E731
-    measured = (true + at(true)) * TIME + 1e-3 * np.random.default_rng(0).normal(size=len(TIME))
+    measured = (true + at(true)) * TIME + 1e-3 * np.random.default_rng(0).normal(
+        size=len(TIME)
+    )
     residuals = lambda v: [Residual("line", "1", measured - v["b"] * TIME, 1e-3)]  # noqa: E731
-    fit = least_squares(residuals, [unknown("b", 0.0)], refit=lambda v: {"b": v["b"] + at(v["b"])})["b"]
+    fit = least_squares(
+        residuals, [unknown("b", 0.0)], refit=lambda v: {"b": v["b"] + at(v["b"])}
+    )["b"]
     # Each search multiplies the error of the bias by |slope|.
     assert fit.standard_error == pytest.approx(bias, abs=bias * abs(slope) ** 5 + 2e-3)
     assert fit.low < true < fit.high
@@ -203,7 +251,9 @@ def test_the_bias_is_evaluated_at_the_true_value(slope):
 def test_two_equally_good_minima_are_reported():
     measured = 4.0 + 0.01 * np.random.default_rng(0).normal(size=len(TIME))
     fit = least_squares(
-        lambda v: [Residual("x", "1", measured - v["a"] ** 2, 0.01)], [unknown("a", 0.3)], starts=6
+        lambda v: [Residual("x", "1", measured - v["a"] ** 2, 0.01)],
+        [unknown("a", 0.3)],
+        starts=6,
     )
     assert fit["a"].verdict == "weakly identified" and "another start" in fit["a"].why
     assert abs(fit["a"].value) == pytest.approx(2.0, abs=0.01)
@@ -211,7 +261,9 @@ def test_two_equally_good_minima_are_reported():
 
 def test_validation_data_do_not_influence_the_fit():
     measured = 2.0 + 0 * TIME
-    alone = least_squares(lambda v: [Residual("x", "1", measured - v["a"], 1.0)], [unknown("a", 0.0)])
+    alone = least_squares(
+        lambda v: [Residual("x", "1", measured - v["a"], 1.0)], [unknown("a", 0.0)]
+    )
     beside = least_squares(
         lambda v: [
             Residual("x", "1", measured - v["a"], 1.0),
@@ -220,14 +272,22 @@ def test_validation_data_do_not_influence_the_fit():
         [unknown("a", 0.0)],
     )
     assert beside.parameters == alone.parameters
-    assert beside.rms("validation") == pytest.approx(9.0, abs=1e-6) and alone.rms("validation") is None
+    assert (
+        beside.rms("validation") == pytest.approx(9.0, abs=1e-6)
+        and alone.rms("validation") is None
+    )
 
 
 def test_unsuitable_residuals_are_refused():
     with pytest.raises(InputError, match="60 samples cannot determine 60 parameters"):
-        least_squares(lambda v: [Residual("x", "1", TIME, 1.0)], [unknown(f"a{k}", 0.0) for k in range(60)])
+        least_squares(
+            lambda v: [Residual("x", "1", TIME, 1.0)],
+            [unknown(f"a{k}", 0.0) for k in range(60)],
+        )
     with pytest.raises(InputError, match="not finite at the start of the search"):
-        least_squares(lambda v: [Residual("x", "1", TIME * np.nan, 1.0)], [unknown("a", 0.0)])
+        least_squares(
+            lambda v: [Residual("x", "1", TIME * np.nan, 1.0)], [unknown("a", 0.0)]
+        )
     with pytest.raises(InputError, match="at least one free parameter"):
         least_squares(lambda v: [Residual("x", "1", TIME, 1.0)], [])
     with pytest.raises(InputError, match="it must have no numbers"):
@@ -258,7 +318,9 @@ def test_a_guide_leads_past_local_minima():
     led = least_squares(
         _wrapped(20.0, []),
         start,
-        options=SearchOptions(coarse_step=1e-3, first_stage=lambda residual: residual.name == "even"),
+        options=SearchOptions(
+            coarse_step=1e-3, first_stage=lambda residual: residual.name == "even"
+        ),
     )
     assert led["a"].value == pytest.approx(2.0, abs=1e-9)
 
@@ -287,11 +349,15 @@ def test_parameters_without_a_guide_keep_their_start():
 
 def test_a_search_ends_after_its_runs_or_at_the_minimum():
     calls: list[float] = []
-    spent = least_squares(_wrapped(20.0, calls), [unknown("a", 0.0)], options=SearchOptions(max_runs=4))
+    spent = least_squares(
+        _wrapped(20.0, calls), [unknown("a", 0.0)], options=SearchOptions(max_runs=4)
+    )
     # Four of the search, one before it to check the data, and five for identifiability.
     assert not spent.converged and len(calls) <= 1 + 4 + 5
     calls.clear()
-    enough = least_squares(_wrapped(0.1, calls), [unknown("a", 0.0)], options=SearchOptions(target_rms=0.5))
+    enough = least_squares(
+        _wrapped(0.1, calls), [unknown("a", 0.0)], options=SearchOptions(target_rms=0.5)
+    )
     assert enough.converged
     exact: list[float] = []
     least_squares(_wrapped(0.1, exact), [unknown("a", 0.0)])
@@ -309,7 +375,9 @@ def test_ripple_within_the_interval_does_not_prevent_identification():
     near = [unknown("a", 2.0)]
     small = least_squares(residuals, near, options=SearchOptions(step=1e-3))
     assert small["a"].verdict == "not identifiable"
-    fit = least_squares(residuals, near, options=SearchOptions(step=1e-3, identifiability_step=0.3))
+    fit = least_squares(
+        residuals, near, options=SearchOptions(step=1e-3, identifiability_step=0.3)
+    )
     assert fit["a"].verdict == "identified"
     error = 0.1 / np.linalg.norm(TIME)
     assert 0.5 * error < fit["a"].standard_error < 2 * error

@@ -15,24 +15,45 @@ from srs_twin import load_robot
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.identification.actuator import default_actuator_parameters, fit_actuator
 from srs_twin.identification.estimate import FitEstimate, Parameter, Residual
-from srs_twin.identification.fit_file import DataSet, FitFile, fit_file, load_fit, write_fit
+from srs_twin.identification.fit_file import (
+    DataSet,
+    FitFile,
+    fit_file,
+    load_fit,
+    write_fit,
+)
 from srs_twin.identification.fitted_robot import apply_fit, robot_override
-from srs_twin.identification.parameters import free_parameters, parameter_names, parameter_unit, with_values
+from srs_twin.identification.parameters import (
+    free_parameters,
+    parameter_names,
+    parameter_unit,
+    with_values,
+)
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.robot.file import RobotFile, resolve_robot
 
 ABOUT = {
-    "name": "bench", "title": "One module", "robot": "gen4_module", "method": "actuator",
-    "command": "srs-twin calibrate actuator step.csv", "versions": {"srs_twin": "0.1.0"},
-}  # fmt: skip
-DATA = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("b.csv", "b" * 64, "validation", 300, 0.0, 3.0)]
+    "name": "bench",
+    "title": "One module",
+    "robot": "gen4_module",
+    "method": "actuator",
+    "command": "srs-twin calibrate actuator step.csv",
+    "versions": {"srs_twin": "0.1.0"},
+}
+DATA = [
+    DataSet("a.csv", "a" * 64, "fit", 300),
+    DataSet("b.csv", "b" * 64, "validation", 300, 0.0, 3.0),
+]
 
 
 @cache
 def bench() -> FitFile:
     names = [*default_actuator_parameters(MODULE), "mass.connectors_kg_1"]
     fit = fit_actuator(
-        [response(noise=0.005)], MODULE, names=names, validation=[response(noise=0.005, seed=7)]
+        [response(noise=0.005)],
+        MODULE,
+        names=names,
+        validation=[response(noise=0.005, seed=7)],
     )
     return fit_file(fit, **ABOUT, data=DATA)
 
@@ -44,14 +65,22 @@ def test_a_fit_file_is_read_back(tmp_path: Path):
     estimate = load_fit(path).estimate()
     assert estimate["actuator.tau_fill_s"].value == fit.parameters[0].value
     assert estimate["mass.connectors_kg_1"].value is None
-    assert np.isnan(estimate.correlation[-1]).all() and (np.diag(estimate.correlation)[:-1] == 1).all()
-    assert "value" not in dump_yaml(fit.model_dump(mode="json", exclude_none=True)["parameters"][-1])
+    assert (
+        np.isnan(estimate.correlation[-1]).all()
+        and (np.diag(estimate.correlation)[:-1] == 1).all()
+    )
+    assert "value" not in dump_yaml(
+        fit.model_dump(mode="json", exclude_none=True)["parameters"][-1]
+    )
     assert [p.name for p in (tmp_path / "fits").iterdir()] == ["bench.yaml"]
 
 
 @pytest.mark.slow
 def test_the_same_fit_gives_the_same_bytes(tmp_path: Path):
-    one, other = (write_fit(bench.__wrapped__(), tmp_path / f"{k}.yaml").read_bytes() for k in range(2))
+    one, other = (
+        write_fit(bench.__wrapped__(), tmp_path / f"{k}.yaml").read_bytes()
+        for k in range(2)
+    )
     assert one == other
 
 
@@ -81,12 +110,26 @@ def test_every_parameter_reaches_the_robot(name):
     """Value, unit, status and source pass through the file and the override."""
     spec = load_robot("gen2")
     name = name.replace("_N", "_2")
-    start = free_parameters(replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name])[0]
+    start = free_parameters(
+        replace(spec, actuator=replace(spec.actuator, bend_limit=2.0)), [name]
+    )[0]
     value = start.start * 1.1 if start.scale is None else start.start + 0.01
-    result = Parameter(name, parameter_unit(name), "identified", value, 0.001, value - 0.002, value + 0.002)
-    fit = fit_file(FitEstimate((result,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    result = Parameter(
+        name,
+        parameter_unit(name),
+        "identified",
+        value,
+        0.001,
+        value - 0.002,
+        value + 0.002,
+    )
+    fit = fit_file(
+        FitEstimate((result,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA
+    )
     file = resolved(robot_override(fit))
-    assert free_parameters(file.spec(), [name])[0].start == pytest.approx(value, rel=1e-8)
+    assert free_parameters(file.spec(), [name])[0].start == pytest.approx(
+        value, rel=1e-8
+    )
     changed = [r for path, r in file.records().items() if "fit bench" in r.source]
     assert changed and all(record.status == "calibrated" for record in changed)
     expected = with_values(spec, {name: value})
@@ -94,7 +137,9 @@ def test_every_parameter_reaches_the_robot(name):
 
 
 def test_the_misfit_of_a_model_is_stored_in_the_file(tmp_path: Path):
-    unsure = Parameter("friction.mu_t", "1", "cannot tell", 0.05, 0.01, 0.03, 0.08, "spread")
+    unsure = Parameter(
+        "friction.mu_t", "1", "cannot tell", 0.05, 0.01, 0.03, 0.08, "spread"
+    )
     left = Residual("walk.csv yaw_rate", "rad/s", np.array([0.05]), 0.01)
     estimate = FitEstimate((unsure,), np.eye(1), (left,), residual_scale=5.0)
     file = fit_file(estimate, **(ABOUT | {"robot": "gen2"}), data=DATA)
@@ -110,7 +155,9 @@ def test_the_misfit_of_a_model_is_stored_in_the_file(tmp_path: Path):
 
 def test_weakly_identified_values_can_be_omitted():
     weak = Parameter("friction.mu_t", "1", "weakly identified", 0.05, 0.01, 0.03, 0.08)
-    fit = fit_file(FitEstimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    fit = fit_file(
+        FitEstimate((weak,), np.eye(1)), **(ABOUT | {"robot": "gen2"}), data=DATA
+    )
     assert robot_override(fit)["friction"]["mu_t"]["value"] == pytest.approx(0.05)
     with pytest.raises(InputError, match="no parameter is identified"):
         robot_override(fit, weak=False)
@@ -120,10 +167,20 @@ def test_held_values_that_differ_from_the_robot_are_applied_with_the_fit():
     """A value fitted with a length of 0.2 m is invalid for a robot of another length."""
     result = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
     spec = load_robot("gen2")
-    held = {"geometry.segment_length_m": 0.2, "friction.mu_n": spec.friction.mu_n, "spin_share": 0.5}
-    fit = fit_file(FitEstimate((result,), np.eye(1), held=held), **(ABOUT | {"robot": "gen2"}), data=DATA)
+    held = {
+        "geometry.segment_length_m": 0.2,
+        "friction.mu_n": spec.friction.mu_n,
+        "spin_share": 0.5,
+    }
+    fit = fit_file(
+        FitEstimate((result,), np.eye(1), held=held),
+        **(ABOUT | {"robot": "gen2"}),
+        data=DATA,
+    )
     block = robot_override(fit)
-    assert set(block) == {"base", "friction", "geometry"} and set(block["friction"]) == {"mu_t"}
+    assert set(block) == {"base", "friction", "geometry"} and set(
+        block["friction"]
+    ) == {"mu_t"}
     robot = resolved(block)
     expected = with_values(spec, held | {"friction.mu_t": 0.05})
     assert apply_fit(fit, spec) == expected
@@ -133,20 +190,29 @@ def test_held_values_that_differ_from_the_robot_are_applied_with_the_fit():
 
 
 def test_a_fit_without_a_value_predicts_nothing(tmp_path: Path):
-    lost = Parameter("friction.mu_n", "1", "not identifiable", why="only the ratio acts")
+    lost = Parameter(
+        "friction.mu_n", "1", "not identifiable", why="only the ratio acts"
+    )
     fit = Parameter("friction.mu_t", "1", "identified", 0.05, 0.001, 0.04, 0.06)
     estimate = FitEstimate((fit, lost), np.eye(2), held={"friction.mu_n": 0.57})
     bare = fit_file(estimate, **(ABOUT | {"robot": "gen2", "data": DATA[:1]}))
     whole = with_averages(bare, {"a.csv": ({"speed": 1.0}, {"speed": 1.1})})
     path = write_fit(whole, tmp_path / "x.yaml")
     assert load_fit(path) == whole
-    path.write_text(path.read_text().replace("  friction.mu_n: 0.57", "  friction.mu_x: 0.57"))
-    with pytest.raises(InputFileError, match=r"x.yaml:\d+:\d+: .*predicted without a value of friction.mu_n"):
+    path.write_text(
+        path.read_text().replace("  friction.mu_n: 0.57", "  friction.mu_x: 0.57")
+    )
+    with pytest.raises(
+        InputFileError,
+        match=r"x.yaml:\d+:\d+: .*predicted without a value of friction.mu_n",
+    ):
         load_fit(path)
 
 
 def test_a_robot_with_random_gains_is_refused_as_base(tmp_path: Path):
-    text = (Path(__file__).parents[2] / "calibration/robots/gen4_module.yaml").read_text()
+    text = (
+        Path(__file__).parents[2] / "calibration/robots/gen4_module.yaml"
+    ).read_text()
     spread = '{gain_spread: {value: 0.1, unit: "1", status: estimated, source: x}}'
     (tmp_path / "drawn.yaml").write_text(text + f"\nmodules: {spread}\n")
     fit = Parameter("modules.gain_plus_1", "1", "identified", 1.1, 0.001, 1.0, 1.2)
@@ -157,12 +223,19 @@ def test_a_robot_with_random_gains_is_refused_as_base(tmp_path: Path):
 
 def test_the_format_refuses_shared_fit_and_validation_data(tmp_path: Path):
     fit = bench()
-    same = [DataSet("a.csv", "a" * 64, "fit", 300), DataSet("again.csv", "a" * 64, "validation", 300)]
+    same = [
+        DataSet("a.csv", "a" * 64, "fit", 300),
+        DataSet("again.csv", "a" * 64, "validation", 300),
+    ]
     with pytest.raises(InputError, match="again.csv: the same data as a.csv"):
         fit_file(fit.estimate(), **ABOUT, data=same)
     path = tmp_path / "x.yaml"
-    path.write_text(write_fit(fit, tmp_path / "y.yaml").read_text().replace("b" * 64, "a" * 64))
-    with pytest.raises(InputFileError, match=r"x.yaml:\d+:\d+: data: b.csv: the same data as a.csv"):
+    path.write_text(
+        write_fit(fit, tmp_path / "y.yaml").read_text().replace("b" * 64, "a" * 64)
+    )
+    with pytest.raises(
+        InputFileError, match=r"x.yaml:\d+:\d+: data: b.csv: the same data as a.csv"
+    ):
         load_fit(path)
     halves = [replace(data, from_s=k, to_s=k + 1.0) for k, data in enumerate(same)]
     assert len(fit_file(fit.estimate(), **ABOUT, data=halves).data) == 2
@@ -177,7 +250,9 @@ def test_the_uncertainty_of_a_fit_is_stored_in_the_robot(tmp_path):
 
     names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
     fit = [
-        Parameter(name, unit, "identified", value, 0.05 * value, value / 1.1, value * 1.1)
+        Parameter(
+            name, unit, "identified", value, 0.05 * value, value / 1.1, value * 1.1
+        )
         for name, unit, value in zip(names, ("1", "N*m/rad"), (0.05, 0.4), strict=True)
     ]
     estimate = FitEstimate(tuple(fit), np.array([[1.0, -0.6], [-0.6, 1.0]]))
@@ -188,4 +263,6 @@ def test_the_uncertainty_of_a_fit_is_stored_in_the_robot(tmp_path):
     assert priors.correlation[i, j] == -0.6
     ends = priors.parameters[i].quantile(np.array([0.025, 0.975]))
     assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
-    assert ends == pytest.approx(lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3)
+    assert ends == pytest.approx(
+        lognorm(np.log(1.1) / 1.96, scale=0.05).ppf([0.025, 0.975]), rel=1e-3
+    )

@@ -53,13 +53,22 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
     half, half_length = crawl.geometry.width / 2, crawl.geometry.body_length / 2
     ahead, aside = crawl.sway
     if curvature == 0:
-        return half + aside, half + aside, half_length + half + ahead, half_length + half + ahead
+        return (
+            half + aside,
+            half + aside,
+            half_length + half + ahead,
+            half_length + half + ahead,
+        )
     radius = 1 / abs(curvature)
     inner, outer = half + aside, math.hypot(half_length, radius + half + aside) - radius
     corner = math.atan2(half_length, radius - half)
-    disc = math.atan2(half_length, radius) + math.asin(half / math.hypot(half_length, radius))
+    disc = math.atan2(half_length, radius) + math.asin(
+        half / math.hypot(half_length, radius)
+    )
     reach = radius * max(corner, disc)
-    return (inner, outer, reach, reach) if curvature > 0 else (outer, inner, reach, reach)
+    return (
+        (inner, outer, reach, reach) if curvature > 0 else (outer, inner, reach, reach)
+    )
 
 
 @pytest.mark.parametrize("curvature", [-4.0, -0.3, 0.0, 1e-5, 0.3, 4.0])
@@ -79,13 +88,20 @@ def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, aside):
 @pytest.mark.slow
 @settings(max_examples=15)
 @given(
-    curvature=st.floats(-5, 5), speed=st.floats(0.05, 0.3), phase=st.floats(0, 6.3),
-    x=st.floats(-3, 3), angle=st.floats(-3, 3),
-)  # fmt: skip
-def test_edges_are_invariant_to_pose_and_phase_and_mirror_symmetric(curvature, speed, phase, x, angle):
+    curvature=st.floats(-5, 5),
+    speed=st.floats(0.05, 0.3),
+    phase=st.floats(0, 6.3),
+    x=st.floats(-3, 3),
+    angle=st.floats(-3, 3),
+)
+def test_edges_are_invariant_to_pose_and_phase_and_mirror_symmetric(
+    curvature, speed, phase, x, angle
+):
     crawl = Crawl((curvature,), speed=speed, sway=(0.003, 0.005), phase=phase)
     run = crawl.trajectory()
-    fit, elsewhere, seen = (steady(crawl, r) for r in (run, moved(run, x, 1.0, angle), mirrored(run)))
+    fit, elsewhere, seen = (
+        steady(crawl, r) for r in (run, moved(run, x, 1.0, angle), mirrored(run))
+    )
     assert fit.speed == pytest.approx(speed, rel=5e-3)
     assert fit.curvature == pytest.approx(curvature, rel=5e-3, abs=1e-3)
     assert astuple(elsewhere) == pytest.approx(astuple(fit), abs=1e-7)
@@ -113,27 +129,40 @@ def test_a_snake_without_forward_motion_has_no_footprint():
 
 
 def test_repeats_are_combined_as_mean_paths_and_farthest_edges():
-    a, b = SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2), SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1)
+    a, b = (
+        SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2),
+        SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1),
+    )
     path, spread = average_repeats([a, b])
     assert astuple(path) == pytest.approx((0.15, 1.5, 0.05, 0.04, 0.3, 0.2))
     assert astuple(spread) == pytest.approx((0.05, 0.5, 0.01, 0.01, 0.1, 0.05))
 
 
 @given(
-    curvature=st.floats(-5, 5), length=st.floats(-0.3, 0.3), u=st.floats(-0.15, 0.15), w=st.floats(-0.1, 0.1),
+    curvature=st.floats(-5, 5),
+    length=st.floats(-0.3, 0.3),
+    u=st.floats(-0.15, 0.15),
+    w=st.floats(-0.1, 0.1),
     heading=st.floats(-3, 3),
-)  # fmt: skip
-def test_arc_motions_and_arc_coordinates_agree_with_geometry(curvature, length, u, w, heading):
+)
+def test_arc_motions_and_arc_coordinates_agree_with_geometry(
+    curvature, length, u, w, heading
+):
     here = Poses(np.array([0.3 - 0.2j]), np.array([heading]))
     there = here.compose(Poses.arc(curvature, length))
     back = there.compose(Poses.arc(curvature, -length))
-    assert back.place == pytest.approx(here.place) and back.heading == pytest.approx(here.heading)
+    assert back.place == pytest.approx(here.place) and back.heading == pytest.approx(
+        here.heading
+    )
     nothing = there.inverse().compose(there)
     assert abs(nothing.place[0]) < 1e-12 and abs(nothing.heading[0]) < 1e-12
     # Expected values follow from radii and angles about the centre of the circle.
     point = here.place[0] + (u + 1j * w) * cmath.exp(1j * heading)
     along, left = (
-        component[0, 0] for component in here.coordinates(np.array([[[point.real, point.imag]]]), curvature)
+        component[0, 0]
+        for component in here.coordinates(
+            np.array([[[point.real, point.imag]]]), curvature
+        )
     )
     if abs(curvature) < 1e-6:
         assert (along, left) == pytest.approx((u, w), abs=1e-6)
@@ -155,38 +184,55 @@ def late(before: float, after: float, **settings: object) -> tuple[Crawl, Offset
 
 
 def measured(
-    crawl: Crawl, change: OffsetChange, run: Trajectory | None = None, *, seen: bool = False
+    crawl: Crawl,
+    change: OffsetChange,
+    run: Trajectory | None = None,
+    *,
+    seen: bool = False,
 ) -> Transient:
     paths = []
     for curvature in crawl.curvatures:
         alone = Crawl((curvature,), speed=crawl.speed, sway=crawl.sway)
         paths.append(steady(alone, mirrored(alone.trajectory()) if seen else None))
     run = crawl.trajectory() if run is None else run
-    return measure_transient(run, crawl.geometry, crawl.period, change, (paths[0], paths[1]))
+    return measure_transient(
+        run, crawl.geometry, crawl.period, change, (paths[0], paths[1])
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("before", "after"), [(-3.0, 3.0), (0.0, 2.0), (2.0, 0.0), (1.0, -1.0)])
+@pytest.mark.parametrize(
+    ("before", "after"), [(-3.0, 3.0), (0.0, 2.0), (2.0, 0.0), (1.0, -1.0)]
+)
 def test_a_delayed_turn_is_recovered(before, after):
     crawl, change = late(before, after)
     fit, way = measured(crawl, change), crawl.speed * LATE
     # Along the old arc by the delay distance, and back along the new arc.
     place, heading = 0j, 0.0
     for curvature, length in ((before, way), (after, -way)):
-        steps = np.exp(1j * (heading + curvature * length * (np.arange(20_000) + 0.5) / 20_000))
+        steps = np.exp(
+            1j * (heading + curvature * length * (np.arange(20_000) + 0.5) / 20_000)
+        )
         place, heading = place + length * steps.mean(), heading + curvature * length
     assert fit.dheading == pytest.approx(heading, abs=2e-3)
     assert (fit.dx, fit.dy) == pytest.approx((place.real, place.imag), abs=1e-3)
-    assert fit.length == pytest.approx(way - SETTLED * crawl.speed * crawl.period, abs=2 * crawl.speed / 100)
+    assert fit.length == pytest.approx(
+        way - SETTLED * crawl.speed * crawl.period, abs=2 * crawl.speed / 100
+    )
 
     # Excess of the bar beyond the circles around both centres of the nominal new arc.
     time = np.arange(801) / 100
     places, headings = crawl.path(time)
     begin, direction = places[400], cmath.exp(1j * headings[400])
     bar = crawl.geometry.body_length * np.linspace(-0.5, 0.5, 201)
-    sides = np.concatenate([bar + 0.5j * crawl.geometry.width, bar - 0.5j * crawl.geometry.width])
+    sides = np.concatenate(
+        [bar + 0.5j * crawl.geometry.width, bar - 0.5j * crawl.geometry.width]
+    )
     upto = 400 + round(100 * fit.length / crawl.speed)
-    points = places[400 : upto + 1, None] + sides * np.exp(1j * headings[400 : upto + 1])[:, None]
+    points = (
+        places[400 : upto + 1, None]
+        + sides * np.exp(1j * headings[400 : upto + 1])[:, None]
+    )
 
     def off(curvature: float) -> np.ndarray:
         if curvature == 0:
@@ -200,7 +246,9 @@ def test_a_delayed_turn_is_recovered(before, after):
     still &= ahead <= crawl.geometry.body_length / 2
     left = np.where(still, 0, off(after) - new[0]).max()
     right = np.where(still, 0, -off(after) - new[1]).max()
-    assert (fit.left, fit.right) == pytest.approx((max(left, 0), max(right, 0)), abs=2e-3)
+    assert (fit.left, fit.right) == pytest.approx(
+        (max(left, 0), max(right, 0)), abs=2e-3
+    )
 
 
 def test_an_immediate_change_has_no_transient():
@@ -215,21 +263,32 @@ def test_an_immediate_change_has_no_transient():
 @pytest.mark.slow
 @settings(max_examples=5, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(phase=st.floats(0, 6.3), x=st.floats(-3, 3), angle=st.floats(-3, 3))
-def test_transients_are_invariant_to_pose_and_phase_and_mirror_symmetric(phase, x, angle):
+def test_transients_are_invariant_to_pose_and_phase_and_mirror_symmetric(
+    phase, x, angle
+):
     crawl, change = late(0.5, 2.5, sway=(0.002, 0.004), phase=phase)
     run = crawl.trajectory()
-    fit, elsewhere = measured(crawl, change, run), measured(crawl, change, moved(run, x, 1.0, angle))
+    fit, elsewhere = (
+        measured(crawl, change, run),
+        measured(crawl, change, moved(run, x, 1.0, angle)),
+    )
     assert astuple(elsewhere) == pytest.approx(astuple(fit), abs=1e-6)
     seen = measured(crawl, change, mirrored(run), seen=True)
-    assert (seen.left, seen.right, seen.length) == pytest.approx((fit.right, fit.left, fit.length), abs=1e-6)
-    assert (seen.dx, seen.dy, seen.dheading) == pytest.approx((fit.dx, -fit.dy, -fit.dheading), abs=1e-6)
+    assert (seen.left, seen.right, seen.length) == pytest.approx(
+        (fit.right, fit.left, fit.length), abs=1e-6
+    )
+    assert (seen.dx, seen.dy, seen.dheading) == pytest.approx(
+        (fit.dx, -fit.dy, -fit.dheading), abs=1e-6
+    )
     assert fit.dheading == pytest.approx((0.5 - 2.5) * crawl.speed * LATE, abs=5e-3)
 
 
 def test_followers_get_the_delay_of_a_turn():
     crawl, change = late(0.5, 2.5)
     there = measured(crawl, change)
-    back = replace(there, before=there.after, after=there.before, dheading=-there.dheading)
+    back = replace(
+        there, before=there.after, after=there.before, dheading=-there.dheading
+    )
     box = Footprint.box(0.1, 0.0, speed=crawl.speed, curvature=1.0)
     assert box.settle is None
     turns = {"offsets": (there.before, there.after), "curvatures": (0.5, 2.5)}
@@ -254,10 +313,17 @@ def test_repeats_of_a_change_are_combined_as_maxima():
     assert abs(fit.dheading) == pytest.approx(math.pi)
 
 
-def twin(offset: float, *, phase: float = 0.0, timestep: float | None = None) -> SteadyPath:
+def twin(
+    offset: float, *, phase: float = 0.0, timestep: float | None = None
+) -> SteadyPath:
     spec = load_robot("gen2")
     more = {} if timestep is None else {"timestep": timestep}
-    drive = GaitSetup(spec, 2.0, spec.supply.nominal, plant=partial(TwinSnake, spec, tick=TICK, **more))
+    drive = GaitSetup(
+        spec,
+        2.0,
+        spec.supply.nominal,
+        plant=partial(TwinSnake, spec, tick=TICK, **more),
+    )
     job = drive.steady_job(drive.plant_factory(), offset, phase, 3)
     run = rollout(job.plant(), job.controller(), job.duration, record_hz=RECORD_HZ)
     return steady_path(drive, run, 3)
@@ -273,9 +339,16 @@ def test_finer_time_steps_of_the_twin_give_the_same_footprint(turning):
     """Stick-slip transitions are not smooth, so only a tolerance is checked, not an order."""
     whole = TwinSnake(load_robot("gen2")).timestep
     half, quarter = (twin(0.3, timestep=whole / parts) for parts in (2, 4))
-    for name, within in (("speed", 0.005), ("curvature", 0.02), ("left", 0.01), ("right", 0.01)):
+    for name, within in (
+        ("speed", 0.005),
+        ("curvature", 0.02),
+        ("left", 0.01),
+        ("right", 0.01),
+    ):
         finest = getattr(quarter, name)
-        assert [getattr(path, name) for path in (turning, half)] == pytest.approx([finest] * 2, rel=within)
+        assert [getattr(path, name) for path in (turning, half)] == pytest.approx(
+            [finest] * 2, rel=within
+        )
 
 
 @pytest.mark.slow
@@ -283,15 +356,26 @@ def test_right_and_left_turns_of_the_twin_are_mirror_images(turning):
     other = twin(-0.3, phase=math.pi)
     assert other.speed == pytest.approx(turning.speed, rel=1e-4)
     assert other.curvature == pytest.approx(-turning.curvature, rel=1e-4)
-    assert (other.left, other.right) == pytest.approx((turning.right, turning.left), abs=1e-5)
+    assert (other.left, other.right) == pytest.approx(
+        (turning.right, turning.left), abs=1e-5
+    )
 
 
-def measure(robot, *, frequency, supply_pa=None, controller="gait", target=0.7, plant="twin", **more):
+def measure(
+    robot,
+    *,
+    frequency,
+    supply_pa=None,
+    controller="gait",
+    target=0.7,
+    plant="twin",
+    **more,
+):
     run = {key: more.pop(key) for key in ("threads", "progress") if key in more}
     supply = robot.supply.nominal if supply_pa is None else supply_pa
-    return footprint_study(GaitSetup(robot, frequency, supply, controller, target, plant), **more).measure(
-        **run
-    )
+    return footprint_study(
+        GaitSetup(robot, frequency, supply, controller, target, plant), **more
+    ).measure(**run)
 
 
 def footprint_of(measured) -> Footprint:
@@ -299,37 +383,61 @@ def footprint_of(measured) -> Footprint:
     keys = ("curvature", "speed", "left", "right", "ahead", "behind")
     columns = [tuple(getattr(path, key) for path in measured.steady) for key in keys]
     reach = max(columns[4]), max(columns[5])
-    return Footprint("measured", "", measured.offsets, *columns[:4], *reach, measured.transients)
+    return Footprint(
+        "measured", "", measured.offsets, *columns[:4], *reach, measured.transients
+    )
 
 
 @pytest.mark.slow
 def test_a_full_measurement_is_valid_for_the_planner():
     done: list[int] = []
     fit = measure(
-        load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
-        changes=[(-0.2, 0.2), (0.2, -0.2)], progress=done.append,
-    )  # fmt: skip
+        load_robot("gen2"),
+        frequency=2.0,
+        plant="analytical",
+        offsets=(-0.2, 0.0, 0.2),
+        periods=3,
+        phases=2,
+        changes=[(-0.2, 0.2), (0.2, -0.2)],
+        progress=done.append,
+    )
     body = validate_footprint(footprint_of(fit))
     assert body.offsets == (-0.2, 0.0, 0.2) and done == list(range(1, 11))
     # Two phases half a period apart are mirror images.
     assert body.curvatures[0] == pytest.approx(-body.curvatures[2], rel=1e-3)
     assert body.left[0] == pytest.approx(body.right[2], abs=1e-4)
     to_left, to_right = body.transients
-    assert (to_left.left, to_left.right) == pytest.approx((to_right.right, to_right.left), abs=1e-3)
+    assert (to_left.left, to_left.right) == pytest.approx(
+        (to_right.right, to_right.left), abs=1e-3
+    )
     assert to_left.dheading < 0 < to_right.dheading and to_left.length > 0
     alone = measure(
-        load_robot("gen2"), frequency=2.0, plant="analytical", offsets=(-0.2, 0.0, 0.2), periods=3, phases=2,
-        changes=[], threads=1,
-    )  # fmt: skip
+        load_robot("gen2"),
+        frequency=2.0,
+        plant="analytical",
+        offsets=(-0.2, 0.0, 0.2),
+        periods=3,
+        phases=2,
+        changes=[],
+        threads=1,
+    )
     assert alone.steady == fit.steady
 
 
 def test_default_changes_of_a_measurement():
     pairs = default_changes((-0.4, -0.2, -0.1, 0.0, 0.2, 0.4))
     assert set(pairs) == {
-        (-0.4, 0.0), (-0.4, 0.4), (0.0, -0.4), (0.0, 0.4), (0.4, -0.4), (0.4, 0.0),
-        (0.0, -0.2), (-0.2, 0.0), (0.0, 0.2), (0.2, 0.0),
-    }  # fmt: skip
+        (-0.4, 0.0),
+        (-0.4, 0.4),
+        (0.0, -0.4),
+        (0.0, 0.4),
+        (0.4, -0.4),
+        (0.4, 0.0),
+        (0.0, -0.2),
+        (-0.2, 0.0),
+        (0.0, 0.2),
+        (0.2, 0.0),
+    }
     assert set(default_changes((-0.3, -0.1, 0.3))) == {(-0.3, 0.3), (0.3, -0.3)}
 
 
@@ -345,7 +453,10 @@ GEN2 = load_robot("gen2")
         ({"offsets": [-0.1, 0.1, 0.1]}, "give each once, in ascending order"),
         ({"offsets": [-0.1, math.nan, 0.1]}, "gait offset nan is not allowed"),
         ({"offsets": [-1.0, 0.0, 0.1]}, "gait offset -1.0 is not allowed"),
-        ({"controller": "ilc", "offsets": [-0.4, 0.0, 0.3]}, "ilc offset -0.4 is not allowed"),
+        (
+            {"controller": "ilc", "offsets": [-0.4, 0.0, 0.3]},
+            "ilc offset -0.4 is not allowed",
+        ),
         ({"controller": "itc"}, "unknown controller 'itc'; did you mean ilc?"),
         ({"plant": "twins"}, "unknown plant 'twins'; did you mean twin?"),
         ({"supply_pa": 600e3}, "pressure 600 kPa is above the"),
@@ -369,7 +480,9 @@ def test_invalid_studies_are_refused_before_any_run(changes, message):
 def test_the_number_of_runs_is_predicted():
     drive = GaitSetup(GEN2, 2.0, GEN2.supply.nominal)
     assert footprint_study(drive, phases=3).runs == 3 * (9 + 10)
-    assert footprint_study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=1).runs == 3
+    assert (
+        footprint_study(drive, offsets=(-0.1, 0, 0.2), changes=(), phases=1).runs == 3
+    )
 
 
 def test_steady_runs_start_at_equally_spaced_phases(monkeypatch):

@@ -11,7 +11,16 @@ from benchmark_runs import run_benchmark
 from conftest import ROOT
 from offset_runs import OffsetRun, fit_offsets, offset_runs, predicted
 from published_tables import published_runs
-from table8 import FITTED, LENGTH, STUDIES, drive_of, held_values, shipped, values_of, with_averages
+from table8 import (
+    FITTED,
+    LENGTH,
+    STUDIES,
+    drive_of,
+    held_values,
+    shipped,
+    values_of,
+    with_averages,
+)
 
 from srs_twin import load_robot
 from srs_twin.errors import InputError
@@ -23,7 +32,11 @@ from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.robot.file import resolve_robot
 
-TRUTH = {"geometry.segment_length_m": 0.11, "friction.mu_t": 0.08, "modules.sensor_bias_rad": -0.02}
+TRUTH = {
+    "geometry.segment_length_m": 0.11,
+    "friction.mu_t": 0.08,
+    "modules.sensor_bias_rad": -0.02,
+}
 OFFSETS = (0.0, 0.3, -0.3)
 
 
@@ -31,7 +44,9 @@ def law(spec, offset):
     """Return a path by a law of our own: without masses, and of the friction only the ratio acts."""
     length, friction = spec.geometry.segment_length, spec.friction
     speed = 2 * length * (1 - 3 * friction.mu_t / friction.mu_n + 0.5 * offset**2)
-    return SteadyPath(speed, (0.5 * offset - spec.modules.sensor_bias[0]) / length, 0, 0, 0, 0)
+    return SteadyPath(
+        speed, (0.5 * offset - spec.modules.sensor_bias[0]) / length, 0, 0, 0, 0
+    )
 
 
 @pytest.fixture
@@ -64,17 +79,25 @@ def test_known_values_are_recovered_from_three_rows(lawful):
 
 def test_what_is_held_is_said_to_be_unknowable_where_it_is(lawful):
     besides = ("friction.mu_n", "mass.connectors_kg", "geometry.rigid_gap_m")
-    found = fit_offsets(measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides)
+    found = fit_offsets(
+        measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides
+    )
     for name in besides:
         assert found[name].verdict == "not identifiable" and found[name].value is None
-    assert "held at 0.57; beside geometry.segment_length_m" in found["friction.mu_n"].why
+    assert (
+        "held at 0.57; beside geometry.segment_length_m" in found["friction.mu_n"].why
+    )
     assert found.held["friction.mu_n"] == 0.57
     assert found.correlation.shape == (6, 6)
 
 
 def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
     names = [name for name in TRUTH if name != "friction.mu_t"]
-    runs = measured(OFFSETS, TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t}, noise=0.001)
+    runs = measured(
+        OFFSETS,
+        TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t},
+        noise=0.001,
+    )
     found = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
     assert [item.name for item in found.parameters] == names
     assert list(found.held) == ["friction.mu_t"]
@@ -82,23 +105,41 @@ def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
 
 def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
     drive, asked = lawful
-    found = fit_offsets(measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2)))
+    found = fit_offsets(
+        measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2))
+    )
     assert set(asked[:-1]) == {OFFSETS} and asked[-1] == (0.1, -0.2)
     assert found.rms("validation") < 0.01
     assert len(set(asked)) == 2
 
 
-def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own(lawful):
+def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own(
+    lawful,
+):
     """Of the friction only the ratio acts: fit and validation are both met, though neither is told."""
     names = [*TRUTH, "friction.mu_n"]
-    found = fit_offsets(measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2)))
-    assert [found[name].value for name in ("friction.mu_t", "friction.mu_n")] == [None, None]
+    found = fit_offsets(
+        measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2))
+    )
+    assert [found[name].value for name in ("friction.mu_t", "friction.mu_n")] == [
+        None,
+        None,
+    ]
     assert found.rms("fit") < 0.01 and found.rms("validation") < 0.01
-    about = {"name": "x", "title": "x", "robot": "gen4", "method": "offsets", "command": "x", "versions": {}}
+    about = {
+        "name": "x",
+        "title": "x",
+        "robot": "gen4",
+        "method": "offsets",
+        "command": "x",
+        "versions": {},
+    }
     data = [run.data_set("fit") for run in measured(OFFSETS)]
     fit = fit_file(found, **about, data=data)
     assert fit.unidentified() == ["friction.mu_t", "friction.mu_n"]
-    with pytest.raises(InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"):
+    with pytest.raises(
+        InputError, match=r"x: friction.mu_t, friction.mu_n has no value, .* fix one"
+    ):
         with_averages(fit, {})
 
 
@@ -113,10 +154,18 @@ def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
     rows = published_runs()
     fitted = offset_runs([row for row in rows if row.offset in FITTED])
     for run in fitted:
-        assert run.radius == pytest.approx({row.offset: row.radius_m for row in rows}[run.offset])
+        assert run.radius == pytest.approx(
+            {row.offset: row.radius_m for row in rows}[run.offset]
+        )
     assert [math.copysign(1, run.curvature) for run in fitted] == [-1, 1, -1]
-    mirrored = [row.model_copy(update={"offset": -row.offset}) for row in rows if row.offset in FITTED]
-    assert [run.curvature for run in offset_runs(mirrored)] == [-run.curvature for run in fitted]
+    mirrored = [
+        row.model_copy(update={"offset": -row.offset})
+        for row in rows
+        if row.offset in FITTED
+    ]
+    assert [run.curvature for run in offset_runs(mirrored)] == [
+        -run.curvature for run in fitted
+    ]
 
 
 FITS = shipped()
@@ -124,7 +173,9 @@ FITS = shipped()
 
 def numbers(fit):
     """Return what a fit's file states, found or held, without a look at how the package takes it."""
-    return fit.held | {item.name: item.value for item in fit.parameters if item.value is not None}
+    return fit.held | {
+        item.name: item.value for item in fit.parameters if item.value is not None
+    }
 
 
 def test_all_studies_ship():
@@ -145,11 +196,17 @@ def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
     rows = {f"offset {row.offset:g}": row for row in published_runs()}
     fit = FITS[study]
     assert {item.name for item in fit.data} == set(rows)
-    assert {item.name for item in fit.data if item.role == "fit"} == {"offset 0", "offset 0.3", "offset -0.3"}
+    assert {item.name for item in fit.data if item.role == "fit"} == {
+        "offset 0",
+        "offset 0.3",
+        "offset -0.3",
+    }
     for item in fit.data:
         row = rows[item.name]
         assert item.measured["speed_m_s"] == row.speed_m_s
-        assert abs(item.measured["curvature_per_m"]) == pytest.approx(1 / row.radius_m, rel=1e-5)
+        assert abs(item.measured["curvature_per_m"]) == pytest.approx(
+            1 / row.radius_m, rel=1e-5
+        )
 
 
 @pytest.mark.slow
@@ -179,12 +236,16 @@ def test_a_shipped_fit_becomes_a_robot(study):
     file = resolve_robot(document, document.data["robot"], prefix=("robot",))
     document.raise_problems()
     expected = with_values(load_robot("gen4"), numbers(fit))
-    assert file.spec().geometry.segment_length == pytest.approx(expected.geometry.segment_length)
+    assert file.spec().geometry.segment_length == pytest.approx(
+        expected.geometry.segment_length
+    )
     assert file.spec().friction.mu_t == pytest.approx(expected.friction.mu_t)
     status = {"found": "calibrated", "held": "estimated"}
     length = file.records()["geometry.segment_length_m"]
     assert length.status == status["held" if held_values(study) else "found"]
-    assert file.spec().modules.sensor_bias == pytest.approx(expected.modules.sensor_bias)
+    assert file.spec().modules.sensor_bias == pytest.approx(
+        expected.modules.sensor_bias
+    )
 
 
 @pytest.mark.slow
@@ -192,7 +253,9 @@ def test_the_page_shows_the_tables_of_the_shipped_fits():
     page = (ROOT / "docs/dissertation-data.md").read_text("utf-8")
     done = run_benchmark("table8_fit.py", "--show")
     assert done.returncode == 0, done.stderr
-    tables = [part for part in done.stdout.strip().split("\n\n") if part.startswith("| ")]
+    tables = [
+        part for part in done.stdout.strip().split("\n\n") if part.startswith("| ")
+    ]
     assert len(tables) == 3
     for table in tables:
         assert table in page

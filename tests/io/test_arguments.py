@@ -34,16 +34,21 @@ def run(snake):
 @pytest.mark.parametrize("plant", [srs.AnalyticalSnake, srs.TwinSnake])
 @pytest.mark.parametrize("given", ["gen2", Path("gen2.yaml"), None])
 def test_plants_need_a_loaded_robot(plant, given):
-    with pytest.raises(InputError, match=rf"{plant.__name__}: spec .*load_robot\('gen2'\)"):
+    with pytest.raises(
+        InputError, match=rf"{plant.__name__}: spec .*load_robot\('gen2'\)"
+    ):
         plant(given)
 
 
 @pytest.mark.parametrize("plant", [srs.AnalyticalSnake, srs.TwinSnake])
 @pytest.mark.parametrize(
-    ("supply_pa", "unit"), [(48.3, "kPa"), (0.483, "bar"), (7.0, "psi"), (np.float64(48.3), "kPa")]
+    ("supply_pa", "unit"),
+    [(48.3, "kPa"), (0.483, "bar"), (7.0, "psi"), (np.float64(48.3), "kPa")],
 )
 def test_a_supply_pressure_in_another_unit_is_refused(spec, plant, supply_pa, unit):
-    with pytest.raises(InputError, match=rf"supply_pa .* did you mean 48\d\d\d.* {unit}\)"):
+    with pytest.raises(
+        InputError, match=rf"supply_pa .* did you mean 48\d\d\d.* {unit}\)"
+    ):
         plant(spec, supply_pa=supply_pa)
 
 
@@ -86,14 +91,23 @@ def test_rollout_of_a_robot_says_how_to_build_a_plant(spec):
         (lambda: srs.Gait(2.0, "left"), "Gait: offset 'left'"),
         (lambda: srs.load_robot(2), "load_robot: .* a text or a path"),
         (lambda: srs.load_scenario(None), "load_scenario: .* a text or a path"),
-        (lambda: srs.compare("gen2_straight", "gen2_turn"), "compare: candidate 'gen2_turn'"),
-        (lambda: srs.compare("gen2_straight", set="duration_s=2"), "compare: set .* a mapping"),
+        (
+            lambda: srs.compare("gen2_straight", "gen2_turn"),
+            "compare: candidate 'gen2_turn'",
+        ),
+        (
+            lambda: srs.compare("gen2_straight", set="duration_s=2"),
+            "compare: set .* a mapping",
+        ),
         (lambda: srs.compare(3), "compare: reference 3"),
         (lambda: srs.plan("follow_fig57"), "plan: problem .* plan_scenario"),
         (lambda: srs.Job("gen2", srs.Gait(2.0), 1.0), "Job: plant 'gen2'"),
         (lambda: srs.run_many([("gen2", 1)]), "run_many: jobs .* each a Job"),
         (lambda: srs.TwinBatch(["gen2"]), "TwinBatch: specs .* each a RobotSpec"),
-        (lambda: srs.TwinSnake(srs.load_robot("gen2"), world={}), "TwinSnake: world {} .* a World"),
+        (
+            lambda: srs.TwinSnake(srs.load_robot("gen2"), world={}),
+            "TwinSnake: world {} .* a World",
+        ),
     ],
 )
 def test_the_wrong_argument_is_named(call, words):
@@ -103,7 +117,11 @@ def test_the_wrong_argument_is_named(call, words):
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("com", "did you mean com_x or com_y"), ("bends", "did you mean"), (0, "unknown column '0'")],
+    [
+        ("com", "did you mean com_x or com_y"),
+        ("bends", "did you mean"),
+        (0, "unknown column '0'"),
+    ],
 )
 def test_an_unknown_column_suggests_similar_ones(run, name, words):
     for kind in (InputError, KeyError):  # a trajectory is a mapping, too
@@ -115,13 +133,22 @@ def test_an_unknown_column_suggests_similar_ones(run, name, words):
 
 
 def test_unknown_numbered_columns_suggest_similar_ones(run):
-    with pytest.raises(InputError, match="numbered columns 'bends'; did you mean bend?"):
+    with pytest.raises(
+        InputError, match="numbered columns 'bends'; did you mean bend?"
+    ):
         run.stack("bends")
 
 
 def test_numpy_numbers_and_arrays_are_numbers(snake):
     pose, duration = np.zeros(3), np.float32(0.5)
-    assert len(srs.rollout(snake, srs.Gait(np.int64(2)), duration, pose=pose, seed=np.int64(1))) == 51
+    assert (
+        len(
+            srs.rollout(
+                snake, srs.Gait(np.int64(2)), duration, pose=pose, seed=np.int64(1)
+            )
+        )
+        == 51
+    )
 
 
 def test_missing_and_unknown_arguments_are_reported_by_python():
@@ -130,7 +157,9 @@ def test_missing_and_unknown_arguments_are_reported_by_python():
         return number
 
     assert function(2) == 2
-    with pytest.raises(TypeError, match="missing 1 required positional argument: 'number'"):
+    with pytest.raises(
+        TypeError, match="missing 1 required positional argument: 'number'"
+    ):
         function()
     with pytest.raises(TypeError, match="unexpected keyword argument 'size'"):
         function(1.0, size=2)
@@ -148,5 +177,7 @@ def test_a_data_frame_has_time_as_its_index_and_all_units(run):
 
 def test_a_data_frame_without_pandas_names_the_package(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(InputError, match="needs pandas; install it with: pip install pandas"):
+    with pytest.raises(
+        InputError, match="needs pandas; install it with: pip install pandas"
+    ):
         run.to_pandas()

@@ -36,7 +36,7 @@ CASES = [
     ("loaded", "lag", "iterative_smc", "ideal"),
     ("preloaded", "lag", "ilc", "ideal"),
     ("skid", "lag", "gait", "ideal"),
-]  # fmt: skip
+]
 LONG = chain((0.05,) * 11)
 
 
@@ -44,13 +44,18 @@ def copies(original: Any) -> dict[str, Any]:
     return {name: method(original) for name, method in METHODS.items()}
 
 
-@pytest.mark.parametrize("case", first_by_default(4, map(pytest.param, CASES)), ids="-".join)
+@pytest.mark.parametrize(
+    "case", first_by_default(4, map(pytest.param, CASES)), ids="-".join
+)
 def test_copies_during_a_run_continue_bit_for_bit(case):
     plant, controller = started(scenario(*case), seed=5)
     simulate(plant, controller, 11)
-    pairs = copies((plant, controller)) | {"alone": (copy.copy(plant), copy.copy(controller))}
+    pairs = copies((plant, controller)) | {
+        "alone": (copy.copy(plant), copy.copy(controller))
+    }
     pairs.pop("copy")  # a shallow copy of a tuple is the tuple
-    # The copies run first, so that state shared with the original would change before it runs.
+    # The copies run first, so that state shared with the original would change before
+    # it runs.
     moved = {name: simulate(*pair, 9) for name, pair in pairs.items()}
     here = simulate(plant, controller, 9)
     for name, (other, steering) in pairs.items():
@@ -78,7 +83,9 @@ def test_copies_of_a_twin_keep_changes_of_its_model(contact):
     moved = {name: simulate(other, gait, 3) for name, other in others.items()}
     here = simulate(twin, gait, 3)
     assert all(all(map(same, here, states)) for states in moved.values())
-    assert not same(here[-1], simulate(restarted := TwinSnake(LONG, contact=contact), gait, 6)[-1])
+    assert not same(
+        here[-1], simulate(restarted := TwinSnake(LONG, contact=contact), gait, 6)[-1]
+    )
     assert restarted.physics.model.body_mass[-1] != model.body_mass[-1]
 
 
@@ -88,9 +95,14 @@ def test_copied_physics_steps_and_contacts_alone_are_rejected():
     schedule = twin.pneumatics.schedule(np.ones((4, 2)), twin.tick)
     for stepped in (physics, twin.physics):
         stepped.run(stepped.advance_chambers(schedule, 20))
-    assert (physics.data.qpos == twin.physics.data.qpos).all() and np.any(physics.data.qvel)
+    assert (physics.data.qpos == twin.physics.data.qpos).all() and np.any(
+        physics.data.qvel
+    )
     for method in METHODS.values():
-        with pytest.raises(InputError, match=r"contacts .* neither copied nor pickled alone; .*save\(\)"):
+        with pytest.raises(
+            InputError,
+            match=r"contacts .* neither copied nor pickled alone; .*save\(\)",
+        ):
             method(twin.physics.stepper)
 
 
@@ -103,7 +115,10 @@ def test_copied_batch_continues_bit_for_bit():
     for commands in valves[:4]:
         batch.step(commands)
     others = copies(batch)
-    moved = {name: [other.step(commands) for commands in valves[4:]] for name, other in others.items()}
+    moved = {
+        name: [other.step(commands) for commands in valves[4:]]
+        for name, other in others.items()
+    }
     here = [batch.step(commands) for commands in valves[4:]]
     assert all(all(map(same, here, states)) for states in moved.values())
 
@@ -122,7 +137,10 @@ for name in sys.argv[1:]:
 @pytest.mark.slow
 def test_pickles_continue_bit_for_bit_in_another_process(tmp_path):
     expected, names = [], []
-    for case in (("loaded", "lag", "follow", "hall"), ("preloaded", "lag", "gait", "ideal")):
+    for case in (
+        ("loaded", "lag", "follow", "hall"),
+        ("preloaded", "lag", "gait", "ideal"),
+    ):
         plant, controller = started(scenario(*case), seed=5)
         simulate(plant, controller, 6)
         names.append(case[0])
@@ -130,7 +148,9 @@ def test_pickles_continue_bit_for_bit_in_another_process(tmp_path):
         simulate(plant, controller, 5)
         expected.append(plant.state.position.tobytes().hex())
     command = [sys.executable, "-c", ELSEWHERE, *names]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, check=True
+    )
     assert done.stdout.split() == expected
 
 
@@ -152,8 +172,13 @@ class ScheduledOffset(Gait):
     ],
     ids=["function", "generator", "thread"],
 )
-def test_controller_with_an_attribute_that_cannot_be_copied_is_rejected(method, extra, message):
-    with pytest.raises(InputError, match=rf"attribute 'extra' is {message}; use save\(\) and restore\(\)"):
+def test_controller_with_an_attribute_that_cannot_be_copied_is_rejected(
+    method, extra, message
+):
+    with pytest.raises(
+        InputError,
+        match=rf"attribute 'extra' is {message}; use save\(\) and restore\(\)",
+    ):
         METHODS[method](ScheduledOffset(extra))
 
 
@@ -164,7 +189,9 @@ def test_incomplete_state_is_rejected_and_changes_nothing():
     before = twin.state
     for name in state.content:
         incomplete = {key: value for key, value in state.content.items() if key != name}
-        with pytest.raises(InputError, match=f"TwinSnake: the state is incomplete; it has no {name}"):
+        with pytest.raises(
+            InputError, match=f"TwinSnake: the state is incomplete; it has no {name}"
+        ):
             twin.restore(replace(state, content=incomplete))
     assert twin.state is before
 

@@ -20,7 +20,9 @@ pytestmark = pytest.mark.fast
 
 MARK = "mark.json"
 PRODUCTS = (MARK, "page.html", "old.csv", "new.csv", "best/*.yaml")
-OLD = {name: "old" for name in (MARK, "page.html", "old.csv", "best/1.yaml", "best/2.yaml")}
+OLD = {
+    name: "old" for name in (MARK, "page.html", "old.csv", "best/1.yaml", "best/2.yaml")
+}
 NEW = {name: "new" for name in (MARK, "page.html", "new.csv", "best/1.yaml")}
 NOTES = {"notes.txt": "of a user", "best/notes.txt": "of a user"}
 
@@ -48,7 +50,11 @@ def put(folder, files):
 
 def contents(folder):
     """Return name → text of all files, including those in hidden folders."""
-    return {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_text()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 def finish(folder, files):
@@ -72,7 +78,10 @@ def traced(number, action, call):
     remaining = [number]
 
     def trace(frame, event, argument):
-        if frame.f_code.co_filename != file_sets.__file__ or frame.f_code.co_name in READ_ONLY:
+        if (
+            frame.f_code.co_filename != file_sets.__file__
+            or frame.f_code.co_name in READ_ONLY
+        ):
             return None
         if event == "line":
             remaining[0] -= 1
@@ -96,17 +105,28 @@ def kill():
 @pytest.mark.parametrize("end", [pytest.param(interrupt, marks=pytest.mark.slow), kill])
 @pytest.mark.parametrize(
     "pair",
-    [name if name == "both complete" else pytest.param(name, marks=pytest.mark.slow) for name in PAIRS],
+    [
+        name if name == "both complete" else pytest.param(name, marks=pytest.mark.slow)
+        for name in PAIRS
+    ],
 )
 def test_process_killed_at_any_line_leaves_one_complete_set_or_no_mark(room, pair, end):
     """A failing next run restores the earlier set unless the new one is complete."""
     old, new = PAIRS[pair]
     for line in range(1, 200):
         folder = room(line, old)
-        code = in_a_fork(lambda line=line, folder=folder: traced(line, end, lambda: finish(folder, new)))
+        code = in_a_fork(
+            lambda line=line, folder=folder: traced(
+                line, end, lambda: finish(folder, new)
+            )
+        )
         if code == 0:
             break
-        visible = {name: text for name, text in contents(folder).items() if not name.startswith(".part-")}
+        visible = {
+            name: text
+            for name, text in contents(folder).items()
+            if not name.startswith(".part-")
+        }
         if MARK in visible:
             assert visible in (old | NOTES, new | NOTES), line
         with pytest.raises(ZeroDivisionError), replace_files(folder, PRODUCTS):
@@ -138,7 +158,9 @@ def test_earlier_set_is_restored_if_a_file_cannot_be_moved(room, monkeypatch, pa
     def refuse(path, target):
         moved.append(path)
         if len(moved) == number:
-            raise PermissionError(errno.EPERM, os.strerror(errno.EPERM), os.fspath(path))
+            raise PermissionError(
+                errno.EPERM, os.strerror(errno.EPERM), os.fspath(path)
+            )
         return rename(path, target)
 
     monkeypatch.setattr(Path, "rename", refuse)
@@ -149,7 +171,10 @@ def test_earlier_set_is_restored_if_a_file_cannot_be_moved(room, monkeypatch, pa
     for number in range(1, len(moves) + 1):
         moved.clear()
         folder = room(number, old)
-        message = r"the run's files cannot be written there \((\S+: )?Operation not permitted\); the files"
+        message = (
+            r"the run's files cannot be written there \((\S+: )?Operation not"
+            r" permitted\); the files"
+        )
         with pytest.raises(InputError, match=message):
             finish(folder, new)
         assert contents(folder) == old | NOTES
@@ -161,7 +186,8 @@ def test_immutable_file_is_named_and_the_earlier_set_kept(room):
         pytest.skip("immutable files are not possible on this machine")
     try:
         with pytest.raises(
-            InputError, match=r"cannot be written there \(page.html: Operation not permitted\)"
+            InputError,
+            match=r"cannot be written there \(page.html: Operation not permitted\)",
         ):
             finish(folder, NEW)
     finally:
@@ -183,7 +209,8 @@ def test_next_run_restores_files_that_could_not_be_moved_back(room, monkeypatch)
 
     monkeypatch.setattr(Path, "rename", refuse)
     with pytest.raises(
-        InputError, match=r"earlier files are in .*\.part-\w+, and the next run restores them"
+        InputError,
+        match=r"earlier files are in .*\.part-\w+, and the next run restores them",
     ):
         finish(folder, NEW)
     assert MARK not in contents(folder)
@@ -202,7 +229,10 @@ def finishes(folder, who, count, gate):
 def test_simultaneous_processes_never_leave_a_mixed_set(tmp_path):
     fork, count = get_context("fork"), 40
     gate = fork.Barrier(3)
-    workers = [fork.Process(target=finishes, args=(tmp_path, who, count, gate)) for who in range(2)]
+    workers = [
+        fork.Process(target=finishes, args=(tmp_path, who, count, gate))
+        for who in range(2)
+    ]
     for worker in workers:
         worker.start()
     for _ in range(count):
@@ -220,7 +250,9 @@ def test_lock_timeout_is_an_input_error(room, monkeypatch):
     handle = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
-        with pytest.raises(InputError, match=r"\(another process holds the folder's lock\); the files"):
+        with pytest.raises(
+            InputError, match=r"\(another process holds the folder's lock\); the files"
+        ):
             finish(folder, NEW)
     finally:
         os.close(handle)

@@ -32,7 +32,11 @@ FILES = len(PRODUCTS) - 1  # one plant
 
 def contents(folder):
     """Return path → bytes of all files in a folder."""
-    return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
 
 
 @pytest.fixture
@@ -69,8 +73,10 @@ def test_file_size_limit_keeps_the_earlier_run(room, size):
     )
     assert contents(room) == before
     assert sorted(path.name for path in (room / "out").iterdir()) == [
-        "metrics.json", "notes.txt", "twin.parquet"
-    ]  # fmt: skip
+        "metrics.json",
+        "notes.txt",
+        "twin.parquet",
+    ]
 
 
 @pytest.fixture
@@ -92,9 +98,14 @@ def full_at(monkeypatch):
             write(path, text.encode(encoding))
 
         monkeypatch.setattr(Path, "write_text", write_text)
-        monkeypatch.setattr(Trajectory, "to_parquet", lambda run, path: write(path, b"columns"))
+        monkeypatch.setattr(
+            Trajectory, "to_parquet", lambda run, path: write(path, b"columns")
+        )
         for picture in ("html.report.write_report", "rerun.recording.write_recording"):
-            monkeypatch.setattr(f"srs_twin.viewing.{picture}", lambda path, *_, **__: write(path, b"picture"))
+            monkeypatch.setattr(
+                f"srs_twin.viewing.{picture}",
+                lambda path, *_, **__: write(path, b"picture"),
+            )
         return written
 
     return fake
@@ -105,7 +116,9 @@ def test_full_disk_at_any_write_keeps_the_earlier_run(room, full_at, at):
     before = contents(room)
     job = prepare(load_scenario(room / "brief.yaml"), room / "out")
     written = full_at(at)
-    with pytest.raises(InputError, match=r"cannot be written there \(No space left on device\)"):
+    with pytest.raises(
+        InputError, match=r"cannot be written there \(No space left on device\)"
+    ):
         job.execute()
     assert len(written) == at
     assert contents(room) == before
@@ -133,7 +146,17 @@ def test_command_reports_a_full_disk_in_one_line(room):
     script = Path(sys.executable).with_name("srs-twin")
     before = contents(room / "out")
     done = subprocess.run(
-        ["bash", "-c", 'ulimit -f 8 && exec "$@"', "bash", script, "run", "./brief.yaml", "--out", "out"],
+        [
+            "bash",
+            "-c",
+            'ulimit -f 8 && exec "$@"',
+            "bash",
+            script,
+            "run",
+            "./brief.yaml",
+            "--out",
+            "out",
+        ],
         cwd=room,
         env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
@@ -143,10 +166,12 @@ def test_command_reports_a_full_disk_in_one_line(room):
     assert (done.returncode, done.stdout) == (2, "")
     # The limit may also keep kernels from being cached.
     (message,) = [
-        line for line in done.stderr.splitlines() if "compiled kernels cannot be cached" not in line
+        line
+        for line in done.stderr.splitlines()
+        if "compiled kernels cannot be cached" not in line
     ]
-    assert message == (
-        "out: the run's files cannot be written there (File too large); "
+    assert (
+        message == "out: the run's files cannot be written there (File too large); "
         "the files of an earlier run are unchanged"
     )
     assert contents(room / "out") == before
@@ -155,7 +180,10 @@ def test_command_reports_a_full_disk_in_one_line(room):
 def test_two_sets_in_one_folder_are_independent(tmp_path):
     for name in ("first", "second"):
         (tmp_path / name).write_text("from before")
-    with replace_files(tmp_path, ("first",)) as one, replace_files(tmp_path, ("second",)) as two:
+    with (
+        replace_files(tmp_path, ("first",)) as one,
+        replace_files(tmp_path, ("second",)) as two,
+    ):
         (one / "first").write_text("of one")
         (two / "second").write_text("of two")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {
@@ -165,16 +193,21 @@ def test_two_sets_in_one_folder_are_independent(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", first_by_default(1, [["schema"], ["--version"], ["--help"]]))
+@pytest.mark.parametrize(
+    "words", first_by_default(1, [["schema"], ["--version"], ["--help"]])
+)
 @pytest.mark.parametrize("buffered", first_by_default(1, ["", "1"]))
 def test_full_disk_behind_stdout_is_an_input_error(words, buffered, tmp_path):
     script = Path(sys.executable).with_name("srs-twin")
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
             [script, *words],
-            stdout=full, stderr=subprocess.PIPE, text=True, timeout=300,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=300,
             env=os.environ | {"PYTHONUNBUFFERED": buffered},
-        )  # fmt: skip
+        )
     message = "stdout: cannot be written (No space left on device)\n"
     assert (done.returncode, done.stderr) == (2, message)
 
@@ -185,11 +218,20 @@ def test_results_are_kept_if_stdout_is_full(room):
     with open("/dev/full", "wb") as full:
         done = subprocess.run(
             [script, "run", "./brief.yaml", "--out", "new"],
-            cwd=room, stdout=full, stderr=subprocess.PIPE, text=True, timeout=300,
-        )  # fmt: skip
+            cwd=room,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            timeout=300,
+        )
     assert done.returncode == 2
-    assert done.stderr.splitlines()[-1] == "stdout: cannot be written (No space left on device)"
-    assert {path.name for path in (room / "new").iterdir()} == {*PRODUCTS} - {"twin.parquet"}
+    assert (
+        done.stderr.splitlines()[-1]
+        == "stdout: cannot be written (No space left on device)"
+    )
+    assert {path.name for path in (room / "new").iterdir()} == {*PRODUCTS} - {
+        "twin.parquet"
+    }
 
 
 def test_check_of_an_output_folder_leaves_no_files(tmp_path):
@@ -199,14 +241,25 @@ def test_check_of_an_output_folder_leaves_no_files(tmp_path):
     before = sorted(tmp_path.rglob("*"))
     for good in ("old", "new/er/est", "no/../../old", "old/new"):
         check_output_folder(tmp_path / good)
-    for bad in ("file", "file/x", "link", "link/x", f"new/{'x' * 400}", "new/\udcff", "new/\x1b"):
+    for bad in (
+        "file",
+        "file/x",
+        "link",
+        "link/x",
+        f"new/{'x' * 400}",
+        "new/\udcff",
+        "new/\x1b",
+    ):
         with pytest.raises(InputError):
             check_output_folder(tmp_path / bad)
     assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_failed_set_of_files_removes_its_folders(tmp_path):
-    with pytest.raises(ZeroDivisionError), replace_files(tmp_path / "new/folder", ("first",)) as fresh:
+    with (
+        pytest.raises(ZeroDivisionError),
+        replace_files(tmp_path / "new/folder", ("first",)) as fresh,
+    ):
         (fresh / "first").write_text("half")
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())

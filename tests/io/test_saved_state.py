@@ -26,11 +26,14 @@ from srs_twin.scenario.scenario import Scenario
 PLANTS = {
     "complete": ("analytical", {"model": "complete"}),
     "simplified": ("analytical", {"model": "simplified", "friction": "wheel"}),
-    "compliant": ("analytical", {"model": "compliant", "friction": "wheel", "load": "momentary"}),
+    "compliant": (
+        "analytical",
+        {"model": "compliant", "friction": "wheel", "load": "momentary"},
+    ),
     "loaded": ("twin", {"contact": "loaded"}),
     "preloaded": ("twin", {"contact": "preloaded"}),
     "skid": ("twin", {"contact": "loaded", "hinges_per_segment": 4, "wheels": "skid"}),
-}  # fmt: skip
+}
 CHAMBERS = {
     "lag": {"kind": "lag", "valve_delay_s": 0.013, "leak_per_s": 0.1},
     "orifice": {"kind": "orifice", "flow_limit_l_per_min": 8.0},
@@ -38,34 +41,57 @@ CHAMBERS = {
 SENSORS = {"ideal": {"kind": "ideal"}, "hall": {"kind": "hall"}}
 GAIT = {"kind": "gait", "frequency_hz": 1.5}
 GIVEN = {
-    "kind": "given", "footprint": "gen4_ilc", "turns_rad": [0.0, 0.4, -0.4, 0.0], "step_m": 0.4,
+    "kind": "given",
+    "footprint": "gen4_ilc",
+    "turns_rad": [0.0, 0.4, -0.4, 0.0],
+    "step_m": 0.4,
     "margin_m": 0.02,
-}  # fmt: skip
+}
 CONTROLLERS = {
     "gait": GAIT | {"offset": 0.1},
-    "ilc": {"kind": "ilc", "frequency_hz": 1.5, "offset": 0.1, "steering": "targets_and_wave"},
-    "direct_smc": {
-        "kind": "direct_smc", "reference": {"kind": "sine", "amplitude_rad": 0.5, "frequency_hz": 1.0},
+    "ilc": {
+        "kind": "ilc",
+        "frequency_hz": 1.5,
+        "offset": 0.1,
+        "steering": "targets_and_wave",
     },
-    "iterative_smc": {"kind": "iterative_smc", "reference": {"kind": "constant", "bend_rad": 0.4}},
+    "direct_smc": {
+        "kind": "direct_smc",
+        "reference": {"kind": "sine", "amplitude_rad": 0.5, "frequency_hz": 1.0},
+    },
+    "iterative_smc": {
+        "kind": "iterative_smc",
+        "reference": {"kind": "constant", "bend_rad": 0.4},
+    },
     "follow": {
-        "kind": "follow", "gait": {"kind": "ilc", "frequency_hz": 1.5}, "delay_s": 0.1,
+        "kind": "follow",
+        "gait": {"kind": "ilc", "frequency_hz": 1.5},
+        "delay_s": 0.1,
         "camera": {"position_noise_m": 0.002, "heading_noise_rad": 0.01},
     },
-}  # fmt: skip
+}
 BENCH_CONTROLLERS = {"direct_smc", "iterative_smc"}
 
 
 def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenario:
     bench = controller in BENCH_CONTROLLERS
     name, own = PLANTS[plant] if not bench else (PLANTS[plant][0], {})
-    starved = {"timestep_s": 0.00025} if name == "twin" and chambers == "orifice" else {}
+    starved = (
+        {"timestep_s": 0.00025} if name == "twin" and chambers == "orifice" else {}
+    )
     document = {
-        "robot": "gen4_module" if bench else "gen4", "duration_s": 10.0, "seed": 3, "bench": bench,
-        "controller": CONTROLLERS[controller], "pneumatics": CHAMBERS[chambers],
-        "sensor": SENSORS[sensor], "plants": {name: own | starved},
-    }  # fmt: skip
-    return parse_scenario(document | ({"planner": GIVEN} if controller == "follow" else {}))
+        "robot": "gen4_module" if bench else "gen4",
+        "duration_s": 10.0,
+        "seed": 3,
+        "bench": bench,
+        "controller": CONTROLLERS[controller],
+        "pneumatics": CHAMBERS[chambers],
+        "sensor": SENSORS[sensor],
+        "plants": {name: own | starved},
+    }
+    return parse_scenario(
+        document | ({"planner": GIVEN} if controller == "follow" else {})
+    )
 
 
 def started(asked: Scenario, seed: int) -> tuple[Plant, Controller]:
@@ -84,7 +110,10 @@ def simulate(plant: Plant, controller: Controller, ticks: int) -> list[SnakeStat
 
 
 def same(one: SnakeState, other: SnakeState) -> bool:
-    pairs = ((getattr(one, field.name), getattr(other, field.name)) for field in fields(SnakeState))
+    pairs = (
+        (getattr(one, field.name), getattr(other, field.name))
+        for field in fields(SnakeState)
+    )
     return all(np.array_equal(a, b, equal_nan=True) for a, b in pairs)
 
 
@@ -93,9 +122,14 @@ def cases() -> list[tuple[str, str, str, str]]:
     for plant in PLANTS:
         for chambers in CHAMBERS:
             for controller in CONTROLLERS:
-                if controller in BENCH_CONTROLLERS and plant not in ("complete", "loaded"):
+                if controller in BENCH_CONTROLLERS and plant not in (
+                    "complete",
+                    "loaded",
+                ):
                     continue
-                combinations.append((plant, chambers, controller, list(SENSORS)[len(combinations) % 2]))
+                combinations.append(
+                    (plant, chambers, controller, list(SENSORS)[len(combinations) % 2])
+                )
     return combinations
 
 
@@ -109,14 +143,18 @@ def written_and_read(state: SavedState, tmp_path: Path) -> SavedState:
     return SavedState.read(tmp_path / "state.npz")
 
 
-@pytest.mark.parametrize("case", first_by_default(10, map(pytest.param, thirds(cases()))), ids="-".join)
+@pytest.mark.parametrize(
+    "case", first_by_default(10, map(pytest.param, thirds(cases()))), ids="-".join
+)
 def test_restored_run_continues_bit_for_bit(case, tmp_path):
     asked = scenario(*case)
     rng = np.random.default_rng(sum(map(ord, "".join(case))))
     before, after = rng.integers(3, 40), 12
     plant, controller = started(asked, seed=5)
     simulate(plant, controller, int(before))
-    kept, steering = (written_and_read(original.save(), tmp_path) for original in (plant, controller))
+    kept, steering = (
+        written_and_read(original.save(), tmp_path) for original in (plant, controller)
+    )
     there, wheel = started(asked, seed=99)
     simulate(there, wheel, 5)  # its earlier run must not matter
     assert same(there.restore(kept), plant.state)
@@ -139,7 +177,10 @@ def test_state_can_be_restored_twice_at_any_time(before, data):
     for _ in range(2):
         plant.restore(first[0])
         controller.restore(first[1])
-        assert all(same(a, b) for a, b in zip(seen, simulate(plant, controller, 5), strict=True))
+        assert all(
+            same(a, b)
+            for a, b in zip(seen, simulate(plant, controller, 5), strict=True)
+        )
 
 
 ELSEWHERE = """
@@ -157,7 +198,9 @@ print(simulate(plant, controller, 10)[-1].position.tobytes().hex())
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "case", [("loaded", "lag", "follow", "hall"), ("compliant", "orifice", "ilc", "hall")], ids="-".join
+    "case",
+    [("loaded", "lag", "follow", "hall"), ("compliant", "orifice", "ilc", "hall")],
+    ids="-".join,
 )
 def test_state_restores_in_another_process(case, tmp_path):
     plant, controller = started(scenario(*case), seed=5)
@@ -169,14 +212,21 @@ def test_state_restores_in_another_process(case, tmp_path):
     folders = [str(Path(__file__).parent), str(tests), str(tests / "helpers")]
     script = ELSEWHERE.format(folders=folders, case=case)
     done = subprocess.run(
-        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
     )
     assert done.stdout.strip() == here
 
 
 def test_three_differences_are_named_and_the_rest_counted():
     owner = dict.fromkeys("abcd", 1)
-    named = "plant: the saved state has other settings: a 1 instead of 2, b 1 instead of 2, c 1 instead of 2"
+    named = (
+        "plant: the saved state has other settings: a 1 instead of 2, b 1 instead of 2,"
+        " c 1 instead of 2"
+    )
     for changed, rest in (("abc", ""), ("abcd", ", and 1 more")):
         with pytest.raises(InputError) as error:
             SavedState(owner, {}).check("plant", owner | dict.fromkeys(changed, 2))
@@ -233,7 +283,8 @@ def test_class_without_state_attributes_is_not_saved():
     own.reset(load_robot("gen2"), 0.02)
     own.save()  # it has the state attributes of a gait
     with pytest.raises(
-        InputError, match="controller 'other' cannot be saved: its class has no `state_attributes`"
+        InputError,
+        match="controller 'other' cannot be saved: its class has no `state_attributes`",
     ):
         Other().save()
 
@@ -251,21 +302,29 @@ def test_stuck_valve_is_restored():
 def test_state_that_unpacks_to_a_large_size_is_rejected(tmp_path):
     np.savez_compressed(tmp_path / "state.npz", state="{}", zeros=np.zeros(1 << 26))
     assert (tmp_path / "state.npz").stat().st_size < 1 << 20
-    with pytest.raises(InputError, match=r"not a saved state \(536871\d+ bytes unpacked; the limit is"):
+    with pytest.raises(
+        InputError, match=r"not a saved state \(536871\d+ bytes unpacked; the limit is"
+    ):
         SavedState.read(tmp_path / "state.npz")
 
 
 def test_file_of_another_version_is_rejected(tmp_path):
     """Files of version 1 contain module names that no longer exist."""
-    tree = '{"version": 1, "of": {}, "content": {"@": "srs_twin.plants.loaded:Memory", "parts": {}}}'
+    tree = (
+        '{"version": 1, "of": {}, "content": {"@": "srs_twin.plants.loaded:Memory",'
+        ' "parts": {}}}'
+    )
     np.savez(tmp_path / "state.npz", state=np.array(tree))
     with pytest.raises(
-        InputError, match=r"state.npz: saved state of version 1; this program reads version \d"
+        InputError,
+        match=r"state.npz: saved state of version 1; this program reads version \d",
     ):
         SavedState.read(tmp_path / "state.npz")
 
 
-@pytest.mark.parametrize("damage", ["empty", "text", "half", "no state", "code", "object"])
+@pytest.mark.parametrize(
+    "damage", ["empty", "text", "half", "no state", "code", "object"]
+)
 def test_damaged_file_is_rejected(damage, tmp_path):
     path = tmp_path / "state.npz"
     AnalyticalSnake(load_robot("gen2")).save().write(path)
@@ -273,12 +332,16 @@ def test_damaged_file_is_rejected(damage, tmp_path):
     if damage == "no state":
         np.savez(path, a=np.zeros(3))
     elif damage == "code":
-        tree = '{"version": 2, "of": {}, "content": {"@": "os:system", "items": ["true"]}}'
+        tree = (
+            '{"version": 2, "of": {}, "content": {"@": "os:system", "items": ["true"]}}'
+        )
         np.savez(path, state=np.array(tree))
     elif damage == "object":
         np.savez(path, state=np.array([{}], dtype=object), allow_pickle=True)
     else:
-        path.write_bytes({"empty": b"", "text": b"state", "half": raw[: len(raw) // 2]}[damage])
+        path.write_bytes(
+            {"empty": b"", "text": b"state", "half": raw[: len(raw) // 2]}[damage]
+        )
     with pytest.raises(InputError, match="state.npz"):
         SavedState.read(path)
 
@@ -289,18 +352,28 @@ def physical(segments: int, seed: int) -> tuple[SnakeState, float]:
     resting = AnalyticalSnake(load_robot("gen2")).state
     bend = rng.uniform(-0.7, 0.7, segments)
     moved = replace(
-        resting, com=rng.uniform(-1, 1, 2), com_velocity=rng.uniform(-0.2, 0.2, 2),
-        heading=float(rng.uniform(-6, 6)), bend=bend, bend_rate=rng.uniform(-3, 3, segments),
+        resting,
+        com=rng.uniform(-1, 1, 2),
+        com_velocity=rng.uniform(-0.2, 0.2, 2),
+        heading=float(rng.uniform(-6, 6)),
+        bend=bend,
+        bend_rate=rng.uniform(-3, 3, segments),
         pressure=rng.uniform(0, 40e3, (segments, 2)),
-    )  # fmt: skip
+    )
     return moved, float(rng.uniform(-2, 2))
 
 
 MOVING = {
     "complete": lambda: AnalyticalSnake(load_robot("gen2")),
-    "compliant": lambda: AnalyticalSnake(load_robot("gen2"), model="compliant", friction="wheel"),
-    "loaded": lambda: TwinSnake(load_robot("gen2"), contact="loaded", pneumatics="orifice"),
-    "preloaded": lambda: TwinSnake(load_robot("gen2"), contact="preloaded", hinges_per_segment=3),
+    "compliant": lambda: AnalyticalSnake(
+        load_robot("gen2"), model="compliant", friction="wheel"
+    ),
+    "loaded": lambda: TwinSnake(
+        load_robot("gen2"), contact="loaded", pneumatics="orifice"
+    ),
+    "preloaded": lambda: TwinSnake(
+        load_robot("gen2"), contact="preloaded", hinges_per_segment=3
+    ),
 }
 
 
@@ -313,11 +386,14 @@ def test_placed_plant_has_the_given_state(name, seed):
     attributes = ["com", "com_velocity", "heading", "bend", "pressure"]
     attributes += [] if name == "complete" else ["bend_rate"]
     for field in attributes:
-        assert getattr(placed, field) == pytest.approx(getattr(asked, field), abs=1e-8), field
+        assert getattr(placed, field) == pytest.approx(
+            getattr(asked, field), abs=1e-8
+        ), field
     assert placed.theta.mean() == pytest.approx(asked.heading, abs=1e-6)
     assert -np.diff(placed.theta) == pytest.approx(asked.bend, abs=1e-5)
     assert placed.time == 0
-    # The velocities show in a short first step, whose length limits the effect of forces.
+    # The velocities show in a short first step, whose length limits the effect of
+    # forces.
     h = plant.timestep / 2 if name in ("complete", "compliant") else plant.timestep
     plant.tick = h
     later = plant.step(np.full((plant.spec.segments, 2), -1, dtype=np.int8))
@@ -360,17 +436,23 @@ def test_impossible_initial_state_is_rejected():
     asked, _ = physical(4, 0)
     snake = AnalyticalSnake(load_robot("gen2"))
     asked = replace(asked, bend=asked.bend[: snake.spec.segments])
-    with pytest.raises(InputError, match="chamber pressure .* is not allowed; it must be 0 to"):
+    with pytest.raises(
+        InputError, match="chamber pressure .* is not allowed; it must be 0 to"
+    ):
         snake.place(replace(asked, pressure=np.full((snake.spec.segments, 2), 1e6)))
     with pytest.raises(InputError, match="clamped at its head can only start at rest"):
-        AnalyticalSnake(load_robot("gen4_module"), base="clamped").place(physical(1, 0)[0])
+        AnalyticalSnake(load_robot("gen4_module"), base="clamped").place(
+            physical(1, 0)[0]
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module", "Crawl3D"])
 def test_episode_continues_bit_for_bit_from_a_saved_state(task):
     gymnasium = pytest.importorskip("gymnasium")
-    env, other = (gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0").unwrapped for _ in range(2))
+    env, other = (
+        gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0").unwrapped for _ in range(2)
+    )
     env.reset(seed=4)
     actions = [env.action_space.sample() for _ in range(20)]
     for action in actions[:10]:
@@ -383,7 +465,10 @@ def test_episode_continues_bit_for_bit_from_a_saved_state(task):
     for one, two in zip(here, there, strict=True):
         assert (one[0] == two[0]).all() and one[1:4] == two[1:4]
     with pytest.raises(InputError, match="the saved state has other settings"):
-        other.reset(seed=5, options={"state": replace(kept, owner={**kept.owner, "task": "other"})})
+        other.reset(
+            seed=5,
+            options={"state": replace(kept, owner={**kept.owner, "task": "other"})},
+        )
     with pytest.raises(InputError, match="option of reset"):
         other.reset(seed=4, options={"stat": kept})
 

@@ -7,7 +7,15 @@ from dataclasses import replace
 import pytest
 from snakes import robot
 
-from srs_twin import AnalyticalSnake, Gait, PreloadedContact, Trajectory, TwinSnake, compare, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    PreloadedContact,
+    Trajectory,
+    TwinSnake,
+    compare,
+    rollout,
+)
 from srs_twin.comparison.metrics import plant_metrics
 
 STIFF = robot(stiffness=20.0)
@@ -28,7 +36,9 @@ def test_matched_plants_have_equal_speed(gap, f, kilopascals, limit):
 @pytest.mark.parametrize("f", [1.0, 1.5, 2.0])
 def test_matched_plants_have_equal_yaw_rate(f):
     reference, candidate = both(0.018, f, 48, 0.2, 6.0)
-    yaw, twin_yaw = (plant_metrics(run)["yaw_rate_rad_s"] for run in (reference, candidate))
+    yaw, twin_yaw = (
+        plant_metrics(run)["yaw_rate_rad_s"] for run in (reference, candidate)
+    )
     assert yaw > 0.5
     assert twin_yaw == pytest.approx(yaw, rel=0.1)
 
@@ -44,12 +54,16 @@ def test_matched_plants_have_equal_yaw_rate(f):
     ],
 )
 def test_matched_plants_on_skids_have_equal_speed(gap, f, kilopascals, offset):
-    reference, candidate = both(gap, f, kilopascals, offset, 4.0, friction="ellipse", wheels="skid")
+    reference, candidate = both(
+        gap, f, kilopascals, offset, 4.0, friction="ellipse", wheels="skid"
+    )
     metrics = compare(reference, candidate).metrics
     assert abs(metrics["com_speed_rel"]) < 0.025
     assert metrics["bend_rms_rel"] < 0.01
     assert metrics["shape_rms_body"] < 0.01
-    yaw, twin_yaw = (plant_metrics(run)["yaw_rate_rad_s"] for run in (reference, candidate))
+    yaw, twin_yaw = (
+        plant_metrics(run)["yaw_rate_rad_s"] for run in (reference, candidate)
+    )
     assert twin_yaw == pytest.approx(yaw, rel=0.03, abs=0.002)
     assert (abs(yaw) > 0.5) == (offset > 0)
 

@@ -27,13 +27,19 @@ def damped(time: float, *, share: float = 1.0) -> RobotSpec:
 
 def deviation(spec: RobotSpec, timestep: float = 0.001, **options: Any) -> float:
     """Return the largest deviation of the bends from Eq. 14 in a gait, rad."""
-    plant, gait = TwinSnake(spec, supply_pa=SUPPLY, timestep=timestep, **options), Gait(2.0, 0.1)
+    plant, gait = (
+        TwinSnake(spec, supply_pa=SUPPLY, timestep=timestep, **options),
+        Gait(2.0, 0.1),
+    )
     run = rollout(plant, gait, 0.6, record_hz=1000)
-    return float(np.abs(run.stack("bend") - free_bends(plant, gait, run.time).bend).max())
+    return float(
+        np.abs(run.stack("bend") - free_bends(plant, gait, run.time).bend).max()
+    )
 
 
 @pytest.mark.parametrize(
-    "time", [0.00214, *(pytest.param(time, marks=pytest.mark.slow) for time in (0.008, 0.03))]
+    "time",
+    [0.00214, *(pytest.param(time, marks=pytest.mark.slow) for time in (0.008, 0.03))],
 )
 def test_bends_of_light_bodies_are_the_free_bends_to_first_order_in_the_step(time):
     heavy, light = deviation(damped(time)), deviation(damped(time, share=1e-3))
@@ -48,16 +54,20 @@ def test_hinges_of_a_segment_have_its_stiffness_and_its_dissipation(hinges):
     spec = damped(0.008)
     model = TwinSnake(spec, hinges_per_segment=hinges, timestep=0.001).physics.model
     names = [model.joint(i).name for i in range(model.njnt)]
-    bends = [i for i, name in enumerate(names) if name.startswith(("bend_1", "hinge_1"))]
+    bends = [
+        i for i, name in enumerate(names) if name.startswith(("bend_1", "hinge_1"))
+    ]
     assert len(bends) == hinges
     stiffness = np.array([float(model.joint(i).stiffness[0]) for i in bends])
-    # MuJoCo evaluates the springs at the end of the step h, which adds a damping h k. The twin's dampers are
-    # reduced by h k.
+    # MuJoCo evaluates the springs at the end of the step h, which adds a damping h k.
+    # The twin's dampers are reduced by h k.
     damping = model.dof_damping[model.jnt_dofadr[bends]] + 0.001 * stiffness
     assert 1 / (1 / stiffness).sum() == pytest.approx(spec.bending.stiffness, rel=1e-9)
     rate = 1.7
     dissipated = (damping * (rate / hinges) ** 2).sum()
-    assert dissipated == pytest.approx(0.008 * spec.bending.stiffness * rate**2, rel=1e-9)
+    assert dissipated == pytest.approx(
+        0.008 * spec.bending.stiffness * rate**2, rel=1e-9
+    )
 
 
 @pytest.mark.parametrize("hinges", [1, 4])
@@ -70,12 +80,18 @@ def test_held_bends_are_the_free_bends_on_any_number_of_hinges(hinges):
 
 
 @pytest.mark.parametrize("time", [0.00214, 0.03])
-@pytest.mark.parametrize("kind", ["compliant", pytest.param("twin", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", ["compliant", pytest.param("twin", marks=pytest.mark.slow)]
+)
 def test_closed_chambers_are_passive(kind, time):
     """Motion between closed chambers decays if T ≥ τ₂ a/(1 + a), with the air's stiffness a k."""
     spec = damped(time)
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out")
-    common: dict[str, Any] = {"pneumatics": chambers, "layout": "in_out", "timestep": 2.5e-4}
+    common: dict[str, Any] = {
+        "pneumatics": chambers,
+        "layout": "in_out",
+        "timestep": 2.5e-4,
+    }
     plant: AnalyticalSnake | TwinSnake
     if kind == "twin":
         plant = TwinSnake(spec, **common)
@@ -86,8 +102,8 @@ def test_closed_chambers_are_passive(kind, time):
     states = plant.play(closed, 500)
     speed = np.gradient(states.bend, states.time, axis=0)
     motion = (speed**2).sum(axis=1).reshape(10, 50).max(axis=1)
-    # Energy moves between the bends. The motion in a tenth of the run may therefore equal the motion in the
-    # tenth before, but it must not grow.
+    # Energy moves between the bends. The motion in a tenth of the run may therefore
+    # equal the motion in the tenth before, but it must not grow.
     rounding = 1e-20 * motion[0]
     assert (motion[1:] <= 1.001 * motion[:-1] + rounding).all()
     assert motion[-1] < 1e-2 * motion[0]

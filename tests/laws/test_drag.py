@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Gait, LoadedContact, PreloadedContact, RobotSpec, TwinSnake, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    LoadedContact,
+    PreloadedContact,
+    RobotSpec,
+    TwinSnake,
+    rollout,
+)
 
 DRAG = 0.08
 STIFF = robot(stiffness=20.0)
@@ -29,9 +37,20 @@ def dragged(spec: RobotSpec, drag: float = DRAG, **changes: float) -> RobotSpec:
             0.0,
             marks=pytest.mark.slow,
         ),
-        (lambda spec: TwinSnake(spec, contact=LoadedContact(slip_speed=1e-4)), SPIN_MASS),
-        (lambda spec: TwinSnake(spec, contact=PreloadedContact(slip_speed=1e-4)), SPIN_MASS),
-        (lambda spec: TwinSnake(spec, contact=PreloadedContact("skid", slip_speed=1e-4)), 0.0),
+        (
+            lambda spec: TwinSnake(spec, contact=LoadedContact(slip_speed=1e-4)),
+            SPIN_MASS,
+        ),
+        (
+            lambda spec: TwinSnake(spec, contact=PreloadedContact(slip_speed=1e-4)),
+            SPIN_MASS,
+        ),
+        (
+            lambda spec: TwinSnake(
+                spec, contact=PreloadedContact("skid", slip_speed=1e-4)
+            ),
+            0.0,
+        ),
     ],
     ids=["complete", "compliant", "loaded", "preloaded", "skid"],
 )
@@ -44,7 +63,11 @@ def test_drag_acts_along_the_heading_only(plant, rolls):
         snake, velocity = plant(spec), [0.0, 0.0]
         velocity[direction] = 0.5
         throw(snake, tuple(velocity))
-        start = snake.physics.center_of_mass()[:2] if isinstance(snake, TwinSnake) else np.zeros(2)
+        start = (
+            snake.physics.center_of_mass()[:2]
+            if isinstance(snake, TwinSnake)
+            else np.zeros(2)
+        )
         for _ in range(80):
             state = snake.step(vented(spec))
         distance = (MASS + rolls * (direction == 0)) * 0.5**2 / (2 * brake)
@@ -54,8 +77,13 @@ def test_drag_acts_along_the_heading_only(plant, rolls):
 def test_drag_equals_a_larger_mu_t_under_the_axis_law():
     spec = robot()
     share = DRAG / (spec.mass.total * GRAVITY)
-    rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
-    result = [rollout(AnalyticalSnake(item), Gait(2.0, offset=0.3), 1.0) for item in (dragged(spec), rougher)]
+    rougher = replace(
+        spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share)
+    )
+    result = [
+        rollout(AnalyticalSnake(item), Gait(2.0, offset=0.3), 1.0)
+        for item in (dragged(spec), rougher)
+    ]
     for name in ("com_x", "com_y", "heading"):
         assert result[0][name] == pytest.approx(result[1][name], abs=1e-9)
 
@@ -63,9 +91,13 @@ def test_drag_equals_a_larger_mu_t_under_the_axis_law():
 def test_drag_differs_from_mu_t_with_two_contacts():
     spec = robot()
     share = DRAG / (spec.mass.total * GRAVITY)
-    rougher = replace(spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share))
+    rougher = replace(
+        spec, friction=replace(spec.friction, mu_t=spec.friction.mu_t + share)
+    )
     ends = [
-        rollout(TwinSnake(entry, contact=LoadedContact("axis")), Gait(2.0), 2.0)["com_x"][-1]
+        rollout(TwinSnake(entry, contact=LoadedContact("axis")), Gait(2.0), 2.0)[
+            "com_x"
+        ][-1]
         for entry in (dragged(spec), rougher)
     ]
     assert abs(ends[0] - ends[1]) > 0.02 * abs(ends[1])
@@ -79,9 +111,12 @@ def test_drag_slows_twin_and_compliant_model_equally(contact):
         return float(actual["com_x"][-1] - actual["com_x"][0])
 
     both = robot(), dragged(robot())
-    free, braked = (way(AnalyticalSnake(spec, model="compliant", friction="wheel")) for spec in both)
+    free, braked = (
+        way(AnalyticalSnake(spec, model="compliant", friction="wheel")) for spec in both
+    )
     coarse, fine = (
-        [way(TwinSnake(spec, contact=contact, timestep=step)) for spec in both] for step in (1e-3, 5e-4)
+        [way(TwinSnake(spec, contact=contact, timestep=step)) for spec in both]
+        for step in (1e-3, 5e-4)
     )
     assert coarse == pytest.approx(fine, rel=0.02)
     # Axial friction that is there anyway weighs more in the model, which is faster.

@@ -55,7 +55,9 @@ def test_step_response_solves_the_identified_equation():
 
 
 @pytest.mark.parametrize("timestep", [0.001, 0.0005])
-def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(timestep):
+def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(
+    timestep,
+):
     plant = TwinSnake(module("gen4", 20.0), supply_pa=SUPPLY, timestep=timestep)
     samples = round(plant.tick / timestep)
     time, bend = [], []
@@ -85,7 +87,11 @@ def _distance_from_free_bend(timestep: float) -> float:
     for _ in range(50):
         slots = generator.choice([-1, 1], size=(4, 1, 2)).astype(np.int8)
         twin.append(plant.step(slots).bend[0])
-        chambers.append(free.advance(free.schedule(slots, plant.tick), np.array([plant.tick])).bend[0, 0])
+        chambers.append(
+            free.advance(free.schedule(slots, plant.tick), np.array([plant.tick])).bend[
+                0, 0
+            ]
+        )
     return float(np.sqrt(np.mean(np.subtract(twin, chambers) ** 2)) / np.std(chambers))
 
 
@@ -94,5 +100,7 @@ def test_soft_module_lags_and_overshoots():
     for stiffness in (0.05, 20.0):
         plant = TwinSnake(module("gen4", stiffness), supply_pa=SUPPLY)
         bends = [plant.step(FILL_PLUS).bend[0] for _ in range(30)]
-        errors.append(np.abs(bends - step_response(plant.tick * np.arange(1, 31))).max())
+        errors.append(
+            np.abs(bends - step_response(plant.tick * np.arange(1, 31))).max()
+        )
     assert errors[0] > 3 * errors[1]

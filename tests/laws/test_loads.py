@@ -13,14 +13,22 @@ SPEC = robot()
 WEIGHT = SPEC.mass.array() * GRAVITY
 
 
-FLOORS = {**{wheels: {"contact": PreloadedContact(wheels)} for wheels in WHEELS}, "loaded": {}}
+FLOORS = {
+    **{wheels: {"contact": PreloadedContact(wheels)} for wheels in WHEELS},
+    "loaded": {},
+}
 
 
 @pytest.fixture(scope="module", params=FLOORS)
 def crawling_loads(request) -> np.ndarray:
     """Load of each connector of gen2, straight at 2 Hz, after two periods, shape (ticks, N), N."""
     plant, loads = TwinSnake(SPEC, **FLOORS[request.param]), []
-    rollout(plant, Gait(2.0), 5.0, observers=[lambda _: loads.append(plant.physics.wheel_loads())])
+    rollout(
+        plant,
+        Gait(2.0),
+        5.0,
+        observers=[lambda _: loads.append(plant.physics.wheel_loads())],
+    )
     return np.array(loads)[50:].sum(axis=2)
 
 
@@ -37,9 +45,12 @@ def test_loads_of_a_crawling_snake_vary_less_than_their_mean(crawling_loads):
     assert (crawling_loads.std(axis=0) / WEIGHT).max() < 0.4
 
 
-# gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it a little.
+# gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it
+# a little.
 @pytest.mark.parametrize("floor", FLOORS)
-@pytest.mark.parametrize(("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)])
+@pytest.mark.parametrize(
+    ("name", "share"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)]
+)
 def test_loads_at_rest_are_static(name, share, floor):
     plant = TwinSnake(robot(name), **FLOORS[floor])
     for _ in range(100):
@@ -47,14 +58,24 @@ def test_loads_at_rest_are_static(name, share, floor):
     loads, weight = plant.physics.wheel_loads(), plant.spec.mass.array() * GRAVITY
     assert loads.sum() == pytest.approx(weight.sum(), rel=1e-6)
     assert loads.sum(axis=1) == pytest.approx(weight, rel=share)
-    # Without friction in the engine its solver has less to hold on to, and stops at its tolerance, 1e-7.
-    assert loads[:, 0] == pytest.approx(loads[:, 1], rel=1e-5 if floor == "loaded" else 1e-6)
+    # Without friction in the engine its solver has less to hold on to, and stops at its
+    # tolerance, 1e-7.
+    assert loads[:, 0] == pytest.approx(
+        loads[:, 1], rel=1e-5 if floor == "loaded" else 1e-6
+    )
 
 
 def test_loads_are_independent_of_the_preload():
-    bare, pressed = (TwinSnake(SPEC, contact=PreloadedContact(preload=k)) for k in (0.0, 9.0))
+    bare, pressed = (
+        TwinSnake(SPEC, contact=PreloadedContact(preload=k)) for k in (0.0, 9.0)
+    )
     for plant in (bare, pressed):
         for _ in range(100):
             plant.step(vented(SPEC))
-        assert plant.physics.wheel_loads().sum() == pytest.approx(WEIGHT.sum(), rel=1e-6)
-    assert pressed.physics.connector_positions()[2, 2] < bare.physics.connector_positions()[2, 2]
+        assert plant.physics.wheel_loads().sum() == pytest.approx(
+            WEIGHT.sum(), rel=1e-6
+        )
+    assert (
+        pressed.physics.connector_positions()[2, 2]
+        < bare.physics.connector_positions()[2, 2]
+    )

@@ -24,10 +24,16 @@ def test_analytical_model_coasts_without_friction(law):
 
 
 def test_twin_coasts_without_friction():
-    # MuJoCo's contacts have no friction below 1e-5, which a preload multiplies; hence without preload.
-    plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0))
+    # MuJoCo's contacts have no friction below 1e-5, which a preload multiplies; hence
+    # without preload.
+    plant = TwinSnake(
+        robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0)
+    )
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
-    start, heading = plant.physics.center_of_mass()[:2], plant.physics.connector_headings().mean()
+    start, heading = (
+        plant.physics.center_of_mass()[:2],
+        plant.physics.connector_headings().mean(),
+    )
     for _ in range(50):
         state = plant.step(vented(plant.spec))
     assert state.com - start == pytest.approx([0.3, -0.2], abs=1e-3)
@@ -40,9 +46,11 @@ def test_frictionless_analytical_snake_has_no_thrust():
     plant = AnalyticalSnake(spec, timestep=2e-4)
     trajectory = rollout(plant, Gait(2.0, 0.2), 1.0, record_hz=5000)
     assert np.abs(trajectory.com).max() < 1e-12
-    # It does turn: a change of shape that comes back to itself leaves a geometric phase.
+    # It does turn: a change of shape that comes back to itself leaves a geometric
+    # phase.
     assert np.abs(trajectory["heading"]).max() > 1e-2
-    # Yet Σ m ρ × ρ̇ is zero, here from recorded positions; its terms by themselves are not.
+    # Yet Σ m ρ × ρ̇ is zero, here from recorded positions; its terms by themselves are
+    # not.
     middle = (trajectory.position[1:] + trajectory.position[:-1]) / 2
     velocity = np.diff(trajectory.position, axis=0) / 2e-4
     cross = middle[..., 0] * velocity[..., 1] - middle[..., 1] * velocity[..., 0]
@@ -51,18 +59,22 @@ def test_frictionless_analytical_snake_has_no_thrust():
 
 
 def test_frictionless_twin_gains_momentum_only_from_the_time_step():
-    # Generalised coordinates conserve momentum to first order in the step: half of it, half the drift.
+    # Generalised coordinates conserve momentum to first order in the step: half of it,
+    # half the drift.
     coarse, fine = _largest_momentum(0.001), _largest_momentum(0.00025)
     assert fine[0] < 0.4 * coarse[0]
     assert fine[1] < 0.4 * coarse[1]
-    # Against what the parts have: connectors move at about 0.5 m/s, half a body turns at about 5 rad/s.
+    # Against what the parts have: connectors move at about 0.5 m/s, half a body turns
+    # at about 5 rad/s.
     assert fine[0] < 0.03 * 0.5 * SLIPPERY.mass.total
     assert fine[1] < 0.05 * 5 * SLIPPERY.mass.total * 0.08**2
 
 
 def _largest_momentum(timestep: float) -> tuple[float, float]:
     """Return the largest horizontal momentum (kg·m/s) and moment about z (kg·m²/s) of an undulating twin."""
-    plant = TwinSnake(SLIPPERY, timestep=timestep, contact=PreloadedContact(preload=0.0))
+    plant = TwinSnake(
+        SLIPPERY, timestep=timestep, contact=PreloadedContact(preload=0.0)
+    )
     physics, seen = plant.physics, []
 
     def watch(state) -> None:

@@ -39,7 +39,10 @@ def test_same_seed_gives_the_same_bytes_in_three_processes():
     ]
     outputs = [run.communicate(timeout=600)[0] for run in runs]
     assert [run.returncode for run in runs] == [0, 0, 0]
-    assert [line.split()[0] for line in outputs[0].splitlines()] == ["analytical", "twin"]
+    assert [line.split()[0] for line in outputs[0].splitlines()] == [
+        "analytical",
+        "twin",
+    ]
     assert len(set(outputs)) == 1
 
 
@@ -59,7 +62,11 @@ def test_bits_are_independent_of_the_blas_kernel():
     for kernel in ("Haswell", "SkylakeX", "Sandybridge", "Nehalem"):
         environment = {**os.environ, "OPENBLAS_CORETYPE": kernel}
         done = subprocess.run(
-            [sys.executable, "-c", DIGEST], env=environment, capture_output=True, text=True, check=False
+            [sys.executable, "-c", DIGEST],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         if done.returncode == -signal.SIGILL:
             continue
@@ -82,7 +89,11 @@ def test_long_twin_is_independent_of_blas_threads():
 
 def test_concurrent_construction_keeps_the_number_of_blas_threads():
     def blas_threads():
-        return {item["num_threads"] for item in threadpool_info() if item["user_api"] == "blas"}
+        return {
+            item["num_threads"]
+            for item in threadpool_info()
+            if item["user_api"] == "blas"
+        }
 
     def hold(entered, leave):
         with one_blas_thread():
@@ -107,8 +118,13 @@ def test_concurrent_construction_keeps_the_number_of_blas_threads():
 
 def test_bits_are_independent_of_other_blas_libraries():
     pytest.importorskip("cv2")
-    code = "from srs_twin.compute.arrays import blas_kernels as b; print(b()); import cv2; print(b())"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    code = (
+        "from srs_twin.compute.arrays import blas_kernels as b; print(b()); import cv2;"
+        " print(b())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     before, after = done.stdout.splitlines()
     assert before == after
 

@@ -1,8 +1,8 @@
 """A robot of another size makes the same motion, with the numerical settings that follow from its size.
 
-The factors of a scale that is a power of four are powers of two, which multiply without rounding. What is
-left there is the tolerance of the iterations: their criteria add forces and moments, which scale differently
-(docs/agreement.md).
+The factors of a scale that is a power of four are powers of two, which multiply without
+rounding. What is left there is the tolerance of the iterations: their criteria add
+forces and moments, which scale differently (docs/agreement.md).
 """
 
 from __future__ import annotations
@@ -14,7 +14,13 @@ import numpy as np
 import pytest
 from scaled_robots import PLANTS, SETTINGS, deviations, motion, scaled
 
-from srs_twin import AnalyticalSnake, InputError, PreloadedContact, TwinSnake, load_robot
+from srs_twin import (
+    AnalyticalSnake,
+    InputError,
+    PreloadedContact,
+    TwinSnake,
+    load_robot,
+)
 from srs_twin.pneumatics.valves import count_slots
 from srs_twin.robot.scale import SHIPPED, Scale, divide
 from srs_twin.scenario.loading import parse_scenario
@@ -44,12 +50,19 @@ def test_default_settings_scale_with_the_robot(name, s):
 @pytest.mark.parametrize("s", [0.05, 20.0])
 @pytest.mark.parametrize("name", PLANTS)
 def test_explicit_settings_admit_every_scale(name, s):
-    assert np.abs(deviations(name, SPEC, s, SETTINGS, reference(name, SETTINGS))).max() < 1e-4
+    assert (
+        np.abs(deviations(name, SPEC, s, SETTINGS, reference(name, SETTINGS))).max()
+        < 1e-4
+    )
 
 
 @pytest.mark.parametrize("s", [0.05, 20.0])
 @pytest.mark.parametrize(
-    "name", [pytest.param("complete, wheel, momentary", marks=pytest.mark.slow), "twin, loaded, wheel"]
+    "name",
+    [
+        pytest.param("complete, wheel, momentary", marks=pytest.mark.slow),
+        "twin, loaded, wheel",
+    ],
 )
 def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     """The settings differ by 12 % from those that scale."""
@@ -61,7 +74,11 @@ def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     ("name", "settings"),
     [
         ("simplified, axis", ("slip_speed", "tolerance")),
-        pytest.param("complete, wheel, momentary", ("slip_speed", "tolerance"), marks=pytest.mark.slow),
+        pytest.param(
+            "complete, wheel, momentary",
+            ("slip_speed", "tolerance"),
+            marks=pytest.mark.slow,
+        ),
         pytest.param("compliant, ellipse", ("slip_speed",), marks=pytest.mark.slow),
         ("twin, loaded, wheel", ("slip_speed",)),
         ("twin, loaded, ellipse", ("slip_speed",)),
@@ -69,7 +86,10 @@ def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
 )
 def test_settings_that_differ_between_the_powers_are_known(name, settings, s):
     """Slip speed and tolerance alone explain the deviations of default settings at other scales."""
-    assert np.abs(deviations(name, SPEC, s, settings, reference(name, settings))).max() < 1e-6
+    assert (
+        np.abs(deviations(name, SPEC, s, settings, reference(name, settings))).max()
+        < 1e-6
+    )
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4", "gen4_module"])
@@ -78,14 +98,16 @@ def test_shipped_robots_have_the_scale_of_the_declared_settings(name):
 
 
 @pytest.mark.parametrize(
-    ("factor", "time"), [(0.26, 0.5), (0.24, 0.5), (1 / 16, 0.25), (16.0, 4.0), (4.0, 2.0)]
+    ("factor", "time"),
+    [(0.26, 0.5), (0.24, 0.5), (1 / 16, 0.25), (16.0, 4.0), (4.0, 2.0)],
 )
 def test_time_unit_is_the_power_of_two_next_to_the_root_of_the_scale(factor, time):
     assert scaled(SPEC, factor).scale == Scale(time)
 
 
 @pytest.mark.parametrize(
-    "time", [0.223606797749979, 0.3162277660168379, 0.7071067811865476, 1.0, 4.47213595499958]
+    "time",
+    [0.223606797749979, 0.3162277660168379, 0.7071067811865476, 1.0, 4.47213595499958],
 )
 def test_scaled_tick_has_the_slots_of_the_original(time):
     scale = Scale.of_pitch(SPEC.geometry.pitch * time**2)
@@ -95,14 +117,24 @@ def test_scaled_tick_has_the_slots_of_the_original(time):
 
 @pytest.mark.parametrize(
     ("interval", "part", "result"),
-    [(0.02, 0.001, 0.001), (0.005, 0.001, 0.001), (0.0005, 0.001, 0.0005), (0.0021, 0.001, 0.00105)],
+    [
+        (0.02, 0.001, 0.001),
+        (0.005, 0.001, 0.001),
+        (0.0005, 0.001, 0.0005),
+        (0.0021, 0.001, 0.00105),
+    ],
 )
 def test_interval_is_divided_into_whole_parts(interval, part, result):
     assert divide(interval, part) == result
 
 
 def test_defaults_of_plants_and_scenarios_are_the_same():
-    geometry = {"segment_length_m": 0.6, "rigid_gap_m": 0.3, "half_track_m": 0.24, "wheel_radius_m": 0.13}
+    geometry = {
+        "segment_length_m": 0.6,
+        "rigid_gap_m": 0.3,
+        "half_track_m": 0.24,
+        "wheel_radius_m": 0.13,
+    }
     geometry |= {"com_height_m": 0.24, "width_m": 0.65}
     bending = {"stiffness_nm_per_rad": 3e4, "pitch_stiffness_nm_per_rad": 6500.0}
     bending |= {"roll_stiffness_nm_per_rad": 6500.0}
@@ -121,7 +153,10 @@ def test_defaults_of_plants_and_scenarios_are_the_same():
     }
     scenario = parse_scenario(document)
     for kind, plant in (("analytical", AnalyticalSnake), ("twin", TwinSnake)):
-        settings, default = scenario.build_plant(kind).describe(), plant(scenario.robot).describe()
+        settings, default = (
+            scenario.build_plant(kind).describe(),
+            plant(scenario.robot).describe(),
+        )
         for key in ("tick_s", "timestep_s", "slip_speed_m_s"):
             assert settings[key] == default[key], key
     assert scenario.document["plants"]["twin"]["timestep_s"] == 0.004
@@ -129,5 +164,8 @@ def test_defaults_of_plants_and_scenarios_are_the_same():
 
 @pytest.mark.parametrize("contact", ["loaded", PreloadedContact()])
 def test_robot_that_mujoco_would_take_as_massless_is_refused(contact):
-    with pytest.raises(InputError, match=r"moment of inertia .* MuJoCo needs more .* too small for the twin"):
+    with pytest.raises(
+        InputError,
+        match=r"moment of inertia .* MuJoCo needs more .* too small for the twin",
+    ):
         TwinSnake(scaled(SPEC, 0.01), contact=contact)

@@ -12,7 +12,15 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 from snakes import GRAVITY, chain, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Gait, LoadedContact, Plant, RobotSpec, TwinSnake, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    LoadedContact,
+    Plant,
+    RobotSpec,
+    TwinSnake,
+    rollout,
+)
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.world import Circle, Floor, Polygon, World
 
@@ -21,7 +29,9 @@ TILT = math.radians(60)
 PULL = GRAVITY * math.sin(TILT)  # m/s²
 
 
-def beam(stiffness: float, *, masses: tuple[float, ...] = (0.03, 0.3, 0.03)) -> RobotSpec:
+def beam(
+    stiffness: float, *, masses: tuple[float, ...] = (0.03, 0.3, 0.03)
+) -> RobotSpec:
     """Return a snake of two segments without friction on the floor, with strong damping and without gaps."""
     spec = chain(masses, length=0.06, gap=0.0, mu_t=0.0, mu_n=0.0)
     bending = replace(
@@ -41,12 +51,16 @@ def compliant(spec: RobotSpec, world: World, **options) -> AnalyticalSnake:
 
 
 def free_snake(spec: RobotSpec, **options) -> AnalyticalSnake:
-    return AnalyticalSnake(spec, model="compliant", friction="ellipse", inertia="connector", **options)
+    return AnalyticalSnake(
+        spec, model="compliant", friction="ellipse", inertia="connector", **options
+    )
 
 
 def twin(spec: RobotSpec, world: World, hinges: int = 6) -> TwinSnake:
     contact = LoadedContact(law="ellipse")
-    return TwinSnake(spec, world=world, hinges_per_segment=hinges, contact=contact, timestep=0.0005)
+    return TwinSnake(
+        spec, world=world, hinges_per_segment=hinges, contact=contact, timestep=0.0005
+    )
 
 
 def settle(plant: Plant, duration: float) -> SnakeState:
@@ -56,7 +70,9 @@ def settle(plant: Plant, duration: float) -> SnakeState:
     return state
 
 
-def two_posts(spec: RobotSpec, distance: float, friction: float, uphill: float = math.pi / 2) -> World:
+def two_posts(
+    spec: RobotSpec, distance: float, friction: float, uphill: float = math.pi / 2
+) -> World:
     """Return a slope on which a straight snake along x lies above two posts."""
     y = -POST - spec.geometry.width / 2
     posts = Circle(distance, y, POST), Circle(-distance, y, POST)
@@ -66,8 +82,8 @@ def two_posts(spec: RobotSpec, distance: float, friction: float, uphill: float =
 def elastica(spec: RobotSpec, distance: float) -> tuple[float, float]:
     """Return force of each post (N) and sag of the middle (m) of an inextensible beam on two smooth posts.
 
-    κ = M/(EI) is integrated from the free end, which carries a mass, past the post to the middle; contact and
-    tangent at the middle give two conditions.
+    κ = M/(EI) is integrated from the free end, which carries a mass, past the post to
+    the middle; contact and tangent at the middle give two conditions.
     """
     rigidity = spec.bending.stiffness * spec.geometry.segment_length
     end, middle = spec.mass.connectors[0] * PULL, spec.mass.connectors[1] * PULL
@@ -83,12 +99,19 @@ def elastica(spec: RobotSpec, distance: float) -> tuple[float, float]:
 
     def shape(angle, place):
         tail = solve_ivp(
-            rates, (spec.geometry.pitch, place), [0, 0, angle, 0], args=(0.0, -end), rtol=1e-9
+            rates,
+            (spec.geometry.pitch, place),
+            [0, 0, angle, 0],
+            args=(0.0, -end),
+            rtol=1e-9,
         ).y[:, -1]
         force = (middle / 2 + end) / math.cos(tail[2])
         load = -force * math.sin(tail[2]), force * math.cos(tail[2]) - end
         head = solve_ivp(rates, (place, 0.0), tail, args=load, rtol=1e-9).y[:, -1]
-        x, y = tail[0] - head[0] + reach * math.sin(tail[2]), tail[1] - head[1] - reach * math.cos(tail[2])
+        x, y = (
+            tail[0] - head[0] + reach * math.sin(tail[2]),
+            tail[1] - head[1] - reach * math.cos(tail[2]),
+        )
         return force, y + reach, head[2], x
 
     def residual(unknown):
@@ -109,7 +132,9 @@ def test_compliant_model_bends_over_posts_like_an_elastica(stiffness):
     assert total == pytest.approx([0.0, spec.mass.total * PULL], abs=1e-6)
     assert -state.position[1, 1] == pytest.approx(sag, rel=0.02)
     # The horizontal parts of the two normal forces cancel.
-    assert np.abs(total[1]) / 2 == pytest.approx(force * math.cos(state.bend[0]), rel=0.03)
+    assert np.abs(total[1]) / 2 == pytest.approx(
+        force * math.cos(state.bend[0]), rel=0.03
+    )
 
 
 @pytest.mark.slow
@@ -117,7 +142,12 @@ def test_error_of_cells_falls_with_their_square():
     spec = beam(0.1)
     _, sag = elastica(spec, 0.045)
     errors = [
-        abs(-settle(compliant(spec, two_posts(spec, 0.045, 0.0), cells=cells), 3.0).position[1, 1] - sag)
+        abs(
+            -settle(
+                compliant(spec, two_posts(spec, 0.045, 0.0), cells=cells), 3.0
+            ).position[1, 1]
+            - sag
+        )
         for cells in (4, 8, 16)
     ]
     assert errors[0] > 2.5 * errors[1] > 6 * errors[2]
@@ -129,7 +159,10 @@ def test_plants_and_elastica_agree_on_force_and_deflection(stiffness):
     spec = beam(stiffness)
     world = two_posts(spec, 0.045, 0.0)
     _, sag = elastica(spec, 0.045)
-    soft, rods = settle(compliant(spec, world), 3.0), settle(twin(spec, world, hinges=8), 2.0)
+    soft, rods = (
+        settle(compliant(spec, world), 3.0),
+        settle(twin(spec, world, hinges=8), 2.0),
+    )
     assert rods.obstacle_force.sum(axis=0) == pytest.approx(
         soft.obstacle_force.sum(axis=0), rel=1e-3, abs=1e-3
     )
@@ -138,16 +171,21 @@ def test_plants_and_elastica_agree_on_force_and_deflection(stiffness):
 
 
 @pytest.mark.parametrize("slope", [0.3, 0.7])
-@pytest.mark.parametrize("make", [pytest.param(compliant, marks=pytest.mark.slow), twin])
+@pytest.mark.parametrize(
+    "make", [pytest.param(compliant, marks=pytest.mark.slow), twin]
+)
 def test_body_slides_along_posts_under_coulomb_friction(make, slope):
-    # Gravity presses with cos φ and pulls along with sin φ: the body moves if tan φ > μ.
+    # Gravity presses with cos φ and pulls along with sin φ: the body moves if tan φ >
+    # μ.
     friction, spec = 0.5, beam(20.0, masses=(0.1, 0.1, 0.1))
     angle = math.atan(slope)
     plant = make(spec, two_posts(spec, 0.045, friction, math.pi / 2 + angle))
     duration = 0.2
     state = settle(plant, duration)
     expected = PULL * max(math.sin(angle) - friction * math.cos(angle), 0.0)
-    assert state.com_velocity[0] == pytest.approx(expected * duration, rel=0.03, abs=2e-3)
+    assert state.com_velocity[0] == pytest.approx(
+        expected * duration, rel=0.03, abs=2e-3
+    )
 
 
 @pytest.mark.slow
@@ -164,9 +202,13 @@ def test_collision_conserves_moment_about_a_smooth_post_and_loses_energy(frictio
         states.append(plant.step(vented(spec)))
         impulse += plant.tick * states[-1].obstacle_force.sum(axis=0)
         x, y, _, vx, vy, moment, _ = body.state[:7]
-        moments.append(moment + spec.mass.total * ((x - post.x) * vy - (y - post.y) * vx))
+        moments.append(
+            moment + spec.mass.total * ((x - post.x) * vy - (y - post.y) * vx)
+        )
         bends, momenta = np.split(body.state[7 : 7 + 2 * body._bends], 2)
-        springs = (spec.bending.stiffness * np.ravel(body.cells.inverse_share) * bends**2).sum() / 2
+        springs = (
+            spec.bending.stiffness * np.ravel(body.cells.inverse_share) * bends**2
+        ).sum() / 2
         turning = moment * body.velocity[2] + momenta @ body.velocity[3:]
         kinetic = (spec.mass.total * (vx**2 + vy**2) + turning) / 2
         energies.append(kinetic + springs)
@@ -176,18 +218,22 @@ def test_collision_conserves_moment_about_a_smooth_post_and_loses_energy(frictio
     assert max(energies) == pytest.approx(energies[0], rel=1e-9)
     assert energies[-1] < 0.98 * energies[0]
     if friction == 0.0:
-        assert moments == pytest.approx([moments[0]] * len(moments), abs=2e-3 * abs(moments[0]))
+        assert moments == pytest.approx(
+            [moments[0]] * len(moments), abs=2e-3 * abs(moments[0])
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [compliant, twin])
 def test_work_among_pegs_is_that_of_the_torques(make):
-    # Impacts take much of it, in a step or two, with a velocity that changes within the step.
+    # Impacts take much of it, in a step or two, with a velocity that changes within the
+    # step.
     spec = robot("gen2")
     pegs = Circle(0.24, 0.03, POST), Circle(0.24, -0.07, POST), Circle(0.13, 0.05, POST)
     plant = make(spec, World(pegs))
     run = rollout(plant, Gait(2.0), 1.5, record_hz=1000)
-    # The air works on the free bend. The material stores or dissipates the part that does not reach the bend.
+    # The air works on the free bend. The material stores or dissipates the part that
+    # does not reach the bend.
     torque, free = run.stack("torque"), free_bends(plant, Gait(2.0), run.time).bend
     work = ((torque[1:] + torque[:-1]) / 2 * np.diff(free, axis=0)).sum()
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
@@ -210,14 +256,17 @@ def test_mirrored_gait_among_mirrored_pegs_is_the_mirror_image():
     pegs = Circle(0.24, 0.03, POST), Circle(0.32, -0.04, POST)
     mirrored = tuple(replace(peg, y=-peg.y) for peg in pegs)
     left = rollout(compliant(spec, World(pegs)), Gait(2.0, 0.2), 1.5)
-    right = rollout(compliant(spec, World(mirrored)), Gait(2.0, -0.2, phase=math.pi), 1.5)
+    right = rollout(
+        compliant(spec, World(mirrored)), Gait(2.0, -0.2, phase=math.pi), 1.5
+    )
     assert np.abs(left["com_y"] + right["com_y"]).max() < 1e-6
     assert np.abs(left["heading"][-1]) > 0.01
 
 
 @pytest.mark.slow
 def test_cells_do_not_change_a_free_snake():
-    # A post far away: the divided body then bends like the undivided one, up to the chord between its wheels.
+    # A post far away: the divided body then bends like the undivided one, up to the
+    # chord between its wheels.
     spec = robot("gen2")
     far = World((Circle(5.0, 5.0, 0.1),))
     divided = rollout(compliant(spec, far), Gait(2.0, 0.2), 2.0)
@@ -237,7 +286,9 @@ def test_obstacles_do_not_matter_without_touch():
 @pytest.mark.parametrize("plant", [compliant, twin])
 def test_saved_state_among_obstacles_continues_with_the_same_bits(plant):
     spec = robot("gen2")
-    world = World(tuple(Circle(x, y, POST) for x in (0.17, -0.02, -0.08) for y in (-0.06, 0.06)))
+    world = World(
+        tuple(Circle(x, y, POST) for x in (0.17, -0.02, -0.08) for y in (-0.06, 0.06))
+    )
     first, second = (plant(spec, world) for _ in range(2))
     gait = Gait(2.0)
     gait.reset(spec, first.tick)

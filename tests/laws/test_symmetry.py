@@ -29,7 +29,8 @@ PLANTS = {
     "loaded ellipse": lambda: TwinSnake(robot(), contact=LoadedContact("ellipse")),
 }
 OFFSET = 0.2
-# Stick-slip amplifies rounding: by 3e7 in 2 s if friction across is ten times that along.
+# Stick-slip amplifies rounding: by 3e7 in 2 s if friction across is ten times that
+# along.
 ROUNDING = {"loaded ellipse": 1e-8}
 
 
@@ -44,11 +45,16 @@ def turning(name: str) -> Trajectory:
     return rollout(plant(name), Gait(2.0, OFFSET), 2.0)
 
 
-@pytest.mark.parametrize("pose", [(0.0, 0.0, np.pi / 6), (0.3, -0.2, 0.0), (-1.0, 2.0, np.pi / 6)])
+@pytest.mark.parametrize(
+    "pose", [(0.0, 0.0, np.pi / 6), (0.3, -0.2, 0.0), (-1.0, 2.0, np.pi / 6)]
+)
 @pytest.mark.parametrize("name", PLANTS)
 def test_trajectory_transforms_with_the_initial_pose(name, pose):
     x, y, angle = pose
-    on_cpu, on_device = turning(name), rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
+    on_cpu, on_device = (
+        turning(name),
+        rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose),
+    )
     c, s = np.cos(angle), np.sin(angle)
     turned = on_cpu.position @ np.array([[c, s], [-s, c]]) + [x, y]
     rounding = ROUNDING.get(name, 1e-9)
@@ -59,11 +65,18 @@ def test_trajectory_transforms_with_the_initial_pose(name, pose):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_opposite_offset_and_half_period_mirror_the_path(name):
-    left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0)
-    # The same code runs with left and right exchanged: no more than rounding is allowed to differ.
+    left, right = (
+        turning(name),
+        rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0),
+    )
+    # The same code runs with left and right exchanged: no more than rounding is allowed
+    # to differ.
     assert np.abs(right.position - left.position * [1, -1]).max() < 1e-9
     assert np.abs(right["heading"] + left["heading"]).max() < 1e-9
-    for plus, minus in (("pressure_plus", "pressure_minus"), ("valve_plus", "valve_minus")):
+    for plus, minus in (
+        ("pressure_plus", "pressure_minus"),
+        ("valve_plus", "valve_minus"),
+    ):
         assert np.abs(right.stack(plus) - left.stack(minus)).max() < 1e-6
 
 

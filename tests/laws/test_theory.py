@@ -21,9 +21,15 @@ PERIOD = 60.0
 def without_inertia(spec, pneumatics, period=PERIOD, **settings):
     """Run the model for two periods, so slowly that inertia is negligible."""
     plant = AnalyticalSnake(
-        spec, pneumatics=pneumatics, track=0.0, tick=period / 50, timestep=period / 5_000,
-        slip_speed=1e-4 / period, tolerance=1e-3 / period, **settings,
-    )  # fmt: skip
+        spec,
+        pneumatics=pneumatics,
+        track=0.0,
+        tick=period / 50,
+        timestep=period / 5_000,
+        slip_speed=1e-4 / period,
+        tolerance=1e-3 / period,
+        **settings,
+    )
     return rollout(plant, HoldValves("vent", "vent"), 2 * period, record_hz=50 / period)
 
 
@@ -33,11 +39,18 @@ def distance(run):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("winding", "within"), [(0.4, 0.003), (0.8, 0.004)])
-def test_a_serpenoid_without_slip_advances_by_the_mean_cosine_of_its_heading(winding, within):
-    """Hirose: λ J₀(α) per period. The slip at a ratio of 10,000 and 32 segments cause the rest."""
+def test_a_serpenoid_without_slip_advances_by_the_mean_cosine_of_its_heading(
+    winding, within
+):
+    """Hirose: λ J₀(α) per period.
+
+    The slip at a ratio of 10,000 and 32 segments cause the rest.
+    """
     spec = continuous_snake(1e-4, 1e-4, 1.0)
     wave = CurvatureWave(spec, amplitude=4 * math.pi * winding, period=PERIOD, waves=2)
-    assert 2 * distance(without_inertia(spec, wave)) == pytest.approx(j0(winding), rel=within)
+    assert 2 * distance(without_inertia(spec, wave)) == pytest.approx(
+        j0(winding), rel=within
+    )
 
 
 @pytest.mark.parametrize(
@@ -54,7 +67,11 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
     spec, path = wheeled(segments, friction), loop(middle, radius, PERIOD)
     run = without_inertia(spec, PrescribedBends(spec, path), friction=law)
     x, y, heading = (run[f"{name}_1"][[-51, -1]] for name in ("x", "y", "theta"))
-    (dx, dy), c, s = (x[1] - x[0], y[1] - y[0]), math.cos(heading[0]), math.sin(heading[0])
+    (dx, dy), c, s = (
+        (x[1] - x[0], y[1] - y[0]),
+        math.cos(heading[0]),
+        math.sin(heading[0]),
+    )
     moved = np.array([c * dx + s * dy, c * dy - s * dx, heading[1] - heading[0]])
     own = displacement(path, PERIOD, spec, slips=law == "viscous")
     assert np.abs(own).max() > 0.05
@@ -65,7 +82,11 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
 def test_coulomb_friction_without_inertia_does_not_depend_on_the_rate():
     spec = continuous_snake(0.1, 0.1, 0.3, segments=16)
     slow, fast = (
-        distance(without_inertia(spec, CurvatureWave(spec, amplitude=7.0, period=period), period))
+        distance(
+            without_inertia(
+                spec, CurvatureWave(spec, amplitude=7.0, period=period), period
+            )
+        )
         for period in (60.0, 20.0)
     )
     assert slow > 0.2 and fast == pytest.approx(slow, rel=1e-3)
@@ -76,8 +97,13 @@ def test_a_model_on_skin_that_fails_in_its_first_step_is_reported():
     spec = continuous_snake(0.1, 0.1, 1e3)
     wave = CurvatureWave(spec, amplitude=0.8 * math.pi, period=PERIOD, waves=2)
     plant = AnalyticalSnake(
-        spec, pneumatics=wave, track=0.0, tick=0.6, timestep=0.006, slip_speed=1e-4 / PERIOD,
+        spec,
+        pneumatics=wave,
+        track=0.0,
+        tick=0.6,
+        timestep=0.006,
+        slip_speed=1e-4 / PERIOD,
         tolerance=1e-3 / PERIOD,
-    )  # fmt: skip
+    )
     with pytest.raises(DivergedError, match="no plausible solution"):
         rollout(plant, HoldValves("vent", "vent"), PERIOD)

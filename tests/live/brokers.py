@@ -13,7 +13,9 @@ from pathlib import Path
 import pytest
 
 MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
-needs_broker = pytest.mark.skipif(MOSQUITTO is None, reason="mosquitto is not installed")
+needs_broker = pytest.mark.skipif(
+    MOSQUITTO is None, reason="mosquitto is not installed"
+)
 
 
 def free_port() -> int:
@@ -23,9 +25,16 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def broker(folder: Path, port: int, *, password: str | None = None) -> Iterator[subprocess.Popen[bytes]]:
+def broker(
+    folder: Path, port: int, *, password: str | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
     """Run a broker while the block runs; the user is `lab` where there is a password."""
-    lines = [f"listener {port} 127.0.0.1", "persistence false", "user root", "log_dest none"]
+    lines = [
+        f"listener {port} 127.0.0.1",
+        "persistence false",
+        "user root",
+        "log_dest none",
+    ]
     if password is None:
         lines.append("allow_anonymous true")
     else:

@@ -29,24 +29,60 @@ def not_json(draw: Random, text: bytes) -> bytes:
     """Return bytes that no JSON parser takes."""
     return draw.choice(
         [
-            b"", b"\x00" + draw.randbytes(draw.randrange(300)), text[: draw.randrange(1, len(text))],
-            text + b"}", b"[" * draw.randrange(1, 60_000), b"\xff\xfe" + text, text.replace(b'"t"', b"t"),
-            b"{" * 50, b'{"t": 1e', b'{"t": 0x10}', b"nan", text.replace(b":", b"=", 1),
+            b"",
+            b"\x00" + draw.randbytes(draw.randrange(300)),
+            text[: draw.randrange(1, len(text))],
+            text + b"}",
+            b"[" * draw.randrange(1, 60_000),
+            b"\xff\xfe" + text,
+            text.replace(b'"t"', b"t"),
+            b"{" * 50,
+            b'{"t": 1e',
+            b'{"t": 0x10}',
+            b"nan",
+            text.replace(b":", b"=", 1),
         ]
-    )  # fmt: skip
+    )
 
 
 def no_object(draw: Random) -> bytes:
     """Return JSON that is no object."""
     return json.dumps(
-        draw.choice([None, True, draw.random(), "stop it", [], [1, 2], [[[]]], [{"t": 1}], 10**400])
+        draw.choice(
+            [
+                None,
+                True,
+                draw.random(),
+                "stop it",
+                [],
+                [1, 2],
+                [[[]]],
+                [{"t": 1}],
+                10**400,
+            ]
+        )
     ).encode()
 
 
 def wrong_value(draw: Random) -> Any:
     """Return a value that is not a number within the bounds of any key."""
     return draw.choice(
-        [math.nan, math.inf, -math.inf, 1e300, -1e300, 10**40, "1", "", [], [0.0], {}, {"t": 1}, True, 1e11]
+        [
+            math.nan,
+            math.inf,
+            -math.inf,
+            1e300,
+            -1e300,
+            10**40,
+            "1",
+            "",
+            [],
+            [0.0],
+            {},
+            {"t": 1},
+            True,
+            1e11,
+        ]
     )
 
 
@@ -72,15 +108,25 @@ def message(draw: Random, segments: int) -> tuple[str, bytes, bool]:
         key = draw.choice([each for each in said if each != "t"])
         values = [0.0] * segments
         values[draw.randrange(segments)] = wrong_value(draw)
-        other = [[0.0] * (segments + draw.choice([-1, 1, 1000])), wrong_value(draw), None, values]
+        other = [
+            [0.0] * (segments + draw.choice([-1, 1, 1000])),
+            wrong_value(draw),
+            None,
+            values,
+        ]
         said[key] = draw.choice(other)
     return kind, json.dumps(said).encode(), False
 
 
 def frame(draw: Random, time: float = 1.0) -> bytes:
     """Return a frame that would be taken."""
-    bodies = {k: natnet.RigidBody((draw.random(), draw.random(), draw.random())) for k in range(1, 4)}
-    return packets.write_frame(natnet.Frame(draw.randrange(1000), time, bodies), VERSION)
+    bodies = {
+        k: natnet.RigidBody((draw.random(), draw.random(), draw.random()))
+        for k in range(1, 4)
+    }
+    return packets.write_frame(
+        natnet.Frame(draw.randrange(1000), time, bodies), VERSION
+    )
 
 
 def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int]]:
@@ -90,27 +136,53 @@ def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int
     if how == 0:
         return draw.randbytes(draw.randrange(4)), server
     if how == 1:
-        return struct.pack("<HH", 7, 65_000) + draw.randbytes(draw.randrange(500)), server
+        return (
+            struct.pack("<HH", 7, 65_000) + draw.randbytes(draw.randrange(500)),
+            server,
+        )
     if how == 2:
         _, content = natnet.opened(frame(draw))
-        return natnet.closed(natnet.Packet.FRAME, content[: draw.randrange(len(content) // 2)]), server
+        return (
+            natnet.closed(
+                natnet.Packet.FRAME, content[: draw.randrange(len(content) // 2)]
+            ),
+            server,
+        )
     if how == 3:
         return frame(draw, draw.choice([math.nan, math.inf, 1e11, -1e300])), server
     if how == 4:
         return frame(draw), elsewhere
     if how == 5:
-        other = draw.choice([packets.write_server((3, 0)), packets.write_models({1: "a"}, VERSION)])
+        other = draw.choice(
+            [packets.write_server((3, 0)), packets.write_models({1: "a"}, VERSION)]
+        )
         return other, draw.choice([elsewhere, (server[0], server[1] % 65_535 + 1)])
     if how == 6:
-        return packets.write_server(draw.choice([(1, 9), (2, 5), (5, 0), (255, 255)])), server
+        return (
+            packets.write_server(draw.choice([(1, 9), (2, 5), (5, 0), (255, 255)])),
+            server,
+        )
     if how == 7:
         group = draw.choice(["10.0.0.1", "0.0.0.0", "255.255.255.255", "192.0.2.7"])
-        return packets.write_server(VERSION, group=group, port=draw.choice([1511, 1600])), server
+        return (
+            packets.write_server(VERSION, group=group, port=draw.choice([1511, 1600])),
+            server,
+        )
     if how == 8:
         kind = draw.choice([natnet.Packet.FRAME, natnet.Packet.MODELDEF])
         counts = [draw.choice([-1, -(2**31), 2**31 - 1, 20_000])]
         head = [draw.randrange(1000)] if kind == natnet.Packet.FRAME else []
         content = struct.pack(f"<{len(head) + 1}i", *head, *counts)
         return natnet.closed(kind, content + draw.randbytes(200)), server
-    kinds = [natnet.Packet.REQUEST, natnet.Packet.RESPONSE, natnet.Packet.UNRECOGNIZED, 8, 42, 65_535]
-    return natnet.closed(draw.choice(kinds), draw.randbytes(draw.randrange(100))), server
+    kinds = [
+        natnet.Packet.REQUEST,
+        natnet.Packet.RESPONSE,
+        natnet.Packet.UNRECOGNIZED,
+        8,
+        42,
+        65_535,
+    ]
+    return (
+        natnet.closed(draw.choice(kinds), draw.randbytes(draw.randrange(100))),
+        server,
+    )

@@ -26,7 +26,9 @@ def test_the_offset_is_found_but_for_the_least_delay(offset):
         found = clock.update(sent, sent + offset + delay)
     assert clock.offset == pytest.approx(offset + 0.004, abs=0.001)
     assert found == pytest.approx(sent + offset + 0.004, abs=0.001)
-    assert clock.jitter == pytest.approx(np.sqrt(np.mean((delays[-500:] - delays.min()) ** 2)), rel=0.1)
+    assert clock.jitter == pytest.approx(
+        np.sqrt(np.mean((delays[-500:] - delays.min()) ** 2)), rel=0.1
+    )
 
 
 def test_a_drift_is_followed_and_a_clock_that_is_set_begins_anew():
@@ -118,14 +120,18 @@ def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
 
 
 @pytest.mark.parametrize(
-    ("jitter", "longest", "late"), [(0.02, 0.03, 0.0), (0.08, 0.08, 0.05), (0.5, 0.1, 0.9), (3.0, 0.1, 1.0)]
+    ("jitter", "longest", "late"),
+    [(0.02, 0.03, 0.0), (0.08, 0.08, 0.05), (0.5, 0.1, 0.9), (3.0, 0.1, 1.0)],
 )
 def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late):
     """Both clocks agree here: every twentieth message has no delay."""
     delay = np.random.default_rng(4).uniform(0.0, jitter, 1500)
     delay[::20] = 0.0
     sent, buffer = 0.02 * np.arange(len(delay)), ReorderBuffer(hold_s=0.03)
-    events = sorted([(s + d, s) for s, d in zip(sent, delay, strict=True)] + [(t, -1.0) for t in sent + 0.01])
+    events = sorted(
+        [(s + d, s) for s, d in zip(sent, delay, strict=True)]
+        + [(t, -1.0) for t in sent + 0.01]
+    )
     waiting: dict[float, float] = {}
     for now, of in events:
         if of >= 0:
@@ -139,12 +145,18 @@ def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late
     assert buffer.counts["robot", BENDS, "late"] <= late * len(delay)
 
 
-@pytest.mark.parametrize("kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES])))
+@pytest.mark.parametrize(
+    "kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES]))
+)
 def test_what_was_sent_at_once_comes_as_it_is_needed(kinds):
     buffer = ReorderBuffer()
     for kind in kinds:
         buffer.push(message(1.0, 2.0, kind))
-    assert [each.kind for _, each in buffer.pop_until(10.0)] == [VALVES, BENDS, PRESSURES]
+    assert [each.kind for _, each in buffer.pop_until(10.0)] == [
+        VALVES,
+        BENDS,
+        PRESSURES,
+    ]
 
 
 def test_messages_with_wrong_times_are_refused_until_three_agree():

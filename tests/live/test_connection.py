@@ -14,20 +14,27 @@ from srs_twin.plants.analytical.kinematics import BodyParameters
 def connection(robot="gen4"):
     spec = load_robot(robot)
     g = spec.geometry
-    mass = BodyParameters.of(spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap).mass
+    mass = BodyParameters.of(
+        spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap
+    ).mass
     return LocalConnection(spec, mass)
 
 
 def gait(steps, segments=4):
     time = np.linspace(0, 12 * np.pi, steps)
-    return 0.5 * np.sin(time[:, None] - 1.1 * np.arange(segments)) + 0.15 * np.sin(time[:, None] / 5)
+    return 0.5 * np.sin(time[:, None] - 1.1 * np.arange(segments)) + 0.15 * np.sin(
+        time[:, None] / 5
+    )
 
 
 def test_who_bends_and_straightens_the_same_way_is_where_it_was():
     """Scallop theorem: without momentum, a shape change and its reverse cause no displacement."""
     known, there = connection(), gait(40)
     bends = np.concatenate([there, there[-2::-1]])
-    went = sum(known.matrix((a + b) / 2) @ (b - a) for a, b in zip(bends[:-1], bends[1:], strict=True))
+    went = sum(
+        known.matrix((a + b) / 2) @ (b - a)
+        for a, b in zip(bends[:-1], bends[1:], strict=True)
+    )
     assert np.abs(went).max() < 1e-12
 
 
@@ -41,14 +48,24 @@ def test_what_a_robot_does_otherwise_is_found():
     known, rng = connection(), np.random.default_rng(3)
     hidden = rng.normal(size=known.weights.shape) * 0.01
     bends = gait(3000)
-    bends = bends + 0.2 * np.cumsum(rng.normal(size=bends.shape), axis=0) / np.sqrt(3000)
+    bends = bends + 0.2 * np.cumsum(rng.normal(size=bends.shape), axis=0) / np.sqrt(
+        3000
+    )
     for a, b in zip(bends[:-1], bends[1:], strict=True):
         parts = known.features(a, b)
         known.learn(parts, parts @ hidden)
     new = gait(700) * 0.9
-    apart = [known.features(a, b) @ (known.weights - hidden) for a, b in zip(new[:-1], new[1:], strict=True)]
-    missed = [known.features(a, b) @ hidden for a, b in zip(new[:-1], new[1:], strict=True)]
-    assert np.abs(np.cumsum(apart, axis=0)).max() < 0.2 * np.abs(np.cumsum(missed, axis=0)).max()
+    apart = [
+        known.features(a, b) @ (known.weights - hidden)
+        for a, b in zip(new[:-1], new[1:], strict=True)
+    ]
+    missed = [
+        known.features(a, b) @ hidden for a, b in zip(new[:-1], new[1:], strict=True)
+    ]
+    assert (
+        np.abs(np.cumsum(apart, axis=0)).max()
+        < 0.2 * np.abs(np.cumsum(missed, axis=0)).max()
+    )
 
 
 def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
@@ -56,9 +73,9 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
     draws = rng.normal(size=(200, *known.weights.shape))
 
     def unsure(change):
-        return known.sample_model_error(known.features(*change), draws)[:, 2].std() / np.linalg.norm(
-            change[1] - change[0]
-        )
+        return known.sample_model_error(known.features(*change), draws)[
+            :, 2
+        ].std() / np.linalg.norm(change[1] - change[0])
 
     seen, other = bends[30:32], np.array([np.full(4, 0.9), np.full(4, 1.0)])
     before = unsure(seen)
@@ -71,7 +88,9 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
 @pytest.mark.parametrize("robot, frequency", [("gen4", 1.5), ("gen2", 2.0)])
 @pytest.mark.slow
 def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
-    found = followed_estimate(Run(2, 40.0, robot=robot, frequency=frequency, cameras_s=30.0))
+    found = followed_estimate(
+        Run(2, 40.0, robot=robot, frequency=frequency, cameras_s=30.0)
+    )
     truth, end, n = found["truth"], found["estimate"][-1], found["truth"].shape[1] - 4
     there = truth[:, 0] >= 30.0
     way = np.hypot(*np.diff(truth[there][:, n + 1 : n + 3], axis=0).T).sum()

@@ -18,7 +18,11 @@ N, PERIOD = GEN2.segments, 25
 
 @pytest.mark.slow
 def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fits_at_first():
-    rng, contact, commands = np.random.default_rng(1), LiveContact(GEN2), CommandPeriod()
+    rng, contact, commands = (
+        np.random.default_rng(1),
+        LiveContact(GEN2),
+        CommandPeriod(),
+    )
     first = None
     for k in range(900):
         wave = np.sin(2 * np.pi * (k + 0.5) / PERIOD - np.pi / 2 * np.arange(N))
@@ -27,7 +31,10 @@ def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fit
         bend = air_bend(GEN2, pressure) + 0.006 * rng.standard_normal(N)
         commands.add((k + 0.5) * SLOT_S, (valves + 1) / 2)
         values = {VALVES: valves, PRESSURES: pressure, BENDS: bend}
-        sent = [Message(kind, "gen2", k * SLOT_S, k * SLOT_S, value) for kind, value in values.items()]
+        sent = [
+            Message(kind, "gen2", k * SLOT_S, k * SLOT_S, value)
+            for kind, value in values.items()
+        ]
         contact.update(sent, commands)
         if first is None and contact.estimate is not None:
             first = k * SLOT_S
@@ -37,7 +44,12 @@ def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fit
 
 
 def test_score_that_is_no_number_is_null():
-    assert json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=np.nan)))["score"] is None
+    assert (
+        json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=np.nan)))[
+            "score"
+        ]
+        is None
+    )
 
 
 def test_message_has_null_for_force_and_place_without_a_contact():

@@ -40,7 +40,10 @@ def observed(force, place, *, gains=1.0, lost=0.0, scale=1.0):
         return gains * air_bend(GEN2, pressure) + extra
 
     body = PushedBody(
-        spec, np.array([bend(k) for k in range(PERIOD)]), sample, np.array([place]) * spec.geometry.pitch
+        spec,
+        np.array([bend(k) for k in range(PERIOD)]),
+        sample,
+        np.array([place]) * spec.geometry.pitch,
     )
     u = body.free_velocity[(touch - 1) % PERIOD][None]
     for k in range(count):
@@ -48,7 +51,9 @@ def observed(force, place, *, gains=1.0, lost=0.0, scale=1.0):
         sensed = bend(k) + 0.006 * rng.standard_normal(N)
         if k >= touch:
             u, moment = body.step(k, u, np.array([force * scale**3]), np.array([0]))
-            sensed += (moment[0] - body.free_moment[k % PERIOD]) / spec.bending.stiffness
+            sensed += (
+                moment[0] - body.free_moment[k % PERIOD]
+            ) / spec.bending.stiffness
         if rng.uniform() < lost:
             observer.skip(1)
             continue
@@ -60,9 +65,14 @@ def observed(force, place, *, gains=1.0, lost=0.0, scale=1.0):
 @pytest.mark.slow
 @pytest.mark.parametrize("place", [0.3, 1.1, 2.0, 3.2])
 @pytest.mark.parametrize("force", [-0.6, 0.6])
-def test_force_and_place_of_a_contact_are_recovered_in_spite_of_wrong_gains(place, force):
+def test_force_and_place_of_a_contact_are_recovered_in_spite_of_wrong_gains(
+    place, force
+):
     results = observed(force, place, gains=1.2)
-    assert all(result is None for result in results[: round((SETTLING_S + LEARNING_S) / SAMPLE_S) - 1])
+    assert all(
+        result is None
+        for result in results[: round((SETTLING_S + LEARNING_S) / SAMPLE_S) - 1]
+    )
     free = [result for result in results[:-22] if result is not None]
     assert free and not any(result.touched for result in free)
     assert all(np.isnan(result.force) for result in free)
@@ -87,7 +97,12 @@ def test_estimates_scale_with_the_robot():
 @pytest.mark.parametrize("chambers", ["lag", "orifice"])
 def test_pressed_twin_is_detected_with_force_and_place(chambers):
     """The reference is another plant: hinges, spinning wheels and momentary loads of the twin."""
-    twin, gait, force, place = TwinSnake(GEN2, pneumatics=chambers), Gait(2.0), 0.7, 2.0 * PITCH
+    twin, gait, force, place = (
+        TwinSnake(GEN2, pneumatics=chambers),
+        Gait(2.0),
+        0.7,
+        2.0 * PITCH,
+    )
     observer = ContactObserver(GEN2, SAMPLE_S, PERIOD)
     gait.reset(GEN2, twin.tick)
     state, data = twin.reset(), twin.physics.data
@@ -99,7 +114,9 @@ def test_pressed_twin_is_detected_with_force_and_place(chambers):
         valves = gait.step(state)
         state = twin.step(valves)
         command = np.reshape(valves, (-1, N, 2)).mean(axis=0)
-        estimate = observer.update(command, state.pressure, state.bend + 0.006 * rng.standard_normal(N))
+        estimate = observer.update(
+            command, state.pressure, state.bend + 0.006 * rng.standard_normal(N)
+        )
     assert estimate.touched
     assert abs(estimate.force) == pytest.approx(force, rel=0.25)
     assert estimate.force_interval[0] <= force <= estimate.force_interval[1]
@@ -134,13 +151,19 @@ def test_another_gait_is_learnt_again():
 @pytest.mark.parametrize("period", [PERIOD, 600])
 def test_estimates_begin_after_the_noise_has_been_measured(period):
     """Messages are missing while the observer learns, or a period is longer than the time for learning."""
-    rng, observer, scores = np.random.default_rng(3), ContactObserver(GEN2, SAMPLE_S, period), []
+    rng, observer, scores = (
+        np.random.default_rng(3),
+        ContactObserver(GEN2, SAMPLE_S, period),
+        [],
+    )
     for k in range(1500):
         if 123 < k < 700 and period == PERIOD:
             observer.skip(1)
             continue
         command, pressure, _ = gait_sample(k)
-        estimate = observer.update(command, pressure, air_bend(GEN2, pressure) + 0.006 * rng.normal(size=N))
+        estimate = observer.update(
+            command, pressure, air_bend(GEN2, pressure) + 0.006 * rng.normal(size=N)
+        )
         scores += [estimate.score] if estimate is not None else []
     assert len(scores) > 100
     assert np.isfinite(scores).all() and max(scores) < 6.0

@@ -48,36 +48,55 @@ def test_faults_do_what_they_say():
     ill = {
         text: walked(EmulatedRobot("gen4", faults=[f"{text}@{at}"], **QUIET), 3.0)
         for text in (
-            "stuck_valve:2+", "stuck_valve:2+=closed", "leak:1-=fast", "dead_sensor:3",
-            "dead_sensor:3=frozen", "drifting_sensor:4", "starved", "lost_marker:5",
+            "stuck_valve:2+",
+            "stuck_valve:2+=closed",
+            "leak:1-=fast",
+            "dead_sensor:3",
+            "dead_sensor:3=frozen",
+            "drifting_sensor:4",
+            "starved",
+            "lost_marker:5",
         )
-    }  # fmt: skip
+    }
     for each in ill.values():
         before = slice(0, round(at / 0.02) - 1)
         assert np.array_equal(each["true"][before], whole["true"][before])
-    # A chamber that always fills is squeezed by the other one; a sound one is empty once a period.
+    # A chamber that always fills is squeezed by the other one; a sound one is empty
+    # once a period.
     assert ill["stuck_valve:2+"]["pressure"][later, 1, 0].min() > 20e3
     assert whole["pressure"][later, 1, 0].min() < 2e3
     assert ill["stuck_valve:2+=closed"]["pressure"][later, 1, 0].max() < 1e3
-    leaky, sound = (each["pressure"][later, 0, 1].max() for each in (ill["leak:1-=fast"], whole))
+    leaky, sound = (
+        each["pressure"][later, 0, 1].max() for each in (ill["leak:1-=fast"], whole)
+    )
     assert leaky < 0.9 * sound
     assert np.isnan(ill["dead_sensor:3"]["bends"][later, 2]).all()
     assert np.ptp(ill["dead_sensor:3=frozen"]["bends"][later, 2]) == 0
     drift = (ill["drifting_sensor:4"]["bends"] - ill["drifting_sensor:4"]["true"])[:, 3]
     assert drift[-1] == pytest.approx(0.1 * (3.0 - at), abs=0.01)
-    assert ill["starved"]["pressure"][later].max() < 0.6 * whole["pressure"][later].max()
-    assert ill["lost_marker:5"]["tracked"][-1].tolist() == [True, True, True, True, False]
+    assert (
+        ill["starved"]["pressure"][later].max() < 0.6 * whole["pressure"][later].max()
+    )
+    assert ill["lost_marker:5"]["tracked"][-1].tolist() == [
+        True,
+        True,
+        True,
+        True,
+        False,
+    ]
 
 
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("stuck", "is no fault; the form is"), ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
+        ("stuck", "is no fault; the form is"),
+        ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
         ("stuck_valve:2@5", "is of one chamber; stuck_valve:2\\+@5 would be one"),
-        ("starved:2@5", "is of the whole robot; starved@5"), ("dead_sensor:5@1", "there is no segment 5"),
+        ("starved:2@5", "is of the whole robot; starved@5"),
+        ("dead_sensor:5@1", "there is no segment 5"),
         ("stuck_valve:2+=shut@5", "unknown way of stuck_valve 'shut'"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_fault_is_refused(text, why):
     with pytest.raises(InputError, match=why):
         Fault.parse(text, 4)
@@ -118,7 +137,9 @@ def test_sensor_and_camera_noise_is_independent_in_every_component():
     state, bends = robot.state, np.array(bends)
     noise = np.array(seen) - np.column_stack([state.position, state.theta])
     noise[:, :, 2] = np.arctan2(np.sin(noise[:, :, 2]), np.cos(noise[:, :, 2]))
-    assert noise.std(axis=0) == pytest.approx(np.tile([0.3e-3, 0.3e-3, 0.3e-3 / 0.02], (5, 1)), rel=0.11)
+    assert noise.std(axis=0) == pytest.approx(
+        np.tile([0.3e-3, 0.3e-3, 0.3e-3 / 0.02], (5, 1)), rel=0.11
+    )
     assert (bends - state.bend).std(axis=0) == pytest.approx(np.full(4, 0.05), rel=0.11)
     both = np.hstack([noise.reshape(1000, -1), bends])
     assert np.abs(np.corrcoef(both.T) - np.eye(both.shape[1])).max() < 0.16
@@ -192,17 +213,37 @@ def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
 def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
     port, capture = free_port(), free_port()
     command = [
-        *(str(Path(sys.executable).with_name("srs-twin")), "emulate", "gen4", "--mqtt", f"127.0.0.1:{port}"),
-        *("--natnet", f"127.0.0.1:{capture}", "--name", "bench", "--fault", "lost_marker:5@0"),
+        *(
+            str(Path(sys.executable).with_name("srs-twin")),
+            "emulate",
+            "gen4",
+            "--mqtt",
+            f"127.0.0.1:{port}",
+        ),
+        *(
+            "--natnet",
+            f"127.0.0.1:{capture}",
+            "--name",
+            "bench",
+            "--fault",
+            "lost_marker:5@0",
+        ),
         *("--loss", "0.05", "--jitter-s", "0.02"),
     ]
     kinds = (BENDS, PRESSURES, VALVES, STATUS)
     with broker(tmp_path, port), MqttLink("bench", 4, port=port, kinds=kinds) as link:
-        process = subprocess.Popen(command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, cwd=tmp_path)
+        process = subprocess.Popen(
+            command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, cwd=tmp_path
+        )
         eyes = NatNetLink(port=capture)
         heard, poses = [], []
         try:
-            wait(lambda: heard.extend(link.received()) or any(m.kind == BENDS for m in heard), 60)
+            wait(
+                lambda: (
+                    heard.extend(link.received()) or any(m.kind == BENDS for m in heard)
+                ),
+                60,
+            )
             fill = np.tile([1.0, -1.0], (4, 1))
             end = time.monotonic() + 2.0
             heard.clear()
@@ -217,7 +258,12 @@ def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
             spans = np.diff([m.sent for m in bends])
             assert 40 <= len(bends) <= 101, "50 a second, some lost"
             assert np.median(spans) == pytest.approx(0.02, abs=0.004)
-            assert poses[-1].names == ("connector_1", "connector_2", "connector_3", "connector_4")
+            assert poses[-1].names == (
+                "connector_1",
+                "connector_2",
+                "connector_3",
+                "connector_4",
+            )
             assert poses[-1].values[:, 2] == pytest.approx(0.02)
             time.sleep(1.5)
             heard += link.received()
@@ -225,7 +271,9 @@ def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
             assert ([m for m in heard if m.kind == VALVES][-1].values == -1).all()
             process.send_signal(signal.SIGTERM)
             assert process.wait(20) == 0
-            wait(lambda: heard.extend(link.received()) or heard[-1].names == ("stopped",))
+            wait(
+                lambda: heard.extend(link.received()) or heard[-1].names == ("stopped",)
+            )
         finally:
             process.kill()
             process.wait()
@@ -241,6 +289,8 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         (("--start", "1,2"), "--start '1,2' is no place such as 0.2,-0.1,0.5"),
         (("--chambers", "orifce"), "did you mean orifice?"),
     ):
-        done = srs_twin("emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path)
+        done = srs_twin(
+            "emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path
+        )
         assert done.returncode == 2
         assert why in " ".join(done.stderr.split())

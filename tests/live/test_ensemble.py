@@ -14,16 +14,26 @@ EXACT = ModelError(disturbance=0.0, pressure=0.0, position=0.0)
 
 def test_one_measurement_corrects_as_in_a_kalman_filter():
     rng = np.random.default_rng(3)
-    members = rng.multivariate_normal([0.3, -0.2], [[0.04, 0.03], [0.03, 0.09]], size=20_000)
+    members = rng.multivariate_normal(
+        [0.3, -0.2], [[0.04, 0.03], [0.03, 0.09]], size=20_000
+    )
     covariance, mean = np.cov(members.T), members.mean(axis=0)
     noise, measured = 0.02, 0.5
     gain = covariance[:, 0] / (covariance[0, 0] + noise)
     predicted = members[:, :1].copy()
     kept = members.copy()
-    off = correct(kept, predicted, np.array([measured]), np.array([noise]), np.ones((1, 2)), False)
-    assert off[0] == pytest.approx((measured - mean[0]) / np.sqrt(covariance[0, 0] + noise))
-    assert kept.mean(axis=0) == pytest.approx(mean + gain * (measured - mean[0]), abs=1e-4)
-    assert np.cov(kept.T) == pytest.approx(covariance - np.outer(gain, covariance[0]), abs=1e-4)
+    off = correct(
+        kept, predicted, np.array([measured]), np.array([noise]), np.ones((1, 2)), False
+    )
+    assert off[0] == pytest.approx(
+        (measured - mean[0]) / np.sqrt(covariance[0, 0] + noise)
+    )
+    assert kept.mean(axis=0) == pytest.approx(
+        mean + gain * (measured - mean[0]), abs=1e-4
+    )
+    assert np.cov(kept.T) == pytest.approx(
+        covariance - np.outer(gain, covariance[0]), abs=1e-4
+    )
 
 
 def test_chance_correlations_correct_little():
@@ -32,7 +42,14 @@ def test_chance_correlations_correct_little():
     for _ in range(200):
         members = rng.normal(size=(32, 2))
         before = members.copy()
-        correct(members, before[:, :1].copy(), np.array([1.0]), np.array([0.1]), np.ones((1, 2)), False)
+        correct(
+            members,
+            before[:, :1].copy(),
+            np.array([1.0]),
+            np.array([0.1]),
+            np.ones((1, 2)),
+            False,
+        )
         moved.append(np.abs(members - before).mean(axis=0))
     own, other = np.mean(moved, axis=0)
     assert other < 0.1 * own
@@ -42,7 +59,14 @@ def test_outliers_count_less():
     members = np.random.default_rng(5).normal(size=(200, 1))
     near, far = members.copy(), members.copy()
     for copy, measured in ((near, 3.0), (far, 300.0)):
-        correct(copy, copy.copy(), np.array([measured]), np.array([0.1]), np.ones((1, 1)), False)
+        correct(
+            copy,
+            copy.copy(),
+            np.array([measured]),
+            np.array([0.1]),
+            np.ones((1, 1)),
+            False,
+        )
     assert far.mean() < 20 * near.mean()
 
 
@@ -50,9 +74,14 @@ def test_outliers_count_less():
 def test_members_without_errors_follow_the_compliant_model(robot):
     spec = load_robot(robot)
     plant = AnalyticalSnake(
-        spec, model="compliant", friction="wheel", load="momentary", inertia="connector", slip_speed=0.001,
+        spec,
+        model="compliant",
+        friction="wheel",
+        load="momentary",
+        inertia="connector",
+        slip_speed=0.001,
         timestep=0.0025,
-    )  # fmt: skip
+    )
     ensemble, gait = EnsembleFilter(spec, members=2, error=EXACT), Gait(1.25)
     gait.reset(spec, 0.02)
     for k in range(100):
@@ -62,7 +91,9 @@ def test_members_without_errors_follow_the_compliant_model(robot):
         supply = np.full(spec.segments, spec.supply.nominal)
         ensemble.predict(ValveInput(opens, supply, np.zeros((spec.segments, 2))), 0.02)
     assert ensemble.mean("bend") == pytest.approx(state.bend, abs=2e-3)
-    assert ensemble.mean("pressure") == pytest.approx(state.pressure.ravel(), rel=1e-6, abs=1.0)
+    assert ensemble.mean("pressure") == pytest.approx(
+        state.pressure.ravel(), rel=1e-6, abs=1.0
+    )
 
 
 def test_pressures_may_be_below_ambient():
@@ -71,7 +102,9 @@ def test_pressures_may_be_below_ambient():
     ensemble = EnsembleFilter(spec, members=32)
     measured = np.full((spec.segments, 2), -12e3)
     air = ValveInput(
-        np.zeros((1, spec.segments, 2)), np.full(spec.segments, 48e3), np.zeros((spec.segments, 2))
+        np.zeros((1, spec.segments, 2)),
+        np.full(spec.segments, 48e3),
+        np.zeros((spec.segments, 2)),
     )
     for _ in range(10):
         ensemble.predict(air, 0.02)
@@ -86,7 +119,11 @@ def test_first_frame_places_the_members():
     turn = 2.5
     c, s = np.cos(turn), np.sin(turn)
     seen = np.column_stack(
-        [1 + c * poses[:, 0] - s * poses[:, 1], s * poses[:, 0] + c * poses[:, 1], poses[:, 2] + turn]
+        [
+            1 + c * poses[:, 0] - s * poses[:, 1],
+            s * poses[:, 0] + c * poses[:, 1],
+            poses[:, 2] + turn,
+        ]
     )
     seen[1] = np.nan
     seen[3, 2] -= 2 * np.pi  # headings may be any number of turns apart
@@ -100,10 +137,14 @@ def test_first_frame_places_the_members():
 @pytest.mark.parametrize("turn", [np.pi, -np.pi, 3 * np.pi])
 def test_members_are_placed_on_the_same_turn(turn):
     ensemble = EnsembleFilter(load_robot("gen4"), members=32)
-    ensemble.predict(ValveInput(np.zeros((1, 4, 2)), np.full(4, 48e3), np.zeros((4, 2))), 0.2)
+    ensemble.predict(
+        ValveInput(np.zeros((1, 4, 2)), np.full(4, 48e3), np.zeros((4, 2))), 0.2
+    )
     seen = ensemble.poses().mean(axis=0)
     seen = np.column_stack([-seen[:, :2], seen[:, 2] + turn])
-    seen[1:] = np.nan  # the members differ in the heading of the head relative to the mean heading
+    seen[1:] = (
+        np.nan
+    )  # the members differ in the heading of the head relative to the mean heading
     ensemble.update_poses(seen)
     assert ensemble.sd("heading") < 0.1
     assert np.cos(ensemble.mean("heading") - turn) == pytest.approx(1.0, abs=0.01)
@@ -137,11 +178,16 @@ def test_motion_by_bends_minimises_friction(robot):
         x, y = (ensemble.poses()[0] - first)[:, :2].T
         c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
         ahead, aside = c * x + s * y, c * y - s * x
-        return float(np.sum(spec.friction.mu_t * ahead**2 + spec.friction.mu_n * aside**2))
+        return float(
+            np.sum(spec.friction.mu_t * ahead**2 + spec.friction.mu_n * aside**2)
+        )
 
     for bent in 1e-3 * np.eye(4):
         ensemble.members[:] = begun
-        ensemble.odometry._bends, ensemble.odometry._elapsed = begun[:, ensemble.columns["bend"]], 0.02
+        ensemble.odometry._bends, ensemble.odometry._elapsed = (
+            begun[:, ensemble.columns["bend"]],
+            0.02,
+        )
         ensemble.members[:, ensemble.columns["bend"]] += bent
         stays = slides()
         ensemble.apply_odometry()
@@ -158,7 +204,9 @@ def test_corrected_bends_do_not_move_the_body():
     """A model error and its correction enclose no area of bends."""
     spec = load_robot("gen4")
     ensemble = EnsembleFilter(spec, members=32, error=EXACT)
-    air = ValveInput(np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2)))
+    air = ValveInput(
+        np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2))
+    )
     bend, begun = ensemble.columns["bend"], ensemble.members.copy()
     for segments in ([0, 1], [2, 3]):
         ensemble.predict(air, 0.02)
@@ -173,7 +221,9 @@ def test_repeated_odometry_changes_nothing():
     """A second call without a change of the bends has no effect."""
     spec = load_robot("gen4")
     once, twice = (EnsembleFilter(spec, members=32, error=EXACT) for _ in range(2))
-    air = ValveInput(np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2)))
+    air = ValveInput(
+        np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2))
+    )
     for ensemble in (once, twice):
         ensemble.odometry._draws[:] = 0.0
         ensemble.predict(air, 0.02)

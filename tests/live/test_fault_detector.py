@@ -24,7 +24,9 @@ def walked(seconds, fault=lambda time, readings: readings, supply=lambda time: 1
         way = 1 if k // HALF % 2 == 0 else -1
         states = np.tile([way, -way], (spec.segments, 1))
         chambers.set_supply_pressure(supply(k * TICK) * spec.supply.nominal)
-        bend = chambers.advance(chambers.schedule(states, TICK), np.array([TICK])).bend[-1]
+        bend = chambers.advance(chambers.schedule(states, TICK), np.array([TICK])).bend[
+            -1
+        ]
         detector.predict((states + 1) / 2, TICK)
         error = OFFSET + DRIFT * k * TICK + NOISE * rng.normal(size=bend.shape)
         readings = fault(k * TICK, (1 + SCALE) * bend + error)

@@ -14,12 +14,33 @@ import numpy as np
 import pytest
 from benchmark_runs import run_benchmark
 from brokers import needs_broker
-from firmware_rig import FIRMWARE, HOLD_S, NAME, SEGMENTS, WATCHDOG_S, Cause, Rig, lay, micropython, until
+from firmware_rig import (
+    FIRMWARE,
+    HOLD_S,
+    NAME,
+    SEGMENTS,
+    WATCHDOG_S,
+    Cause,
+    Rig,
+    lay,
+    micropython,
+    until,
+)
 
 from srs_twin.live.links import LOST, MqttLink
-from srs_twin.live.messages import BENDS, COMMAND, LARGEST_BYTES, STATUS, VALVES, encode, topic
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    LARGEST_BYTES,
+    STATUS,
+    VALVES,
+    encode,
+    topic,
+)
 
-pytestmark = pytest.mark.skipif(micropython() is None, reason="MicroPython's Unix port is not installed")
+pytestmark = pytest.mark.skipif(
+    micropython() is None, reason="MicroPython's Unix port is not installed"
+)
 
 ALL_OPEN = np.ones((SEGMENTS, 2))
 SLACK_S = 0.2  # the bound asked for: after a command's expiry
@@ -27,14 +48,20 @@ SLACK_S = 0.2  # the bound asked for: after a command's expiry
 
 def evaluate(code: str, given=None, folder=None):
     """Run code in MicroPython next to the firmware; return its variable `result`."""
-    prologue = "import sys, json\nsys.path.insert(0, sys.argv[1])\ngiven = json.load(open(sys.argv[2]))\n"
+    prologue = (
+        "import sys, json\nsys.path.insert(0, sys.argv[1])\ngiven ="
+        " json.load(open(sys.argv[2]))\n"
+    )
     file, data = folder / "code.py", folder / "given.json"
     file.write_text(prologue + code + "\nprint(json.dumps(result))\n", "utf-8")
     data.write_text(json.dumps(given), "utf-8")
     command = micropython()
     assert command is not None
     done = subprocess.run(
-        [*command, str(file), str(FIRMWARE), str(data)], capture_output=True, text=True, timeout=60
+        [*command, str(file), str(FIRMWARE), str(data)],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(done.stdout.splitlines()[-1])
@@ -52,9 +79,16 @@ for payload in given:
 
 
 def test_commands_of_the_shadow_are_decoded_exactly(tmp_path):
-    states, duties = np.array([[1.0, -1.0], [-1.0, 1.0]]), np.array([[0.25, 0.0], [0.0, 1.0]])
+    states, duties = (
+        np.array([[1.0, -1.0], [-1.0, 1.0]]),
+        np.array([[0.25, 0.0], [0.0, 1.0]]),
+    )
     times = (0.0, 1e-5, 0.02, 123456.789, 1795715650.123, -3.5, 1e11)
-    given = [encode(COMMAND, at, values).decode() for at in times for values in (states, duties)]
+    given = [
+        encode(COMMAND, at, values).decode()
+        for at in times
+        for values in (states, duties)
+    ]
     shares = ([[1, 0], [0, 1]], [[0.25, 0], [0, 1]])
     found = evaluate(DECODE, given, tmp_path)
     for k, (sent, plus, minus) in enumerate(found):
@@ -63,21 +97,39 @@ def test_commands_of_the_shadow_are_decoded_exactly(tmp_path):
 
 
 BAD = (
-    "", "x", "[]", "null", "3", "{}", '{"t": 1}', '{"t": 1, "plus": [1, 1]}', "[" * 2000, "{" * 50,
-    '{"t": NaN, "plus": [1, 1], "minus": [1, 1]}', '{"t": Infinity, "plus": [1, 1], "minus": [1, 1]}',
-    '{"t": 1e400, "plus": [1, 1], "minus": [1, 1]}', '{"t": true, "plus": [1, 1], "minus": [1, 1]}',
-    '{"t": "1", "plus": [1, 1], "minus": [1, 1]}', '{"t": 1, "plus": [1, NaN], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1], "minus": [1, 1]}', '{"t": 1, "plus": [1, 1, 1], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, "1"], "minus": [1, 1]}', '{"t": 1, "plus": [1, true], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, null], "minus": [1, 1]}', '{"t": 1, "plus": [1, 2], "minus": [1, 1]}',
-    '{"t": 1, "plus": "11", "minus": [1, 1]}', '{"t": 1, "plus": {"0": 1, "1": 1}, "minus": [1, 1]}',
+    "",
+    "x",
+    "[]",
+    "null",
+    "3",
+    "{}",
+    '{"t": 1}',
+    '{"t": 1, "plus": [1, 1]}',
+    "[" * 2000,
+    "{" * 50,
+    '{"t": NaN, "plus": [1, 1], "minus": [1, 1]}',
+    '{"t": Infinity, "plus": [1, 1], "minus": [1, 1]}',
+    '{"t": 1e400, "plus": [1, 1], "minus": [1, 1]}',
+    '{"t": true, "plus": [1, 1], "minus": [1, 1]}',
+    '{"t": "1", "plus": [1, 1], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, NaN], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, 1, 1], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, "1"], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, true], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, null], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, 2], "minus": [1, 1]}',
+    '{"t": 1, "plus": "11", "minus": [1, 1]}',
+    '{"t": 1, "plus": {"0": 1, "1": 1}, "minus": [1, 1]}',
     '{"a": {"t": 5}, "t": 6, "plus": [1, 1], "minus": [1, 1]}',
     '{"t": 1, "plus": [1, 1], "minus": [1, 1e999]}',
-)  # fmt: skip
+)
 
 
 def test_payloads_that_are_no_commands_are_refused_with_a_reason(tmp_path):
-    assert [each for each in evaluate(DECODE, BAD, tmp_path) if not isinstance(each, str)] == []
+    assert [
+        each for each in evaluate(DECODE, BAD, tmp_path) if not isinstance(each, str)
+    ] == []
 
 
 def test_uptime_passes_the_wrap_around_of_ticks(tmp_path):
@@ -133,7 +185,10 @@ def test_an_older_command_does_not_replace_a_newer_one(tmp_path):
 
 
 def test_repeated_and_older_commands_do_not_prolong_the_hold(tmp_path):
-    again = [(now, 2000 - 20 * k) for now, k in zip(range(2010, 2400, 10), range(39), strict=False)]
+    again = [
+        (now, 2000 - 20 * k)
+        for now, k in zip(range(2010, 2400, 10), range(39), strict=False)
+    ]
     filled = obeyed(tmp_path, live(1000, 2001) + again)
     assert filled[-1][0] < 2200
 
@@ -144,7 +199,11 @@ def stalled(stall_ms: int, rate: float):
     sent = list(range(3000, 3000 + int(stall_ms / (1 - 1 / rate)), 20))
     arrivals = [max(at, end + int((at - 3000) / rate)) for at in sent]
     after = max(arrivals[-1], sent[-1]) + 20
-    return live(1000, 3000) + list(zip(arrivals, sent, strict=True)) + live(after, after + 2000)
+    return (
+        live(1000, 3000)
+        + list(zip(arrivals, sent, strict=True))
+        + live(after, after + 2000)
+    )
 
 
 @pytest.mark.parametrize("stall_ms", [500, 1500, 20_000])
@@ -162,7 +221,9 @@ def test_a_controller_that_restarts_with_another_clock_is_obeyed_again(tmp_path)
         assert obeyed(tmp_path, events)[-1] == events[-1]
 
 
-def test_a_valve_changes_from_duties_to_states_and_vents_at_import(tmp_path, monkeypatch):
+def test_a_valve_changes_from_duties_to_states_and_vents_at_import(
+    tmp_path, monkeypatch
+):
     lay(tmp_path, 1883)
     log = tmp_path / "log"
     monkeypatch.setenv("FIRMWARE_LOG", str(log))
@@ -219,7 +280,9 @@ def served(tmp_path, ms, serve):
         thread = threading.Thread(target=accept)
         thread.start()
         try:
-            return evaluate(CLIENT, {"port": listener.getsockname()[1], "ms": ms}, tmp_path)
+            return evaluate(
+                CLIENT, {"port": listener.getsockname()[1], "ms": ms}, tmp_path
+            )
         finally:
             over.set()
             thread.join()
@@ -237,7 +300,13 @@ def published(payload: bytes) -> bytes:
 
 
 def test_the_client_reads_packets_in_pieces_and_skips_large_ones(tmp_path):
-    stream = CONNACK + SUBACK + published(b"one") + published(b"x" * 70_000) + published(b"two")
+    stream = (
+        CONNACK
+        + SUBACK
+        + published(b"one")
+        + published(b"x" * 70_000)
+        + published(b"two")
+    )
 
     def serve(near, over):
         near.recv(1000)
@@ -255,7 +324,9 @@ def test_the_client_reads_packets_in_pieces_and_skips_large_ones(tmp_path):
 def test_the_client_never_waits_for_a_link_that_takes_nothing(tmp_path):
     def serve(near, over):
         near.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
-        near.sendall(CONNACK + SUBACK + published(b"one") + b"\x30\x7f\x00")  # and half a message
+        near.sendall(
+            CONNACK + SUBACK + published(b"one") + b"\x30\x7f\x00"
+        )  # and half a message
         over.wait(1)
 
     found = served(tmp_path, 1500, serve)
@@ -265,7 +336,8 @@ def test_the_client_never_waits_for_a_link_that_takes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "greeting", [b"\x20\x02\x00\x05", b"\xff\xff\xff\xff\xff\xff", b"HTTP/1.1 400 Bad", b""]
+    "greeting",
+    [b"\x20\x02\x00\x05", b"\xff\xff\xff\xff\xff\xff", b"HTTP/1.1 400 Bad", b""],
 )
 def test_the_client_tries_again_where_it_is_refused(tmp_path, greeting):
     greeted = []
@@ -317,16 +389,24 @@ def test_chambers_vent_in_time_after_kills_and_a_stall_of_the_link(rig):
     obeys(rig)
     assert {vent.cause for vent in vents} == {Cause.EXPIRY} and rig.robot.resets == []
     assert max(vent.delay for vent in vents) < SLACK_S
-    assert min(vent.delay for vent in vents) > -0.03  # and not much earlier: clocks count ms
+    assert (
+        min(vent.delay for vent in vents) > -0.03
+    )  # and not much earlier: clocks count ms
     assert rig.oldest() < HOLD_S + SLACK_S
 
 
 @needs_broker
 @pytest.mark.parametrize(
     "how",
-    ["kill", pytest.param("hang", marks=pytest.mark.slow), pytest.param("error", marks=pytest.mark.slow)],
+    [
+        "kill",
+        pytest.param("hang", marks=pytest.mark.slow),
+        pytest.param("error", marks=pytest.mark.slow),
+    ],
 )
-def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after_an_error(rig, how):
+def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after_an_error(
+    rig, how
+):
     with MqttLink(NAME, SEGMENTS, port=rig.port, kinds=(STATUS,)) as link:
         time.sleep(0.3)
         if how == "kill":
@@ -340,7 +420,8 @@ def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after
             assert vent.cause is Cause.RESET and vent.time - vent.fed < WATCHDOG_S + 0.1
         obeys(rig)  # the reset has started it again
         said = [message.names[0] for message in link.received()]
-    # A killed interpreter's socket is closed, a hanging one's is replaced after the reset.
+    # A killed interpreter's socket is closed, a hanging one's is replaced after the
+    # reset.
     assert said[:2] == ["stopped" if how == "error" else LOST, "running"]
 
 
@@ -355,8 +436,15 @@ def test_the_shadow_reads_its_messages_and_garbage_does_not_stop_it(rig):
     kinds = (VALVES, BENDS, STATUS)
     with MqttLink(NAME, SEGMENTS, port=rig.port, kinds=kinds) as link:
         for k in range(200):
-            payload = (b"{" * 50, BAD[k % len(BAD)].encode(), os.urandom(200), b"9" * 2000)[k % 4]
-            other.publish(topic(NAME, COMMAND), payload if k % 100 else b"9" * LARGEST_BYTES)
+            payload = (
+                b"{" * 50,
+                BAD[k % len(BAD)].encode(),
+                os.urandom(200),
+                b"9" * 2000,
+            )[k % 4]
+            other.publish(
+                topic(NAME, COMMAND), payload if k % 100 else b"9" * LARGEST_BYTES
+            )
             time.sleep(0.01)
         heard = link.received()
     other.disconnect()
@@ -390,7 +478,9 @@ def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
 @needs_broker
 @pytest.mark.slow
 def test_chambers_vent_in_time_after_sixty_kills_and_twenty_losses():
-    done = run_benchmark("firmware_kills.py", "--kills", "60", "--losses", "20", "--seed", "1")
+    done = run_benchmark(
+        "firmware_kills.py", "--kills", "60", "--losses", "20", "--seed", "1"
+    )
     print(done.stdout)
     assert done.returncode == 0, done.stderr
 
@@ -398,7 +488,16 @@ def test_chambers_vent_in_time_after_sixty_kills_and_twenty_losses():
 @needs_broker
 @pytest.mark.slow
 def test_a_shadow_runs_with_the_firmware(rig, srs_twin, tmp_path):
-    words = ("shadow", "gen4", "--mqtt", f"127.0.0.1:{rig.port}", "--name", NAME, "--out", "lab")
+    words = (
+        "shadow",
+        "gen4",
+        "--mqtt",
+        f"127.0.0.1:{rig.port}",
+        "--name",
+        NAME,
+        "--out",
+        "lab",
+    )
     done = srs_twin(*words, "--duration-s", "4", "--json", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     messages = json.loads(done.stdout)["messages"]

@@ -49,20 +49,26 @@ def link(monkeypatch):
 
 def deliver(link: MqttLink, kind: str, payload: bytes, retained: bool = False) -> None:
     link._on_message(
-        None, None, SimpleNamespace(topic=topic("robot", kind), payload=payload, retain=retained)
+        None,
+        None,
+        SimpleNamespace(topic=topic("robot", kind), payload=payload, retain=retained),
     )
 
 
 def named(link) -> int:
     """Return how many were refused; each has a reason, and reasons are few."""
-    reasons = {what: count for what, count in link.counts.items() if what.startswith("bad: ")}
+    reasons = {
+        what: count for what, count in link.counts.items() if what.startswith("bad: ")
+    }
     assert "bad: for other reasons" not in reasons and len(reasons) < 40
     # Nothing but a reason that was foreseen; names of exceptions have no blank in them.
     assert all(" " in what.removeprefix("bad: ") for what in reasons), reasons
     return sum(reasons.values())
 
 
-counts = pytest.mark.parametrize("count", [200, pytest.param(2000, marks=pytest.mark.slow)])
+counts = pytest.mark.parametrize(
+    "count", [200, pytest.param(2000, marks=pytest.mark.slow)]
+)
 
 
 @counts
@@ -75,7 +81,9 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
         eyes._arrived(hostile.natnet.write_server(), sender)
         warm_up(load_robot("gen4"))
         shadow = Shadow(load_robot("gen4"), members=8)
-        session = Session(shadow, [wire, link, eyes], steering=Steering(), commands=link)
+        session = Session(
+            shadow, [wire, link, eyes], steering=Steering(), commands=link
+        )
         told = {"messages": 0, "packets": 0, "times": 0, "stop": 0.0}
 
         def stop() -> bool:
@@ -102,17 +110,25 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
     assert named(eyes) == told["packets"]
     assert found["dropped"]["bends off its clock"] == told["times"]
     # A busy machine may fall behind; hostile messages cause no other problem.
-    assert found["error"] is None and all("falling behind" in each for each in found["problems"])
+    assert found["error"] is None and all(
+        "falling behind" in each for each in found["problems"]
+    )
     assert found["seconds"] < 59 and not found["estimate"]["lost"]
     assert np.abs(found["estimate"]["bend_rad"]).max() < 0.05
     after = [
-        json.loads(each) for at, name, each in link._client.sent if at > told["stop"] and COMMAND in name
+        json.loads(each)
+        for at, name, each in link._client.sent
+        if at > told["stop"] and COMMAND in name
     ]
-    assert after and all(each["plus"] == each["minus"] == [-1] * SEGMENTS for each in after)
+    assert after and all(
+        each["plus"] == each["minus"] == [-1] * SEGMENTS for each in after
+    )
 
 
 @counts
-def test_a_robot_ignores_hostile_messages_and_obeys_a_command_within_one_tick(link, monkeypatch, count):
+def test_a_robot_ignores_hostile_messages_and_obeys_a_command_within_one_tick(
+    link, monkeypatch, count
+):
     draw, bench = Random(count), Bench(monkeypatch)
     whole = bench._sleep
 

@@ -18,10 +18,22 @@ def messages(count: int) -> list[Message]:
     found = []
     for k in range(count):
         sent, arrived = 0.02 * k, 100 + 0.02 * k
-        found.append(Message(BENDS, "r", sent, arrived, np.array([0.1 * (k % 5), math.nan])))
-        found.append(Message(COMMAND, "r", sent, arrived + 0.001, np.array([[1.0, -1.0], [0.25, 0.0]])))
+        found.append(
+            Message(BENDS, "r", sent, arrived, np.array([0.1 * (k % 5), math.nan]))
+        )
+        found.append(
+            Message(
+                COMMAND,
+                "r",
+                sent,
+                arrived + 0.001,
+                np.array([[1.0, -1.0], [0.25, 0.0]]),
+            )
+        )
         poses = np.array([[1.0, 2.0, 0.0, 0.5], [0.0, 0.0, 0.0, math.nan]])
-        found.append(Message(POSES, "natnet", sent + 5, arrived + 0.002, poses, ("head", "tail")))
+        found.append(
+            Message(POSES, "natnet", sent + 5, arrived + 0.002, poses, ("head", "tail"))
+        )
     found.append(Message(PRESSURES, "r", 1.0, 200.0, np.full((2, 2), 12e3)))
     return [*found, Message(STATUS, "r", 1.0, 200.0, names=("fine",))]
 
@@ -29,9 +41,10 @@ def messages(count: int) -> list[Message]:
 def same(one: Message, other: Message) -> bool:
     return (
         (one.kind, one.source, one.names) == (other.kind, other.source, other.names)
-        and math.isclose(one.sent, other.sent) and math.isclose(one.arrived, other.arrived)
+        and math.isclose(one.sent, other.sent)
+        and math.isclose(one.arrived, other.arrived)
         and np.allclose(one.values, other.values, equal_nan=True)
-    )  # fmt: skip
+    )
 
 
 def written(path, count: int) -> list[Message]:
@@ -52,7 +65,10 @@ def test_what_was_written_comes_back(tmp_path):
     with (tmp_path / "a.mcap").open("rb") as file:
         summary = reader.make_reader(file).get_summary()
     assert summary.statistics.message_count == len(said)
-    assert {each.topic for each in summary.channels.values()} >= {"srs/r/bends", "srs/natnet/poses"}
+    assert {each.topic for each in summary.channels.values()} >= {
+        "srs/r/bends",
+        "srs/natnet/poses",
+    }
 
 
 def test_a_kill_takes_the_end_with_it_and_no_more(tmp_path):
@@ -99,8 +115,12 @@ def foreign(path, records) -> None:
         writer.start(profile="", library="")
         schema = writer.register_schema(name="x", encoding="jsonschema", data=b"{}")
         for topic, data, log_time in records:
-            channel = writer.register_channel(topic=topic, message_encoding="json", schema_id=schema)
-            writer.add_message(channel_id=channel, data=data, log_time=log_time, publish_time=0)
+            channel = writer.register_channel(
+                topic=topic, message_encoding="json", schema_id=schema
+            )
+            writer.add_message(
+                channel_id=channel, data=data, log_time=log_time, publish_time=0
+            )
         writer.finish()
 
 
@@ -113,13 +133,20 @@ SECOND = 10**9
     ("records", "words"),
     [
         ([], "holds no message at all"),
-        ([("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)],
-         "holds no message of 'r'; it has messages of other \\(--name\\)"),
+        (
+            [("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)],
+            "holds no message of 'r'; it has messages of other \\(--name\\)",
+        ),
         ([("/imu/data", b"{}", 1)], "not readable: 1 × no message of ours: ValueError"),
-        ([("srs/r/bends", b'{"t": 1, "rad": [0.1]}', 1)], "not readable: 1 × rad: a list of 2 numbers"),
+        (
+            [("srs/r/bends", b'{"t": 1, "rad": [0.1]}', 1)],
+            "not readable: 1 × rad: a list of 2 numbers",
+        ),
     ],
-)  # fmt: skip
-def test_a_journal_without_a_message_of_the_robot_is_refused(tmp_path, srs_twin, records, words):
+)
+def test_a_journal_without_a_message_of_the_robot_is_refused(
+    tmp_path, srs_twin, records, words
+):
     foreign(tmp_path / "a.mcap", records)
     with pytest.raises(InputError, match=f"a.mcap: .*{words}"):
         McapLink(tmp_path / "a.mcap", "r", 2)
@@ -129,7 +156,10 @@ def test_the_command_refuses_a_journal_of_another_robot(tmp_path, srs_twin):
     foreign(tmp_path / "a.mcap", [("srs/other/bends", BEND, 1)])
     done = srs_twin("shadow", "gen2", "--mcap", "a.mcap", "--name", "r", cwd=tmp_path)
     assert done.returncode == 2
-    assert "a.mcap: holds no message of 'r'; it has messages of other (--name)" in done.stderr
+    assert (
+        "a.mcap: holds no message of 'r'; it has messages of other (--name)"
+        in done.stderr
+    )
 
 
 def test_frames_alone_are_played(tmp_path):
@@ -184,15 +214,22 @@ def test_an_error_while_a_journal_is_played_ends_it_by_name(tmp_path, monkeypatc
 
 def test_records_that_are_no_messages_are_counted_and_skipped(tmp_path):
     records = [
-        ("other", b"{}"), ("srs/r/bends", b"[" * 60_000), ("srs/r/bends", b"\xff"), ("srs/r/unknown", b"{}"),
-        ("srs/cameras/poses", b"[" * 60_000), ("srs/cameras/poses", b"[]"),
+        ("other", b"{}"),
+        ("srs/r/bends", b"[" * 60_000),
+        ("srs/r/bends", b"\xff"),
+        ("srs/r/unknown", b"{}"),
+        ("srs/cameras/poses", b"[" * 60_000),
+        ("srs/cameras/poses", b"[]"),
         ("srs/cameras/poses", b'{"t": NaN, "poses": [[1, 2, 3, 4]], "names": ["a"]}'),
         ("srs/cameras/poses", b'{"t": 1, "poses": [[1, 2, 3, 4]], "names": []}'),
         ("srs/r/bends", b'{"t": 1, "rad": [0.1, 0.2]}'),
-    ]  # fmt: skip
+    ]
     foreign(tmp_path / "a.mcap", [(topic, data, SECOND) for topic, data in records])
     with McapLink(tmp_path / "a.mcap", "r", 2, speed=math.inf) as link:
         wait(lambda: link.counts["over"])
         (message,) = link.received()
     assert message.kind == BENDS and message.values.tolist() == [0.1, 0.2]
-    assert sum(count for what, count in link.counts.items() if what.startswith("bad: ")) == len(records) - 1
+    assert (
+        sum(count for what, count in link.counts.items() if what.startswith("bad: "))
+        == len(records) - 1
+    )

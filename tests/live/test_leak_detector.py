@@ -34,10 +34,18 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
         filled = (k % half + 1) * TICK * (states == 1)
         bend = trace.bend[-1] + NOISE * rng.normal(size=spec.segments)
         added = detector.update(
-            TICK * (k + 1), trace.pressure[-1], bend, np.full_like(bend, NOISE), filled, sound, supply
+            TICK * (k + 1),
+            trace.pressure[-1],
+            bend,
+            np.full_like(bend, NOISE),
+            filled,
+            sound,
+            supply,
         )
         found.append(added[:, 0])
-    return detector, np.array(found)[-6 * half :].reshape(6, half, spec.segments, -1)[::2].sum(axis=1)
+    return detector, np.array(found)[-6 * half :].reshape(6, half, spec.segments, -1)[
+        ::2
+    ].sum(axis=1)
 
 
 def chambers_of(spec, **settings):
@@ -46,16 +54,27 @@ def chambers_of(spec, **settings):
 
 @pytest.mark.parametrize(
     "name",
-    ["gen2", pytest.param("gen3", marks=pytest.mark.slow), pytest.param("gen4", marks=pytest.mark.slow)],
+    [
+        "gen2",
+        pytest.param("gen3", marks=pytest.mark.slow),
+        pytest.param("gen4", marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize(
-    "half", [pytest.param(13, marks=pytest.mark.slow), 17, pytest.param(33, marks=pytest.mark.slow)]
+    "half",
+    [
+        pytest.param(13, marks=pytest.mark.slow),
+        17,
+        pytest.param(33, marks=pytest.mark.slow),
+    ],
 )
 def test_leak_is_detected_within_one_stroke(name, half):
     spec = robot(name)
     for rate, variant in ((0.0, SOUND), (2.0, SLOW), (8.0, FAST)):
         chambers = chambers_of(spec)
-        _, found = stroked(chambers, spec, half=half, after=lambda c=chambers, r=rate: c.leak(2, 0, r))
+        _, found = stroked(
+            chambers, spec, half=half, after=lambda c=chambers, r=rate: c.leak(2, 0, r)
+        )
         first = found[0]
         # A weak supply affects all segments, so it is not compared here.
         assert first[1, :WEAK].argmax() == variant, (name, rate)
@@ -69,12 +88,16 @@ def test_leak_is_detected_within_one_stroke(name, half):
 def test_unknown_chamber_volumes_are_learnt():
     said = robot("gen4")
     other = replace(
-        said.chamber, dead_volume=1.5 * said.chamber.dead_volume, displacement=0.8 * said.chamber.displacement
+        said.chamber,
+        dead_volume=1.5 * said.chamber.dead_volume,
+        displacement=0.8 * said.chamber.displacement,
     )
     true = replace(said, chamber=other)
     for given in ({}, {"critical_ratio": 0.5}):
         chambers = chambers_of(true, **given)
-        detector, found = stroked(chambers, true, said=said, after=lambda c=chambers: c.leak(1, 0, 2.0))
+        detector, found = stroked(
+            chambers, true, said=said, after=lambda c=chambers: c.leak(1, 0, 2.0)
+        )
         assert found[0, 0, :WEAK].argmax() == SLOW
         assert (found[0, 1:].argmax(axis=1) == SOUND).all()
         assert np.abs(detector.fit[..., 1]).max() < 0.5, "apparent loss"
@@ -82,8 +105,12 @@ def test_unknown_chamber_volumes_are_learnt():
 
 def test_chamber_that_fills_half_as_fast_does_not_seem_to_leak_before_it_is_learnt():
     said = robot("gen4")
-    true = replace(said, actuator=replace(said.actuator, tau_fill=2 * said.actuator.tau_fill))
-    _, found = stroked(chambers_of(true), true, said=said, strokes=3)  # without learning
+    true = replace(
+        said, actuator=replace(said.actuator, tau_fill=2 * said.actuator.tau_fill)
+    )
+    _, found = stroked(
+        chambers_of(true), true, said=said, strokes=3
+    )  # without learning
     assert (found[0, :, [SLOW, FAST]].max(axis=0) - found[0, :, SOUND] < 1.5).all()
 
 
@@ -96,14 +123,22 @@ def test_first_order_chambers_have_no_leak():
 def test_weak_supply_is_not_a_leak():
     spec = robot("gen4")
     chambers = chambers_of(spec)
-    _, found = stroked(chambers, spec, after=lambda: chambers.set_supply_pressure(0.5 * spec.supply.nominal))
+    _, found = stroked(
+        chambers,
+        spec,
+        after=lambda: chambers.set_supply_pressure(0.5 * spec.supply.nominal),
+    )
     assert (found.argmax(axis=-1) == WEAK).all()
 
 
 def test_unknown_initial_supply_does_not_increase_the_scatter():
     spec = robot("gen4")
-    true = replace(spec, supply=replace(spec.supply, nominal=0.85 * spec.supply.nominal))
-    detector, _ = stroked(chambers_of(true), true, said=spec, strokes=2 * SCATTER_STROKES)
+    true = replace(
+        spec, supply=replace(spec.supply, nominal=0.85 * spec.supply.nominal)
+    )
+    detector, _ = stroked(
+        chambers_of(true), true, said=spec, strokes=2 * SCATTER_STROKES
+    )
     assert (detector.learnt > 0).all() and (detector.scatter <= SCATTER**2).all()
 
 

@@ -29,29 +29,50 @@ SEGMENTS = 4
 
 
 def back(kind, values, time=1.5):
-    return decode(kind, encode(kind, time, values), source="gen4", arrived=2.0, segments=SEGMENTS)
+    return decode(
+        kind, encode(kind, time, values), source="gen4", arrived=2.0, segments=SEGMENTS
+    )
 
 
 @pytest.mark.parametrize("kind", [COMMAND, VALVES, PRESSURES])
 def test_two_lists_come_back(kind):
     rng = np.random.default_rng(1)
-    values = rng.integers(-1, 2, (SEGMENTS, 2)) * (1.0 if kind != PRESSURES else 12_345.0)
+    values = rng.integers(-1, 2, (SEGMENTS, 2)) * (
+        1.0 if kind != PRESSURES else 12_345.0
+    )
     found = back(kind, values)
     assert found.values == pytest.approx(values)
-    assert (found.kind, found.source, found.sent, found.arrived) == (kind, "gen4", 1.5, 2.0)
+    assert (found.kind, found.source, found.sent, found.arrived) == (
+        kind,
+        "gen4",
+        1.5,
+        2.0,
+    )
 
 
 def test_units_and_names_of_keys_are_the_fixed_ones():
     said = json.loads(encode(PRESSURES, 0.25, np.array([[20e3, 0.0]])))
     assert said == {"t": 0.25, "plus": [20], "minus": [0]}
-    assert json.loads(encode(COMMAND, 1.0, np.array([[1, -1]]))) == {"t": 1.0, "plus": [1], "minus": [-1]}
-    assert json.loads(encode(BENDS, 1.0, np.array([0.5, math.nan]))) == {"t": 1.0, "rad": [0.5, None]}
+    assert json.loads(encode(COMMAND, 1.0, np.array([[1, -1]]))) == {
+        "t": 1.0,
+        "plus": [1],
+        "minus": [-1],
+    }
+    assert json.loads(encode(BENDS, 1.0, np.array([0.5, math.nan]))) == {
+        "t": 1.0,
+        "rad": [0.5, None],
+    }
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_every_message_is_strict_json(kind, wrong):
-    values = {SUPPLY: np.array(wrong), BENDS: np.full(2, wrong), STATUS: "fine", CONTROL: "stop"}
+    values = {
+        SUPPLY: np.array(wrong),
+        BENDS: np.full(2, wrong),
+        STATUS: "fine",
+        CONTROL: "stop",
+    }
     payload = encode(kind, wrong, values.get(kind, np.full((2, 2), wrong)))
     assert json.loads(payload, parse_constant=pytest.fail)["t"] is None
 
@@ -65,17 +86,23 @@ def test_a_bend_that_nobody_read_is_none():
 @pytest.mark.parametrize(
     ("payload", "why"),
     [
-        (b"", "no JSON"), (b"\xff\xfe", "no JSON"), (b"[1]", "a JSON object is needed, not list"),
-        (b"{}", "t: a number"), (b'{"t": true}', "t: a number"), (b'{"t": NaN}', "t: a number"),
-        (b'{"t": 1e400}', "t: a number"), (b'{"t": "1"}', "t: a number"),
+        (b"", "no JSON"),
+        (b"\xff\xfe", "no JSON"),
+        (b"[1]", "a JSON object is needed, not list"),
+        (b"{}", "t: a number"),
+        (b'{"t": true}', "t: a number"),
+        (b'{"t": NaN}', "t: a number"),
+        (b'{"t": 1e400}', "t: a number"),
+        (b'{"t": "1"}', "t: a number"),
         (b'{"t": 1, "plus": [1, 1, 1, 1]}', "minus: a list of 4"),
         (b'{"t": 1, "plus": [1], "minus": [1]}', "plus: a list of 4"),
         (b'{"t": 1, "plus": "1111", "minus": [1, 1, 1, 1]}', "plus: a list of 4"),
         (b'{"t": 1, "plus": [2, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
         (b'{"t": 1, "plus": [null, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
-        (b"[" * 100_000, "more bytes than the 65536 that are allowed"), (b"[" * 60_000, "no JSON"),
+        (b"[" * 100_000, "more bytes than the 65536 that are allowed"),
+        (b"[" * 60_000, "no JSON"),
     ],
-)  # fmt: skip
+)
 def test_what_is_no_command_is_refused(payload, why):
     with pytest.raises(BadMessageError, match=why):
         decode(COMMAND, payload, source="x", arrived=0.0, segments=SEGMENTS)
@@ -84,12 +111,21 @@ def test_what_is_no_command_is_refused(payload, why):
 
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
-    [(COMMAND, -1, 1), (VALVES, -1, 1), (PRESSURES, -100, 1000), (BENDS, -2 * math.pi, 2 * math.pi)],
+    [
+        (COMMAND, -1, 1),
+        (VALVES, -1, 1),
+        (PRESSURES, -100, 1000),
+        (BENDS, -2 * math.pi, 2 * math.pi),
+    ],
 )
 def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
     def document(values: list[float], time: float = 0.0) -> bytes:
         lists = {"rad": values[:SEGMENTS]}
-        lists = lists if kind == BENDS else {"plus": values[:SEGMENTS], "minus": values[SEGMENTS:]}
+        lists = (
+            lists
+            if kind == BENDS
+            else {"plus": values[:SEGMENTS], "minus": values[SEGMENTS:]}
+        )
         return json.dumps({"t": time} | lists).encode()
 
     def read(payload: bytes) -> np.ndarray:
@@ -112,7 +148,12 @@ def test_a_control_is_json_or_the_plain_word(word):
     for payload in (word.encode(), encode(CONTROL, 1.0, word)):
         found = decode(CONTROL, payload, source="x", arrived=2.0, segments=SEGMENTS)
         assert (found.kind, found.names) == (CONTROL, (word,))
-    for payload in (b"Stop", b'{"t": 1, "text": "halt"}', b'"stop"', b'{"text": "stop"}'):
+    for payload in (
+        b"Stop",
+        b'{"t": 1, "text": "halt"}',
+        b'"stop"',
+        b'{"text": "stop"}',
+    ):
         with pytest.raises(BadMessageError):
             decode(CONTROL, payload, source="x", arrived=2.0, segments=SEGMENTS)
 
@@ -136,4 +177,6 @@ def test_whatever_arrives_is_a_message_or_refused(kind, said):
     except BadMessageError as error:
         assert str(error)
     else:
-        assert np.isfinite(found.sent) and (kind == BENDS or np.isfinite(found.values).all())
+        assert np.isfinite(found.sent) and (
+            kind == BENDS or np.isfinite(found.values).all()
+        )

@@ -19,7 +19,10 @@ pytestmark = needs_broker
 
 def test_what_is_sent_arrives_with_its_times(tmp_path):
     port = free_port()
-    with broker(tmp_path, port), MqttLink("r", 2, port=port, kinds=(BENDS, STATUS)) as here:
+    with (
+        broker(tmp_path, port),
+        MqttLink("r", 2, port=port, kinds=(BENDS, STATUS)) as here,
+    ):
         with MqttLink("r", 2, port=port, kinds=(COMMAND,)) as there:
             wait(lambda: there.connected)
             time.sleep(0.2)  # subscribed
@@ -95,7 +98,10 @@ def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
 
     port = free_port()
     rng = np.random.default_rng(3)
-    with broker(tmp_path, port), MqttLink("r", 2, port=port, kinds=(BENDS, COMMAND)) as link:
+    with (
+        broker(tmp_path, port),
+        MqttLink("r", 2, port=port, kinds=(BENDS, COMMAND)) as link,
+    ):
         other = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
         other.max_queued_messages_set(0)
         other.connect("127.0.0.1", port)
@@ -103,12 +109,18 @@ def test_ten_thousand_hostile_messages_stop_nothing_and_are_counted(tmp_path):
         bad = 0
         for k in range(10_000):
             kind = (BENDS, COMMAND)[k % 2]
-            payload = (rng.bytes(int(rng.integers(0, 300))), b'{"t": 1, "rad": [9e9]}', b"{" * 50)[k % 3]
+            payload = (
+                rng.bytes(int(rng.integers(0, 300))),
+                b'{"t": 1, "rad": [9e9]}',
+                b"{" * 50,
+            )[k % 3]
             other.publish(topic("r", kind), payload, qos=1).wait_for_publish(10)
             bad += 1
             if bad % 100 == 0:
                 until_refused(link, bad)
-        other.publish(topic("r", BENDS), b'{"t": 1, "rad": [0.5, null]}', qos=1).wait_for_publish(10)
+        other.publish(
+            topic("r", BENDS), b'{"t": 1, "rad": [0.5, null]}', qos=1
+        ).wait_for_publish(10)
         heard = []
         wait(lambda: heard.extend(link.received()) or heard)
         # A broker drops what a subscriber on a busy machine has not taken.
@@ -125,7 +137,11 @@ def test_no_broker_is_said_in_one_line():
 
 @pytest.mark.parametrize(
     ("given", "found"),
-    [("10.0.0.2", ("10.0.0.2", 7)), ("lab:99", ("lab", 99)), ("127.0.0.1:1", ("127.0.0.1", 1))],
+    [
+        ("10.0.0.2", ("10.0.0.2", 7)),
+        ("lab:99", ("lab", 99)),
+        ("127.0.0.1:1", ("127.0.0.1", 1)),
+    ],
 )
 def test_addresses(given, found):
     if found is None:
@@ -138,19 +154,51 @@ def test_addresses(given, found):
 @pytest.mark.parametrize(
     "given",
     [
-        "", ":1", "lab:x", "lab:0", "lab:70000", "lab:65536", "lab:-1", "lab:+1", "lab: 1", "lab:1e3", "lab:",
-        "lab:²", "lab:١", "lab:" + "9" * 30, "..", "..:1883", ".", "a..b", "a\u3002\u3002b", " ", "a b",
-        "a/b", "u@h",
-        "☃", "-a", "a-", "xn--", "x" * 64, "x.y." * 80, "[::1]:1883", "::1", "mqtt://lab:1883",
+        "",
+        ":1",
+        "lab:x",
+        "lab:0",
+        "lab:70000",
+        "lab:65536",
+        "lab:-1",
+        "lab:+1",
+        "lab: 1",
+        "lab:1e3",
+        "lab:",
+        "lab:²",
+        "lab:١",
+        "lab:" + "9" * 30,
+        "..",
+        "..:1883",
+        ".",
+        "a..b",
+        "a\u3002\u3002b",
+        " ",
+        "a b",
+        "a/b",
+        "u@h",
+        "☃",
+        "-a",
+        "a-",
+        "xn--",
+        "x" * 64,
+        "x.y." * 80,
+        "[::1]:1883",
+        "::1",
+        "mqtt://lab:1883",
     ],
-)  # fmt: skip
+)
 def test_what_is_no_address_is_refused(given):
     with pytest.raises(InputError, match="is no address"):
         address(given, 7)
 
 
-@pytest.mark.parametrize("words", [("--mqtt", "..:1883"), ("--mqtt", "lab:0"), ("--name", "n" * 70_000)])
-def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(srs_twin, tmp_path, words):
+@pytest.mark.parametrize(
+    "words", [("--mqtt", "..:1883"), ("--mqtt", "lab:0"), ("--name", "n" * 70_000)]
+)
+def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(
+    srs_twin, tmp_path, words
+):
     done = srs_twin("emulate", "gen2", "--duration-s", "0.1", *words, cwd=tmp_path)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
     assert "is no address" in done.stderr or "cannot be part of a topic" in done.stderr
@@ -162,8 +210,14 @@ def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(srs_twin, tmp_
         (b"", "not a certificate"),
         (b"hello", "not a certificate"),
         (b"\x30\x82\x01\x00" * 50, "not a certificate"),
-        (b"-----BEGIN PRIVATE KEY-----\nMIIB\n-----END PRIVATE KEY-----\n", "not a certificate"),
-        (b"-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n", "not a certificate"),
+        (
+            b"-----BEGIN PRIVATE KEY-----\nMIIB\n-----END PRIVATE KEY-----\n",
+            "not a certificate",
+        ),
+        (
+            b"-----BEGIN CERTIFICATE-----\nMIIB\n-----END CERTIFICATE-----\n",
+            "not a certificate",
+        ),
         (b"-----BEGIN CERTIFICATE-----\nMIIB\n", "not a certificate"),
         (None, "no such file"),
         (Path.mkdir, "a folder; give one file"),

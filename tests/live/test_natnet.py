@@ -47,11 +47,21 @@ def test_a_frame_comes_back(version):
 def test_names_and_versions_come_back(version):
     names = {1: "connector_1", 2: "Körper"}
     kind, content = natnet.opened(packets.write_models(names, version))
-    assert (kind, natnet.read_models(content, version)) == (natnet.Packet.MODELDEF, names)
+    assert (kind, natnet.read_models(content, version)) == (
+        natnet.Packet.MODELDEF,
+        names,
+    )
     kind, content = natnet.opened(packets.write_server(version))
-    assert (kind, natnet.read_server(content)) == (natnet.Packet.SERVER_INFO, (version, None))
-    _, content = natnet.opened(packets.write_server(version, group="239.255.42.99", port=1600))
-    assert natnet.read_server(content)[1] == (("239.255.42.99", 1600) if version >= (3, 0) else None)
+    assert (kind, natnet.read_server(content)) == (
+        natnet.Packet.SERVER_INFO,
+        (version, None),
+    )
+    _, content = natnet.opened(
+        packets.write_server(version, group="239.255.42.99", port=1600)
+    )
+    assert natnet.read_server(content)[1] == (
+        ("239.255.42.99", 1600) if version >= (3, 0) else None
+    )
 
 
 @pytest.mark.parametrize("version", VERSIONS)
@@ -90,13 +100,21 @@ def strange(version: natnet.Version) -> bytes:
     body += struct.pack("<fH", 0.001, 1)
     marker_set = b"all\0" + struct.pack("<i3f", 1, 1, 2, 3)
     channels = struct.pack("<iiif", 1, 1, 1, 0.5)
-    label = struct.pack("<i4fH", 5, 9, 9, 9, 0.01, 1) + (b"\0" * 4 if version >= (3, 0) else b"")
-    content = struct.pack("<i", 8) + listed(marker_set, marker_set) + listed(struct.pack("<3f", 4, 5, 6))
+    label = struct.pack("<i4fH", 5, 9, 9, 9, 0.01, 1) + (
+        b"\0" * 4 if version >= (3, 0) else b""
+    )
+    content = (
+        struct.pack("<i", 8)
+        + listed(marker_set, marker_set)
+        + listed(struct.pack("<3f", 4, 5, 6))
+    )
     content += listed(body) + listed(struct.pack("<ii", 1, 1) + body)
     content += listed(b"an asset of some length") if version >= (4, 1) else b""
     content += listed(label)
     content += listed(channels) * ((version >= (2, 9)) + (version >= (2, 11)))
-    content += struct.pack("<II", 0, 0) + struct.pack("<d" if version >= (2, 7) else "<f", 2.5)
+    content += struct.pack("<II", 0, 0) + struct.pack(
+        "<d" if version >= (2, 7) else "<f", 2.5
+    )
     return natnet.closed(natnet.Packet.FRAME, content + b"\0" * 40)
 
 
@@ -113,7 +131,9 @@ def test_bodies_with_any_number_not_finite_are_not_seen(bad):
         return [(*numbers[:k], bad, *numbers[k + 1 :]) for k in range(len(numbers))]
 
     places, turns = with_one_bad((1.0, 2.0, 3.0)), with_one_bad((0.0, 0.0, 0.0, 1.0))
-    bodies = [RigidBody(each) for each in places] + [RigidBody((1.0, 2.0, 3.0), each) for each in turns]
+    bodies = [RigidBody(each) for each in places] + [
+        RigidBody((1.0, 2.0, 3.0), each) for each in turns
+    ]
     frame = Frame(1, 0.0, dict(enumerate(bodies)))
     found = read(natnet.write_frame(frame), (4, 1))
     assert [each.tracked for each in found.bodies.values()] == [False] * 7
@@ -125,7 +145,9 @@ def test_no_packet_does_more_than_be_refused(version, data):
     whole = packets.write_frame(FRAME, version)
     if data.draw(st.booleans()):
         at = data.draw(st.integers(0, len(whole) - 1))
-        packet = whole[:at] + data.draw(st.binary(min_size=1, max_size=8)) + whole[at + 1 :]
+        packet = (
+            whole[:at] + data.draw(st.binary(min_size=1, max_size=8)) + whole[at + 1 :]
+        )
     else:
         packet = data.draw(st.binary(max_size=200))
     try:
@@ -150,12 +172,17 @@ def test_axes_and_headings(up):
 
 
 @pytest.mark.parametrize(
-    "version", [(4, 1), *(pytest.param(old, marks=pytest.mark.slow) for old in ((3, 1), (2, 10)))]
+    "version",
+    [(4, 1), *(pytest.param(old, marks=pytest.mark.slow) for old in ((3, 1), (2, 10)))],
 )
 def test_frames_arrive_and_come_back_after_a_silence(version, monkeypatch):
     monkeypatch.setattr(natnet, "write_server", lambda: packets.write_server(version))
-    monkeypatch.setattr(natnet, "write_models", lambda names: packets.write_models(names, version))
-    monkeypatch.setattr(natnet, "write_frame", lambda frame: packets.write_frame(frame, version))
+    monkeypatch.setattr(
+        natnet, "write_models", lambda names: packets.write_models(names, version)
+    )
+    monkeypatch.setattr(
+        natnet, "write_frame", lambda frame: packets.write_frame(frame, version)
+    )
     names = {1: "connector_1", 7: "connector_2"}
     with NatNetServer(names) as server, NatNetLink(port=server.port) as link:
         seen = []
@@ -167,7 +194,9 @@ def test_frames_arrive_and_come_back_after_a_silence(version, monkeypatch):
             return len(seen) > 20 and seen[-1].names == ("connector_1",)
 
         wait(streamed)
-        assert seen[-1].values[0] == pytest.approx([0.1, 0.3, 0.02, math.pi / 4], abs=1e-6)
+        assert seen[-1].values[0] == pytest.approx(
+            [0.1, 0.3, 0.02, math.pi / 4], abs=1e-6
+        )
         assert 0 <= seen[-1].arrived - seen[-1].sent < 0.5
         port = server.port
         server.close()
@@ -187,8 +216,12 @@ def test_a_group_is_joined(monkeypatch):
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
     ):
         sender.bind(("127.0.0.1", 0))
-        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1"))
-        sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("b", 0))
+        sender.setsockopt(
+            socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton("127.0.0.1")
+        )
+        sender.setsockopt(
+            socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, struct.pack("b", 0)
+        )
         seen = []
 
         def streamed() -> bool:
@@ -220,17 +253,27 @@ def test_garbage_on_the_port_is_counted():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
             for size in range(1, 300):
                 other.sendto(rng.bytes(size), at)
-        wait(lambda: sum(n for what, n in link.counts.items() if what.startswith("bad")) > 100)
+        wait(
+            lambda: (
+                sum(n for what, n in link.counts.items() if what.startswith("bad"))
+                > 100
+            )
+        )
         assert all(each.is_alive() for each in link._threads)
 
 
 def test_a_server_given_by_its_name_is_heard():
-    with NatNetServer({1: "one"}) as server, NatNetLink("localhost", server.port) as link:
+    with (
+        NatNetServer({1: "one"}) as server,
+        NatNetLink("localhost", server.port) as link,
+    ):
         wait(lambda: link.version is not None)
     assert not any(what.startswith("bad: ") for what in link.counts)
 
 
-@pytest.mark.parametrize("given", [{"host": "nowhere"}, {"local": "nowhere"}, {"local": ".."}])
+@pytest.mark.parametrize(
+    "given", [{"host": "nowhere"}, {"local": "nowhere"}, {"local": ".."}]
+)
 def test_a_name_that_no_host_has_is_refused(monkeypatch, given):
     def unknown(name: str) -> str:
         if name in given.values():
@@ -263,7 +306,9 @@ def test_quaternions_near_length_1_are_normalised_and_others_refused(turn, headi
 
 
 def test_places_beyond_a_kilometre_are_not_seen():
-    frame = Frame(1, 0.0, {1: RigidBody((1e30, 0.0, 0.0)), 2: RigidBody((999.0, 0.0, 0.0))})
+    frame = Frame(
+        1, 0.0, {1: RigidBody((1e30, 0.0, 0.0)), 2: RigidBody((999.0, 0.0, 0.0))}
+    )
     found = read(natnet.write_frame(frame), (4, 1))
     assert [each.tracked for each in found.bodies.values()] == [False, True]
 
@@ -283,12 +328,18 @@ def fed(monkeypatch):
     with NatNetServer({}) as server, NatNetLink(port=server.port) as link:
         asked = []
         monkeypatch.setattr(
-            link._sockets[0].__class__, "sendto", lambda _, packet, __: asked.append(natnet.opened(packet)[0])
+            link._sockets[0].__class__,
+            "sendto",
+            lambda _, packet, __: asked.append(natnet.opened(packet)[0]),
         )
 
-        def feed(packet: bytes, at: float, sender: tuple[str, int] | None = None) -> None:
+        def feed(
+            packet: bytes, at: float, sender: tuple[str, int] | None = None
+        ) -> None:
             now[0] = 100.0 + at
-            link._packet(*natnet.opened(packet), sender or ("127.0.0.1", server.port), now[0])
+            link._packet(
+                *natnet.opened(packet), sender or ("127.0.0.1", server.port), now[0]
+            )
             link._idle()
 
         monkeypatch.setattr(link, "_threads", [])
@@ -305,11 +356,15 @@ def test_reordered_frames_are_not_lost(fed):
     feed(natnet.write_server(), 0.0)
     for k, number in enumerate((10, 12, 11, 13, 15, 14, 16, 16, 19)):
         feed(packet_of(number, 1), 0.01 * k)
-    counts = (link.counts[f"frames {what}"] for what in ("lost", "reordered", "repeated"))
+    counts = (
+        link.counts[f"frames {what}"] for what in ("lost", "reordered", "repeated")
+    )
     assert tuple(counts) == (2, 2, 1)
     feed(packet_of(2**31 - 1, 1), 0.2)
     feed(packet_of(3, 1), 0.3)
-    assert link.counts["frames lost"] == 2, "a server that began to count again lost nothing"
+    assert link.counts["frames lost"] == 2, (
+        "a server that began to count again lost nothing"
+    )
 
 
 def test_models_are_asked_for_again_when_an_unknown_body_appears_and_now_and_then(fed):

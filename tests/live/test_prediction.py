@@ -6,13 +6,22 @@ import numpy as np
 import pytest
 
 from srs_twin.live.commands import SLOT_S, CommandPeriod
-from srs_twin.live.estimate import IntervalCalibration, Prediction, PredictionCalibration
+from srs_twin.live.estimate import (
+    IntervalCalibration,
+    Prediction,
+    PredictionCalibration,
+)
 
 
 @pytest.mark.parametrize("seconds", [0.5, 1 / 1.5, 1.0])
 def test_periodic_commands_are_repeated(seconds):
     period, times = CommandPeriod(), SLOT_S * (np.arange(400) + 0.5)
-    wave = np.sin(2 * np.pi * (times / seconds)[:, None, None] + np.arange(8).reshape(4, 2)) > 0
+    wave = (
+        np.sin(
+            2 * np.pi * (times / seconds)[:, None, None] + np.arange(8).reshape(4, 2)
+        )
+        > 0
+    )
     for time, opens in zip(times[:300], wave[:300].astype(float), strict=True):
         period.add(time, opens)
     assert np.abs(period.commands(50) - wave[300:350]).mean() < 0.03
@@ -37,14 +46,18 @@ def test_errors_of_earlier_predictions_widen_intervals():
     pose, path, predictions = np.zeros(3), [], []
     for k in range(3000):
         speed = 0.2 + 0.05 * np.sin(0.02 * k * 2 * np.pi)
-        pose = pose + 0.02 * np.array([speed * np.cos(pose[2]), speed * np.sin(pose[2]), 0.3])
+        pose = pose + 0.02 * np.array(
+            [speed * np.cos(pose[2]), speed * np.sin(pose[2]), 0.3]
+        )
         path.append(pose)
         calibration.observe(0.02 * k, pose + 1e-3 * rng.normal(size=3))
         if k % 25 == 0:
             arc = pose[2] + 0.3 * ahead / 2
             step = 0.18 * ahead[:, None] * np.column_stack([np.cos(arc), np.sin(arc)])
             raw = np.column_stack([pose[:2] + step, pose[2] + 0.3 * ahead])
-            raw = Prediction(0.02 * k, pose[2], 0.02 * k + ahead, raw, np.full((10, 3), 1e-3))
+            raw = Prediction(
+                0.02 * k, pose[2], 0.02 * k + ahead, raw, np.full((10, 3), 1e-3)
+            )
             predictions.append((k, calibration.widened(raw)))
     inside = []
     for k, prediction in predictions[10:-2]:
@@ -79,5 +92,7 @@ def test_intervals_are_calibrated_for_errors_with_heavy_tails(rate):
         calibration.predict(time, error, np.full(6, 0.01))
         inside.append(np.abs(error) < 1.96 * 0.01 * calibration.scale)
         calibration.update((k - 1) / rate, np.zeros(6), np.full(6, 1e-3), [True, False])
-    assert np.mean(inside[len(inside) // 2 :], axis=0)[:4].mean() == pytest.approx(0.95, abs=0.02)
+    assert np.mean(inside[len(inside) // 2 :], axis=0)[:4].mean() == pytest.approx(
+        0.95, abs=0.02
+    )
     assert calibration.scale[4:] == pytest.approx(1.0)

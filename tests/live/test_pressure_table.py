@@ -35,15 +35,20 @@ def followed(deviation, seconds=30.0, half=15, late=0.007):
 
 @pytest.mark.slow
 def test_inrush_after_switching_is_learnt():
-    rates, off = followed(lambda age, opens: (2 * opens - 1) * 400e3 if age < 0.04 else 0.0)
+    rates, off = followed(
+        lambda age, opens: (2 * opens - 1) * 400e3 if age < 0.04 else 0.0
+    )
     late = np.sqrt(np.mean(off[-300:] ** 2))
     assert np.sqrt(np.mean(off[:30] ** 2)) > 6 * late
     assert late < 4 * NOISE
     for state, way in ((0, -1), (1, 1)):
-        # Pressures that come each tick tell what rushes in, but not at which moment of the tick.
+        # Pressures that come each tick tell what rushes in, but not at which moment of
+        # the tick.
         early, then = np.split(rates.rate[0, 0, state, :30], [6])
         assert 0.01 * early.sum() == pytest.approx(way * 400e3 * 0.04, rel=0.1)
-        assert np.abs(then[:-2]).max() < 60e3  # a pressure after the switch also informs ages before it
+        assert (
+            np.abs(then[:-2]).max() < 60e3
+        )  # a pressure after the switch also informs ages before it
     # Well-known rates have a small random walk; the other chamber had no measurements.
     assert rates.wander[0, 0, 1, 10:20].max() < 0.5 * rates.wander[0, 1, 1, 0]
     assert (rates.rate[0, 1] == 0).all()

@@ -73,8 +73,18 @@ class Steering(EstimateSteering):
     """A steering that commands at once, without a plan."""
 
     def __init__(self, segments: int = 4) -> None:
-        self._pressure, self._given_up, self.follower = np.zeros((segments, 2)), "", Following()
-        self._control, self._last, self._events, self._steps, self._tick = GO, self.vented(), [], 0, 0.02
+        self._pressure, self._given_up, self.follower = (
+            np.zeros((segments, 2)),
+            "",
+            Following(),
+        )
+        self._control, self._last, self._events, self._steps, self._tick = (
+            GO,
+            self.vented(),
+            [],
+            0,
+            0.02,
+        )
         self._lost_s = self._uncertain_s = self._paused_s = 0.0
 
     def _steer(self, found, shadow) -> np.ndarray:
@@ -105,14 +115,19 @@ class SteadyWire(Wire):
         return Link.received(self)
 
 
-def session(out: Path | None = None, wire: Wire | None = None, **more) -> tuple[Session, Wire]:
+def session(
+    out: Path | None = None, wire: Wire | None = None, **more
+) -> tuple[Session, Wire]:
     wire = wire or Wire()
     shadow = Shadow(load_robot("gen4"), members=8)
-    return Session(shadow, [wire], out=out, steering=Steering(), commands=wire, **more), wire
+    return (
+        Session(shadow, [wire], out=out, steering=Steering(), commands=wire, **more),
+        wire,
+    )
 
 
 def was_made_safe(wire: Wire, status: str = "stopped") -> None:
-    (*_, (_, command, valves), (_, kind, text)) = wire.sent
+    *_, (_, command, valves), (_, kind, text) = wire.sent
     assert (command, kind, text) == (COMMAND, STATUS, status)
     assert (np.asarray(valves) == -1).all()
 
@@ -126,7 +141,8 @@ def breaks(*_, **__):
 
 
 @pytest.mark.parametrize(
-    "where", ["shadow.update", "shadow.save", "view", "stop", "journal.write", "steering.step"]
+    "where",
+    ["shadow.update", "shadow.save", "view", "stop", "journal.write", "steering.step"],
 )
 def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, where):
     found, wire = session(tmp_path / "lab", views=[breaks] if where == "view" else [])
@@ -134,13 +150,21 @@ def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, w
 
     def later(*given, **named):
         calls.append(0)
-        return breaks() if len(calls) > 3 or where == "shadow.save" else whole(*given, **named)
+        return (
+            breaks()
+            if len(calls) > 3 or where == "shadow.save"
+            else whole(*given, **named)
+        )
 
     if where == "stop":
         stop, whole = later, (lambda: False)
     elif where != "view":
         owner, name = where.split(".")
-        of = {"shadow": found.shadow, "journal": found._journal, "steering": found._steering}[owner]
+        of = {
+            "shadow": found.shadow,
+            "journal": found._journal,
+            "steering": found._steering,
+        }[owner]
         whole = getattr(of, name)
         monkeypatch.setattr(of, name, later)
     with pytest.raises(Broken):
@@ -151,7 +175,9 @@ def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, w
     assert told["following"]["ending"] == "stopped"
 
 
-def test_results_that_cannot_be_written_do_not_keep_the_robot_from_being_vented(tmp_path, monkeypatch):
+def test_results_that_cannot_be_written_do_not_keep_the_robot_from_being_vented(
+    tmp_path, monkeypatch
+):
     found, wire = session(tmp_path / "lab")
     monkeypatch.setattr(found._journal, "close", breaks)
     monkeypatch.setattr(sessions, "write_results", breaks)
@@ -165,10 +191,16 @@ def test_results_that_cannot_be_written_do_not_keep_the_robot_from_being_vented(
 def test_a_time_that_no_clock_shows_ends_nothing(tmp_path, sent):
     found, wire = session(tmp_path / "lab")
     wire.tell(Message(BENDS, "robot", sent, clock(), np.zeros(4)))
-    wire.tell(Message(POSES, "natnet", sent, clock(), np.zeros((1, 4)), ("connector_1",)))
+    wire.tell(
+        Message(POSES, "natnet", sent, clock(), np.zeros((1, 4)), ("connector_1",))
+    )
     told = found.run(1.0)
     was_made_safe(wire)
-    assert told["error"] is None and told["problems"] == [] and not told["estimate"]["lost"]
+    assert (
+        told["error"] is None
+        and told["problems"] == []
+        and not told["estimate"]["lost"]
+    )
     assert len(list(journal_messages(tmp_path / "lab/journal-1.mcap", "robot", 4))) > 10
 
 
@@ -209,7 +241,10 @@ def test_a_full_disk_is_reported_once_and_the_session_goes_on(tmp_path, monkeypa
     assert told["problems"] == words and len(words) == 2
     state, journal = words
     assert "lab/state.npz: cannot be written (No space left on device)" in state
-    assert "lab/journal-1.mcap: ends early, it cannot be written (No space left on device)" in journal
+    assert (
+        "lab/journal-1.mcap: ends early, it cannot be written (No space left on device)"
+        in journal
+    )
     assert json.loads((tmp_path / "lab/shadow.json").read_text())["problems"] == words
 
 
@@ -228,14 +263,23 @@ def test_a_forecast_does_not_see_what_is_learnt_meanwhile():
     shadow.update(1.2, [])
     runs = [shadow.prediction_task() for _ in range(2)]
     before = runs[0]().pose
-    shadow.ensemble.odometry.connection.weights = shadow.ensemble.odometry.connection.weights + 1.0
+    shadow.ensemble.odometry.connection.weights = (
+        shadow.ensemble.odometry.connection.weights + 1.0
+    )
     assert np.array_equal(runs[1]().pose, before)
 
 
 def test_numbers_of_journals_are_taken_atomically(tmp_path):
     with ThreadPoolExecutor(8) as pool:
-        paths = list(pool.map(lambda _: create_numbered_file(tmp_path / "lab", "journal-{}.mcap"), range(40)))
-    assert sorted(int(path.stem.partition("-")[2]) for path in paths) == list(range(1, 41))
+        paths = list(
+            pool.map(
+                lambda _: create_numbered_file(tmp_path / "lab", "journal-{}.mcap"),
+                range(40),
+            )
+        )
+    assert sorted(int(path.stem.partition("-")[2]) for path in paths) == list(
+        range(1, 41)
+    )
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file: cannot be written"):
         create_numbered_file(tmp_path / "file", "journal-{}.mcap")
@@ -243,14 +287,19 @@ def test_numbers_of_journals_are_taken_atomically(tmp_path):
 
 def test_two_sessions_in_one_folder_keep_journals_of_their_own(tmp_path):
     (one, _), (other, _) = session(tmp_path / "lab"), session(tmp_path / "lab")
-    assert {each._journal._path.name for each in (one, other)} == {"journal-1.mcap", "journal-2.mcap"}
+    assert {each._journal._path.name for each in (one, other)} == {
+        "journal-1.mcap",
+        "journal-2.mcap",
+    }
 
 
 def test_a_journal_takes_any_message(tmp_path):
     with Journal(tmp_path / "a.mcap") as journal:
         for sent in (1e300, -1e300, 0.5):
             journal.write(Message(BENDS, "r", sent, sent, np.array([0.5])))
-            journal.write(Message(POSES, "natnet", sent, sent, np.full((1, 4), np.inf), ("a",)))
+            journal.write(
+                Message(POSES, "natnet", sent, sent, np.full((1, 4), np.inf), ("a",))
+            )
         journal.write(Message(CONTROL, "r", 1.0, 1.0, names=("stop",)))
     assert journal.trouble == ""
     refused = []
@@ -282,7 +331,9 @@ def obeyed(word: str, by: str) -> tuple[Session, Wire, float, dict]:
 def test_a_stop_is_obeyed_within_one_tick(by):
     _, wire, at, told = obeyed("stop", by)
     was_made_safe(wire)
-    after = [valves for sent, kind, valves in wire.sent if kind == COMMAND and sent > at]
+    after = [
+        valves for sent, kind, valves in wire.sent if kind == COMMAND and sent > at
+    ]
     assert (np.array(after[1 if by == "topic" else 0 :]) == -1).all()
     assert told["seconds"] < 0.9
 
@@ -291,7 +342,11 @@ def test_a_stop_is_obeyed_within_one_tick(by):
 @pytest.mark.parametrize("word", ["pause", "vent"])
 def test_pause_keeps_the_valves_and_vent_vents_until_go(word, by):
     found, wire, at, told = obeyed(word, by)
-    after = [np.asarray(valves) for sent, kind, valves in wire.sent if kind == COMMAND and sent > at]
+    after = [
+        np.asarray(valves)
+        for sent, kind, valves in wire.sent
+        if kind == COMMAND and sent > at
+    ]
     after = after[2:]  # a word on the topic is obeyed a tick later
     assert len(after) > 3 and np.ptp(after[:-1], axis=0).max() == 0
     if word == "vent":
@@ -406,7 +461,9 @@ def burdened(found, seconds, monkeypatch):
 
 
 @pytest.mark.parametrize("overload", [2, 5])
-def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(tmp_path, monkeypatch, overload):
+def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(
+    tmp_path, monkeypatch, overload
+):
     """Messages need a multiple of the available time, which made each tick longer than the one before."""
     found, wire = session(tmp_path / "lab", SteadyWire())
     burdened(found, overload * sessions.TICK_S, monkeypatch)
@@ -415,7 +472,9 @@ def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(tmp_path, mo
 
     def stop() -> bool:
         if clock() - begun > 3.0 and not asked:
-            wire.tell(Message(CONTROL, "robot", clock(), clock(), np.zeros(0), ("stop",)))
+            wire.tell(
+                Message(CONTROL, "robot", clock(), clock(), np.zeros(0), ("stop",))
+            )
             asked.append(clock())
         return clock() - begun > 60.0
 
@@ -439,13 +498,17 @@ def test_every_message_of_a_journal_is_used_at_any_speed(tmp_path, monkeypatch, 
         found = Session(Shadow(spec, members=8), [link])
         burdened(found, 2 * sessions.TICK_S, monkeypatch)
         use = found.shadow._use
-        monkeypatch.setattr(found.shadow, "_use", lambda *given: (used.append(given), use(*given)))
+        monkeypatch.setattr(
+            found.shadow, "_use", lambda *given: (used.append(given), use(*given))
+        )
         told = found.run(60.0)
     assert len(used) == count and told["skipped_s"] == 0
     assert told["messages"] == {BENDS: count, "over": 1}
 
 
-def test_a_steered_robot_is_given_up_if_messages_are_skipped_for_long(watched, monkeypatch):
+def test_a_steered_robot_is_given_up_if_messages_are_skipped_for_long(
+    watched, monkeypatch
+):
     found, wire = session(wire=SteadyWire())
     burdened(found, 5 * sessions.TICK_S, monkeypatch)
     with warnings.catch_warnings(record=True):

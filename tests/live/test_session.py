@@ -26,13 +26,24 @@ SCRIPT = Path(sys.executable).with_name("srs-twin")
 
 def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [str(SCRIPT), *words], cwd=cwd, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [str(SCRIPT), *words],
+        cwd=cwd,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
 
 
 def emulator(port: int, capture: int, cwd: Path, *more: str) -> subprocess.Popen[str]:
     return start(
-        "emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", "--natnet", f"127.0.0.1:{capture}", *more, cwd=cwd
+        "emulate",
+        "gen4",
+        "--mqtt",
+        f"127.0.0.1:{port}",
+        "--natnet",
+        f"127.0.0.1:{capture}",
+        *more,
+        cwd=cwd,
     )
 
 
@@ -63,7 +74,10 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
             for k in range(10_000):
                 if twin.poll() is not None:
                     break
-                link.send(COMMAND, np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1)) * (-1) ** (k // 17))
+                link.send(
+                    COMMAND,
+                    np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1)) * (-1) ** (k // 17),
+                )
                 time.sleep(0.02)
             said, error = twin.communicate(timeout=30)
             assert twin.returncode == 0, error
@@ -80,14 +94,24 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
     assert (estimate["lost"] == 0).mean() > 0.5
     assert json.loads((lab / "shadow.json").read_text()) == told
     # Four times slower than the robot was, so that a busy machine keeps up.
-    words = ("--mcap", "lab/journal-1.mcap", "--speed", "0.25", "--out", "again", "--json")
+    words = (
+        "--mcap",
+        "lab/journal-1.mcap",
+        "--speed",
+        "0.25",
+        "--out",
+        "again",
+        "--json",
+    )
     played = json.loads(srs_twin("shadow", "gen4", *words, cwd=tmp_path).stdout)
     # A busy machine ends before it has taken all that is in its journal.
     then = Trajectory.from_parquet(tmp_path / "again" / "estimate.parquet")
     poses = np.column_stack([then[name] for name in ("com_x", "com_y", "heading")])
     apart = np.abs(poses[len(poses) // 2 :] - told["estimate"]["pose"])
     assert (apart < [0.01, 0.01, 0.1]).all(axis=1).any()
-    assert [(f["part"], f["fault"]) for f in played["faults"]] == [("connector 5", "lost_marker")]
+    assert [(f["part"], f["fault"]) for f in played["faults"]] == [
+        ("connector 5", "lost_marker")
+    ]
 
 
 def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
@@ -98,7 +122,9 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         (("--body", "head=9"), "names no body"),
         (("--follow", "gen2_straight"), "it follows no plan"),
     ):
-        done = srs_twin("shadow", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path)
+        done = srs_twin(
+            "shadow", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path
+        )
         assert done.returncode == 2, done.stderr
         assert why in " ".join(done.stderr.split())
 
@@ -106,10 +132,22 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
 @needs_broker
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL", "stop"])
-def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_path, how):
+def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(
+    tmp_path, how
+):
     port = free_port()
-    words = ("--mqtt", f"127.0.0.1:{port}", "--follow", "follow_orifice", "--out", "lab")
-    with broker(tmp_path, port), MqttLink("gen2", 4, port=port, kinds=(COMMAND, STATUS)) as robot:
+    words = (
+        "--mqtt",
+        f"127.0.0.1:{port}",
+        "--follow",
+        "follow_orifice",
+        "--out",
+        "lab",
+    )
+    with (
+        broker(tmp_path, port),
+        MqttLink("gen2", 4, port=port, kinds=(COMMAND, STATUS)) as robot,
+    ):
         twin, heard = start("shadow", "gen2", *words, cwd=tmp_path), []
 
         def said(kind: str) -> list:
@@ -124,7 +162,9 @@ def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_p
             else:
                 twin.send_signal(getattr(signal, how))
             wait(lambda: said(STATUS), 30)
-            assert said(STATUS)[-1].names == ("lost" if how == "SIGKILL" else "stopped",)
+            assert said(STATUS)[-1].names == (
+                "lost" if how == "SIGKILL" else "stopped",
+            )
             assert (said(COMMAND)[-1].values == -1).all()
             twin.wait(30)
         finally:
@@ -135,7 +175,9 @@ def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(tmp_p
         assert told["following"]["ending"] == "stopped" and told["error"] is None
 
 
-@pytest.mark.parametrize("ignored", [[signal.SIGHUP], [signal.SIGINT, signal.SIGTERM], []])
+@pytest.mark.parametrize(
+    "ignored", [[signal.SIGHUP], [signal.SIGINT, signal.SIGTERM], []]
+)
 def test_a_signal_that_the_caller_ignores_ends_nothing(ignored):
     """`nohup` ignores SIGHUP, and shells ignore SIGINT for commands in the background of a script."""
     before = {number: signal.signal(number, signal.SIG_DFL) for number in ENDINGS}
@@ -157,8 +199,14 @@ def test_a_signal_that_the_caller_ignores_ends_nothing(ignored):
 
 def hears(lab: Path, known: set[Path]) -> bool:
     """Return whether the journal of a new session has a reading of the robot."""
-    new = [each for each in set(lab.glob("journal-*.mcap")) - known if each.stat().st_size > 100]
-    return any(each.kind == BENDS for path in new for each in journal_messages(path, "gen4", 4))
+    new = [
+        each
+        for each in set(lab.glob("journal-*.mcap")) - known
+        if each.stat().st_size > 100
+    ]
+    return any(
+        each.kind == BENDS for path in new for each in journal_messages(path, "gen4", 4)
+    )
 
 
 @needs_broker
@@ -175,7 +223,9 @@ def test_twenty_kills(tmp_path):
             end = time.monotonic() + 3.0
             while time.monotonic() < end:
                 gait.send(
-                    COMMAND, np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1)) * (-1) ** int(3 * time.monotonic())
+                    COMMAND,
+                    np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1))
+                    * (-1) ** int(3 * time.monotonic()),
                 )
                 time.sleep(0.02)
             victim = draw.choice(("robot", "twin", "broker"))
@@ -194,7 +244,9 @@ def test_twenty_kills(tmp_path):
                 alive = broker(tmp_path, port)
                 alive.__enter__()
         wait(lambda: gait.received(), 30)
-        wait(lambda: hears(tmp_path / "lab", known), 60)  # on a busy machine a start takes long
+        wait(
+            lambda: hears(tmp_path / "lab", known), 60
+        )  # on a busy machine a start takes long
         time.sleep(5.0)
         ended(twin)
         found = json.loads((tmp_path / "lab" / "shadow.json").read_text())

@@ -30,18 +30,32 @@ motion_capture:
 limits: {duration_s: 60, press_on: true}
 """
 OPTIONS = {
-    "robot": "gen4", "name": "snake", "pressure": 50.0, "mqtt": "10.0.0.2:1884", "user": "lab",
-    "ca": Path("ca.pem"), "natnet": "10.0.0.3", "local": "10.0.0.4", "up": "z",
-    "body": ["head=1", "a=b=2"], "duration": 60.0, "press_on": True,
-}  # fmt: skip
+    "robot": "gen4",
+    "name": "snake",
+    "pressure": 50.0,
+    "mqtt": "10.0.0.2:1884",
+    "user": "lab",
+    "ca": Path("ca.pem"),
+    "natnet": "10.0.0.3",
+    "local": "10.0.0.4",
+    "up": "z",
+    "body": ["head=1", "a=b=2"],
+    "duration": 60.0,
+    "press_on": True,
+}
 
 
 def test_a_setup_file_has_the_values_of_the_options(tmp_path):
     (tmp_path / "lab.yaml").write_text(LAB)
     (tmp_path / "ca.pem").touch()
-    assert load_setup(tmp_path / "lab.yaml").options() == OPTIONS | {"ca": tmp_path / "ca.pem"}
+    assert load_setup(tmp_path / "lab.yaml").options() == OPTIONS | {
+        "ca": tmp_path / "ca.pem"
+    }
     (tmp_path / "lab.yaml").write_text("robot: gen4\n")
-    assert load_setup(tmp_path / "lab.yaml").options() == {"robot": "gen4", "press_on": False}
+    assert load_setup(tmp_path / "lab.yaml").options() == {
+        "robot": "gen4",
+        "press_on": False,
+    }
 
 
 def test_the_schema_admits_the_file_and_describes_every_key():
@@ -50,22 +64,38 @@ def test_the_schema_admits_the_file_and_describes_every_key():
     for block in (schema, *schema["$defs"].values()):
         assert all(each.get("description") for each in block["properties"].values())
     assert (
-        "in s, 0.02 to 10000000" in schema["$defs"]["LimitsFile"]["properties"]["duration_s"]["description"]
+        "in s, 0.02 to 10000000"
+        in schema["$defs"]["LimitsFile"]["properties"]["duration_s"]["description"]
     )
 
 
 def test_the_command_prints_the_schema(srs_twin, tmp_path):
-    assert json.loads(srs_twin("schema", "setup", cwd=tmp_path).stdout) == setup_json_schema()
+    assert (
+        json.loads(srs_twin("schema", "setup", cwd=tmp_path).stdout)
+        == setup_json_schema()
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
         ("robot: gen4\nnam: x\n", "lab.yaml:2:1: nam: unknown key; did you mean name?"),
-        ("robot: gen4\nname: a/b\n", "lab.yaml:2:7: name: the name cannot be part of a topic"),
-        ("robot: gen4\nbroker: {address: 'lab:0'}\n", "lab.yaml:2:19: broker.address: 'lab:0' is no address"),
-        ("robot: gen4\nlimits: {duration_s: -1}\n", "limits.duration_s: must be a number from 0.02"),
-        ("robot: gen4\nmotion_capture: {address: lab, bodies: {head: 0}}\n", "must be a whole number from 1"),
+        (
+            "robot: gen4\nname: a/b\n",
+            "lab.yaml:2:7: name: the name cannot be part of a topic",
+        ),
+        (
+            "robot: gen4\nbroker: {address: 'lab:0'}\n",
+            "lab.yaml:2:19: broker.address: 'lab:0' is no address",
+        ),
+        (
+            "robot: gen4\nlimits: {duration_s: -1}\n",
+            "limits.duration_s: must be a number from 0.02",
+        ),
+        (
+            "robot: gen4\nmotion_capture: {address: lab, bodies: {head: 0}}\n",
+            "must be a whole number from 1",
+        ),
         ("name: x\n", "robot: missing"),
     ],
 )
@@ -102,22 +132,45 @@ def test_options_override_the_setup_file(srs_twin, tmp_path, monkeypatch):
         Path("ca.pem"),
     )
     found = asked_for(
-        srs_twin, tmp_path, monkeypatch, "gen2", "--setup", "lab.yaml", "--name", "other", "--mqtt", "1.2.3.4"
+        srs_twin,
+        tmp_path,
+        monkeypatch,
+        "gen2",
+        "--setup",
+        "lab.yaml",
+        "--name",
+        "other",
+        "--mqtt",
+        "1.2.3.4",
     )
     assert (found.name, found.broker, found.user) == ("other", "1.2.3.4", "lab")
 
 
 def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
     done = srs_twin("shadow", cwd=tmp_path)
-    assert done.returncode == 2 and "which robot? Give ROBOT, or a file with --setup" in done.stderr
+    assert (
+        done.returncode == 2
+        and "which robot? Give ROBOT, or a file with --setup" in done.stderr
+    )
 
 
 @needs_broker
 def test_a_session_that_hears_nothing_says_so_with_exit_code_2(srs_twin, tmp_path):
     port = free_port()
-    (tmp_path / "lab.yaml").write_text(f"robot: gen4\nbroker: {{address: '127.0.0.1:{port}'}}\n")
+    (tmp_path / "lab.yaml").write_text(
+        f"robot: gen4\nbroker: {{address: '127.0.0.1:{port}'}}\n"
+    )
     with broker(tmp_path, port):
-        done = srs_twin("shadow", "--setup", "lab.yaml", "--duration-s", "0.3", "--out", "lab", cwd=tmp_path)
+        done = srs_twin(
+            "shadow",
+            "--setup",
+            "lab.yaml",
+            "--duration-s",
+            "0.3",
+            "--out",
+            "lab",
+            cwd=tmp_path,
+        )
     assert done.returncode == 2
     assert f"nothing was heard of 'gen4' in 0 s from 127.0.0.1:{port}" in done.stderr
     assert "None" not in done.stderr and "Traceback" not in done.stderr

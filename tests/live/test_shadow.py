@@ -9,7 +9,16 @@ from types import SimpleNamespace
 import live_runs
 import numpy as np
 import pytest
-from live_runs import BREAKS_S, Run, followed_estimate, isolated, parts, recorded, shadowed, steered
+from live_runs import (
+    BREAKS_S,
+    Run,
+    followed_estimate,
+    isolated,
+    parts,
+    recorded,
+    shadowed,
+    steered,
+)
 
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
@@ -25,7 +34,9 @@ SETTLED_S = 5.0
 def true_values(result, times):
     """Return true bends, position and heading at the given times, shape (times, segments + 3)."""
     truth = result["truth"]
-    return np.stack([np.interp(times, truth[:, 0], column) for column in truth[:, 1:].T], axis=1)
+    return np.stack(
+        [np.interp(times, truth[:, 0], column) for column in truth[:, 1:].T], axis=1
+    )
 
 
 def errors(result):
@@ -48,12 +59,14 @@ def test_errors_are_small_and_within_their_intervals(pneumatics):
     filtered = result["filtered"][result["estimate"][:, 0] > SETTLED_S]
     times, bends = filtered[:, 0], filtered[:, 1:]
     assert rms(bends - true_values(result, times)[:, :n]) < 0.03
-    # The estimate is predicted by 30 to 60 ms from the newest message. The model has first-order chambers: it
-    # predicts most of the change of the bends, or all of it if the robot has such chambers, too.
+    # The estimate is predicted by 30 to 60 ms from the newest message. The model has
+    # first-order chambers: it predicts most of the change of the bends, or all of it if
+    # the robot has such chambers, too.
     change = bends - true_values(result, result["estimate"][:, 0])[-len(bends) :, :n]
     assert rms(error[:, :n]) < (rms(change) / 3 if pneumatics == "orifice" else 0.03)
     assert rms(np.hypot(*error[:, n : n + 2].T)) < 0.005
-    # Where the prediction adds no error, its intervals are too wide: they include that of the filter twice.
+    # Where the prediction adds no error, its intervals are too wide: they include that
+    # of the filter twice.
     most = 0.99 if pneumatics == "orifice" else 1.0
     for values in (slice(0, n), slice(n, n + 3)):
         assert 0.9 < np.mean(np.abs(error[:, values]) < 1.96 * sd[:, values]) <= most
@@ -83,7 +96,9 @@ def test_receive_detects_the_same_faults_as_update():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"])
+@pytest.mark.parametrize(
+    "kind", ["stuck_valve:{j}{side}=open", "dead_sensor:{j}=silent", "lost_marker:{j}"]
+)
 def test_a_fault_is_named(kind):
     (done,) = isolated((3, "nominal", (kind,)))
     assert done["among"], done
@@ -118,10 +133,14 @@ def test_estimates_are_for_now_and_their_intervals_hold(rate):
 def test_measurements_beyond_50_hz_are_left_out(monkeypatch):
     spec = load_robot("gen4")
     shadow, used = Shadow(spec, members=8), []
-    monkeypatch.setattr(shadow.faults, "update", lambda *given, **named: used.append(given))
+    monkeypatch.setattr(
+        shadow.faults, "update", lambda *given, **named: used.append(given)
+    )
     for k in range(200):
         time = 0.005 * k
-        shadow.update(time, [Message(BENDS, "robot", time, time, np.zeros(spec.segments))])
+        shadow.update(
+            time, [Message(BENDS, "robot", time, time, np.zeros(spec.segments))]
+        )
     assert 40 <= len(used) <= 60
 
 
@@ -138,7 +157,11 @@ def test_commands_that_wait_already_bend_the_estimate():
             valves[:, 0] = 1.0 if fills and k >= 55 else -1.0
             values = {BENDS: np.zeros(n), COMMAND: valves}
             found = shadow.update(
-                time, [Message(kind, kind, time, time, each) for kind, each in values.items()]
+                time,
+                [
+                    Message(kind, kind, time, time, each)
+                    for kind, each in values.items()
+                ],
             )
         bends.append(found.bend)
     assert (bends[1] > bends[0] + 0.02).all()
@@ -148,16 +171,23 @@ def test_commands_that_wait_already_bend_the_estimate():
 def test_ringing_bends_do_not_lose_the_position():
     """Generation 2 turns with up to 50 rad/s after a valve has switched."""
     moments = shadowed(Run(12, 6.0, robot="gen2", frequency=2.0), members=8)
-    assert not [moment.time for moment in moments if moment.time > 1.0 and moment.estimate.lost]
+    assert not [
+        moment.time for moment in moments if moment.time > 1.0 and moment.estimate.lost
+    ]
 
 
 def test_an_estimate_whose_prediction_diverges_is_lost(monkeypatch):
     *_, moment = shadowed(Run(2, 0.5), members=8)
     assert not moment.estimate.lost
     monkeypatch.setattr(
-        MemberDynamics, "bend", lambda _, pose, bend, *__: (bend, np.zeros(len(bend), dtype=bool))
+        MemberDynamics,
+        "bend",
+        lambda _, pose, bend, *__: (bend, np.zeros(len(bend), dtype=bool)),
     )
-    assert moment.shadow.update(moment.time + 0.01, []).lost == "motion capture has not seen the robot"
+    assert (
+        moment.shadow.update(moment.time + 0.01, []).lost
+        == "motion capture has not seen the robot"
+    )
 
 
 @pytest.mark.slow
@@ -168,7 +198,11 @@ def test_silence_is_said_and_survived():
         shadow = moment.shadow
     found = shadow.update(moment.time + 3.0, [])
     assert found.lost == "no message from the robot"
-    back = [Message(BENDS, run.robot, 40 + moment.time + 5.0, moment.time + 5.001, np.zeros(n))]
+    back = [
+        Message(
+            BENDS, run.robot, 40 + moment.time + 5.0, moment.time + 5.001, np.zeros(n)
+        )
+    ]
     assert np.isfinite(shadow.update(moment.time + 5.1, back).bend).all()
 
 
@@ -184,10 +218,16 @@ def test_what_was_learnt_survives_a_restart(tmp_path):
     assert new.faults.named == shadow.faults.named
     assert part == f"segment {next(iter(new.faults.named))}"
     weights = (each.ensemble.odometry.connection.weights for each in (new, shadow))
-    assert np.array_equal(*weights) and shadow.ensemble.odometry.connection.weights.any()
-    assert new.faults.parameters()["gain"][0] == pytest.approx(shadow.faults.parameters()["gain"][0])
+    assert (
+        np.array_equal(*weights) and shadow.ensemble.odometry.connection.weights.any()
+    )
+    assert new.faults.parameters()["gain"][0] == pytest.approx(
+        shadow.faults.parameters()["gain"][0]
+    )
     with pytest.raises(InputError, match="the saved state has other settings"):
-        Shadow(load_robot("gen2"), members=8).restore(SavedState.read(tmp_path / "state.npz"))
+        Shadow(load_robot("gen2"), members=8).restore(
+            SavedState.read(tmp_path / "state.npz")
+        )
 
 
 PAUSE_S = 3.0
@@ -196,7 +236,8 @@ PAUSE_S = 3.0
 def restarted(run, pause):
     """Yield the updates of a robot that restarts at the end of a run, and stands still for a pause (s).
 
-    The robot begins again at rest, and its stamps where they first began. The controller commands on.
+    The robot begins again at rest, and its stamps where they first began. The
+    controller commands on.
     """
     updates = recorded(replace(run, supply="")).updates
     yield from updates
@@ -211,7 +252,8 @@ def restarted(run, pause):
                     replace(
                         each,
                         arrived=each.arrived + shift,
-                        sent=each.sent + (shift if each.kind in (COMMAND, POSES) else 0.0),
+                        sent=each.sent
+                        + (shift if each.kind in (COMMAND, POSES) else 0.0),
                     )
                     for each in messages
                     if shift > then or each.kind == COMMAND
@@ -221,7 +263,9 @@ def restarted(run, pause):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [11, 12, 13])
-@pytest.mark.parametrize(("pause", "supply"), [(0.5, ""), (PAUSE_S, ""), (PAUSE_S, "outage")])
+@pytest.mark.parametrize(
+    ("pause", "supply"), [(0.5, ""), (PAUSE_S, ""), (PAUSE_S, "outage")]
+)
 def test_a_restart_of_the_robot_is_not_a_fault(seed, pause, supply, monkeypatch):
     monkeypatch.setattr(live_runs, "OUTAGE", (0.05, 1.0))
     run = Run(seed, 5.0, supply=supply, changes_s=0.0)
@@ -245,7 +289,10 @@ def test_steerings_refuse_what_cannot_be_steered():
     shadow = Shadow(load_robot("gen2"), members=8)
     with pytest.raises(InputError, match="it follows no plan"):
         EstimateSteering(load_scenario("gen2_straight"), shadow, 0.02)
-    text = r"follow_gen4_a is for robot 'gen4', not for 'gen2'; they differ in geometry.segment_length "
+    text = (
+        r"follow_gen4_a is for robot 'gen4', not for 'gen2'; they differ in"
+        r" geometry.segment_length "
+    )
     with pytest.raises(InputError, match=text + r"\(0.075 and 0.037\), .* and \d more"):
         EstimateSteering(load_scenario("follow_gen4_a"), shadow, 0.02)
 
@@ -263,7 +310,10 @@ def test_a_plan_without_margin_is_refused_unless_pressing_on():
 
 
 def test_heading_at_the_start_counts_modulo_whole_turns():
-    shadow, scenario = Shadow(load_robot("gen2"), members=8), load_scenario("follow_orifice")
+    shadow, scenario = (
+        Shadow(load_robot("gen2"), members=8),
+        load_scenario("follow_orifice"),
+    )
     x, y, heading = scenario.pose
     for turn, renewed in ((2 * np.pi, False), (-2 * np.pi, False), (np.pi, True)):
         steering = EstimateSteering(scenario, shadow, 0.02)
@@ -278,12 +328,18 @@ def test_robots_of_equal_parts_are_equal_whatever_their_names_and_modules():
     assert differences(replace(gen2, name="mine", title="My robot"), gen2) == []
     assert differences(load_scenario("follow_orifice").robot, gen2) == []
     assert differences(load_scenario("follow_gen4_a").robot, gen4) == []
-    slower = replace(gen2, actuator=replace(gen2.actuator, tau_fill=2 * gen2.actuator.tau_fill))
-    assert [each.partition(" ")[0] for each in differences(gen2, slower)] == ["actuator.tau_fill"]
+    slower = replace(
+        gen2, actuator=replace(gen2.actuator, tau_fill=2 * gen2.actuator.tau_fill)
+    )
+    assert [each.partition(" ")[0] for each in differences(gen2, slower)] == [
+        "actuator.tau_fill"
+    ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["", "dead_sensor:2=silent@8", "lost_marker:3@8", "leak:2+=slow@8"])
+@pytest.mark.parametrize(
+    "fault", ["", "dead_sensor:2=silent@8", "lost_marker:3@8", "leak:2+=slow@8"]
+)
 def test_a_robot_is_steered_to_the_goal(fault):
     run = Run(3, 60.0, robot="gen2", frequency=2.0, fault=fault)
     done = steered((run, "follow_orifice"))
@@ -300,7 +356,10 @@ def test_a_robot_is_vented_once_its_position_has_been_uncertain_for_a_while():
     uncertain = replace(moment.estimate, pose_sd=np.array([0.02, 0.0, 0.0]), lost="")
 
     def vented_ticks(estimate, ticks: int) -> int:
-        return sum(bool((steering.step(estimate, moment.shadow) == -1).all()) for _ in range(ticks))
+        return sum(
+            bool((steering.step(estimate, moment.shadow) == -1).all())
+            for _ in range(ticks)
+        )
 
     assert vented_ticks(uncertain, 10) == 0
     assert vented_ticks(uncertain, 5) == 5

@@ -12,7 +12,15 @@ from brokers import broker, free_port, needs_broker, wait
 from srs_twin import InputError, TwinSnake, load_robot
 from srs_twin.live.emulator import EmulatedRobot, emulate
 from srs_twin.live.links import MqttLink
-from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, VALVES, BadMessageError, decode, encode
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    PRESSURES,
+    VALVES,
+    BadMessageError,
+    decode,
+    encode,
+)
 
 SPEC = load_robot("spatial_example")
 QUIET = {"gain_spread": 0.0, "noise_rad": 0.0}
@@ -21,18 +29,28 @@ FULL = np.tile([1.0, -1.0, 1.0, -1.0], (SPEC.segments, 1))
 
 def back(kind, values, segments=SPEC.segments, chambers=4):
     return decode(
-        kind, encode(kind, 1.5, values), source="s", arrived=2.0, segments=segments, chambers=chambers
+        kind,
+        encode(kind, 1.5, values),
+        source="s",
+        arrived=2.0,
+        segments=segments,
+        chambers=chambers,
     )
 
 
 def test_messages_have_a_list_per_chamber_and_two_bends():
     assert json.loads(encode(COMMAND, 1.0, np.array([[1, -1, 0]]))) == {
-        "t": 1.0, "chamber_1": [1], "chamber_2": [-1], "chamber_3": [0],
-    }  # fmt: skip
+        "t": 1.0,
+        "chamber_1": [1],
+        "chamber_2": [-1],
+        "chamber_3": [0],
+    }
     bends = np.array([[0.5, -0.25], [math.nan, 0.125]])
     assert json.loads(encode(BENDS, 1.0, bends)) == {
-        "t": 1.0, "rad": [0.5, None], "pitch_rad": [-0.25, 0.125],
-    }  # fmt: skip
+        "t": 1.0,
+        "rad": [0.5, None],
+        "pitch_rad": [-0.25, 0.125],
+    }
     assert np.array_equal(back(BENDS, bends, segments=2).values, bends, equal_nan=True)
     assert back(PRESSURES, 1e4 * FULL).values == pytest.approx(1e4 * FULL)
 
@@ -52,7 +70,9 @@ def test_messages_of_the_other_kind_of_robot_are_refused(kind, values, chambers,
 
 
 def test_the_emulated_robot_bends_in_both_directions():
-    robot = EmulatedRobot("spatial_example", **QUIET, supply_kpa=20.0, start=(0.1, 0.2, 0.7))
+    robot = EmulatedRobot(
+        "spatial_example", **QUIET, supply_kpa=20.0, start=(0.1, 0.2, 0.7)
+    )
     place, turn = (lambda body: (body.place, body.turn))(robot.bodies()[1])
     assert turn == pytest.approx((0.0, math.sin(0.35), 0.0, math.cos(0.35)), abs=1e-6)
     twin = TwinSnake(SPEC, supply_pa=20e3)
@@ -60,23 +80,32 @@ def test_the_emulated_robot_bends_in_both_directions():
     for _ in range(10):
         robot.step(FULL)
         state = twin.step(FULL.astype(np.int8))
-    assert robot.bends() == pytest.approx(state.bend, abs=1e-9) and (robot.bends() > 0.1).all()
+    assert (
+        robot.bends() == pytest.approx(state.bend, abs=1e-9)
+        and (robot.bends() > 0.1).all()
+    )
     place = robot.bodies()[5].place
     assert place[1] == pytest.approx(state.height[4], abs=2e-3)
     assert (robot.valves == FULL).all()
     for _ in range(5):
         robot.step(np.full(FULL.shape, 0.5))
-    assert 0 < robot.state.pressure[:, 1].min() and robot.state.pressure[:, 1].max() < 10e3
+    assert (
+        0 < robot.state.pressure[:, 1].min() and robot.state.pressure[:, 1].max() < 10e3
+    )
 
 
 def test_dead_sensors_freeze_both_axes_and_chambers_with_a_side_are_refused():
-    robot = EmulatedRobot("spatial_example", **QUIET, supply_kpa=20.0, faults=["dead_sensor:2=frozen@0.1"])
+    robot = EmulatedRobot(
+        "spatial_example", **QUIET, supply_kpa=20.0, faults=["dead_sensor:2=frozen@0.1"]
+    )
     for _ in range(10):
         robot.step(FULL)
         held = robot.bends()
     robot.step(FULL)
     assert (robot.bends()[1] == held[1]).all() and (robot.bends()[0] != held[0]).all()
-    with pytest.raises(InputError, match="fault stuck_valve.* does not support the spatial robot"):
+    with pytest.raises(
+        InputError, match="fault stuck_valve.* does not support the spatial robot"
+    ):
         EmulatedRobot("spatial_example", faults=["stuck_valve:2+@1"])
     with pytest.raises(InputError, match="do not begin to leak"):
         EmulatedRobot("spatial_example", faults=["leak:2+@1"])
@@ -100,6 +129,16 @@ def test_commands_reach_an_emulated_spatial_robot(tmp_path):
 
         wait(fills)
         found = []
-        wait(lambda: found.extend(here.received()) or {each.kind for each in found} == {BENDS, PRESSURES})
-        assert all(each.values.shape == (8, 4 if each.kind == PRESSURES else 2) for each in found)
-    assert (robot.state.pressure[:, [0, 2]] > 1e3).all() and (robot.state.pressure[:, [1, 3]] == 0).all()
+        wait(
+            lambda: (
+                found.extend(here.received())
+                or {each.kind for each in found} == {BENDS, PRESSURES}
+            )
+        )
+        assert all(
+            each.values.shape == (8, 4 if each.kind == PRESSURES else 2)
+            for each in found
+        )
+    assert (robot.state.pressure[:, [0, 2]] > 1e3).all() and (
+        robot.state.pressure[:, [1, 3]] == 0
+    ).all()

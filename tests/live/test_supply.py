@@ -15,7 +15,11 @@ NOMINAL, TICK = 60e3, 0.02
 def chambers(supply, rng, sd=0.03, count=4):
     """Return residuals' ingredients of chambers that fill: pressures, responses, standard deviations."""
     response = rng.uniform(0.3, 0.95, count)
-    return response * supply + sd * NOMINAL * rng.normal(size=count), response, np.full(count, sd * NOMINAL)
+    return (
+        response * supply + sd * NOMINAL * rng.normal(size=count),
+        response,
+        np.full(count, sd * NOMINAL),
+    )
 
 
 def followed(supplies, seed=1, outlier=0.0, repeats=1.0):
@@ -25,7 +29,13 @@ def followed(supplies, seed=1, outlier=0.0, repeats=1.0):
         supply.predict(TICK)
         pressure, response, sd = chambers(true, rng)
         pressure[0] *= 1 - outlier
-        supply.update(pressure - response * supply.pressure, response, sd, np.ones(len(sd)), repeats)
+        supply.update(
+            pressure - response * supply.pressure,
+            response,
+            sd,
+            np.ones(len(sd)),
+            repeats,
+        )
         estimates.append((supply.pressure, supply.sd))
     return np.array(estimates)
 
@@ -41,7 +51,9 @@ def test_standard_deviation_is_that_of_the_errors():
     for seed in range(40):
         rng = np.random.default_rng((seed, 1))
         walk = NOMINAL * (
-            1 + PRIOR_SD * rng.normal() + np.cumsum(WALK * np.sqrt(TICK) * rng.normal(size=100))
+            1
+            + PRIOR_SD * rng.normal()
+            + np.cumsum(WALK * np.sqrt(TICK) * rng.normal(size=100))
         )
         found = followed(walk, seed)
         errors.append((found[50:, 0] - walk[50:]) / found[50:, 1])
@@ -49,7 +61,9 @@ def test_standard_deviation_is_that_of_the_errors():
 
 
 def test_one_leaking_chamber_hardly_moves_the_estimate():
-    assert followed(np.full(100, NOMINAL), outlier=0.5)[-1, 0] == pytest.approx(NOMINAL, rel=0.05)
+    assert followed(np.full(100, NOMINAL), outlier=0.5)[-1, 0] == pytest.approx(
+        NOMINAL, rel=0.05
+    )
 
 
 def test_measurement_corrects_and_variance_grows_up_to_its_limit():
@@ -62,7 +76,13 @@ def test_measurement_corrects_and_variance_grows_up_to_its_limit():
 
 
 def test_supply_message_keeps_its_pressure():
-    message = decode(SUPPLY, encode(SUPPLY, 3.0, np.array(47.5e3)), source="r", arrived=1.0, segments=4)
+    message = decode(
+        SUPPLY,
+        encode(SUPPLY, 3.0, np.array(47.5e3)),
+        source="r",
+        arrived=1.0,
+        segments=4,
+    )
     assert message.values == pytest.approx(47.5e3) and message.sent == 3.0
     for wrong in (b'{"t": 1}', b'{"t": 1, "kpa": -5}', b'{"t": 1, "kpa": "much"}'):
         with pytest.raises(BadMessageError, match="kpa"):
@@ -102,5 +122,9 @@ def test_starved_is_reported_and_cleared_when_the_supply_recovers():
         named[moment.time] = dict(moment.shadow.faults.named)
     period = 1 / 1.5
     assert all(not faults for time, faults in named.items() if time < DROOPS_S)
-    assert all(faults == {0: "starved"} for time, faults in named.items() if DROOPS_S + 1.5 < time < back)
+    assert all(
+        faults == {0: "starved"}
+        for time, faults in named.items()
+        if DROOPS_S + 1.5 < time < back
+    )
     assert all(not faults for time, faults in named.items() if time > back + 2 * period)

@@ -19,7 +19,15 @@ CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, 
 PLACE = st.floats(-1.5, 1.5)
 ANGLE = st.floats(-4, 4)
 EDGE = st.floats(0.01, 0.2)
-ARC = st.tuples(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(0, 1.2), EDGE, EDGE, EDGE, EDGE)
+ARC = st.tuples(
+    st.builds(Pose, PLACE, PLACE, ANGLE),
+    CURVATURE,
+    st.floats(0, 1.2),
+    EDGE,
+    EDGE,
+    EDGE,
+    EDGE,
+)
 NO_CIRCLES, NO_SIDES = np.empty((0, 3)), np.empty((0, 4))
 ANYWHERE = np.array([-np.inf, np.inf, -np.inf, np.inf])
 NEAR = 1e-4
@@ -37,7 +45,9 @@ def drawn(arc) -> shapely.Polygon:
     weights = np.r_[1, np.tile([4, 2], 40)[:-1], 1] / 240
     x = pose.x + s * (np.cos(pose.heading + k * np.outer(s, t)) @ weights)
     y = pose.y + s * (np.sin(pose.heading + k * np.outer(s, t)) @ weights)
-    edges = [np.c_[x - n * np.sin(heading), y + n * np.cos(heading)] for n in (left, -right)]
+    edges = [
+        np.c_[x - n * np.sin(heading), y + n * np.cos(heading)] for n in (left, -right)
+    ]
     return shapely.Polygon(np.r_[edges[0], edges[1][::-1]])
 
 
@@ -61,11 +71,16 @@ def test_many_obstacles_collide_as_each_alone(arc, seed):
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), CURVATURE, st.floats(-2, 2))
 def test_arc_end_agrees_with_integration(pose, k, length):
     solved = solve_ivp(
-        lambda _, z: [math.cos(z[2]), math.sin(z[2]), k], (0, abs(length)), [pose.x, pose.y, pose.heading],
-        rtol=1e-10, atol=1e-12,
-    )  # fmt: skip
+        lambda _, z: [math.cos(z[2]), math.sin(z[2]), k],
+        (0, abs(length)),
+        [pose.x, pose.y, pose.heading],
+        rtol=1e-10,
+        atol=1e-12,
+    )
     assume(length >= 0)
-    assert arc_end(pose.x, pose.y, pose.heading, k, length) == pytest.approx(solved.y[:, -1], abs=1e-8)
+    assert arc_end(pose.x, pose.y, pose.heading, k, length) == pytest.approx(
+        solved.y[:, -1], abs=1e-8
+    )
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), st.floats(0.1, 3), st.floats(0.05, 1))
@@ -74,7 +89,10 @@ def test_children_obey_the_corrected_eq_33(pose, turn, length):
     for i, child in enumerate(arcs.children(pose)):
         alpha = turn * (i - 2) / 2
         if alpha == 0:
-            expected = (pose.x + length * math.cos(pose.heading), pose.y + length * math.sin(pose.heading))
+            expected = (
+                pose.x + length * math.cos(pose.heading),
+                pose.y + length * math.sin(pose.heading),
+            )
         else:
             r, after = length / alpha, pose.heading + alpha
             expected = (
@@ -96,11 +114,17 @@ def test_circles_collide_as_with_a_drawn_region(arc, x, y, radius):
 def test_sides_collide_as_with_a_drawn_region(arc, ax, ay, bx, by):
     region, side = drawn(arc), shapely.LineString([(ax, ay), (bx, by)])
     hit = region.intersects(side)
-    assume(hit == region.buffer(NEAR).intersects(side) == region.buffer(-NEAR).intersects(side))
+    assume(
+        hit
+        == region.buffer(NEAR).intersects(side)
+        == region.buffer(-NEAR).intersects(side)
+    )
     assert touches(arc, sides=np.array([[ax, ay, bx, by]])) == hit
 
 
-@given(ARC, st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2))
+@given(
+    ARC, st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2)
+)
 def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
     region, pose = drawn(arc), arc[0]
     box = (pose.x - west, pose.y - south, pose.x + east, pose.y + north)
@@ -110,7 +134,9 @@ def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
         == shapely.box(*box).buffer(NEAR).contains(region)
         == shapely.box(*box).buffer(-NEAR).contains(region)
     )
-    assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (not inside)
+    assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (
+        not inside
+    )
 
 
 def test_even_numbers_of_primitives_are_rejected():

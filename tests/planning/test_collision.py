@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.collision import Checker, nearest_obstacles, obstacle_at, obstacle_grid
+from srs_twin.planning.collision import (
+    Checker,
+    nearest_obstacles,
+    obstacle_at,
+    obstacle_grid,
+)
 from srs_twin.planning.footprint import Footprint, Transient
 from srs_twin.planning.guidance import find_passages
 from srs_twin.planning.infeasibility import min_path_length
@@ -17,10 +22,20 @@ from srs_twin.planning.path import path_from_arcs
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 BODY = Footprint(
-    "unequal", "no two numbers are the same", (-0.3, 0.0, 0.3), (-2.0, 0.0, 2.0), (0.2, 0.2, 0.2),
-    left=(0.06, 0.05, 0.04), right=(0.03, 0.07, 0.08), ahead=0.11, behind=0.13,
-    transients=(Transient(0.3, 0.0, 0.02, 0.03, 0.4), Transient(0.0, 0.3, 0.045, 0.01, 0.6)),
-)  # fmt: skip
+    "unequal",
+    "no two numbers are the same",
+    (-0.3, 0.0, 0.3),
+    (-2.0, 0.0, 2.0),
+    (0.2, 0.2, 0.2),
+    left=(0.06, 0.05, 0.04),
+    right=(0.03, 0.07, 0.08),
+    ahead=0.11,
+    behind=0.13,
+    transients=(
+        Transient(0.3, 0.0, 0.02, 0.03, 0.4),
+        Transient(0.0, 0.3, 0.045, 0.01, 0.6),
+    ),
+)
 BEND, STRAIGHT, STEP = (2.0, 0.3), (0.0, 1.0), 1e-4
 
 
@@ -32,7 +47,12 @@ def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
         move = int(np.argmin(abs(moves.curvatures - curvature)))
         passed, way = follow_arc(way, move, length, moves, obstacle_grid(world))
         free = free and bool(passed)
-    return Checker(world, BODY).is_path_free(path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, BODY)), free
+    return (
+        Checker(world, BODY).is_path_free(
+            path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, BODY)
+        ),
+        free,
+    )
 
 
 def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> World:
@@ -45,12 +65,18 @@ def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> Wo
 @pytest.mark.parametrize(
     ("s", "n", "out"),
     [
-        pytest.param(0.3, 0.05 + 0.02, (0, 1), id="left, just after the change of offset"),
-        pytest.param(0.3, -0.07 - 0.03, (0, -1), id="right, just after the change of offset"),
+        pytest.param(
+            0.3, 0.05 + 0.02, (0, 1), id="left, just after the change of offset"
+        ),
+        pytest.param(
+            0.3, -0.07 - 0.03, (0, -1), id="right, just after the change of offset"
+        ),
         pytest.param(0.8, 0.05, (0, 1), id="left, settled"),
         pytest.param(0.8, -0.07, (0, -1), id="right, settled"),
         pytest.param(0.4 + 0.11, 0.06, (1, 0), id="left, where the change has settled"),
-        pytest.param(0.4 + 0.11, -0.09, (1, 0), id="right, where the change has settled"),
+        pytest.param(
+            0.4 + 0.11, -0.09, (1, 0), id="right, where the change has settled"
+        ),
         pytest.param(1.0 + 0.11, 0.0, (1, 0), id="head"),
     ],
 )
@@ -63,7 +89,12 @@ def test_body_collides_exactly_at_its_edges(s, n, out):
 
 @pytest.mark.parametrize(
     ("s", "n", "out"),
-    [(0.5, 0.05, (0, 1)), (0.5, -0.07, (0, -1)), (-0.13, 0.0, (-1, 0)), (1.11, 0.0, (1, 0))],
+    [
+        (0.5, 0.05, (0, 1)),
+        (0.5, -0.07, (0, -1)),
+        (-0.13, 0.0, (-1, 0)),
+        (1.11, 0.0, (1, 0)),
+    ],
     ids=["left", "right", "tail", "head"],
 )
 def test_path_from_rest_has_steady_edges(s, n, out):
@@ -72,7 +103,9 @@ def test_path_from_rest_has_steady_edges(s, n, out):
         assert frees([STRAIGHT], world) == (free, free)
 
 
-@pytest.mark.parametrize(("between", "left"), [(0.2, 0.045), (0.7, 0.02)], ids=["lasting", "over"])
+@pytest.mark.parametrize(
+    ("between", "left"), [(0.2, 0.045), (0.7, 0.02)], ids=["lasting", "over"]
+)
 def test_overlapping_transients_use_the_wider_edges(between, left):
     """The first change has the wider left edge, the second the wider right edge."""
     pieces = [(0.0, 0.2), (2.0, between), STRAIGHT]
@@ -102,12 +135,20 @@ def test_nearest_compares_each_bound_with_obstacles(wall):
     def box(gap: float) -> Polygon:
         """Return a square at this distance from the point near the bound, on the inner side."""
         a, b = near[0] - (gap + 0.1) * east, near[1] - (gap + 0.1) * north
-        return Polygon(tuple((a + u, b + v) for u, v in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))))
+        return Polygon(
+            tuple(
+                (a + u, b + v)
+                for u, v in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))
+            )
+        )
 
     points = np.array([near, beyond])
     for gap, found in ((0.11, "bounds"), (0.09, "")):
         disc = Circle(near[0] - (gap + 0.3) * east, near[1] - (gap + 0.3) * north, 0.3)
-        assert nearest_obstacles(World((disc,), ROOM), points) == [found or "obstacle 1", "bounds"]
+        assert nearest_obstacles(World((disc,), ROOM), points) == [
+            found or "obstacle 1",
+            "bounds",
+        ]
         walls = World(bounds=ROOM, polygons=(box(gap),))
         assert nearest_obstacles(walls, points[:1]) == [found or "polygon 1"]
     assert nearest_obstacles(World(polygons=(box(0.2),)), points) == ["polygon 1"] * 2
@@ -120,9 +161,15 @@ def test_crossing_a_bound_is_reported_on_each_side(wall):
     body = Footprint.box(0.05, 0.0, speed=0.2, curvature=2.0, ahead=0.09)
     for gap, hit in ((0.001, ""), (-0.001, said)):
         assert obstacle_at(world, x - gap * east, y - gap * north) == hit
-        facing = Pose(x - (0.09 + gap) * east, y - (0.09 + gap) * north, math.atan2(north, east))
+        facing = Pose(
+            x - (0.09 + gap) * east, y - (0.09 + gap) * north, math.atan2(north, east)
+        )
         assert Checker(world, body).first_collision(facing) == hit
-        sideways = Pose(x - (0.025 + gap) * east, y - (0.025 + gap) * north, facing.heading + math.pi / 2)
+        sideways = Pose(
+            x - (0.025 + gap) * east,
+            y - (0.025 + gap) * north,
+            facing.heading + math.pi / 2,
+        )
         assert Checker(world, body).first_collision(sideways) == hit
 
 
@@ -132,8 +179,13 @@ def turned(world: World, quarters: int) -> World:
         return world
     (west, east), (south, north) = world.bounds.x, world.bounds.y
     circles = tuple(Circle(-c.y, c.x, c.radius) for c in world.obstacles)
-    polygons = tuple(Polygon(tuple((-y, x) for x, y in p.corners)) for p in world.polygons)
-    return turned(World(circles, Bounds((-north, -south), (west, east)), None, polygons), quarters - 1)
+    polygons = tuple(
+        Polygon(tuple((-y, x) for x, y in p.corners)) for p in world.polygons
+    )
+    return turned(
+        World(circles, Bounds((-north, -south), (west, east)), None, polygons),
+        quarters - 1,
+    )
 
 
 @pytest.mark.parametrize("quarters", range(4))
@@ -142,10 +194,16 @@ def test_least_length_respects_each_bound(quarters):
     start, goal = (complex(x, 0.0) * 1j**quarters for x in (-2.0, 2.0))
     for gap, around in ((0.099, 3.0), (0.101, 0.5)):
         wall = Polygon(((-0.01, -3.0), (0.01, -3.0), (0.01, 0.5), (-0.01, 0.5)))
-        world = turned(World((), Bounds((-9, 9), (-9, 0.5 + gap)), None, (wall,)), quarters)
+        world = turned(
+            World((), Bounds((-9, 9), (-9, 0.5 + gap)), None, (wall,)), quarters
+        )
         ends = Pose(start.real, start.imag, 0.0), Goal(goal.real, goal.imag, None, 0.0)
         found = min_path_length(*ends, world, 0.05)
-        assert 2 * math.hypot(1.99, around) < found < 2 * math.hypot(2.0, around + 0.06) + 0.02
+        assert (
+            2 * math.hypot(1.99, around)
+            < found
+            < 2 * math.hypot(2.0, around + 0.06) + 0.02
+        )
 
 
 @pytest.mark.parametrize("quarters", range(4))
@@ -158,9 +216,14 @@ def test_passages_at_a_bound_rotate_with_the_world(quarters):
         rows = np.column_stack([x, y, np.cos(heading), np.sin(heading), through])
         return rows[np.lexsort(rows.round(6).T)]
 
-    c, s = round(math.cos(quarters * math.pi / 2)), round(math.sin(quarters * math.pi / 2))
+    c, s = (
+        round(math.cos(quarters * math.pi / 2)),
+        round(math.sin(quarters * math.pi / 2)),
+    )
     turn, before = np.array([[c, s], [-s, c]]), passages(world)
     assert len(before)
-    expected = np.column_stack([before[:, :2] @ turn, before[:, 2:4] @ turn, before[:, 4]])
+    expected = np.column_stack(
+        [before[:, :2] @ turn, before[:, 2:4] @ turn, before[:, 4]]
+    )
     expected = expected[np.lexsort(expected.round(6).T)]
     assert passages(turned(world, quarters)) == pytest.approx(expected, abs=1e-6)

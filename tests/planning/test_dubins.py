@@ -62,20 +62,31 @@ def test_path_to_a_point_ends_there_and_no_arrival_heading_is_shorter(a, x, y, r
     path = shortest_path(a, x, y, None, radius)
     end = rolled(a, path)
     assert end[:2] == pytest.approx([x, y], abs=1e-7)
-    others = [total(shortest_path(a, x, y, heading, radius)) for heading in np.linspace(0, 2 * math.pi, 60)]
+    others = [
+        total(shortest_path(a, x, y, heading, radius))
+        for heading in np.linspace(0, 2 * math.pi, 60)
+    ]
     assert total(path) <= min(others) + 1e-7
-    assert total(path) == pytest.approx(total(shortest_path(a, x, y, end[2], radius)), abs=1e-6)
+    assert total(path) == pytest.approx(
+        total(shortest_path(a, x, y, end[2], radius)), abs=1e-6
+    )
 
 
 @given(POSE, POSE, RADIUS)
 def test_backwards_and_in_the_mirror_it_is_as_long(a, b, radius):
     there = length(a, b, radius)
-    back = length(Pose(b.x, b.y, b.heading + math.pi), Pose(a.x, a.y, a.heading + math.pi), radius)
+    back = length(
+        Pose(b.x, b.y, b.heading + math.pi), Pose(a.x, a.y, a.heading + math.pi), radius
+    )
     mirrored = length(Pose(a.x, -a.y, -a.heading), Pose(b.x, -b.y, -b.heading), radius)
     # A full turn may appear or vanish by rounding where it is no turn at all.
-    assert there == pytest.approx(back, abs=1e-6) or abs(abs(there - back) - 2 * math.pi * radius) < 1e-3
     assert (
-        there == pytest.approx(mirrored, abs=1e-6) or abs(abs(there - mirrored) - 2 * math.pi * radius) < 1e-3
+        there == pytest.approx(back, abs=1e-6)
+        or abs(abs(there - back) - 2 * math.pi * radius) < 1e-3
+    )
+    assert (
+        there == pytest.approx(mirrored, abs=1e-6)
+        or abs(abs(there - mirrored) - 2 * math.pi * radius) < 1e-3
     )
 
 
@@ -85,7 +96,9 @@ def test_no_way_round_is_shorter(a, b, c, radius):
 
 
 @given(POSE, POSE, RADIUS, st.floats(1, 3))
-def test_never_shorter_than_the_straight_line_and_longer_for_wider_turns(a, b, radius, more):
+def test_never_shorter_than_the_straight_line_and_longer_for_wider_turns(
+    a, b, radius, more
+):
     path = length(a, b, radius)
     assert path >= math.hypot(a.x - b.x, a.y - b.y) - 1e-9
     assert path <= length(a, b, radius * more) + 1e-6
@@ -95,7 +108,10 @@ def test_never_shorter_than_the_straight_line_and_longer_for_wider_turns(a, b, r
 def test_no_three_pieces_found_by_search_are_shorter(seed):
     """All words of three pieces, their lengths by a root finder from many guesses."""
     rng = np.random.default_rng(seed)
-    a, b = Pose(0, 0, rng.uniform(-3, 3)), Pose(*rng.uniform(-2.5, 2.5, 2), rng.uniform(-3, 3))
+    a, b = (
+        Pose(0, 0, rng.uniform(-3, 3)),
+        Pose(*rng.uniform(-2.5, 2.5, 2), rng.uniform(-3, 3)),
+    )
     found = []
     for word in itertools.product((1.0, 0.0, -1.0), repeat=3):
         if word[0] == word[1] or word[1] == word[2]:

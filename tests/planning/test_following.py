@@ -43,10 +43,28 @@ def ours():
 
 
 def follow(
-    plan, *, start=(0.0, 0.0, 0.0), law=None, camera=CLEAR, delay=0.0, duration=30.0, seed=0, radius=0.05,
-    stray=None, replans=3, replan=None, submit=None, curvature_at=as_told, goal=None, world=EMPTY, margin=0.0,
-    late=0.0, lag=0.0, least_margin=0.0, **snake,
-):  # fmt: skip
+    plan,
+    *,
+    start=(0.0, 0.0, 0.0),
+    law=None,
+    camera=CLEAR,
+    delay=0.0,
+    duration=30.0,
+    seed=0,
+    radius=0.05,
+    stray=None,
+    replans=3,
+    replan=None,
+    submit=None,
+    curvature_at=as_told,
+    goal=None,
+    world=EMPTY,
+    margin=0.0,
+    late=0.0,
+    lag=0.0,
+    least_margin=0.0,
+    **snake,
+):
     """Return the follower, the snake and its path, shape (samples, 4): time, x, y, heading without
     oscillation.
 
@@ -123,15 +141,24 @@ def test_late_frames_are_compensated():
 @pytest.mark.slow
 @settings(max_examples=15)
 @given(
-    gain=st.floats(0.6, 1.6), drift=st.floats(-0.5, 0.5), aside=st.floats(-0.1, 0.1),
-    heading=st.floats(-0.5, 0.5), speed=st.floats(0.12, 0.3),
-)  # fmt: skip
-def test_snake_that_differs_from_its_footprint_converges(gain, drift, aside, heading, speed):
+    gain=st.floats(0.6, 1.6),
+    drift=st.floats(-0.5, 0.5),
+    aside=st.floats(-0.1, 0.1),
+    heading=st.floats(-0.5, 0.5),
+    speed=st.floats(0.12, 0.3),
+)
+def test_snake_that_differs_from_its_footprint_converges(
+    gain, drift, aside, heading, speed
+):
     plan = a_plan(((0.0, 8.0),))
     _, _, way = follow(
-        plan, start=(0.0, aside, heading), curvature_at=lambda offset: gain * as_told(offset) + drift,
-        speed=speed, delay=0.1, duration=6.0 / speed,
-    )  # fmt: skip
+        plan,
+        start=(0.0, aside, heading),
+        curvature_at=lambda offset: gain * as_told(offset) + drift,
+        speed=speed,
+        delay=0.1,
+        duration=6.0 / speed,
+    )
     assert np.abs(beside(plan, way, since=4.0 / speed)).max() < 0.01
 
 
@@ -154,7 +181,9 @@ def test_bearing_law_visits_all_nodes_and_arrives():
     assert follower.ending == "goal_reached"
     assert law.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
     ours_beside = beside(plan, follow(plan)[2])
-    assert np.sqrt((beside(plan, way) ** 2).mean()) > 2 * np.sqrt((ours_beside**2).mean())
+    assert np.sqrt((beside(plan, way) ** 2).mean()) > 2 * np.sqrt(
+        (ours_beside**2).mean()
+    )
 
 
 def test_offset_takes_effect_after_the_delay_and_stays_in_bounds():
@@ -266,7 +295,9 @@ def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
     assert noise.std(axis=0) == pytest.approx([0.01, 0.01, 0.1], rel=0.1)
     assert np.abs(noise.mean(axis=0)).max() < 0.1 * 0.1
     assert np.abs(np.corrcoef(noise.T) - np.eye(3)).max() < 0.1
-    assert np.abs(np.corrcoef(noise[:-1].T, noise[1:].T)[:3, 3:]).max() < 0.1  # from frame to frame
+    assert (
+        np.abs(np.corrcoef(noise[:-1].T, noise[1:].T)[:3, 3:]).max() < 0.1
+    )  # from frame to frame
 
 
 def test_missing_plan_ends_the_run_with_the_planners_reason():
@@ -310,14 +341,22 @@ def test_run_ends_without_the_required_margin(least):
         return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
 
     follower, _, _ = follow(
-        a_plan(), law=BearingLaw(0.3, 0.2, 0.1), curvature_at=lambda offset: as_told(offset) + 0.7,
-        stray=1.0, replan=replan, world=BESIDE, margin=0.05, least_margin=least,
-    )  # fmt: skip
+        a_plan(),
+        law=BearingLaw(0.3, 0.2, 0.1),
+        curvature_at=lambda offset: as_told(offset) + 0.7,
+        stray=1.0,
+        replan=replan,
+        world=BESIDE,
+        margin=0.05,
+        least_margin=least,
+    )
     assert min(shares) == (0.5 if least else 0.25)
     events = follower.events()
     if least:
         assert follower.ending == "no_room"
-        assert events[-1].text.startswith("no path with the required margin: close; start: ")
+        assert events[-1].text.startswith(
+            "no path with the required margin: close; start: "
+        )
     else:
         assert events[0].kind == "replanned" and "25% of the margin" in events[0].text
 
@@ -325,10 +364,16 @@ def test_run_ends_without_the_required_margin(least):
 @pytest.mark.parametrize("least", [0.0, 0.5])
 def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(least):
     follower, _, _ = follow(
-        a_plan(), law=BearingLaw(0.3, 0.2, 0.1), curvature_at=lambda offset: as_told(offset) + 0.7,
-        stray=1.0, replans=0, replan=lambda pose, _: a_plan(start=pose), world=BESIDE, margin=0.05,
+        a_plan(),
+        law=BearingLaw(0.3, 0.2, 0.1),
+        curvature_at=lambda offset: as_told(offset) + 0.7,
+        stray=1.0,
+        replans=0,
+        replan=lambda pose, _: a_plan(start=pose),
+        world=BESIDE,
+        margin=0.05,
         least_margin=least,
-    )  # fmt: skip
+    )
     events = follower.events()
     assert ("no_room" in [each.kind for each in events]) == bool(least)
     assert ("no_new_plan" in [each.kind for each in events]) != bool(least)
@@ -341,7 +386,9 @@ def test_straying_requests_new_plans_up_to_the_limit():
         asked.append(pose)
         return a_plan(start=pose)
 
-    follower, _, _ = follow(a_plan(), curvature_at=blind, stray=0.1, replans=2, replan=replan)
+    follower, _, _ = follow(
+        a_plan(), curvature_at=blind, stray=0.1, replans=2, replan=replan
+    )
     assert follower.ending == "strayed" and len(asked) == 2
     kinds = [event.kind for event in follower.events()]
     assert kinds == ["replanned", "replanned", "strayed"]
@@ -360,9 +407,14 @@ def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
         return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
 
     follower, _, _ = follow(
-        a_plan(), law=BearingLaw(0.3, 0.2, 0.1), curvature_at=lambda offset: as_told(offset) + 0.7,
-        stray=1.0, replan=replan, world=BESIDE, margin=0.05,
-    )  # fmt: skip
+        a_plan(),
+        law=BearingLaw(0.3, 0.2, 0.1),
+        curvature_at=lambda offset: as_told(offset) + 0.7,
+        stray=1.0,
+        replan=replan,
+        world=BESIDE,
+        margin=0.05,
+    )
     (first, share), again = asked[:2]
     assert share == 1.0 and again == (first, 0.75)
     assert 1.0 < first.x < 2.0 and 0 < first.y < 0.05
@@ -372,8 +424,12 @@ def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
 
 def test_no_plan_is_requested_on_the_path_or_without_a_margin():
     for margin in (0.05, 0.0):
-        follower, _, _ = follow(a_plan(), stray=1.0, replan=refuse, world=BESIDE, margin=margin)
-        assert follower.ending == "goal_reached" and [e.kind for e in follower.events()] == ["goal_reached"]
+        follower, _, _ = follow(
+            a_plan(), stray=1.0, replan=refuse, world=BESIDE, margin=margin
+        )
+        assert follower.ending == "goal_reached" and [
+            e.kind for e in follower.events()
+        ] == ["goal_reached"]
 
 
 def refuse(pose, _share):
@@ -381,7 +437,9 @@ def refuse(pose, _share):
 
 
 def test_old_plan_is_kept_if_there_is_no_new_one():
-    follower, _, way = follow(a_plan(), curvature_at=blind, stray=0.1, replan=refuse, replans=2)
+    follower, _, way = follow(
+        a_plan(), curvature_at=blind, stray=0.1, replan=refuse, replans=2
+    )
     assert follower.ending == "strayed" and len(follower.plans) == 1
     events = follower.events()
     assert [event.kind for event in events] == ["no_new_plan", "no_new_plan", "strayed"]
@@ -389,12 +447,16 @@ def test_old_plan_is_kept_if_there_is_no_new_one():
     assert events[1].time >= events[0].time + 1.0
     # One that finds back in the meantime arrives.
     follower, _, _ = follow(a_plan(), start=(0.0, 0.2, 0.4), stray=0.15, replan=refuse)
-    assert follower.ending == "goal_reached" and follower.events()[0].kind == "no_new_plan"
+    assert (
+        follower.ending == "goal_reached" and follower.events()[0].kind == "no_new_plan"
+    )
 
 
 def test_missed_goal_without_a_new_plan_ends_the_run_with_a_reason():
     follower, _, _ = follow(a_plan(), goal=Goal(3.0, 0.4, None, 0.05), replan=refuse)
-    assert follower.ending == "goal_missed" and follower.events()[-1].text.endswith("touches obstacle 1")
+    assert follower.ending == "goal_missed" and follower.events()[-1].text.endswith(
+        "touches obstacle 1"
+    )
 
 
 def test_a_new_plan_leads_to_the_goal():
@@ -405,7 +467,11 @@ def test_a_new_plan_leads_to_the_goal():
         return a_plan(((-3.0, 0.3), (3.0, 0.3), (0.0, 0.8)), start=pose)
 
     follower, _, _ = follow(
-        plan, start=(0.0, 0.2, 0.4), stray=0.15, replan=replan, goal=Goal(1.5, 0.0, None, 5.0)
+        plan,
+        start=(0.0, 0.2, 0.4),
+        stray=0.15,
+        replan=replan,
+        goal=Goal(1.5, 0.0, None, 5.0),
     )
     assert follower.ending == "goal_reached" and len(follower.plans) == 2
 
@@ -443,7 +509,11 @@ def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
         goal=Goal(1.5, 0.0, None, 5.0),
     )
     fast, _, _ = follow(
-        a_plan(), start=(0.0, 0.2, 0.4), stray=0.15, replan=replan, goal=Goal(1.5, 0.0, None, 5.0)
+        a_plan(),
+        start=(0.0, 0.2, 0.4),
+        stray=0.15,
+        replan=replan,
+        goal=Goal(1.5, 0.0, None, 5.0),
     )
     assert slow.ending == fast.ending == "goal_reached" and len(jobs) == 1
     (_, jobs_option), (_, later) = fast.plans, slow.plans
@@ -452,14 +522,24 @@ def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
 
 
 def test_a_controller_without_an_offset_is_refused():
-    with pytest.raises(InputError, match="'iterative_smc' has no offset to steer by; use gait or ilc"):
+    with pytest.raises(
+        InputError, match="'iterative_smc' has no offset to steer by; use gait or ilc"
+    ):
         Follower(
-            IterativeSMC(Constant(0.1)), ours(), a_plan(), Goal(1, 0, None, 0.1), BODY, Conditions(Camera())
+            IterativeSMC(Constant(0.1)),
+            ours(),
+            a_plan(),
+            Goal(1, 0, None, 0.1),
+            BODY,
+            Conditions(Camera()),
         )
 
 
 def test_runs_are_repeatable():
-    first, second = (follow(a_plan(WINDING), camera=Camera(60, 0.002, 0.02), seed=4)[2] for _ in range(2))
+    first, second = (
+        follow(a_plan(WINDING), camera=Camera(60, 0.002, 0.02), seed=4)[2]
+        for _ in range(2)
+    )
     assert (first == second).all()
 
 
@@ -468,7 +548,12 @@ def test_reset_restores_all_settings():
     wheel = Wheel()
     plan = a_plan(WINDING)
     follower = Follower(
-        wheel, ours(), plan, Goal(plan.end.x, plan.end.y, None, 0.05), BODY, Conditions(Camera())
+        wheel,
+        ours(),
+        plan,
+        Goal(plan.end.x, plan.end.y, None, 0.05),
+        BODY,
+        Conditions(Camera()),
     )
     ways = []
     for _ in range(2):

@@ -11,7 +11,12 @@ from synthetic import Snake, with_columns
 
 from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.metrics import FOLLOWING_UNITS, centre_points, following_metrics, legs
+from srs_twin.planning.metrics import (
+    FOLLOWING_UNITS,
+    centre_points,
+    following_metrics,
+    legs,
+)
 from srs_twin.trajectory import Trajectory
 
 pytestmark = pytest.mark.fast
@@ -21,7 +26,13 @@ BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
 
 
 def plan(segments, time=0.0, outcome="found"):
-    return {"time": time, "outcome": outcome, "reason": "", "nodes": 7, "segments": segments}
+    return {
+        "time": time,
+        "outcome": outcome,
+        "reason": "",
+        "nodes": 7,
+        "segments": segments,
+    }
 
 
 def line(length=1.2, y=0.0, x=0.0):
@@ -35,19 +46,35 @@ def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), footprint=BODY):
         "goal": dict(zip(("x", "y", "heading", "radius"), goal, strict=True)),
         "world": {"obstacles": [], "polygons": [], "bounds": None},
         "footprint": {
-            "name": "box", "title": "box", "offsets": footprint.offsets, "curvatures": footprint.curvatures,
-            "speeds": footprint.speeds, "left": footprint.left, "right": footprint.right, "ahead": 0.0,
+            "name": "box",
+            "title": "box",
+            "offsets": footprint.offsets,
+            "curvatures": footprint.curvatures,
+            "speeds": footprint.speeds,
+            "left": footprint.left,
+            "right": footprint.right,
+            "ahead": 0.0,
             "behind": 0.0,
         },
-    }  # fmt: skip
-    metadata = dict(trajectory.metadata) | {"control": {"following": about}, "body_width_m": WIDTH}
-    metadata |= {"segment_length_m": Snake.segment_length, "rigid_gap_m": Snake.rigid_gap}
+    }
+    metadata = dict(trajectory.metadata) | {
+        "control": {"following": about},
+        "body_width_m": WIDTH,
+    }
+    metadata |= {
+        "segment_length_m": Snake.segment_length,
+        "rigid_gap_m": Snake.rigid_gap,
+    }
     return Trajectory(trajectory.columns, events=trajectory.events, metadata=metadata)
 
 
 def moved(trajectory, dx=0.0, dy=0.0):
     columns = {
-        name: column + dx * name.startswith(("x_", "com_x")) + dy * name.startswith(("y_", "com_y"))
+        name: (
+            column
+            + dx * name.startswith(("x_", "com_x"))
+            + dy * name.startswith(("y_", "com_y"))
+        )
         for name, column in trajectory.columns.items()
     }
     return replace(trajectory, columns=columns)
@@ -68,7 +95,11 @@ def test_cross_track_of_a_rod_parallel_to_its_path():
     metrics = following_metrics(run)
     assert metrics["cross_track_rms_m"] == pytest.approx(0.01)
     assert metrics["cross_track_max_m"] == pytest.approx(0.01)
-    assert (metrics["goal_reached"], metrics["replans"], metrics["plan_found"]) == (1, 0, 1)
+    assert (metrics["goal_reached"], metrics["replans"], metrics["plan_found"]) == (
+        1,
+        0,
+        1,
+    )
     assert metrics["arrival_error_m"] == pytest.approx(0.01)
     assert metrics["arrival_heading_error_rad"] is None
     assert metrics["following_time_s"] == pytest.approx(6.0)
@@ -79,13 +110,18 @@ def test_cross_track_of_a_rod_parallel_to_its_path():
 
 def test_inside_share_counts_the_time_within_the_edges():
     trajectory = STILL.trajectory()
-    aside = np.where(trajectory.time < 1.5, 0.0, np.where(trajectory.time < 3.0, 0.02, 0.04))
+    aside = np.where(
+        trajectory.time < 1.5, 0.0, np.where(trajectory.time < 3.0, 0.02, 0.04)
+    )
     columns = {
         name: column + (aside if name.startswith(("y_", "com_y")) else 0)
         for name, column in trajectory.columns.items()
     }
-    metrics = following_metrics(followed(replace(trajectory, columns=columns), [plan([line()])]))
-    # With half the width 15, 35 and 55 mm from the path: 50 mm planned, 25 mm in the text.
+    metrics = following_metrics(
+        followed(replace(trajectory, columns=columns), [plan([line()])])
+    )
+    # With half the width 15, 35 and 55 mm from the path: 50 mm planned, 25 mm in the
+    # text.
     assert metrics["inside_share"] == pytest.approx(0.5, abs=0.003)
     assert metrics["inside_50mm_share"] == pytest.approx(0.25, abs=0.003)
 
@@ -94,16 +130,28 @@ def test_edges_shift_with_the_turn():
     """Rod on a circle: its middle stays on the path, its ends are outside."""
     radius = 0.3
     run = Snake(
-        speed=0.2, yaw_rate=0.2 / radius, amplitude=0.0, sway=(0, 0), heading_sway=0.0, duration=2.0
+        speed=0.2,
+        yaw_rate=0.2 / radius,
+        amplitude=0.0,
+        sway=(0, 0),
+        heading_sway=0.0,
+        duration=2.0,
     ).trajectory()
     half = run.metadata["body_length_m"] / 2
     reach = math.hypot(radius + WIDTH / 2, half) - radius
     arc = [0.0, 0.0, 0.0, 1 / radius, 0.4, 0.2, 0.2]
     for outer, share in ((reach + 1e-3, 1.0), (reach - 1e-3, 0.0)):
         edges = Footprint(
-            "b", "b", (-0.3, 0.0, 0.3), (-1 / radius, 0.0, 1 / radius), (0.2,) * 3, (0.1,) * 3,
-            (0.1, 0.1, outer), 0.0, 0.0,
-        )  # fmt: skip
+            "b",
+            "b",
+            (-0.3, 0.0, 0.3),
+            (-1 / radius, 0.0, 1 / radius),
+            (0.2,) * 3,
+            (0.1,) * 3,
+            (0.1, 0.1, outer),
+            0.0,
+            0.0,
+        )
         full = [[*arc[:4], 2.0 * math.pi * radius * 0.9, *arc[5:]]]
         metrics = following_metrics(followed(run, [plan(full)], footprint=edges))
         late = metrics["inside_share"]
@@ -123,7 +171,9 @@ def test_each_plan_counts_from_its_start():
 def test_arrival_error_and_heading_without_oscillation():
     run = Snake(yaw_rate=0.1, duration=4.0).trajectory()
     x, y = run.com[-1]
-    metrics = following_metrics(followed(run, [plan([line()])], goal=(x + 0.06, y, 0.5, 0.05)))
+    metrics = following_metrics(
+        followed(run, [plan([line()])], goal=(x + 0.06, y, 0.5, 0.05))
+    )
     assert metrics["goal_reached"] == 0
     assert metrics["arrival_error_m"] == pytest.approx(0.06)
     # The heading at the end is 0.4 without the oscillation.
@@ -134,7 +184,9 @@ def test_arrival_error_and_heading_without_oscillation():
 def test_a_goal_is_not_reached_through_an_obstacle(deep, reached):
     run = STILL.trajectory()
     run = with_columns(run, clearance=np.linspace(0.3, -deep, len(run)))
-    metrics = following_metrics(followed(run, [plan([line()])], goal=(*run.com[-1], None, 0.05)))
+    metrics = following_metrics(
+        followed(run, [plan([line()])], goal=(*run.com[-1], None, 0.05))
+    )
     assert metrics["goal_reached"] == reached
 
 
@@ -153,11 +205,14 @@ def test_middles_of_segments_lie_on_their_arcs():
     middles, arcs = points[:, 5:], heading[:, 5:]
     bend = run.stack("bend")
     for j in range(4):
-        # From connector j back along the arc: chord of half of it, with bend/2, from its heading.
+        # From connector j back along the arc: chord of half of it, with bend/2, from
+        # its heading.
         half = snake.segment_length / 2
         q = bend[:, j] / 2
         chord = half * np.sinc(q / 2 / np.pi)
         at = run.stack("theta")[:, j] - q / 2
-        expected = run.position[:, j] - chord[:, None] * np.stack([np.cos(at), np.sin(at)], axis=-1)
+        expected = run.position[:, j] - chord[:, None] * np.stack(
+            [np.cos(at), np.sin(at)], axis=-1
+        )
         assert middles[:, j] == pytest.approx(expected, abs=2e-4)
         assert arcs[:, j] == pytest.approx(run.stack("theta")[:, j] - q)

@@ -64,14 +64,25 @@ def file(tmp_path):
 def test_plan_command_writes_data_and_a_picture(file, srs_twin):
     done = srs_twin("plan", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("way: found: ") and "nodes" in done.stdout and "length" in done.stdout
-    assert "met    plan_found = yes" in done.stdout and "goal_reached" not in done.stdout
+    assert (
+        done.stdout.startswith("way: found: ")
+        and "nodes" in done.stdout
+        and "length" in done.stdout
+    )
+    assert (
+        "met    plan_found = yes" in done.stdout and "goal_reached" not in done.stdout
+    )
     assert {path.name for path in (file / "out").iterdir()} == {"plan.json", "plan.png"}
     told = json.loads((file / "out/plan.json").read_text("utf-8"))
     assert told["outcome"] == "found" and told["metrics"].keys() == PLAN_UNITS.keys()
     last = told["segments"][-1]
-    assert told["metrics"]["plan_length_m"] == pytest.approx(sum(s["length"] for s in told["segments"]))
-    assert math.hypot(last["start"]["x"] - 0.8, last["start"]["y"] - 0.1) <= last["length"] + 0.05
+    assert told["metrics"]["plan_length_m"] == pytest.approx(
+        sum(s["length"] for s in told["segments"])
+    )
+    assert (
+        math.hypot(last["start"]["x"] - 0.8, last["start"]["y"] - 0.1)
+        <= last["length"] + 0.05
+    )
     assert (file / "out/plan.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -80,18 +91,29 @@ WALL = "[[0.3, -2], [0.5, -2], [0.5, 2], [0.3, 2]]"
 
 def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
     text = FILE.replace("[[0.3, -0.4], [0.5, -0.4], [0.5, -0.3], [0.3, -0.3]]", WALL)
-    text = text.replace("  goal:", "  bounds: {x_m: [-0.5, 1.5], y_m: [-1, 1]}\n  goal:")
+    text = text.replace(
+        "  goal:", "  bounds: {x_m: [-0.5, 1.5], y_m: [-1, 1]}\n  goal:"
+    )
     (file / "walled.yaml").write_text(text, "utf-8")
     plain = srs_twin("plan", "walled.yaml", cwd=file)
     assert plain.returncode == 0 and "unreachable" in plain.stdout
     checked = srs_twin("plan", "walled.yaml", "--check", cwd=file)
-    assert checked.returncode == 1 and "MISSED plan_found = no, required yes" in checked.stdout
+    assert (
+        checked.returncode == 1
+        and "MISSED plan_found = no, required yes" in checked.stdout
+    )
     (file / "unjudged.yaml").write_text(text.partition("expect:")[0], "utf-8")
     assert srs_twin("plan", "unjudged.yaml", "--check", "-q", cwd=file).returncode == 1
     run = srs_twin("run", "walled.yaml", "--check", "--out", "run", cwd=file)
     assert run.returncode == 1, run.stderr
-    metrics = json.loads((file / "run/metrics.json").read_text("utf-8"))["plants"]["analytical"]
-    assert (metrics["plan_found"], metrics["goal_reached"], metrics["plan_length_m"]) == (0, 0, None)
+    metrics = json.loads((file / "run/metrics.json").read_text("utf-8"))["plants"][
+        "analytical"
+    ]
+    assert (
+        metrics["plan_found"],
+        metrics["goal_reached"],
+        metrics["plan_length_m"],
+    ) == (0, 0, None)
     way = Trajectory.from_parquet(file / "run/analytical.parquet")
     assert way.metadata["control"]["following"]["ending"] == "no_plan"
     assert [event.kind for event in way.events] == ["no_plan"]
@@ -106,13 +128,17 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
             "goal (0.8, 0.1) is outside the bounds",
         ),
     ],
-)  # fmt: skip
+)
 def test_invalid_start_or_goal_is_bad_input(where, says, file, srs_twin):
     text = FILE.replace("goal: {x_m: 0.8, y_m: 0.1, radius_m: 0.05}", where)
     (file / "bad.yaml").write_text(text, "utf-8")
     for verb in ("plan", "run"):
         done = srs_twin(verb, "bad.yaml", "--out", "bad", cwd=file)
-        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+        assert (
+            done.returncode == 2
+            and says in done.stderr
+            and "Traceback" not in done.stderr
+        )
     assert not (file / "bad/metrics.json").exists()
 
 
@@ -120,7 +146,8 @@ def test_plan_command_rejects_scenarios_without_a_planner(tmp_path, srs_twin):
     done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "there is no planner section; add planner, and controller.kind: follow" in done.stderr
+        and "there is no planner section; add planner, and controller.kind: follow"
+        in done.stderr
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -129,21 +156,40 @@ def test_run_command_follows_and_writes_all_files(file, srs_twin):
     done = srs_twin("run", "way.yaml", "--check", "--out", "out", cwd=file)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "cross-track, RMS" in done.stdout and "new plans" in done.stdout
-    metrics = json.loads((file / "out/metrics.json").read_text("utf-8"))["plants"]["analytical"]
+    metrics = json.loads((file / "out/metrics.json").read_text("utf-8"))["plants"][
+        "analytical"
+    ]
     assert metrics.keys() >= FOLLOWING_UNITS.keys()
     assert metrics["cross_track_rms_m"] < 0.015 and metrics["inside_share"] > 0.9
     report = (file / "out/report.html").read_text("utf-8")
     assert "Plan with footprint" in report and "The cross-track error is" in report
     from rerun.chunk import RrdReader
 
-    entities = {chunk.entity_path for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()}
+    entities = {
+        chunk.entity_path
+        for chunk in RrdReader(file / "out/recording.rrd").stream().to_chunks()
+    }
     obstacles = {f"/world/obstacles/{kind}" for kind in ("round", "straight")}
-    assert {"/world/plan/path", "/world/plan/edges", "/world/plan/goal"} | obstacles <= entities
+    assert {
+        "/world/plan/path",
+        "/world/plan/edges",
+        "/world/plan/goal",
+    } | obstacles <= entities
     way = Trajectory.from_parquet(file / "out/analytical.parquet")
-    for name in ("offset", "offset_commanded", "cross_track", "heading_error", "node", "estimate_x"):
+    for name in (
+        "offset",
+        "offset_commanded",
+        "cross_track",
+        "heading_error",
+        "node",
+        "estimate_x",
+    ):
         assert way.has(name), name
     assert (way.unit("cross_track"), way.unit("heading_error")) == ("m", "rad")
-    assert way.events[-1].kind == "goal_reached" and way.metadata["ended_by"] == "controller"
+    assert (
+        way.events[-1].kind == "goal_reached"
+        and way.metadata["ended_by"] == "controller"
+    )
     again = load_scenario(file / "out/scenario.resolved.yaml")
     assert again.controller == load_scenario(file / "way.yaml").controller
     assert again.world == load_scenario(file / "way.yaml").world
@@ -168,10 +214,16 @@ def test_collision_of_the_twin_is_a_contact(tmp_path):
     scenario = parse_scenario(
         data(
             world={"obstacles": [{"x_m": 0.45, "y_m": 0.0, "radius_m": 0.1}]},
-            planner={"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5},
-            plants={"twin": {}}, duration_s=8,
+            planner={
+                "kind": "given",
+                "footprint": "gen2_section52",
+                "turns_rad": [0, 0],
+                "step_m": 0.5,
+            },
+            plants={"twin": {}},
+            duration_s=8,
         )
-    )  # fmt: skip
+    )
     metrics = prepare(scenario, tmp_path).execute().metrics["plants"]["twin"]
     assert metrics["contacts"] >= 1 and metrics["contact_time_s"] > 0.1
     assert -0.001 < metrics["clearance_m"] <= 0
@@ -183,8 +235,16 @@ def test_resolved_file_contains_the_defaults_of_gait_and_follower():
     controller = scenario.build_controller()
     assert isinstance(controller, Follower) and controller.frequency == 2.0
     document = scenario.document["controller"]
-    assert (document["follower"], document["delay_s"], document["replans"]) == ("path", 0.1, 3)
-    assert document["camera"] == {"rate_hz": 120.0, "position_noise_m": 0.0, "heading_noise_rad": 0.0}
+    assert (document["follower"], document["delay_s"], document["replans"]) == (
+        "path",
+        0.1,
+        3,
+    )
+    assert document["camera"] == {
+        "rate_hz": 120.0,
+        "position_noise_m": 0.0,
+        "heading_noise_rad": 0.0,
+    }
     assert scenario.warnings == ()
 
 
@@ -192,22 +252,41 @@ def test_learning_gait_of_a_follower_has_ticks_of_5_ms():
     gait = {"kind": "ilc", "frequency_hz": 1.5, "target_rad": 0.7}
     scenario = parse_scenario(
         data(
-            robot="gen4", supply={"pressure_kpa": 131}, controller={"kind": "follow", "gait": gait},
-            planner={"kind": "best_first", "footprint": "gen4_table9"}, plants={"twin": {}},
+            robot="gen4",
+            supply={"pressure_kpa": 131},
+            controller={"kind": "follow", "gait": gait},
+            planner={"kind": "best_first", "footprint": "gen4_table9"},
+            plants={"twin": {}},
         )
-    )  # fmt: skip
-    assert scenario.build_plant("twin").tick == 0.005 == scenario.build_plant("analytical").tick
+    )
+    assert (
+        scenario.build_plant("twin").tick
+        == 0.005
+        == scenario.build_plant("analytical").tick
+    )
 
 
 def test_random_world_depends_on_the_seed():
     world = {"random": {"kind": "fig54", "count": 6}, "goal": {"x_m": 2, "y_m": 1}}
-    drawn = [parse_scenario(data(world=world, seed=seed)).world.obstacles for seed in (0, 1, 0)]
+    drawn = [
+        parse_scenario(data(world=world, seed=seed)).world.obstacles
+        for seed in (0, 1, 0)
+    ]
     assert drawn[0] == drawn[2] == fig54_world(6, 0).obstacles != drawn[1]
     strewn = {
-        "random": {"count": 8, "radius_m": [0.03, 0.05], "gap_m": 0.1, "clear_m": 0.2, "seed": 5},
-        "bounds": {"x_m": [-0.5, 2.5], "y_m": [-1, 1]}, "goal": {"x_m": 2, "y_m": 0},
-    }  # fmt: skip
-    one, other = (parse_scenario(data(world=strewn, seed=seed)).world for seed in (0, 1))
+        "random": {
+            "count": 8,
+            "radius_m": [0.03, 0.05],
+            "gap_m": 0.1,
+            "clear_m": 0.2,
+            "seed": 5,
+        },
+        "bounds": {"x_m": [-0.5, 2.5], "y_m": [-1, 1]},
+        "goal": {"x_m": 2, "y_m": 0},
+    }
+    one, other = (
+        parse_scenario(data(world=strewn, seed=seed)).world for seed in (0, 1)
+    )
     assert one == other and len(one.obstacles) == 8
     for circle in one.obstacles:
         assert math.hypot(circle.x, circle.y) >= circle.radius + 0.2
@@ -233,35 +312,67 @@ def test_run_up_is_straight_and_must_be_free():
     planner = {"kind": "best_first", "footprint": "gen2_section52", "run_up_m": 0.25}
     first = parse_scenario(data(planner=planner)).planner.plan().segments[0]
     assert first.curvature == 0 and first.length == pytest.approx(0.25)
-    world = {"goal": {"x_m": 0.6, "y_m": 0.3}, "obstacles": [{"x_m": 0.3, "y_m": 0, "radius_m": 0.06}]}
-    with pytest.raises(InputError, match=r"straight run-up of 0\.25 m touches .*; set a shorter run_up_m"):
+    world = {
+        "goal": {"x_m": 0.6, "y_m": 0.3},
+        "obstacles": [{"x_m": 0.3, "y_m": 0, "radius_m": 0.06}],
+    }
+    with pytest.raises(
+        InputError,
+        match=r"straight run-up of 0\.25 m touches .*; set a shorter run_up_m",
+    ):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 
 
 def test_goal_of_a_given_path_is_its_end():
-    planner = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0.5, -0.5], "step_m": 0.2}
+    planner = {
+        "kind": "given",
+        "footprint": "gen2_section52",
+        "turns_rad": [0.5, -0.5],
+        "step_m": 0.2,
+    }
     route = parse_scenario(data(planner=planner, world={})).planner
     plan, goal = route.plan(), route.problem.goal
     assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
-    assert (goal.x, goal.y, goal.heading) == pytest.approx((plan.end.x, plan.end.y, 0.0))
+    assert (goal.x, goal.y, goal.heading) == pytest.approx(
+        (plan.end.x, plan.end.y, 0.0)
+    )
 
 
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
         ({"planner": None}, "controller: kind: follow needs a plan; add planner"),
-        ({"controller": {"kind": "gait", "frequency_hz": 2}}, "planner: no controller follows its plan"),
+        (
+            {"controller": {"kind": "gait", "frequency_hz": 2}},
+            "planner: no controller follows its plan",
+        ),
         ({"world": {}}, "planner: kind: best_first needs world.goal"),
         (
-            {"planner": {"kind": "given", "footprint": "gen2_section52", "turns_rad": [1.2], "step_m": 0.2}},
-            "planner: curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599 1/m",
+            {
+                "planner": {
+                    "kind": "given",
+                    "footprint": "gen2_section52",
+                    "turns_rad": [1.2],
+                    "step_m": 0.2,
+                }
+            },
+            (
+                "planner: curvature 6 1/m is outside the footprint's range -5.23599 to"
+                " 5.23599 1/m"
+            ),
         ),
         (
             {"planner": {"kind": "best_first", "footprint": "gen9"}},
             "planner.footprint: unknown footprint 'gen9'",
         ),
         (
-            {"planner": {"kind": "best_first", "footprint": "gen2_section52", "margin_m": 0.3}},
+            {
+                "planner": {
+                    "kind": "best_first",
+                    "footprint": "gen2_section52",
+                    "margin_m": 0.3,
+                }
+            },
             "reaches the centre of the tightest turn",
         ),
         (
@@ -269,16 +380,21 @@ def test_goal_of_a_given_path_is_its_end():
             "world.random: strewn needs an area; set area, or bounds of the world",
         ),
         (
-            {"world": {
-                "goal": {"x_m": 1, "y_m": 0}, "bounds": {"x_m": [0, 1], "y_m": [0, 1]},
-                "random": {"count": 99, "gap_m": 1.0},
-            }},
+            {
+                "world": {
+                    "goal": {"x_m": 1, "y_m": 0},
+                    "bounds": {"x_m": [0, 1], "y_m": [0, 1]},
+                    "random": {"count": 99, "gap_m": 1.0},
+                }
+            },
             "world.random: 99 circles do not fit",
         ),
     ],
-)  # fmt: skip
+)
 def test_contradictions_are_reported(changes, says):
-    given = {name: value for name, value in data(**changes).items() if value is not None}
+    given = {
+        name: value for name, value in data(**changes).items() if value is not None
+    }
     with pytest.raises(InputFileError) as caught:
         parse_scenario(given)
     assert says in str(caught.value)
@@ -287,19 +403,35 @@ def test_contradictions_are_reported(changes, says):
 def test_metrics_of_following_are_columns_of_a_sweep():
     base = parse_scenario(data()).document
     experiment = Experiment(base, ("analytical",))
-    rows = [run_point(experiment, Point("0", {"controller.delay_s": delay})) for delay in (0.0, 0.3)]
+    rows = [
+        run_point(experiment, Point("0", {"controller.delay_s": delay}))
+        for delay in (0.0, 0.3)
+    ]
     for row in rows:
         assert row.status == "done", row.reason
-        assert row.values["analytical.goal_reached"] == 1 and row.values["analytical.plan_found"] == 1
-    assert rows[0].values["analytical.cross_track_rms_m"] != rows[1].values["analytical.cross_track_rms_m"]
+        assert (
+            row.values["analytical.goal_reached"] == 1
+            and row.values["analytical.plan_found"] == 1
+        )
+    assert (
+        rows[0].values["analytical.cross_track_rms_m"]
+        != rows[1].values["analytical.cross_track_rms_m"]
+    )
 
 
 @pytest.mark.parametrize(
-    ("heading", "segments"), [(0.0, "0 segments"), (3.0, "3 segments"), (None, "0 segments")]
+    ("heading", "segments"),
+    [(0.0, "0 segments"), (3.0, "3 segments"), (None, "0 segments")],
 )
-def test_plan_from_the_goal_has_no_relative_length(srs_twin, tmp_path, heading, segments):
-    goal = {"x_m": 0.0, "y_m": 0.0, "radius_m": 0.05} | ({} if heading is None else {"heading_rad": heading})
-    about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world={"goal": goal})
+def test_plan_from_the_goal_has_no_relative_length(
+    srs_twin, tmp_path, heading, segments
+):
+    goal = {"x_m": 0.0, "y_m": 0.0, "radius_m": 0.05} | (
+        {} if heading is None else {"heading_rad": heading}
+    )
+    about = data(
+        planner={"kind": "best_first", "footprint": "gen2_gait"}, world={"goal": goal}
+    )
     (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
     done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0 and segments in done.stdout
@@ -310,17 +442,25 @@ def test_plan_from_the_goal_has_no_relative_length(srs_twin, tmp_path, heading, 
 
 
 @pytest.mark.parametrize(
-    ("bound", "room"), [(5.0, "at least 1000 mm of clearance"), (0.5, "mm of clearance")]
+    ("bound", "room"),
+    [(5.0, "at least 1000 mm of clearance"), (0.5, "mm of clearance")],
 )
-def test_clearance_beyond_the_limit_is_reported_as_at_least_the_limit(srs_twin, tmp_path, bound, room):
-    world = {"goal": {"x_m": 1.0, "y_m": 0.0}, "bounds": {"x_m": [-5, 5], "y_m": [-bound, bound]}}
+def test_clearance_beyond_the_limit_is_reported_as_at_least_the_limit(
+    srs_twin, tmp_path, bound, room
+):
+    world = {
+        "goal": {"x_m": 1.0, "y_m": 0.0},
+        "bounds": {"x_m": [-5, 5], "y_m": [-bound, bound]},
+    }
     about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world=world)
     (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
     done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
     assert room in done.stdout and ("at least" in done.stdout) == (bound == 5.0)
 
 
-def test_the_printed_numbers_of_a_straight_plan_are_those_of_the_line(srs_twin, tmp_path):
+def test_the_printed_numbers_of_a_straight_plan_are_those_of_the_line(
+    srs_twin, tmp_path
+):
     """Without obstacles the least length is that of the line to the goal's circle."""
     world = {
         "goal": {"x_m": 0.9, "y_m": 0.0, "radius_m": 0.1},
@@ -329,13 +469,24 @@ def test_the_printed_numbers_of_a_straight_plan_are_those_of_the_line(srs_twin, 
     about = data(planner={"kind": "best_first", "footprint": "gen2_gait"}, world=world)
     (tmp_path / "way.yaml").write_text(dump_yaml(about | {"title": "t"}), "utf-8")
     done = srs_twin("plan", "way.yaml", "--out", "out", cwd=tmp_path)
-    length, duration = map(float, re.search(r"length ([\d.]+) m, ([\d.]+) s at", done.stdout).groups())
+    length, duration = map(
+        float, re.search(r"length ([\d.]+) m, ([\d.]+) s at", done.stdout).groups()
+    )
     ratio, clearance = map(
-        float, re.search(r"([\d.]+) times the least length .*?, ([\d.]+) mm", done.stdout).groups()
+        float,
+        re.search(
+            r"([\d.]+) times the least length .*?, ([\d.]+) mm", done.stdout
+        ).groups(),
     )
     told = json.loads((tmp_path / "out/plan.json").read_text("utf-8"))
     assert 0.8 <= length <= 0.9
-    assert ratio == pytest.approx(length / 0.8, abs=0.006) == told["quality"]["length_over_least"]
+    assert (
+        ratio
+        == pytest.approx(length / 0.8, abs=0.006)
+        == told["quality"]["length_over_least"]
+    )
     footprint = load_footprint("gen2_gait")
-    assert duration == pytest.approx(length / footprint.speeds[footprint.offsets.index(0.0)], rel=0.05)
+    assert duration == pytest.approx(
+        length / footprint.speeds[footprint.offsets.index(0.0)], rel=0.05
+    )
     assert 0 < clearance < 400

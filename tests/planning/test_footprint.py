@@ -12,7 +12,11 @@ from hypothesis import given, strategies as st
 from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.files import shipped_folder, shipped_names
 from srs_twin.planning.footprint import Footprint, Transient, validate_footprint
-from srs_twin.planning.footprint_file import load_footprint, load_footprint_file, save_footprint
+from srs_twin.planning.footprint_file import (
+    load_footprint,
+    load_footprint_file,
+    save_footprint,
+)
 
 # Table 8 as printed: offset, speed, left, right, radius.
 TABLE_8 = (
@@ -46,7 +50,9 @@ def test_shipped_boxes_are_those_of_the_dissertation():
         assert getattr(text, column) == pytest.approx(getattr(BOX, column), abs=1e-5)
     table_9 = load_footprint("gen4_table9")
     assert math.degrees(table_9.tightest[0] * 0.12) == pytest.approx(9, abs=1e-3)
-    assert [a + b for a, b in zip(table_9.left, table_9.right, strict=True)] == pytest.approx([0.25] * 3)
+    assert [
+        a + b for a, b in zip(table_9.left, table_9.right, strict=True)
+    ] == pytest.approx([0.25] * 3)
 
 
 @pytest.mark.parametrize("name", shipped_names("footprint"))
@@ -73,14 +79,19 @@ def test_the_box_shifts_outward():
 
 def test_curvature_beyond_the_table_is_rejected():
     with pytest.raises(
-        InputError, match="curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599"
+        InputError,
+        match="curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599",
     ):
         BOX.at(6.0)
 
 
 def test_transients_grow_with_the_change_and_depend_on_its_direction():
     body = replace(
-        BOX, transients=(Transient(-0.3, 0.3, 0.0, 0.02, 0.1), Transient(0.0, 0.3, 0.0, 0.015, 0.08))
+        BOX,
+        transients=(
+            Transient(-0.3, 0.3, 0.0, 0.02, 0.1),
+            Transient(0.0, 0.3, 0.0, 0.015, 0.08),
+        ),
     )
     assert body.transient(-0.3, 0.3) == pytest.approx((0, 0.02, 0.1))
     assert body.transient(-0.15, 0.15) == pytest.approx((0, 0.015, 0.1))
@@ -93,10 +104,11 @@ def test_widest_of_equally_large_changes_counts():
     body = replace(
         BOX,
         transients=(
-            Transient(-0.3, 0.0, 0.01, 0.02, 0.1), Transient(0.0, 0.3, 0.02, 0.01, 0.2),
+            Transient(-0.3, 0.0, 0.01, 0.02, 0.1),
+            Transient(0.0, 0.3, 0.02, 0.01, 0.2),
             Transient(-0.2, 0.1, 0.0, 0.03, 0.05),
         ),
-    )  # fmt: skip
+    )
     for before, after in ((-0.3, 0.0), (0.0, 0.3), (-0.1, 0.2)):
         assert body.transient(before, after) == pytest.approx((0.02, 0.03, 0.2))
     assert body.transient(0.0, 0.15) == pytest.approx((0.01, 0.015, 0.2))
@@ -104,13 +116,20 @@ def test_widest_of_equally_large_changes_counts():
 
 def test_edges_may_reach_the_centre_of_their_turn():
     """A long snake in a tight turn has an outer edge farther away than the centre on the other side."""
-    body = replace(BOX, curvatures=(-13.0, 0.0, 13.0), left=(0.085, 0.05, 0.047), right=(0.047, 0.05, 0.085))
+    body = replace(
+        BOX,
+        curvatures=(-13.0, 0.0, 13.0),
+        left=(0.085, 0.05, 0.047),
+        right=(0.047, 0.05, 0.085),
+    )
     assert validate_footprint(body) is body
     with pytest.raises(
-        InputError, match=r"left: 0.08 m reaches the centre of the tightest turn, radius 0.0769"
+        InputError,
+        match=r"left: 0.08 m reaches the centre of the tightest turn, radius 0.0769",
     ):
         validate_footprint(replace(body, left=(0.085, 0.05, 0.08)))
-    # A change to the left that pushes the right edge out does not narrow the inside of a left turn.
+    # A change to the left that pushes the right edge out does not narrow the inside of
+    # a left turn.
     out = Transient(-0.3, 0.3, 0.0, 0.06, 0.1)
     assert validate_footprint(replace(body, transients=(out,)))
     with pytest.raises(InputError, match=r"left: 0.107 m reaches"):
@@ -120,16 +139,28 @@ def test_edges_may_reach_the_centre_of_their_turn():
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("[-0.3, 0.0, 0.3]", "[0.3, 0.0, -0.3]", "5:17: offset.value: must increase from row to row"),
+        (
+            "[-0.3, 0.0, 0.3]",
+            "[0.3, 0.0, -0.3]",
+            "5:17: offset.value: must increase from row to row",
+        ),
         ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must be a list"),
-        ("[0.12, 0.12, 0.12]", "[0.12, 0.12, 0.12, 0.12]", "speed_m_s.value: 4 values for 3 offsets"),
+        (
+            "[0.12, 0.12, 0.12]",
+            "[0.12, 0.12, 0.12, 0.12]",
+            "speed_m_s.value: 4 values for 3 offsets",
+        ),
         (
             "[0.175, 0.125, 0.075]",
             "[0.8, 0.8, 0.8]",
             "left_m.value: 0.8 m reaches the centre of the tightest turn",
         ),
         ("[-1.309, 0.0, 1.309]", "[0.1, 0.2, 1.309]", "needs turns to both sides"),
-        ("[-1.309, 0.0, 1.309]", "[-1.309, .nan, 1.309]", "curvature_per_m.value[1]: must be"),
+        (
+            "[-1.309, 0.0, 1.309]",
+            "[-1.309, .nan, 1.309]",
+            "curvature_per_m.value[1]: must be",
+        ),
         ("unit: m/s", "unit: km/h", "speed_m_s.unit: must be m/s, not text 'km/h'"),
         ("ahead_m", "ahed_m", "unknown key; did you mean ahead_m?"),
         (
@@ -139,7 +170,9 @@ def test_edges_may_reach_the_centre_of_their_turn():
         ),
     ],
 )
-def test_invalid_footprint_files_are_rejected_with_their_place(old, new, words, tmp_path):
+def test_invalid_footprint_files_are_rejected_with_their_place(
+    old, new, words, tmp_path
+):
     text = (shipped_folder("footprint") / "gen4_table9.yaml").read_text("utf-8")
     assert old in text
     (tmp_path / "x.yaml").write_text(text.replace(old, new, 1), "utf-8")
@@ -149,7 +182,9 @@ def test_invalid_footprint_files_are_rejected_with_their_place(old, new, words, 
 
 
 def test_unknown_footprint_error_lists_the_names():
-    with pytest.raises(InputError, match="unknown footprint 'gen4_table7'; did you mean gen4_table"):
+    with pytest.raises(
+        InputError, match="unknown footprint 'gen4_table7'; did you mean gen4_table"
+    ):
         load_footprint("gen4_table7")
 
 
@@ -160,7 +195,10 @@ def test_unknown_footprint_error_lists_the_names():
         ({"ahead": -0.1}, "ahead and behind not negative"),
         ({"left": (0.02, math.nan, 0.02)}, "a number is not finite"),
         ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),
-        ({"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)}, "reaches the centre of the tightest turn"),
+        (
+            {"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)},
+            "reaches the centre of the tightest turn",
+        ),
     ],
 )
 def test_footprints_from_code_are_checked_as_well(changes, words):
@@ -171,4 +209,6 @@ def test_footprints_from_code_are_checked_as_well(changes, words):
 def test_offsets_and_curvatures_rise_together_in_all_shipped_ones():
     for name in shipped_names("footprint"):
         body = load_footprint(name)
-        assert np.all(np.diff(body.curvatures) > 0) and np.all(np.diff(body.offsets) > 0)
+        assert np.all(np.diff(body.curvatures) > 0) and np.all(
+            np.diff(body.offsets) > 0
+        )

@@ -21,7 +21,9 @@ BODY = Footprint.box(0.1, 0.0, speed=0.1, curvature=2.0)
 
 def test_min_path_length_without_obstacles_is_the_distance():
     assert min_path_length(START, GOAL, World(), 0.05) == pytest.approx(4.0, abs=1e-9)
-    assert min_path_length(START, replace(GOAL, radius=0.5), World(), 0.05) == pytest.approx(3.5, abs=1e-9)
+    assert min_path_length(
+        START, replace(GOAL, radius=0.5), World(), 0.05
+    ) == pytest.approx(3.5, abs=1e-9)
 
 
 @pytest.mark.parametrize("clearance", [0.05, 0.2])
@@ -35,13 +37,20 @@ def test_min_path_length_round_a_circle_is_two_tangents_and_an_arc(clearance):
 
 def test_min_path_length_round_a_wall_agrees_with_pythagoras():
     wall = Polygon(((-0.01, -1.0), (0.01, -1.0), (0.01, 5.0), (-0.01, 5.0)))
-    found = min_path_length(START, GOAL, World((), Bounds((-9, 9), (-9, 5.0)), None, (wall,)), 0.05)
+    found = min_path_length(
+        START, GOAL, World((), Bounds((-9, 9), (-9, 5.0)), None, (wall,)), 0.05
+    )
     assert 2 * math.hypot(1.99, 1.0) + 0.02 < found < 2 * math.hypot(2.0, 1.06) + 0.02
 
 
 def test_min_path_length_is_infinite_without_a_path():
     wall = Polygon(((-0.1, -5.0), (0.1, -5.0), (0.1, 5.0), (-0.1, 5.0)))
-    assert min_path_length(START, GOAL, World((), Bounds((-9, 9), (-5, 5)), None, (wall,)), 0.05) == math.inf
+    assert (
+        min_path_length(
+            START, GOAL, World((), Bounds((-9, 9), (-5, 5)), None, (wall,)), 0.05
+        )
+        == math.inf
+    )
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -55,4 +64,6 @@ def test_clearance_is_the_distance_of_the_edge_from_the_nearest_obstacle():
     path = path_from_arcs(START, [(0.0, 4.0)], BODY)
     world = World((Circle(0.0, 0.4, 0.1), Circle(0.0, -0.5, 0.1)))
     assert Checker(world, BODY).clearance(path) == pytest.approx(0.25, abs=2e-4)
-    assert Checker(World(), BODY).clearance(path) == pytest.approx(MAX_CLEARANCE_M, abs=2e-4)
+    assert Checker(World(), BODY).clearance(path) == pytest.approx(
+        MAX_CLEARANCE_M, abs=2e-4
+    )

@@ -17,7 +17,15 @@ from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.greedy import arc_through
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Outcome, Problem
-from srs_twin.robot.world import FIG54_GOAL, FIG54_START, Circle, Goal, Pose, World, fig54_world
+from srs_twin.robot.world import (
+    FIG54_GOAL,
+    FIG54_START,
+    Circle,
+    Goal,
+    Pose,
+    World,
+    fig54_world,
+)
 
 TEXT = load_footprint("gen2_section52")
 ARCS = Primitives(21, math.pi / 3, 0.2)
@@ -27,7 +35,13 @@ def fig54(count: int, seed: int) -> Problem:
     return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), TEXT, ARCS)
 
 
-@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(-3, 3), st.floats(-2, 2), st.floats(-2, 2))
+@given(
+    st.floats(-2, 2),
+    st.floats(-2, 2),
+    st.floats(-3, 3),
+    st.floats(-2, 2),
+    st.floats(-2, 2),
+)
 def test_arc_through_passes_the_point(x, y, heading, to_x, to_y):
     curvature, length = arc_through(Pose(x, y, heading), to_x, to_y)
     if math.isfinite(length) and length < 50:
@@ -40,14 +54,23 @@ def test_arc_through_passes_the_point(x, y, heading, to_x, to_y):
 def test_fig_53_turns_toward_the_target_from_both_ends():
     goal = Goal(2.0, 1.0, -math.pi / 4 + math.pi, radius=0.02)
     body = Footprint.box(0.05, 0.01, speed=1.0, curvature=math.pi / 3 / 0.5)
-    problem = Problem(Pose(0.0, 0.0, -math.pi / 4), goal, World(), body, Primitives(5, math.pi / 3, 0.5))
+    problem = Problem(
+        Pose(0.0, 0.0, -math.pi / 4),
+        goal,
+        World(),
+        body,
+        Primitives(5, math.pi / 3, 0.5),
+    )
     answer = plan(problem, planner="greedy")
     assert answer.found
     first, last = answer.segments[0], answer.segments[-1]
-    # The nearest of the five children is the one that turns left by alpha_max; so on the other side.
+    # The nearest of the five children is the one that turns left by alpha_max; so on
+    # the other side.
     assert first.curvature == pytest.approx(math.pi / 3 / 0.5) == last.curvature
     assert (answer.end.x, answer.end.y) == pytest.approx((2.0, 1.0))
-    assert math.remainder(answer.end.heading - goal.heading, 2 * math.pi) == pytest.approx(0)
+    assert math.remainder(
+        answer.end.heading - goal.heading, 2 * math.pi
+    ) == pytest.approx(0)
     for s in answer.segments:
         step = s.length * s.curvature / (math.pi / 6)
         assert s.length < 0.5 or step == pytest.approx(round(step))
@@ -95,7 +118,9 @@ def test_greedy_plans_are_free_with_a_kink_at_the_joint_only(count):
                 for a, s in zip(ends, answer.segments, strict=False)
             )
         else:
-            assert answer.outcome is Outcome.STUCK and "does not go back" in answer.reason
+            assert (
+                answer.outcome is Outcome.STUCK and "does not go back" in answer.reason
+            )
     assert found
 
 
@@ -103,7 +128,8 @@ def test_success_falls_with_obstacles_and_the_default_solves_what_greedy_solves(
     solved = {}
     for count in (1, 9, 18):
         answers = [
-            (plan(fig54(count, seed), planner="greedy"), plan(fig54(count, seed))) for seed in range(15)
+            (plan(fig54(count, seed), planner="greedy"), plan(fig54(count, seed)))
+            for seed in range(15)
         ]
         assert all(default.found for greedy, default in answers if greedy.found)
         solved[count] = sum(greedy.found for greedy, _ in answers)
@@ -115,12 +141,20 @@ def test_reversing_a_footprint_twice_restores_it():
     back = body.backward
     assert back.backward == body
     for k in body.curvatures:
-        assert (back.at(-k).left, back.at(-k).right) == (body.at(k).right, body.at(k).left)
+        assert (back.at(-k).left, back.at(-k).right) == (
+            body.at(k).right,
+            body.at(k).left,
+        )
 
 
 def test_greedy_requires_primitives_and_an_arrival_heading():
     problem = fig54(1, 0)
     with pytest.raises(InputError, match="greedy needs primitives"):
-        plan(Problem(problem.start, problem.goal, problem.world, TEXT), planner="greedy")
+        plan(
+            Problem(problem.start, problem.goal, problem.world, TEXT), planner="greedy"
+        )
     with pytest.raises(InputError, match="a goal with a heading"):
-        plan(Problem(problem.start, Goal(2, 1, None, 0.1), problem.world, TEXT, ARCS), planner="greedy")
+        plan(
+            Problem(problem.start, Goal(2, 1, None, 0.1), problem.world, TEXT, ARCS),
+            planner="greedy",
+        )

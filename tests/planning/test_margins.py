@@ -22,9 +22,15 @@ from srs_twin.planning.footprint_file import (
 from srs_twin.scenario.loading import load_scenario
 
 CONDITIONS = {
-    "plant": "twin", "follower": "path", "gain_spread": 0.1, "turn_share": 0.5, "delay_s": 0.1,
-    "position_noise_m": 0.002, "heading_noise_rad": 0.01, "run_up_m": 0.4,
-}  # fmt: skip
+    "plant": "twin",
+    "follower": "path",
+    "gain_spread": 0.1,
+    "turn_share": 0.5,
+    "delay_s": 0.1,
+    "position_noise_m": 0.002,
+    "heading_noise_rad": 0.01,
+    "run_up_m": 0.4,
+}
 
 
 def conditions(**other: object) -> ConditionsFile:
@@ -32,7 +38,9 @@ def conditions(**other: object) -> ConditionsFile:
 
 
 def tried(path: list[float], **other: object) -> ExcursionsFile:
-    return ExcursionsFile(conditions=conditions(**other), source="drawn", path_m=path, run_up_m=path)
+    return ExcursionsFile(
+        conditions=conditions(**other), source="drawn", path_m=path, run_up_m=path
+    )
 
 
 @pytest.mark.parametrize("draw", ["lognormal", "uniform", "standard_cauchy"])
@@ -42,7 +50,11 @@ def test_quantile_has_the_stated_coverage(draw, probability):
     rng = np.random.default_rng(7)
     kept = [getattr(rng, draw)(size=40) + 100.0 for _ in range(4000)]
     held = np.mean(
-        [each[-1] <= excursion_quantile(each[:-1].tolist(), probability) for each in kept if each[-1] > 0]
+        [
+            each[-1] <= excursion_quantile(each[:-1].tolist(), probability)
+            for each in kept
+            if each[-1] > 0
+        ]
     )
     noise = 3 * np.sqrt(probability * (1 - probability) / 4000)
     assert probability - noise <= held <= probability + 1 / 40 + noise
@@ -58,11 +70,19 @@ def test_too_few_or_lost_runs_give_no_margin():
 
 
 def test_margins_apply_to_conditions_no_more_difficult_than_measured():
-    blocks = [tried([0.03] * 20), tried([0.06] * 20, gain_spread=0.2), tried([0.02] * 20, plant="analytical")]
-    wanted = [conditions(gain_spread=0.05), conditions(plant="analytical", delay_s=0.05)]
+    blocks = [
+        tried([0.03] * 20),
+        tried([0.06] * 20, gain_spread=0.2),
+        tried([0.02] * 20, plant="analytical"),
+    ]
+    wanted = [
+        conditions(gain_spread=0.05),
+        conditions(plant="analytical", delay_s=0.05),
+    ]
     assert margin_for(blocks, 0.9, wanted).path == 0.03
     assert margin_for(blocks, 0.9, [conditions(gain_spread=0.15)]).path == 0.06
-    # The nearest of several conditions counts, even if more difficult ones have smaller excursions by chance.
+    # The nearest of several conditions counts, even if more difficult ones have smaller
+    # excursions by chance.
     luckier = [*blocks, tried([0.01] * 20, gain_spread=0.3)]
     assert margin_for(luckier, 0.9, wanted[:1]).path == 0.03
     others = (
@@ -81,9 +101,15 @@ def test_margins_apply_to_conditions_no_more_difficult_than_measured():
 def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
     assert conditions() == conditions(contact="preloaded")
     loaded = tried([0.04] * 20, contact="loaded")
-    assert margin_for([tried([0.03] * 20), loaded], 0.9, [conditions(contact="loaded")]).path == 0.04
+    assert (
+        margin_for(
+            [tried([0.03] * 20), loaded], 0.9, [conditions(contact="loaded")]
+        ).path
+        == 0.04
+    )
     with pytest.raises(
-        InputError, match="plant twin, contact loaded, .* `srs-twin calibrate margin` measures"
+        InputError,
+        match="plant twin, contact loaded, .* `srs-twin calibrate margin` measures",
     ):
         margin_for([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
     assert conditions(plant="analytical").contact is None
@@ -92,22 +118,36 @@ def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
 
 
 def test_scenario_with_another_contact_gets_no_margin():
-    with pytest.raises(InputFileError, match="no excursions are measured for plant twin, contact preloaded"):
+    with pytest.raises(
+        InputFileError,
+        match="no excursions are measured for plant twin, contact preloaded",
+    ):
         load_scenario("follow_fig57", set={"plants.twin.contact": "preloaded"})
 
 
 def test_footprint_of_another_contact_causes_a_warning():
     def warned(**more: object) -> list[str]:
         changes = {"planner.margin_probability": None, **more}
-        return [each for each in load_scenario("follow_fig57", set=changes).warnings if "contact" in each]
+        return [
+            each
+            for each in load_scenario("follow_fig57", set=changes).warnings
+            if "contact" in each
+        ]
 
     assert warned() == []
     (text,) = warned(**{"plants.twin.contact": "preloaded"})
-    assert text == (
-        "planner.footprint: gen2_gait was measured on a twin with contact loaded, but this twin has "
-        "contact preloaded; `srs-twin calibrate footprint gen2 --contact preloaded` measures one"
+    assert (
+        text
+        == "planner.footprint: gen2_gait was measured on a twin with contact loaded,"
+        " but this twin has contact preloaded; `srs-twin calibrate footprint gen2"
+        " --contact preloaded` measures one"
     )
-    assert warned(**{"plants.twin.contact": "preloaded", "planner.footprint": "gen4_table8"}) == []
+    assert (
+        warned(
+            **{"plants.twin.contact": "preloaded", "planner.footprint": "gen4_table8"}
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
@@ -118,11 +158,16 @@ def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(name, tmp_pat
     save_footprint(before, tmp_path / "before.yaml")
     again = load_footprint_file(tmp_path / "before.yaml")
     assert again.contact is None and again.twin_contact == "preloaded"
-    assert "loaded" in (again.mismatch("loaded") or "") and again.mismatch("preloaded") is None
+    assert (
+        "loaded" in (again.mismatch("loaded") or "")
+        and again.mismatch("preloaded") is None
+    )
 
 
 def test_excursions_survive_their_file(tmp_path):
-    file = load_footprint_file("gen4_ilc").model_copy(update={"excursions": [tried([0.01, 0.02])]})
+    file = load_footprint_file("gen4_ilc").model_copy(
+        update={"excursions": [tried([0.01, 0.02])]}
+    )
     save_footprint(file, tmp_path / "kept.yaml")
     again = load_footprint_file(tmp_path / "kept.yaml")
     assert again.excursions == file.excursions
@@ -148,9 +193,17 @@ def test_only_runs_that_reach_the_goal_count_by_their_excursion(monkeypatch, end
     about = {"plans": [{"time": 0.0}, {"time": 1.0}], "ending": ending}
     monkeypatch.setattr(excursions, "following", lambda run: about)
     document = load_scenario("follow_fig56").document
-    straight = {"kind": "given", "turns_rad": [0.0], "step_m": 1.0, "footprint": "gen2_gait"}
+    straight = {
+        "kind": "given",
+        "turns_rad": [0.0],
+        "step_m": 1.0,
+        "footprint": "gen2_gait",
+    }
     run = excursions.FollowerRun(
-        {**document, "planner": straight, "world": {}, "expect": []}, 0.4, "analytical", 0
+        {**document, "planner": straight, "world": {}, "expect": []},
+        0.4,
+        "analytical",
+        0,
     )
     before, after = run.run()
     assert before == pytest.approx(0.02 * np.sin(0.75) ** 2)

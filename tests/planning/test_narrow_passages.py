@@ -44,9 +44,13 @@ def test_passages_lead_straight_through_the_middle_of_a_gap(world):
     for x, y, heading, through in passages:
         assert math.remainder(heading, math.pi) == pytest.approx(0.0, abs=1e-6)
         along = math.cos(heading)
-        assert y + along * (straight.left - straight.right) / 2 == pytest.approx(0.0, abs=1e-6)
+        assert y + along * (straight.left - straight.right) / 2 == pytest.approx(
+            0.0, abs=1e-6
+        )
         assert x * along < 0 < x * along + through
-        assert Checker(world, BODY).is_path_free(path_from_arcs(Pose(x, y, heading), [(0.0, through)], BODY))
+        assert Checker(world, BODY).is_path_free(
+            path_from_arcs(Pose(x, y, heading), [(0.0, through)], BODY)
+        )
 
 
 def test_entry_poses_allow_for_transients_and_round_obstacles():
@@ -56,7 +60,9 @@ def test_entry_poses_allow_for_transients_and_round_obstacles():
     width = straight.left + straight.right
     settled = max(each.length for each in body.transients)
     early = settled + 0.3 * width
-    passages = find_passages(World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body)
+    passages = find_passages(
+        World(tuple(Circle(0.0, y, 0.5 - 0.75 * width) for y in (-0.5, 0.5))), body
+    )
     run_ups = np.unique(np.round(passages[:, 3] - body.behind, 9))
     assert run_ups == pytest.approx(body.ahead + 1e-3 + np.array([0, settled, early]))
     assert np.abs(passages[:, 0]) == pytest.approx(passages[:, 3] - body.behind)
@@ -64,10 +70,14 @@ def test_entry_poses_allow_for_transients_and_round_obstacles():
 
 def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():
     def pair(gap: float, *more: Circle) -> World:
-        return World((Circle(0.0, gap / 2 + 0.3, 0.3), Circle(0.0, -gap / 2 - 0.3, 0.3), *more))
+        return World(
+            (Circle(0.0, gap / 2 + 0.3, 0.3), Circle(0.0, -gap / 2 - 0.3, 0.3), *more)
+        )
 
     assert len(find_passages(pair(0.3), BODY))
-    assert not len(find_passages(pair(0.19), BODY)) and not len(find_passages(pair(0.6), BODY))
+    assert not len(find_passages(pair(0.19), BODY)) and not len(
+        find_passages(pair(0.6), BODY)
+    )
     assert not len(find_passages(pair(0.3, Circle(0.01, 0.0, 0.05)), BODY))
 
 
@@ -83,7 +93,10 @@ def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length)
         free, way = follow_arc(way, move, length, moves, obstacle_grid(world))
         pieces.append((float(moves.curvatures[move]), length))
         assert (
-            free == Checker(world, body).is_path_free(path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body))
+            free
+            == Checker(world, body).is_path_free(
+                path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body)
+            )
             or one == other
         )
         if not free:

@@ -45,9 +45,14 @@ def fig54(count: int, seed: int) -> Problem:
     return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), TEXT)
 
 
-def ring(x: float, y: float, radius: float, count: int, circle: float) -> tuple[Circle, ...]:
+def ring(
+    x: float, y: float, radius: float, count: int, circle: float
+) -> tuple[Circle, ...]:
     angles = np.arange(count) * 2 * math.pi / count
-    return tuple(Circle(x + radius * math.cos(a), y + radius * math.sin(a), circle) for a in angles)
+    return tuple(
+        Circle(x + radius * math.cos(a), y + radius * math.sin(a), circle)
+        for a in angles
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -60,8 +65,12 @@ def test_plans_are_free_continuous_and_reach_the_goal(seed):
     assert deepest(answer, problem, 0.006) < TOUCH
     assert joints(answer, problem) < 1e-9 and answer.kink == 0
     assert not misses(answer, problem)
-    assert all(-s.curvature <= problem.footprint.tightest[0] + 1e-9 for s in answer.segments)
-    assert all(s.curvature <= problem.footprint.tightest[1] + 1e-9 for s in answer.segments)
+    assert all(
+        -s.curvature <= problem.footprint.tightest[0] + 1e-9 for s in answer.segments
+    )
+    assert all(
+        s.curvature <= problem.footprint.tightest[1] + 1e-9 for s in answer.segments
+    )
 
 
 def test_most_random_worlds_have_a_plan():
@@ -83,7 +92,10 @@ def test_sampling_checker_detects_obstacles():
 def test_numbers_of_the_plan_table_are_right_aligned():
     answer = plan(fig54(0, 0))
     page = answer._repr_html_()
-    for unit, number in (("m", f"{answer.length:.4g}"), ("1", str(len(answer.segments)))):
+    for unit, number in (
+        ("m", f"{answer.length:.4g}"),
+        ("1", str(len(answer.segments))),
+    ):
         assert f'<td>{unit}</td><td class="number">{number}</td>' in page
 
 
@@ -95,7 +107,10 @@ def test_fig_53():
     best = plan(problem)
     assert best.found and not misses(best, problem)
     # Without obstacles it is the Dubins path: left, straight, left.
-    assert [math.copysign(round(abs(s.curvature), 6) > 0, s.curvature) for s in best.segments] == [1, 0, 1]
+    assert [
+        math.copysign(round(abs(s.curvature), 6) > 0, s.curvature)
+        for s in best.segments
+    ] == [1, 0, 1]
     assert best.length == pytest.approx(
         lower_bound(0.0, 0.0, -math.pi / 4, make_target(goal, body)), abs=1e-6
     )
@@ -119,15 +134,26 @@ def test_lower_bound_is_below_all_plan_lengths(seed):
     if answer.end is None:
         return
     end = answer.end
-    target = make_target(Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0), problem.footprint)
+    target = make_target(
+        Goal(end.x, end.y, end.heading if seed % 3 else None, 0.0, 0.0),
+        problem.footprint,
+    )
     done = 0.0
     for s in answer.segments:
-        assert lower_bound(s.start.x, s.start.y, s.start.heading, target) <= answer.length - done + 1e-6
+        assert (
+            lower_bound(s.start.x, s.start.y, s.start.heading, target)
+            <= answer.length - done + 1e-6
+        )
         done += s.length
 
 
 @given(
-    st.floats(-2, 2), st.floats(-2, 2), st.floats(-4, 4), st.integers(0, 8), st.floats(0.01, 1), st.booleans()
+    st.floats(-2, 2),
+    st.floats(-2, 2),
+    st.floats(-4, 4),
+    st.integers(0, 8),
+    st.floats(0.01, 1),
+    st.booleans(),
 )
 def test_lower_bound_is_consistent(x, y, heading, move, length, free):
     body = load_footprint("gen4_table8")
@@ -135,7 +161,10 @@ def test_lower_bound_is_consistent(x, y, heading, move, length, free):
     curvature = moves.curvatures[move % len(moves.curvatures)]
     target = make_target(Goal(0.3, -0.2, None if free else 1.0, 0.0), body)
     after = arc_end(x, y, heading, curvature, length)
-    assert lower_bound(x, y, heading, target) <= length + lower_bound(*after, target) + 1e-6
+    assert (
+        lower_bound(x, y, heading, target)
+        <= length + lower_bound(*after, target) + 1e-6
+    )
 
 
 def test_plans_are_deterministic_and_mirror_images_are_as_long():
@@ -143,13 +172,14 @@ def test_plans_are_deterministic_and_mirror_images_are_as_long():
     answer = plan(problem)
     assert answer == plan(problem)
     flipped = Problem(
-        Pose(0.0, 0.0, -math.pi / 4), replace(FIG54_GOAL, y=-1.0, heading=-math.pi / 4),
+        Pose(0.0, 0.0, -math.pi / 4),
+        replace(FIG54_GOAL, y=-1.0, heading=-math.pi / 4),
         World(
             tuple(Circle(c.x, -c.y, c.radius) for c in problem.world.obstacles),
             Bounds((-0.3, 2.3), (-1.3, 0.3)),
         ),
         TEXT,
-    )  # fmt: skip
+    )
     assert plan(flipped).length == pytest.approx(answer.length, rel=0.02)
 
 
@@ -172,7 +202,12 @@ def test_weight_bounds_the_extra_length():
 def test_plan_from_the_goal_is_empty():
     problem = replace(fig54(3, 0), start=Pose(2.0, 1.0, math.pi / 4 + 0.01))
     answer = plan(problem)
-    assert answer.found and answer.segments == () and answer.length == 0 and answer.end is None
+    assert (
+        answer.found
+        and answer.segments == ()
+        and answer.length == 0
+        and answer.end is None
+    )
     assert answer.samples().shape == (0, 3)
 
 
@@ -201,7 +236,12 @@ def test_any_arrival_heading():
 
 def walled(**changes) -> Problem:
     return replace(
-        Problem(Pose(0, 0, 0), Goal(1.5, 0, 0.0, 0.02), World(bounds=Bounds((-1, 3), (-1, 1))), TEXT),
+        Problem(
+            Pose(0, 0, 0),
+            Goal(1.5, 0, 0.0, 0.02),
+            World(bounds=Bounds((-1, 3), (-1, 1))),
+            TEXT,
+        ),
         **changes,
     )
 
@@ -211,10 +251,16 @@ def test_walled_in_goal_is_proven_unreachable():
     wall = ring(1.5, 0, 0.4, 14, 0.08)
     problem = walled(world=World(wall, Bounds((-1, 3), (-1, 1))))
     answer = plan(problem)
-    assert answer.outcome is Outcome.UNREACHABLE and answer.proven and answer.segments == ()
+    assert (
+        answer.outcome is Outcome.UNREACHABLE
+        and answer.proven
+        and answer.segments == ()
+    )
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
     # Without the circle towards the start there is a path.
-    assert plan(replace(problem, world=World(wall[:7] + wall[8:], Bounds((-1, 3), (-1, 1))))).found
+    assert plan(
+        replace(problem, world=World(wall[:7] + wall[8:], Bounds((-1, 3), (-1, 1))))
+    ).found
 
 
 def test_walled_in_start_without_bounds_is_proven_unreachable():
@@ -226,13 +272,18 @@ def test_polygon_wall_between_bounds_is_proven_impassable():
     wall = Polygon(((0.7, -2), (0.8, -2), (0.8, 2), (0.7, 2)))
     problem = walled(world=World((), Bounds((-1, 3), (-1, 1)), None, (wall,)))
     assert plan(problem).proven
-    assert plan(replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))).found
+    assert plan(
+        replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))
+    ).found
 
 
 @pytest.mark.slow
 def test_niche_too_small_to_turn_in_is_proven_unreachable():
     """The goal is at a wall that must be approached at right angles, with its heading along the wall."""
-    left, right = (Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3))) for x in (1.3, 1.6))
+    left, right = (
+        Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3)))
+        for x in (1.3, 1.6)
+    )
     lid = Polygon(((1.3, 0.3), (1.7, 0.3), (1.7, 0.4), (1.3, 0.4)))
     niche = World((), Bounds((-1, 3), (-1, 1)), None, (left, right, lid))
     problem = walled(world=niche, goal=Goal(1.5, 0.2, 0.0, 0.01))
@@ -256,44 +307,71 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
     bounds = Bounds((-0.3, 1.6), (-0.4, 0.8))
     try:
         circles = random_circles(
-            int(rng.integers(5, 25)), bounds, seed, radius=(0.05, 0.12), gap=0.02, clear=((0, 0, 0.06),)
+            int(rng.integers(5, 25)),
+            bounds,
+            seed,
+            radius=(0.05, 0.12),
+            gap=0.02,
+            clear=((0, 0, 0.06),),
         )
     except InputError:
         return
-    problem = Problem(Pose(0, 0, 0.3), Goal(1.3, 0.4, None, 0.05), World(circles, bounds), TEXT)
+    problem = Problem(
+        Pose(0, 0, 0.3), Goal(1.3, 0.4, None, 0.05), World(circles, bounds), TEXT
+    )
     try:
         answer = plan(problem, Settings(nodes=5000))
     except InputError:
         return
     if answer.found:
-        assert not is_disconnected(problem.start, problem.goal, problem.world, TEXT.narrowest)
+        assert not is_disconnected(
+            problem.start, problem.goal, problem.world, TEXT.narrowest
+        )
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"start": Pose(5, 0, 0)}, r"start \(5, 0\) is outside the bounds \(x -1 to 3 m"),
+        (
+            {"start": Pose(5, 0, 0)},
+            r"start \(5, 0\) is outside the bounds \(x -1 to 3 m",
+        ),
         ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) is outside the bounds"),
         (
             {"world": World((Circle(9, 9, 1), Circle(0, 0.1, 0.2)))},
             r"start \(0, 0\) is inside obstacle 2 \(radius 0.2",
         ),
-        ({"world": World((Circle(1.5, 0, 0.2),))}, r"goal \(1.5, 0\) is inside obstacle 1"),
+        (
+            {"world": World((Circle(1.5, 0, 0.2),))},
+            r"goal \(1.5, 0\) is inside obstacle 1",
+        ),
         (
             {"world": World(polygons=(Polygon(((1, -1), (2, -1), (1.5, 1))),))},
             r"goal .* inside polygon 1 \(3 corners",
         ),
-        ({"world": World((Circle(0, 0.22, 0.2),))}, "the straight body's footprint touches obstacle 1"),
-        ({"start": Pose(-1, 0, 1.57)}, "the straight body's footprint leaves the bounds"),
+        (
+            {"world": World((Circle(0, 0.22, 0.2),))},
+            "the straight body's footprint touches obstacle 1",
+        ),
+        (
+            {"start": Pose(-1, 0, 1.57)},
+            "the straight body's footprint leaves the bounds",
+        ),
         ({"goal": Goal(math.nan, 0, 0.0, 0.1)}, r"goal \(nan, 0\) m: must be finite"),
         ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
         ({"goal": Goal(1, 0, 0.0, -0.1)}, "radius -0.1 m must not be below 0"),
-        ({"world": World((Circle(1, 1, 0),))}, "obstacle 1: numbers must be finite and the radius above 0"),
+        (
+            {"world": World((Circle(1, 1, 0),))},
+            "obstacle 1: numbers must be finite and the radius above 0",
+        ),
         (
             {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
             "polygon 1: .* sides that do not cross",
         ),
-        ({"world": World(bounds=Bounds((1, -1), (0, 1)))}, "the lower limit comes first"),
+        (
+            {"world": World(bounds=Bounds((1, -1), (0, 1)))},
+            "the lower limit comes first",
+        ),
     ],
 )
 def test_invalid_problems_are_rejected_by_name(changes, words):
@@ -304,7 +382,9 @@ def test_invalid_problems_are_rejected_by_name(changes, words):
 def test_unknown_planners_and_invalid_settings_are_rejected():
     with pytest.raises(UnknownNameError, match="did you mean greedy"):
         plan(walled(), planner="gredy")
-    with pytest.raises(InputError, match="nodes 0, levels 4, weight 1: all must be at least 1"):
+    with pytest.raises(
+        InputError, match="nodes 0, levels 4, weight 1: all must be at least 1"
+    ):
         Settings(nodes=0)
     with pytest.raises(InputError, match="levels 9 must be at most 5"):
         Settings(levels=9)
@@ -318,9 +398,15 @@ def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
     circles = random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
     assert circles == random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
     gaps = [
-        math.hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius for a in circles for b in circles if a is not b
+        math.hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius
+        for a in circles
+        for b in circles
+        if a is not b
     ]
-    assert min(gaps) >= 0.1 and min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
+    assert (
+        min(gaps) >= 0.1
+        and min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
+    )
     with pytest.raises(InputError, match="do not fit with gaps of 0.5 m"):
         random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
     with pytest.raises(InputError, match="19 obstacles cannot be drawn from 18 sites"):
@@ -355,5 +441,10 @@ print([name for name, count in kernels().items() if count != before.get(name, 0)
 
 
 def test_no_kernel_is_compiled_while_planning_is_timed():
-    done = subprocess.run([sys.executable, "-c", COMPILED_LATER], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", COMPILED_LATER],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stdout.strip() == "[]"

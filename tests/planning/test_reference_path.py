@@ -16,7 +16,9 @@ pytestmark = pytest.mark.fast
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
-PIECES = st.lists(st.tuples(st.floats(-5, 5), st.floats(0.05, 0.6)), min_size=1, max_size=5)
+PIECES = st.lists(
+    st.tuples(st.floats(-5, 5), st.floats(0.05, 0.6)), min_size=1, max_size=5
+)
 
 
 def route(pieces, start=ORIGIN):
@@ -28,7 +30,9 @@ def route(pieces, start=ORIGIN):
 def test_nearest_point_is_nearer_than_all_samples(pieces, x, y, heading):
     way = route(pieces, Pose(0.3, -0.2, heading))
     place = way.nearest(x, y)
-    samples = [way.pose(s) for s in np.linspace(-EXTENSION_M, way.length + EXTENSION_M, 3000)]
+    samples = [
+        way.pose(s) for s in np.linspace(-EXTENSION_M, way.length + EXTENSION_M, 3000)
+    ]
     least = min(math.hypot(p.x - x, p.y - y) for p in samples)
     foot = way.pose(place.s)
     found = math.hypot(foot.x - x, foot.y - y)
@@ -46,7 +50,12 @@ def test_left_is_positive_and_ends_are_extended_straight():
     assert end.heading == pytest.approx(1.0)
     ahead = way.nearest(end.x + 0.2 * math.cos(1), end.y + 0.2 * math.sin(1))
     assert ahead[:2] == pytest.approx((1.7, 0.0), abs=1e-9)
-    assert (way.curvature(0.5), way.curvature(1.2), way.curvature(1.6), way.curvature(-1)) == (0, 2, 0, 0)
+    assert (
+        way.curvature(0.5),
+        way.curvature(1.2),
+        way.curvature(1.6),
+        way.curvature(-1),
+    ) == (0, 2, 0, 0)
 
 
 def test_joint_of_two_arcs_has_the_curvature_of_the_second():
@@ -74,4 +83,6 @@ def test_coordinates_of_many_points_equal_those_of_each():
     way, rng = route([(1.0, 0.7), (-2.0, 0.9)]), np.random.default_rng(0)
     points = rng.uniform(-1, 2, (50, 2))
     s, n = way.coordinates(points)
-    assert [(a, b) for a, b in zip(s, n, strict=True)] == [way.nearest(*p)[:2] for p in points]
+    assert [(a, b) for a, b in zip(s, n, strict=True)] == [
+        way.nearest(*p)[:2] for p in points
+    ]

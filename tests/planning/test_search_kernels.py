@@ -9,7 +9,15 @@ import pytest
 from hypothesis import given, strategies as st
 
 from srs_twin.planning.guidance import NO_HEURISTIC, grid_distance, grid_heuristic
-from srs_twin.planning.search_kernels import NODES, OPEN, cell_slot, empty_frontier, enlarged, pop, push
+from srs_twin.planning.search_kernels import (
+    NODES,
+    OPEN,
+    cell_slot,
+    empty_frontier,
+    enlarged,
+    pop,
+    push,
+)
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 pytestmark = pytest.mark.fast
@@ -31,7 +39,13 @@ def test_heap_pops_nodes_in_key_order(keys, early):
     assert frontier.counts[OPEN] == 0
 
 
-@given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, 9)), min_size=1, max_size=60))
+@given(
+    st.lists(
+        st.tuples(st.floats(-9, 9), st.floats(-9, 9), st.floats(-9, 9)),
+        min_size=1,
+        max_size=60,
+    )
+)
 def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
     cell, sector = 0.5, math.pi / 6
     frontier, slots = empty_frontier(64), {}
@@ -51,7 +65,9 @@ def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
     for x, y, heading in poses:
         turned = (heading / sector) % 12
         if abs(turned - round(turned)) >= 1e-9:
-            before, after = (cell_slot(f, x, y, heading, cell, sector) for f in (frontier, larger))
+            before, after = (
+                cell_slot(f, x, y, heading, cell, sector) for f in (frontier, larger)
+            )
             assert frontier.owners[before] == larger.owners[after] > 0
 
 
@@ -59,7 +75,11 @@ def test_grid_distance_is_the_straight_distance_without_obstacles():
     guide = grid_heuristic(GOAL, START, World(bounds=FLOOR), 0.02, 1.0)
     for x, y in np.random.default_rng(0).uniform((0.05, 0.05), (1.95, 0.95), (200, 2)):
         straight = math.hypot(x - GOAL.x, y - GOAL.y)
-        assert straight - 2 * guide.cell <= grid_distance(guide, x, y) <= 1.0824 * straight + 2 * guide.cell
+        assert (
+            straight - 2 * guide.cell
+            <= grid_distance(guide, x, y)
+            <= 1.0824 * straight + 2 * guide.cell
+        )
 
 
 def test_grid_distance_goes_round_walls_and_is_zero_in_closed_rooms():
@@ -69,13 +89,23 @@ def test_grid_distance_goes_round_walls_and_is_zero_in_closed_rooms():
     assert over - 0.05 <= grid_distance(guide, START.x, START.y) <= 1.09 * over + 0.05
     assert grid_distance(guide, 1.0, 0.4) == 0
     ring = tuple(
-        Circle(1.8 + 0.15 * math.cos(a), 0.5 + 0.15 * math.sin(a), 0.05) for a in np.arange(12) * math.pi / 6
+        Circle(1.8 + 0.15 * math.cos(a), 0.5 + 0.15 * math.sin(a), 0.05)
+        for a in np.arange(12) * math.pi / 6
     )
-    assert grid_distance(grid_heuristic(GOAL, START, World(ring, FLOOR), 0.02, 1.0), START.x, START.y) == 0
+    assert (
+        grid_distance(
+            grid_heuristic(GOAL, START, World(ring, FLOOR), 0.02, 1.0), START.x, START.y
+        )
+        == 0
+    )
 
 
 def test_grid_distance_without_bounds_goes_round_all_obstacles():
     wall = Polygon(((0.95, -2.0), (1.05, -2.0), (1.05, 2.0), (0.95, 2.0)))
     guide = grid_heuristic(GOAL, START, World((), None, None, (wall,)), 0.05, 0.5)
-    assert grid_distance(guide, START.x, START.y) == pytest.approx(2 * math.hypot(0.7, 1.55) + 0.2, rel=0.1)
-    assert grid_distance(guide, 50.0, 50.0) == 0 == grid_distance(NO_HEURISTIC, 0.0, 0.0)
+    assert grid_distance(guide, START.x, START.y) == pytest.approx(
+        2 * math.hypot(0.7, 1.55) + 0.2, rel=0.1
+    )
+    assert (
+        grid_distance(guide, 50.0, 50.0) == 0 == grid_distance(NO_HEURISTIC, 0.0, 0.0)
+    )

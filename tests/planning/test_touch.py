@@ -28,10 +28,14 @@ LEANING = Settings(touch_limits=LIMITS)
 RADIUS, X = 0.06, 0.8
 
 
-def row(gap: float, shift: float = 0.0, count: int = 9, x: float = X) -> tuple[Circle, ...]:
+def row(
+    gap: float, shift: float = 0.0, count: int = 9, x: float = X
+) -> tuple[Circle, ...]:
     """Return a row of posts across the room, with one gap in its middle."""
     pitch = gap + 2 * RADIUS
-    return tuple(Circle(x, shift + (k + 0.5) * pitch, RADIUS) for k in range(-count, count))
+    return tuple(
+        Circle(x, shift + (k + 0.5) * pitch, RADIUS) for k in range(-count, count)
+    )
 
 
 def across(gap: float, shift: float = 0.0, **world: object) -> Problem:
@@ -81,14 +85,22 @@ def test_touches_are_where_sampled_edges_overlap(sign):
     post = Circle(0.8, sign * (edge + RADIUS - depth), RADIUS)
     goal = Goal(1.6, 0.0, 0.0, 0.0, 0.0)
     # Walls along the path leave no other path.
-    walls = [Polygon(((-0.5, y), (3.0, y), (3.0, y + 0.01), (-0.5, y + 0.01))) for y in (-0.061, 0.051)]
-    result = plan(Problem(Pose(0, 0, 0), goal, World((post,), polygons=tuple(walls)), BODY), LEANING)
+    walls = [
+        Polygon(((-0.5, y), (3.0, y), (3.0, y + 0.01), (-0.5, y + 0.01)))
+        for y in (-0.061, 0.051)
+    ]
+    result = plan(
+        Problem(Pose(0, 0, 0), goal, World((post,), polygons=tuple(walls)), BODY),
+        LEANING,
+    )
     (touch,) = result.touches
     half = math.sqrt((RADIUS + edge) ** 2 - (edge + RADIUS - depth) ** 2)
     assert touch.obstacle == "obstacle 1"
     assert touch.depth == pytest.approx(depth, abs=3e-4)
     # The post is nearest to the path where the path passes it.
-    assert (touch.begin, touch.end) == pytest.approx((0.8 - half, 0.8 + half), abs=0.011)
+    assert (touch.begin, touch.end) == pytest.approx(
+        (0.8 - half, 0.8 + half), abs=0.011
+    )
     assert 0 < touch.force <= LIMITS.floor
 
 
@@ -97,7 +109,12 @@ def test_stiffness_is_that_of_a_chain_with_fixed_neighbours():
     k, pitch, pushed, count = SPEC.bending.stiffness, SPEC.geometry.pitch, 1e-4, 40
 
     def shape(parameters):
-        turns = np.concatenate([np.full(count, parameters[1]), np.full(count, parameters[2])]) / count
+        turns = (
+            np.concatenate(
+                [np.full(count, parameters[1]), np.full(count, parameters[2])]
+            )
+            / count
+        )
         heading = parameters[0] + np.cumsum(turns) - turns / 2
         return np.cumsum(np.sin(heading)) * pitch / count
 
@@ -126,13 +143,20 @@ def test_force_is_the_mean_over_a_sinusoidal_period():
 
 def test_mirrored_worlds_have_mirrored_touches():
     even = replace(
-        BODY, left=tuple(np.maximum(BODY.left, BODY.right[::-1])), curvatures=tuple(
-            (np.array(BODY.curvatures) - np.array(BODY.curvatures)[::-1]) / 2), transients=(),
-    )  # fmt: skip
+        BODY,
+        left=tuple(np.maximum(BODY.left, BODY.right[::-1])),
+        curvatures=tuple(
+            (np.array(BODY.curvatures) - np.array(BODY.curvatures)[::-1]) / 2
+        ),
+        transients=(),
+    )
     even = replace(even, right=even.left[::-1])
     limits = touch_limits(SPEC, even)
     ours = [
-        plan(replace(across(0.085, sign * 0.03), footprint=even), Settings(touch_limits=limits))
+        plan(
+            replace(across(0.085, sign * 0.03), footprint=even),
+            Settings(touch_limits=limits),
+        )
         for sign in (1, -1)
     ]
     depths = [sorted(touch.depth for touch in result.touches) for result in ours]
@@ -142,7 +166,9 @@ def test_mirrored_worlds_have_mirrored_touches():
 
 def test_bounds_are_no_obstacles_to_lean_on():
     wide = 2 * BODY.narrowest + 0.004
-    problem = replace(across(0.3), world=World(bounds=Bounds((-1.0, 3.0), (-wide / 2, wide / 2))))
+    problem = replace(
+        across(0.3), world=World(bounds=Bounds((-1.0, 3.0), (-wide / 2, wide / 2)))
+    )
     inside = plan(problem, LEANING)
     assert inside.found and deepest(inside, problem) <= TOUCH
     tight = replace(problem, world=World(bounds=Bounds((-1.0, 3.0), (-0.045, 0.045))))
@@ -151,26 +177,53 @@ def test_bounds_are_no_obstacles_to_lean_on():
 
 
 def scenario(**changes: object) -> dict:
-    posts = [{"x_m": c.x, "y_m": c.y, "radius_m": c.radius} for c in row(0.085, count=5)]
-    planner = {"kind": "best_first", "footprint": "gen2_gait", "turn_share": 0.5, "touch": "allowed"}
+    posts = [
+        {"x_m": c.x, "y_m": c.y, "radius_m": c.radius} for c in row(0.085, count=5)
+    ]
+    planner = {
+        "kind": "best_first",
+        "footprint": "gen2_gait",
+        "turn_share": 0.5,
+        "touch": "allowed",
+    }
     world = {
-        "bounds": {"x_m": [-1, 3], "y_m": [-0.8, 0.8]}, "obstacles": posts,
+        "bounds": {"x_m": [-1, 3], "y_m": [-0.8, 0.8]},
+        "obstacles": posts,
         "goal": {"x_m": 1.2, "y_m": 0, "radius_m": 0.08},
-    }  # fmt: skip
-    follow = {"kind": "follow", "follower": "path", "gait": {"kind": "gait", "frequency_hz": 2.0}}
+    }
+    follow = {
+        "kind": "follow",
+        "follower": "path",
+        "gait": {"kind": "gait", "frequency_hz": 2.0},
+    }
     return {
-        "robot": "gen2", "duration_s": 15, "record_hz": 50, "supply": {"pressure_kpa": 48.3}, "world": world,
-        "planner": planner | changes, "controller": follow, "plants": {"twin": {}},
-    }  # fmt: skip
+        "robot": "gen2",
+        "duration_s": 15,
+        "record_hz": 50,
+        "supply": {"pressure_kpa": 48.3},
+        "world": world,
+        "planner": planner | changes,
+        "controller": follow,
+        "plants": {"twin": {}},
+    }
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"kind": "greedy"}, "kind: greedy cannot lean on obstacles"),
-        ({"kind": "given", "turns_rad": [0], "step_m": 1}, "kind: given cannot lean on obstacles"),
-        ({"clearance_weight": 1}, "touch: allowed and clearance_weight exclude each other"),
-        ({"shape_changes": True}, "touch: allowed and shape_changes exclude each other"),
+        (
+            {"kind": "given", "turns_rad": [0], "step_m": 1},
+            "kind: given cannot lean on obstacles",
+        ),
+        (
+            {"clearance_weight": 1},
+            "touch: allowed and clearance_weight exclude each other",
+        ),
+        (
+            {"shape_changes": True},
+            "touch: allowed and shape_changes exclude each other",
+        ),
         ({"touch": "yes"}, "planner.touch"),
     ],
 )
@@ -180,7 +233,9 @@ def test_touch_is_refused_by_name(changes, message):
 
 
 def test_a_plant_without_contact_is_refused():
-    with pytest.raises(InputError, match="set model: compliant and touch: true, or remove analytical"):
+    with pytest.raises(
+        InputError, match="set model: compliant and touch: true, or remove analytical"
+    ):
         parse_scenario(scenario() | {"plants": {"analytical": {}, "twin": {}}})
 
 
@@ -195,11 +250,16 @@ def test_the_command_states_where_the_path_leans(srs_twin, tmp_path):
     (tmp_path / "lean.yaml").write_text(json.dumps(scenario(run_up_m=0.2)))
     done = srs_twin("plan", "lean.yaml", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0
-    assert "leans on obstacle 5 from 0.7" in done.stdout and "leans on obstacle 6 from 0.7" in done.stdout
+    assert (
+        "leans on obstacle 5 from 0.7" in done.stdout
+        and "leans on obstacle 6 from 0.7" in done.stdout
+    )
     touches = json.loads((tmp_path / "out/plan.json").read_text())["touches"]
     # Path lengths include the straight run-up.
     assert all(touch["begin"] < 0.8 < touch["end"] for touch in touches)
-    done = srs_twin("plan", "lean.yaml", "--out", "out", "--set", "planner.touch=null", cwd=tmp_path)
+    done = srs_twin(
+        "plan", "lean.yaml", "--out", "out", "--set", "planner.touch=null", cwd=tmp_path
+    )
     assert done.returncode == 0
     assert "touches" not in json.loads((tmp_path / "out/plan.json").read_text())
 
@@ -210,12 +270,19 @@ def test_a_snake_passes_a_gap_narrower_than_its_footprint(plant):
     models = {
         "twin": {"twin": {"hinges_per_segment": 3}},
         "analytical": {
-            "analytical": {"model": "compliant", "friction": "ellipse", "load": "momentary", "touch": True}
+            "analytical": {
+                "model": "compliant",
+                "friction": "ellipse",
+                "load": "momentary",
+                "touch": True,
+            }
         },
     }
     loaded = parse_scenario(scenario() | {"plants": models[plant]})
     plan_ = loaded.planner.plan()
     assert isinstance(plan_, Plan) and plan_.touches
-    run = rollout(loaded.build_plant(plant), loaded.build_controller(), 15.0, seed=0, record_hz=50)
+    run = rollout(
+        loaded.build_plant(plant), loaded.build_controller(), 15.0, seed=0, record_hz=50
+    )
     assert run.metadata["control"]["following"]["ending"] == "goal_reached"
     assert np.linalg.norm(run.com[-1] - (1.2, 0.0)) <= 0.08

@@ -25,10 +25,20 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
     state = plant.reset(pose=(0.3, -0.1, np.pi / 3))
     ahead = np.array([0.5, np.sqrt(0.75)])
     assert state.com == pytest.approx([0.3, -0.1])
-    assert spec.mass.array() @ state.position / spec.mass.total == pytest.approx([0.3, -0.1])
-    assert -np.diff(state.position, axis=0) == pytest.approx(np.tile(spec.geometry.pitch * ahead, (4, 1)))
+    assert spec.mass.array() @ state.position / spec.mass.total == pytest.approx(
+        [0.3, -0.1]
+    )
+    assert -np.diff(state.position, axis=0) == pytest.approx(
+        np.tile(spec.geometry.pitch * ahead, (4, 1))
+    )
     assert state.theta == pytest.approx([np.pi / 3] * 5)
-    for quantity in (state.com_velocity, state.bend, state.bend_rate, state.pressure, state.contact_force):
+    for quantity in (
+        state.com_velocity,
+        state.bend,
+        state.bend_rate,
+        state.pressure,
+        state.contact_force,
+    ):
         assert not quantity.any()
     assert state.time == 0 and state.qpos.size == 0
 
@@ -48,12 +58,15 @@ def column(states, name: str) -> np.ndarray:
 
 def test_state_fields_are_consistent(turning):
     spec, states = turning
-    position, theta, bend = (column(states, name) for name in ("position", "theta", "bend"))
+    position, theta, bend = (
+        column(states, name) for name in ("position", "theta", "bend")
+    )
     centre = np.einsum("i,tij->tj", spec.mass.array(), position) / spec.mass.total
     assert centre == pytest.approx(column(states, "com"), abs=1e-12)
     assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
     assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
-    # Neighbours are one chord apart along their mean heading: an arc of l and half a gap at each end.
+    # Neighbours are one chord apart along their mean heading: an arc of l and half a
+    # gap at each end.
     g, half = spec.geometry, bend / 2
     chords = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
     mean = (theta[:, :-1] + theta[:, 1:]) / 2
@@ -64,7 +77,10 @@ def test_state_fields_are_consistent(turning):
 
 def test_velocities_are_time_derivatives_of_positions(turning):
     _, states = turning
-    for name, rate, close in (("com", "com_velocity", 2e-3), ("bend", "bend_rate", 0.2)):
+    for name, rate, close in (
+        ("com", "com_velocity", 2e-3),
+        ("bend", "bend_rate", 0.2),
+    ):
         difference = np.diff(column(states, name), axis=0) / 0.001
         middle = (column(states, rate)[1:] + column(states, rate)[:-1]) / 2
         error = np.abs(difference - middle)
@@ -80,7 +96,10 @@ def test_momentum_changes_by_the_impulse_of_the_floor(turning):
     error = np.abs(momentum[1:] - momentum[0] - impulse)
     assert error.max() < 0.05 * np.abs(momentum).max()
     weight = spec.mass.array() * 9.81
-    assert (np.hypot(*np.moveaxis(column(states, "contact_force"), -1, 0)) <= 0.57 * weight * 1.0001).all()
+    assert (
+        np.hypot(*np.moveaxis(column(states, "contact_force"), -1, 0))
+        <= 0.57 * weight * 1.0001
+    ).all()
 
 
 @settings(max_examples=25)
@@ -100,7 +119,10 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
     for _ in range(75):
         state = plant.step(vented(plant.spec))
         moment = plant._body.state[kernels.MOMENT]
-        now = plant.spec.mass.total * (state.com_velocity @ state.com_velocity) / 2 + moment**2 / inertia / 2
+        now = (
+            plant.spec.mass.total * (state.com_velocity @ state.com_velocity) / 2
+            + moment**2 / inertia / 2
+        )
         assert now <= last * (1 + 1e-6) + 1e-15
         last = now
     assert last < 1e-12
@@ -110,7 +132,10 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
 @LAWS
 def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
     """Regression: Newton's method alternated between the sides of the kink where a wheel stops rolling."""
-    plant, angle = AnalyticalSnake(SPEC, friction=law, slip_speed=0.001), np.radians(degrees)
+    plant, angle = (
+        AnalyticalSnake(SPEC, friction=law, slip_speed=0.001),
+        np.radians(degrees),
+    )
     throw(plant, (0.5 * np.cos(angle), 0.5 * np.sin(angle)))
     for _ in range(65):
         state = plant.step(vented(SPEC))
@@ -139,7 +164,11 @@ def test_any_number_of_connectors_runs(law, connectors):
     assert trajectory.stack("bend").shape == (201, connectors - 1)
     assert np.isfinite(trajectory.com).all()
     # One segment flaps, a wave through two or more swims.
-    assert abs(trajectory["com_x"][-1]) < 0.05 if connectors == 2 else trajectory["com_x"][-1] > 0.05
+    assert (
+        abs(trajectory["com_x"][-1]) < 0.05
+        if connectors == 2
+        else trajectory["com_x"][-1] > 0.05
+    )
 
 
 @LAWS
@@ -158,10 +187,13 @@ def test_finer_steps_change_the_speed_by_less_than_two_permille(law):
 def test_gait_is_independent_of_the_control_tick():
     """Valve edges have the same times in long and short ticks."""
     long, short = (
-        rollout(AnalyticalSnake(SPEC, tick=t), Gait(1.7, 0.2), 1.0, record_hz=50) for t in (0.02, 0.005)
+        rollout(AnalyticalSnake(SPEC, tick=t), Gait(1.7, 0.2), 1.0, record_hz=50)
+        for t in (0.02, 0.005)
     )
     assert long.com == pytest.approx(short.com, abs=1e-6)
-    assert long.stack("pressure_plus") == pytest.approx(short.stack("pressure_plus"), abs=1e-3)
+    assert long.stack("pressure_plus") == pytest.approx(
+        short.stack("pressure_plus"), abs=1e-3
+    )
 
 
 def test_prescribed_bends_are_independent_of_mass_and_stiffness():
@@ -171,7 +203,9 @@ def test_prescribed_bends_are_independent_of_mass_and_stiffness():
         mass=replace(SPEC.mass, connectors=tuple(7 * m for m in SPEC.mass.connectors)),
         bending=replace(SPEC.bending, stiffness=0.01),
     )
-    light, loaded = (rollout(AnalyticalSnake(s), Gait(2.0, 0.2), 1.0) for s in (SPEC, heavy))
+    light, loaded = (
+        rollout(AnalyticalSnake(s), Gait(2.0, 0.2), 1.0) for s in (SPEC, heavy)
+    )
     assert loaded.position == pytest.approx(light.position, abs=1e-9)
 
 
@@ -184,14 +218,21 @@ def test_in_out_valves_can_hold_pressure():
     assert held.pressure == pytest.approx(filled.pressure, rel=1e-12)
     assert held.valves.tolist() == [[0, 0]] * 4
     assert plant.openings().tolist() == [[1, 0]] * 4
-    with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):
+    with pytest.raises(
+        InputError, match="valve state 0 is not possible with layout 3/2"
+    ):
         AnalyticalSnake(SPEC).step(np.zeros((4, 2), dtype=np.int8))
 
 
 def test_unknown_models_and_laws_raise_with_the_allowed_names():
-    with pytest.raises(InputError, match="model 'simple' is unknown; allowed: complete"):
+    with pytest.raises(
+        InputError, match="model 'simple' is unknown; allowed: complete"
+    ):
         AnalyticalSnake(SPEC, model="simple")
-    with pytest.raises(InputError, match="friction law 'glue' is unknown; allowed: axis, wheel, viscous"):
+    with pytest.raises(
+        InputError,
+        match="friction law 'glue' is unknown; allowed: axis, wheel, viscous",
+    ):
         AnalyticalSnake(SPEC, friction="glue")
     with pytest.raises(InputError, match="valve layout '5/2' is unknown"):
         AnalyticalSnake(SPEC, layout="5/2")
@@ -199,7 +240,12 @@ def test_unknown_models_and_laws_raise_with_the_allowed_names():
 
 @settings(max_examples=100)
 @given(
-    st.lists(st.tuples(st.integers(1, 39), st.sampled_from([0.0, 1e-15, -1e-15, 3e-4, 7e-4])), max_size=8),
+    st.lists(
+        st.tuples(
+            st.integers(1, 39), st.sampled_from([0.0, 1e-15, -1e-15, 3e-4, 7e-4])
+        ),
+        max_size=8,
+    ),
     st.sampled_from([1, 2, 5, 10]),
     st.sampled_from([0.002, 0.001, 0.0007]),
 )
@@ -210,16 +256,23 @@ def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
         [
             0.0,
             *(
-                0.001 * k * (1 + deviation) + (deviation if abs(deviation) > 1e-9 else 0)
+                0.001 * k * (1 + deviation)
+                + (deviation if abs(deviation) > 1e-9 else 0)
                 for k, deviation in places
             ),
         ]
     )
     starts = starts[starts < 0.04 - 1e-6]
-    states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(np.int8)
+    states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(
+        np.int8
+    )
     steps = plant._steps(Schedule(0.04, starts, states), samples)
     ends, marks = steps.ends, steps.sample_steps
-    assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(0.04)
+    assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(
+        0.04
+    )
     assert np.diff(np.append(0.0, ends)).max() <= timestep * (1 + 1e-9)
-    assert ends[marks - 1] == pytest.approx(0.04 * np.arange(1, samples + 1) / samples, abs=1e-12)
+    assert ends[marks - 1] == pytest.approx(
+        0.04 * np.arange(1, samples + 1) / samples, abs=1e-12
+    )
     assert all(np.abs(ends - event).min() < 1e-9 for event in starts[1:])

@@ -48,12 +48,18 @@ POSES = ((0.0, 0.0, 0.0), (0.3, -0.2, 1.1), (-1.0, 2.0, -2.5), (0.1, 0.1, 3.0))
 def variants() -> list[RobotSpec]:
     """Return a robot, and copies with other friction, compliance and masses."""
     heavier = tuple(
-        mass * factor for mass, factor in zip(SPEC.mass.connectors, (1, 1.3, 1, 1.1, 2), strict=True)
+        mass * factor
+        for mass, factor in zip(SPEC.mass.connectors, (1, 1.3, 1, 1.1, 2), strict=True)
     )
     return [
         SPEC,
         robot(mu_t=0.06, mu_n=0.4),
-        replace(SPEC, bending=replace(SPEC.bending, stiffness=1.5, damping_time=0.004, roll_stiffness=0.2)),
+        replace(
+            SPEC,
+            bending=replace(
+                SPEC.bending, stiffness=1.5, damping_time=0.004, roll_stiffness=0.2
+            ),
+        ),
         replace(SPEC, mass=replace(SPEC.mass, connectors=heavier)),
     ]
 
@@ -76,9 +82,14 @@ def alone(job: Job) -> bytes:
     try:
         return written(
             rollout(
-                plant, job.controller, job.duration, pose=job.pose, seed=job.seed, record_hz=job.record_hz
+                plant,
+                job.controller,
+                job.duration,
+                pose=job.pose,
+                seed=job.seed,
+                record_hz=job.record_hz,
             )
-        )  # fmt: skip
+        )
     except DivergedError as error:
         return written(error)
 
@@ -89,7 +100,9 @@ class Reflex(Controller):
     kind = "reflex"
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        self._sign = np.random.default_rng(seed).choice([-1, 1], spec.segments).astype(np.int8)
+        self._sign = (
+            np.random.default_rng(seed).choice([-1, 1], spec.segments).astype(np.int8)
+        )
 
     def step(self, state: SnakeState) -> np.ndarray:
         self._sign[state.sensed > 0.5] = -1
@@ -145,8 +158,19 @@ def mixed_jobs() -> list[Job]:
         Job(partial(AnalyticalSnake, SPEC), Gait(2.0, 0.2), 3.0, POSES[1], 3),
         Job(AnalyticalSnake(variants()[1], model="compliant"), Reflex(), 0.4, seed=5),
         Job(TwinSnake(variants()[2]), Gait(1.0, -0.1), 0.3, POSES[2], record_hz=50),
-        Job(partial(TwinSnake, variants()[3], contact=LoadedContact("ellipse")), Reflex(), 0.2, POSES[3], 7),
-        Job(partial(AnalyticalSnake, SPEC, friction="wheel"), Gait(1.5), 0.2, record_hz=25),
+        Job(
+            partial(TwinSnake, variants()[3], contact=LoadedContact("ellipse")),
+            Reflex(),
+            0.2,
+            POSES[3],
+            7,
+        ),
+        Job(
+            partial(AnalyticalSnake, SPEC, friction="wheel"),
+            Gait(1.5),
+            0.2,
+            record_hz=25,
+        ),
         Job(partial(AnalyticalSnake, SPEC, pneumatics="orifice"), Gait(2.0, 0.4), 0.5),
     ]
 
@@ -163,11 +187,19 @@ def test_parallel_runs_equal_serial_runs_in_order_bit_for_bit(threads):
 def test_number_of_threads_does_not_change_a_byte(order, threads, count):
     expected = _six()
     jobs = [_job(k) for k in order[:count]]
-    assert [written(run) for run in run_many(jobs, threads=threads)] == [expected[k] for k in order[:count]]
+    assert [written(run) for run in run_many(jobs, threads=threads)] == [
+        expected[k] for k in order[:count]
+    ]
 
 
 def _job(k: int) -> Job:
-    return Job(_snake, Gait(1.0 + 0.2 * k, 0.1 * k), 0.2 + 0.1 * k, POSES[k % 4], record_hz=(50, 100)[k % 2])
+    return Job(
+        _snake,
+        Gait(1.0 + 0.2 * k, 0.1 * k),
+        0.2 + 0.1 * k,
+        POSES[k % 4],
+        record_hz=(50, 100)[k % 2],
+    )
 
 
 def _snake() -> AnalyticalSnake:
@@ -210,7 +242,9 @@ def test_diverged_run_returns_its_error_and_others_continue(threads):
     first, error, last = runs
     assert isinstance(error, DivergedError)
     assert str(error) == "fuse diverged at t = 0.12 s: it was told to"
-    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(0.1)
+    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(
+        0.1
+    )
     assert isinstance(first, Trajectory) and isinstance(last, Trajectory)
     assert len(first) == len(last) == 21
 
@@ -232,7 +266,10 @@ def test_diverged_twin_has_the_same_error_as_alone(threads):
     """The message contains the engine's warnings, which come from all threads."""
     expected = alone(Job(wild, Gait(2.0), 0.1))
     assert b"twin diverged at t = 0.001 s" in expected
-    jobs = [Job(partial(TwinSnake, SPEC) if k % 2 else wild, Gait(2.0), 0.1) for k in range(6)]
+    jobs = [
+        Job(partial(TwinSnake, SPEC) if k % 2 else wild, Gait(2.0), 0.1)
+        for k in range(6)
+    ]
     runs = run_many(jobs, threads=threads)
     assert [written(run) == expected for run in runs] == [True, False] * 3
     assert all(isinstance(run, Trajectory) for run in runs[1::2])
@@ -283,26 +320,44 @@ def test_shared_plants_and_controllers_are_refused():
     gait, snake = Gait(2.0), AnalyticalSnake(SPEC)
     with pytest.raises(
         InputError,
-        match="jobs 1 and 3 share one controller, a Gait; give each job its own, or a function",
+        match=(
+            "jobs 1 and 3 share one controller, a Gait; give each job its own, or a"
+            " function"
+        ),
     ):
-        run_many([Job(_snake, gait, 1.0), Job(_snake, Gait(2.0), 1.0), Job(_snake, gait, 1.0)])
+        run_many(
+            [
+                Job(_snake, gait, 1.0),
+                Job(_snake, Gait(2.0), 1.0),
+                Job(_snake, gait, 1.0),
+            ]
+        )
     with pytest.raises(
-        InputError, match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each job its own"
+        InputError,
+        match="jobs 1 and 2 share one plant, a AnalyticalSnake; give each job its own",
     ):
         run_many([Job(snake, Gait(2.0), 1.0), Job(snake, Gait(2.0), 1.0)])
 
 
 @pytest.mark.parametrize("threads", [0, -2])
 def test_fewer_than_one_thread_is_refused(threads):
-    with pytest.raises(InputError, match=f"threads: {threads} is not allowed; it must be 1 or more"):
+    with pytest.raises(
+        InputError, match=f"threads: {threads} is not allowed; it must be 1 or more"
+    ):
         run_many([], threads=threads)
 
 
 @pytest.mark.parametrize(
     ("job", "words"),
     [
-        (Job(_snake, Gait(2.0), 0.03), "job 2 of 2: duration 0.03 s is not a multiple of tick 0.02 s"),
-        (Job(_snake, Gait(2.0), 1.0, record_hz=70), "job 2 of 2: record_hz 70 does not fit the tick 0.02 s"),
+        (
+            Job(_snake, Gait(2.0), 0.03),
+            "job 2 of 2: duration 0.03 s is not a multiple of tick 0.02 s",
+        ),
+        (
+            Job(_snake, Gait(2.0), 1.0, record_hz=70),
+            "job 2 of 2: record_hz 70 does not fit the tick 0.02 s",
+        ),
     ],
 )
 def test_rollout_errors_name_the_job(job, words):
@@ -314,7 +369,11 @@ def test_rollout_errors_name_the_job(job, words):
 def test_progress_is_reported_on_the_calling_thread(threads):
     reported: list[tuple[int, int]] = []
     jobs = [Job(_snake, Gait(2.0), 0.1) for _ in range(5)]
-    run_many(jobs, threads=threads, progress=lambda done: reported.append((done, threading.get_ident())))
+    run_many(
+        jobs,
+        threads=threads,
+        progress=lambda done: reported.append((done, threading.get_ident())),
+    )
     assert reported == [(k, threading.get_ident()) for k in range(1, 6)]
 
 
@@ -381,7 +440,10 @@ def scripts(batch: TwinBatch, duration: float) -> list[Any]:
 
 
 def same(one: SnakeState, other: SnakeState) -> bool:
-    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in one.__dataclass_fields__)
+    return all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in one.__dataclass_fields__
+    )
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -404,9 +466,12 @@ def test_runs_of_a_batch_are_those_of_single_twins(threads):
 @pytest.mark.parametrize("threads", [1, 2])
 def test_trajectories_of_a_batch_are_those_of_single_twins(threads):
     batch = TwinBatch(variants(), supply_pa=48e3, threads=threads)
-    runs = run_many([Job(twin, Gait(2.0), 0.2) for twin in batch.twins], threads=threads)
+    runs = run_many(
+        [Job(twin, Gait(2.0), 0.2) for twin in batch.twins], threads=threads
+    )
     assert [written(run) for run in runs] == [
-        alone(Job(TwinSnake(spec, supply_pa=48e3), Gait(2.0), 0.2)) for spec in variants()
+        alone(Job(TwinSnake(spec, supply_pa=48e3), Gait(2.0), 0.2))
+        for spec in variants()
     ]
 
 
@@ -422,7 +487,11 @@ def test_reset_batch_repeats_the_run():
 def test_changing_the_model_of_one_twin_does_not_affect_others():
     one, other = TwinBatch([SPEC, SPEC], threads=1).twins
     one.physics.model.opt.gravity[2] = 0.0
-    assert other.physics.model.opt.gravity[2] == TwinSnake(SPEC).physics.model.opt.gravity[2] < -9
+    assert (
+        other.physics.model.opt.gravity[2]
+        == TwinSnake(SPEC).physics.model.opt.gravity[2]
+        < -9
+    )
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -438,12 +507,18 @@ def test_batch_policy_equals_one_controller_per_twin(threads, record_hz):
         assert state.position.shape == (3, 5, 2)
         return np.stack([reflex.step(state.at(k)) for k, reflex in enumerate(reflexes)])
 
-    runs = run_batch(batch, policy, 0.2, poses=POSES[:3], record_hz=record_hz, progress=seen.append)
+    runs = run_batch(
+        batch, policy, 0.2, poses=POSES[:3], record_hz=record_hz, progress=seen.append
+    )
     assert seen == pytest.approx(0.02 * np.arange(1, 11))
     for k, run in enumerate(runs):
-        expected = rollout(TwinSnake(variants()[k]), Reflex(), 0.2, pose=POSES[k], record_hz=record_hz)
+        expected = rollout(
+            TwinSnake(variants()[k]), Reflex(), 0.2, pose=POSES[k], record_hz=record_hz
+        )
         assert isinstance(run, Trajectory)
-        assert run.columns.keys() == {name for name in expected.columns if not name.startswith("sign_")}
+        assert run.columns.keys() == {
+            name for name in expected.columns if not name.startswith("sign_")
+        }
         assert all(np.array_equal(run[name], expected[name]) for name in run.columns)
         assert run.metadata == {**expected.metadata, "controller": "policy"}
 
@@ -459,7 +534,9 @@ def test_diverged_twin_stops_and_its_batch_continues():
     first, error, last = run_batch(batch, policy, 0.2)
     assert isinstance(error, DivergedError) and batch.errors == [None, error, None]
     assert "twin diverged at t = 0.101 s" in str(error)
-    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(0.1)
+    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(
+        0.1
+    )
     assert batch.state.time == pytest.approx([0.2, 0.1, 0.2])
     assert isinstance(first, Trajectory) and isinstance(last, Trajectory)
     assert written(first) == written(last)
@@ -489,29 +566,44 @@ def test_batch_rejects_invalid_robots_and_settings():
         mass=replace(SPEC.mass, connectors=SPEC.mass.connectors[:3]),
     )
     for specs, words in (([], "no robot"), ([SPEC, longer], "3, 5")):
-        with pytest.raises(InputError, match=f"the same number of connectors, not {words}$"):
+        with pytest.raises(
+            InputError, match=f"the same number of connectors, not {words}$"
+        ):
             TwinBatch(specs)
     with pytest.raises(
-        InputError, match=r"supply_pa: 3 were given for 2 runs; give one value, or one per run"
+        InputError,
+        match=r"supply_pa: 3 were given for 2 runs; give one value, or one per run",
     ):
         TwinBatch([SPEC, SPEC], supply_pa=[1e4, 2e4, 3e4])
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
-    with pytest.raises(InputError, match="the twins of a batch cannot share one object; give its kind"):
+    with pytest.raises(
+        InputError, match="the twins of a batch cannot share one object; give its kind"
+    ):
         TwinBatch([SPEC, SPEC], pneumatics=own)
-    with pytest.raises(InputError, match="contact 'lose' is unknown; allowed: loaded, preloaded"):
+    with pytest.raises(
+        InputError, match="contact 'lose' is unknown; allowed: loaded, preloaded"
+    ):
         TwinBatch([SPEC, SPEC], contact="lose", threads=2)
 
 
 def test_batch_rejects_wrong_numbers_of_arguments():
     batch = TwinBatch([SPEC, SPEC], threads=1)
-    with pytest.raises(InputError, match="poses: 1 were given for 2 runs; give one per run"):
+    with pytest.raises(
+        InputError, match="poses: 1 were given for 2 runs; give one per run"
+    ):
         batch.reset(poses=POSES[:1])
-    with pytest.raises(InputError, match="valves: 3 were given for 2 runs; give one array per run"):
+    with pytest.raises(
+        InputError, match="valves: 3 were given for 2 runs; give one array per run"
+    ):
         batch.step(np.stack([vented(SPEC)] * 3))
-    with pytest.raises(InputError, match="schedules: 0 were given for 2 runs; give one per run"):
+    with pytest.raises(
+        InputError, match="schedules: 0 were given for 2 runs; give one per run"
+    ):
         batch.play([], 1)
     impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
-    with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):
+    with pytest.raises(
+        InputError, match="valve state 0 is not possible with layout 3/2"
+    ):
         batch.step(impossible)
     assert batch.twins[0].physics.data.time == 0.0
     assert np.array_equal(batch.step(np.stack([vented(SPEC)] * 2)).time, [0.02, 0.02])

@@ -37,12 +37,20 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
     data = mujoco.MjData(model)
     names = [model.geom(k).name for k in range(model.ngeom)]
     hulls = [k for k, name in enumerate(names) if name.startswith("hull_")]
-    solid = [k for k, name in enumerate(names) if name.startswith(("obstacle_", "polygon_"))]
+    solid = [
+        k for k, name in enumerate(names) if name.startswith(("obstacle_", "polygon_"))
+    ]
     found = []
     for qpos in places:
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
-        found.append(min(mujoco.mj_geomDistance(model, data, a, b, 10.0, None) for a in hulls for b in solid))
+        found.append(
+            min(
+                mujoco.mj_geomDistance(model, data, a, b, 10.0, None)
+                for a in hulls
+                for b in solid
+            )
+        )
     return np.array(found)
 
 
@@ -54,36 +62,54 @@ def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarra
     found[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
     found[:, 3], found[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
     segments, hinges = twin.spec.segments, twin.describe()["hinges_per_segment"]
-    angles = draw.uniform(-1.5, 1.5, (count, segments, hinges if unequal else 1)) / hinges
+    angles = (
+        draw.uniform(-1.5, 1.5, (count, segments, hinges if unequal else 1)) / hinges
+    )
     for j in range(segments):
         for k in range(hinges):
-            found[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[:, j, k if unequal else 0]
+            found[:, model.joint(f"hinge_{j + 1}_{k + 1}").qposadr[0]] = angles[
+                :, j, k if unequal else 0
+            ]
     return found
 
 
 def seen(twin: TwinSnake, places: np.ndarray) -> SimpleNamespace:
     """Return connectors and qpos with one sample per pose."""
     states = np.concatenate(
-        [np.zeros((len(places), 1)), places, np.zeros((len(places), twin.physics.model.nv))], axis=1
+        [
+            np.zeros((len(places), 1)),
+            places,
+            np.zeros((len(places), twin.physics.model.nv)),
+        ],
+        axis=1,
     )
     view = twin.physics.kinematics(states)
     # Headings are recorded without jumps along the body.
-    theta = view.headings[:, :1] - np.cumsum(np.pad(view.bends, ((0, 0), (1, 0))), axis=1)
+    theta = view.headings[:, :1] - np.cumsum(
+        np.pad(view.bends, ((0, 0), (1, 0))), axis=1
+    )
     return SimpleNamespace(position=view.positions[..., :2], theta=theta, qpos=places)
 
 
 def trajectory_of(seen: SimpleNamespace) -> Trajectory:
     """Return the connectors as a trajectory."""
     columns = {"time": np.arange(len(seen.theta), dtype=float)}
-    columns |= numbered("x", seen.position[..., 0]) | numbered("y", seen.position[..., 1])
+    columns |= numbered("x", seen.position[..., 0]) | numbered(
+        "y", seen.position[..., 1]
+    )
     return Trajectory(columns | numbered("theta", seen.theta))
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
-@pytest.mark.parametrize(("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)])
+@pytest.mark.parametrize(
+    ("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)]
+)
 def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
-    # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body pitches.
-    twin = TwinSnake(robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded")
+    # Preloaded: the wheels of a loaded snake sink in by micrometres, and its body
+    # pitches.
+    twin = TwinSnake(
+        robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded"
+    )
     places = poses(twin, 40, unequal=unequal, seed=hinges)
     run, distance = seen(twin, places), mujoco_distances(twin, places)
     assert clearance(twin, run) == pytest.approx(distance, abs=ROUNDING_M)
@@ -117,28 +143,48 @@ def test_the_hull_is_within_its_bound_of_the_arc():
 @pytest.mark.parametrize(
     ("shape", "aside", "touched"),
     [
-        ("circle", 0.0, True), ("circle", 0.133, None), ("circle", 0.135, None), ("circle", 0.137, None),
-        ("circle", 0.15, False), ("square", 0.0, True), ("square", 0.16, False),
+        ("circle", 0.0, True),
+        ("circle", 0.133, None),
+        ("circle", 0.135, None),
+        ("circle", 0.137, None),
+        ("circle", 0.15, False),
+        ("square", 0.0, True),
+        ("square", 0.16, False),
     ],
-)  # fmt: skip
+)
 def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
     """The twin of generation 2 passes a circle or a square of 0.1 m at a given distance from its path, m.
 
     At small distances (None), contact depends on the follower.
     """
-    corners = [[0.35, aside - 0.1], [0.55, aside - 0.1], [0.55, aside + 0.1], [0.35, aside + 0.1]]
+    corners = [
+        [0.35, aside - 0.1],
+        [0.55, aside - 0.1],
+        [0.55, aside + 0.1],
+        [0.35, aside + 0.1],
+    ]
     world = {
         "circle": {"obstacles": [{"x_m": 0.45, "y_m": aside, "radius_m": 0.1}]},
         "square": {"polygons": [{"corners_m": corners}]},
     }[shape]
-    given = {"kind": "given", "footprint": "gen2_section52", "turns_rad": [0, 0], "step_m": 0.5}
+    given = {
+        "kind": "given",
+        "footprint": "gen2_section52",
+        "turns_rad": [0, 0],
+        "step_m": 0.5,
+    }
     gait = {"kind": "gait", "frequency_hz": 2.0}
     scenario = parse_scenario(
         {
-            "robot": "gen2", "duration_s": 4, "record_hz": 50, "world": world, "planner": given,
-            "controller": {"kind": "follow", "gait": gait}, "plants": {"twin": {}},
+            "robot": "gen2",
+            "duration_s": 4,
+            "record_hz": 50,
+            "world": world,
+            "planner": given,
+            "controller": {"kind": "follow", "gait": gait},
+            "plants": {"twin": {}},
         }
-    )  # fmt: skip
+    )
     twin = scenario.build_plant("twin")
     run = rollout(twin, scenario.build_controller(), 4.0, record_hz=50)
     metrics = contact_metrics(run)

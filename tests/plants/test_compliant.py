@@ -21,7 +21,10 @@ from srs_twin.robot.spec import Mass
 
 LENGTH, GAP, SLIP = 0.037, 0.018, 0.02
 
-MARKED_LAWS = [pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow]) for law in LAWS]
+MARKED_LAWS = [
+    pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow])
+    for law in LAWS
+]
 """Laws of friction; those whose kernels no other quick test compiles are slow."""
 
 
@@ -62,7 +65,9 @@ class Body:
     def newton(self, q, u, a, residual) -> np.ndarray:
         """Return the kernel's Newton step."""
         work = WorkArrays.of(len(self.mass))
-        compliant_kernels.balance(q, u, np.zeros_like(q), a, self.model, self.floor, work)
+        compliant_kernels.balance(
+            q, u, np.zeros_like(q), a, self.model, self.floor, work
+        )
         work.residual[:] = residual
         compliant_kernels.solve(a, self.model, work)
         return work.step
@@ -81,7 +86,11 @@ class Body:
             q, u = start[0], start[1].copy()
             state[first : first + segments] = q
             momentum = self.balance(q, u, np.zeros(segments))[0]
-            state[3:5], state[5], state[first + segments :] = u[:2], momentum[2], momentum[3:]
+            state[3:5], state[5], state[first + segments :] = (
+                u[:2],
+                momentum[2],
+                momentum[3:],
+            )
         states, marks = np.empty((count, len(state))), np.arange(1, count + 1)
         seen = states, np.empty((count, len(u)))
         work = WorkArrays.of(len(self.mass), len(state))
@@ -92,11 +101,20 @@ class Body:
         return states
 
 
-def draw(seed: int, connectors: int = 5, **options: float) -> tuple[Body, np.ndarray, np.ndarray, np.ndarray]:
+def draw(
+    seed: int, connectors: int = 5, **options: float
+) -> tuple[Body, np.ndarray, np.ndarray, np.ndarray]:
     """Return a random body, bends, velocities and moments of the air."""
     g = np.random.default_rng(seed)
-    body = Body(g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors), **options)
-    return body, g.normal(size=connectors - 1), g.normal(size=connectors + 2), g.normal(size=connectors - 1)
+    body = Body(
+        g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors), **options
+    )
+    return (
+        body,
+        g.normal(size=connectors - 1),
+        g.normal(size=connectors + 2),
+        g.normal(size=connectors - 1),
+    )
 
 
 def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -115,13 +133,18 @@ def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def mass_matrix(body: Body, q: np.ndarray) -> np.ndarray:
     """Return the second derivatives of the kinetic energy by u."""
-    j, weights = jacobian(body.mass, q), np.stack([body.mass, body.mass, body.inertia], axis=1)
+    j, weights = (
+        jacobian(body.mass, q),
+        np.stack([body.mass, body.mass, body.inertia], axis=1),
+    )
     return np.einsum("ia,iaj,iak->jk", weights, j, j)
 
 
 def slope_at_zero(f, h: float) -> float:
     """Return f'(0) by central differences of sixth order."""
-    return (45 * (f(h) - f(-h)) - 9 * (f(2 * h) - f(-2 * h)) + (f(3 * h) - f(-3 * h))) / (60 * h)
+    return (
+        45 * (f(h) - f(-h)) - 9 * (f(2 * h) - f(-2 * h)) + (f(3 * h) - f(-3 * h))
+    ) / (60 * h)
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
@@ -129,13 +152,17 @@ def test_momenta_equal_the_sum_over_the_masses(connectors):
     body, q, u, moment = draw(connectors, connectors)
     momentum, _ = body.balance(q, u, moment)
     expected = mass_matrix(body, q)
-    assert newtons_matrix(q, u, 0.0, body.model) == pytest.approx(expected, rel=1e-12, abs=1e-16)
+    assert newtons_matrix(q, u, 0.0, body.model) == pytest.approx(
+        expected, rel=1e-12, abs=1e-16
+    )
     assert momentum == pytest.approx(expected @ u, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
 def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
-    body, q, u, _ = draw(connectors, connectors, stiffness=0.0, damping=0.0, mu_t=0.0, mu_n=0.0)
+    body, q, u, _ = draw(
+        connectors, connectors, stiffness=0.0, damping=0.0, mu_t=0.0, mu_n=0.0
+    )
     force = body.balance(q, u, np.zeros(connectors - 1))[1]
     assert np.abs(force[:3]).max() < 1e-14  # none on the body as a whole
     for j, unit in enumerate(np.eye(connectors - 1)):
@@ -143,7 +170,9 @@ def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
         def energy(h: float, unit=unit) -> float:
             return u @ mass_matrix(body, q + h * unit) @ u / 2
 
-        assert force[3 + j] == pytest.approx(slope_at_zero(energy, 5e-3), rel=1e-9, abs=1e-12)
+        assert force[3 + j] == pytest.approx(
+            slope_at_zero(energy, 5e-3), rel=1e-9, abs=1e-12
+        )
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -155,7 +184,10 @@ def test_power_is_balanced(seed):
     def energy(h: float) -> float:
         # Momenta in the rotating frame: its rotation does not change the energy.
         p, bends = momentum + h * force, q + h * u[3:]
-        return p @ np.linalg.solve(mass_matrix(body, bends), p) / 2 + body.stiffness * bends @ bends / 2
+        return (
+            p @ np.linalg.solve(mass_matrix(body, bends), p) / 2
+            + body.stiffness * bends @ bends / 2
+        )
 
     drag = 0.0
     turn = relative_headings(q)
@@ -163,7 +195,9 @@ def test_power_is_balanced(seed):
         c, s = np.cos(turn[i]), np.sin(turn[i])
         for arm in (body.track, -body.track):
             along, across = vx * c + vy * s - arm * spin, vy * c - vx * s
-            drag += body.mass[i] * 9.81 / 2 * (body.mu_t * along**2 + body.mu_n * across**2)
+            drag += (
+                body.mass[i] * 9.81 / 2 * (body.mu_t * along**2 + body.mu_n * across**2)
+            )
     power = moment @ u[3:] - body.damping * u[3:] @ u[3:] - drag
     scale = abs(moment @ u[3:]) + drag
     assert slope_at_zero(energy, 1e-4) == pytest.approx(power, abs=1e-9 * scale)
@@ -178,8 +212,13 @@ def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
             momentum, force = body.balance(q + a * (v - u)[3:], v, moment)
             return momentum - a * force
 
-        slopes = [slope_at_zero(lambda h, e=e: residual(u + h * e), 1e-5) for e in np.eye(len(u))]
-        return np.abs(newtons_matrix(q, u, a, body.model) - np.array(slopes).T)[2:, 2:].max()
+        slopes = [
+            slope_at_zero(lambda h, e=e: residual(u + h * e), 1e-5)
+            for e in np.eye(len(u))
+        ]
+        return np.abs(newtons_matrix(q, u, a, body.model) - np.array(slopes).T)[
+            2:, 2:
+        ].max()
 
     assert missed(1e-3) < 1e-2 * mass_matrix(body, q)[2:, 2:].max()
     assert missed(1e-2) / missed(1e-3) == pytest.approx(100, rel=0.3)
@@ -193,26 +232,41 @@ def test_linear_cost_solve_equals_dense_solve(connectors, law):
     for a in (1e-2, 3e-4):
         step = body.newton(q, u, a, residual)
         expected = np.linalg.solve(newtons_matrix(q, u, a, body.model), residual)
-        assert step == pytest.approx(expected, rel=1e-7, abs=1e-9 * np.abs(expected).max())
+        assert step == pytest.approx(
+            expected, rel=1e-7, abs=1e-9 * np.abs(expected).max()
+        )
 
 
 @pytest.mark.slow
 def test_long_chain_conserves_momentum_and_energy_balance():
     """48 segments without external forces: only dampers take energy from a swinging chain."""
     g, n = np.random.default_rng(3), 49
-    body = Body(g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0)
-    start = 0.3 * g.normal(size=n - 1), np.concatenate([[0.3, -0.2, 0.5], g.normal(size=n - 1)])
+    body = Body(
+        g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0
+    )
+    start = (
+        0.3 * g.normal(size=n - 1),
+        np.concatenate([[0.3, -0.2, 0.5], g.normal(size=n - 1)]),
+    )
     momentum = body.balance(*start, np.zeros(n - 1))[0][2:]
-    bends, momenta = slice(compliant_kernels.BENDS, compliant_kernels.BENDS + n - 1), slice(1 - n, None)
+    bends, momenta = (
+        slice(compliant_kernels.BENDS, compliant_kernels.BENDS + n - 1),
+        slice(1 - n, None),
+    )
 
     def energy(q: np.ndarray, p: np.ndarray) -> float:
-        return p @ np.linalg.solve(mass_matrix(body, q)[2:, 2:], p) / 2 + body.stiffness * q @ q / 2
+        return (
+            p @ np.linalg.solve(mass_matrix(body, q)[2:, 2:], p) / 2
+            + body.stiffness * q @ q / 2
+        )
 
     def lost(step: float) -> float:
         end = body.advance(lambda t: np.zeros((*t.shape, n - 1)), 0.02, step, start)[-1]
         assert end[3:5] == pytest.approx(start[1][:2], abs=1e-13)
         assert end[kernels.MOMENT] == pytest.approx(momentum[0], rel=1e-11)
-        return energy(start[0], momentum) - energy(end[bends], np.append(end[kernels.MOMENT], end[momenta]))
+        return energy(start[0], momentum) - energy(
+            end[bends], np.append(end[kernels.MOMENT], end[momenta])
+        )
 
     losses = np.array([lost(h) for h in (4e-5, 2e-5)])
     assert abs(losses[1]) < 1e-3 * energy(start[0], momentum)
@@ -224,7 +278,11 @@ def wave(amplitude: float, omega: float = 2 * np.pi * 2):
 
     def bends(t: np.ndarray) -> np.ndarray:
         t = t[..., None]
-        return amplitude * (1 - np.exp(-((t / 0.1) ** 2))) * np.sin(omega * t - np.pi / 2 * np.arange(4))
+        return (
+            amplitude
+            * (1 - np.exp(-((t / 0.1) ** 2)))
+            * np.sin(omega * t - np.pi / 2 * np.arange(4))
+        )
 
     return bends
 
@@ -240,31 +298,46 @@ def test_time_integration_has_second_order():
     steps = np.array([2e-3, 1e-3, 5e-4])
     exact = body.advance(wave(0.68), 0.6, 5e-5)[-1]
     errors = [
-        np.linalg.norm((body.advance(wave(0.68), 0.6, h)[-1] - exact)[: compliant_kernels.BENDS + 4])
+        np.linalg.norm(
+            (body.advance(wave(0.68), 0.6, h)[-1] - exact)[
+                : compliant_kernels.BENDS + 4
+            ]
+        )
         for h in steps
     ]
-    assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx([2, 2], abs=0.2)
+    assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx(
+        [2, 2], abs=0.2
+    )
 
 
 @pytest.mark.slow
 def test_frictionless_momentum_is_exact_and_energy_of_second_order():
     """Momentum and moment of momentum are exact to rounding; the energy error is of second order."""
     g = np.random.default_rng(5)
-    body = Body(MASSES, np.full(5, 1e-5), stiffness=0.05, damping=0.0, mu_t=0.0, mu_n=0.0)
+    body = Body(
+        MASSES, np.full(5, 1e-5), stiffness=0.05, damping=0.0, mu_t=0.0, mu_n=0.0
+    )
     start = 0.5 * g.normal(size=4), np.concatenate([[0.3, -0.2, 2.0], g.normal(size=4)])
     moment = body.balance(*start, np.zeros(4))[0][2]
     states = body.advance(wave(0.6), 0.5, 1e-3, start)
-    assert states[:, 3:5] == pytest.approx(np.tile(start[1][:2], (len(states), 1)), abs=1e-14)
+    assert states[:, 3:5] == pytest.approx(
+        np.tile(start[1][:2], (len(states), 1)), abs=1e-14
+    )
     assert states[:, 5] == pytest.approx(np.full(len(states), moment), rel=1e-12)
     assert np.ptp(states[:, BENDS], axis=0).min() > 0.3
 
     def energy(q: np.ndarray, p: np.ndarray) -> float:
-        return p @ np.linalg.solve(mass_matrix(body, q)[2:, 2:], p) / 2 + body.stiffness * q @ q / 2
+        return (
+            p @ np.linalg.solve(mass_matrix(body, q)[2:, 2:], p) / 2
+            + body.stiffness * q @ q / 2
+        )
 
     def lost(step: float) -> float:
         end = body.advance(lambda t: np.zeros((*t.shape, 4)), 0.1, step, start)[-1]
         before = energy(start[0], body.balance(*start, np.zeros(4))[0][2:])
-        return abs(energy(end[BENDS], np.append(end[kernels.MOMENT], end[MOMENTA])) - before)
+        return abs(
+            energy(end[BENDS], np.append(end[kernels.MOMENT], end[MOMENTA])) - before
+        )
 
     drifts = np.array([lost(h) for h in (4e-4, 2e-4, 1e-4)])
     assert (np.log2(drifts[:-1] / drifts[1:]) > 1.8).all()
@@ -273,11 +346,16 @@ def test_frictionless_momentum_is_exact_and_energy_of_second_order():
 def test_massless_segments_have_their_free_bends_whatever_their_damping():
     """Eq. 14 in closed form, from the model with prescribed bends."""
     spec, gait = robot(mu_t=1e-12, mu_n=1e-12), Gait(1.37, 0.1)
-    masses = {"connectors": tuple(1e-12 * m for m in spec.mass.connectors), "wheel": 0.0}
+    masses = {
+        "connectors": tuple(1e-12 * m for m in spec.mass.connectors),
+        "wheel": 0.0,
+    }
     light = replace(spec, mass=replace(spec.mass, **masses))
     free = rollout(AnalyticalSnake(spec, supply_pa=48300.0), gait, 0.6).stack("bend")
     for time in (1e-6, 0.00214, 0.008, 0.03):
-        plant = compliant(with_bending(light, damping_time=time), supply_pa=48300.0, timestep=0.002)
+        plant = compliant(
+            with_bending(light, damping_time=time), supply_pa=48300.0, timestep=0.002
+        )
         assert rollout(plant, gait, 0.6).stack("bend") == pytest.approx(free, abs=1e-9)
 
 
@@ -287,7 +365,9 @@ def test_deviations_lose_energy_while_the_valves_hold():
     plant = compliant(spec, supply_pa=48300.0, layout="in_out", timestep=5e-4)
     rollout(plant, Gait(2.0, 0.2), 0.62)
     hold = np.zeros((spec.segments, 2))
-    plant.play(plant.pneumatics.schedule(hold, 0.1), 5)  # the free bends come to rest within 40 τ₂
+    plant.play(
+        plant.pneumatics.schedule(hold, 0.1), 5
+    )  # the free bends come to rest within 40 τ₂
     plant._body.velocity[3:] += 3.0
     states = plant.play(plant.pneumatics.schedule(hold, 0.2), 400)
     velocity = np.gradient(states.position, 5e-4, axis=0)
@@ -316,7 +396,9 @@ def test_stiff_compliant_bends_equal_prescribed_bends():
         rollout(compliant(with_bending(spec, stiffness=k), **viscous), Gait(2.0), 3.0)
         for k in (5.0, 20.0, 80.0, 320.0)
     ]
-    bends = [np.sqrt(((r.stack("bend") - complete.stack("bend")) ** 2).mean()) for r in runs]
+    bends = [
+        np.sqrt(((r.stack("bend") - complete.stack("bend")) ** 2).mean()) for r in runs
+    ]
     paths = [np.abs(r.com - complete.com).max() for r in runs]
     speeds = [abs(mean_speed(r) / mean_speed(complete) - 1) for r in runs]
     assert np.diff(np.log(bends)) / np.log(4) == pytest.approx([-1, -1, -1], abs=0.2)
@@ -329,16 +411,24 @@ def test_stiff_compliant_bends_equal_prescribed_bends():
 def test_stiff_compliant_model_has_the_speed_of_complete(law):
     spec, options = robot(), {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **options), Gait(2.0), 4.0)
-    stiff = rollout(compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0)
+    stiff = rollout(
+        compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0
+    )
     assert mean_speed(stiff) == pytest.approx(mean_speed(complete), rel=0.005)
     assert stiff.stack("bend") == pytest.approx(complete.stack("bend"), abs=2e-3)
 
 
 def test_motion_depends_on_ratios_of_mass_and_stiffness_only():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
-    heavy = replace(spec, mass=replace(spec.mass, connectors=tuple(7 * m for m in spec.mass.connectors)))
+    heavy = replace(
+        spec,
+        mass=replace(spec.mass, connectors=tuple(7 * m for m in spec.mass.connectors)),
+    )
     heavy = with_bending(heavy, stiffness=7 * spec.bending.stiffness)
-    light, loaded = (rollout(compliant(s, friction="wheel"), Gait(2.0, 0.2), 1.0) for s in (spec, heavy))
+    light, loaded = (
+        rollout(compliant(s, friction="wheel"), Gait(2.0, 0.2), 1.0)
+        for s in (spec, heavy)
+    )
     assert loaded.position == pytest.approx(light.position, abs=1e-7)
     assert loaded.stack("bend") == pytest.approx(light.stack("bend"), abs=1e-6)
 
@@ -350,12 +440,15 @@ def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
     twin = rollout(TwinSnake(spec, supply_pa=48300.0), gait, 4.0)
     options = {"friction": "wheel", "supply_pa": 48300.0}
     rigid = rollout(AnalyticalSnake(spec, **options), gait, 4.0)
-    # The twin's connectors are compact bodies with two wheels; a third of what remains is their inertia.
+    # The twin's connectors are compact bodies with two wheels; a third of what remains
+    # is their inertia.
     soft = rollout(compliant(spec, inertia="connector", **options), gait, 4.0)
 
     def miss(run: Trajectory) -> float:
         difference = (run.stack("bend") - twin.stack("bend"))[100:]
-        return float(np.sqrt((difference**2).mean() / (twin.stack("bend")[100:] ** 2).mean()))
+        return float(
+            np.sqrt((difference**2).mean() / (twin.stack("bend")[100:] ** 2).mean())
+        )
 
     assert miss(soft) < 0.025
     assert miss(soft) < 0.3 * miss(rigid)
@@ -366,7 +459,9 @@ def test_free_module_follows_the_free_bend():
     """A nearly massless segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time as τ₂."""
     spec = robot(mu_t=0.0, mu_n=0.0)
     geometry = replace(spec.geometry, connectors=2)
-    spec = replace(spec, geometry=geometry, mass=Mass(connectors=(1e-4, 1e-4), wheel=1e-5))
+    spec = replace(
+        spec, geometry=geometry, mass=Mass(connectors=(1e-4, 1e-4), wheel=1e-5)
+    )
     bends, free = [], []
     plants = compliant(spec), AnalyticalSnake(spec)
     for k in range(20):
@@ -380,12 +475,22 @@ def test_free_module_follows_the_free_bend():
 def test_state_fields_and_description_are_consistent():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
     plant, states = compliant(spec, friction="wheel", tick=0.001), []
-    rollout(plant, Gait(2.0, 0.3), 0.8, record_hz=1000, observers=[states.append], pose=(0.3, -0.1, 1.0))
+    rollout(
+        plant,
+        Gait(2.0, 0.3),
+        0.8,
+        record_hz=1000,
+        observers=[states.append],
+        pose=(0.3, -0.1, 1.0),
+    )
     position, theta, bend, com = (
-        np.array([getattr(s, name) for s in states]) for name in ("position", "theta", "bend", "com")
+        np.array([getattr(s, name) for s in states])
+        for name in ("position", "theta", "bend", "com")
     )
     assert com[0] == pytest.approx([0.3, -0.1]) and states[0].heading == 1.0
-    assert np.einsum("i,tij->tj", MASSES, position) / MASSES.sum() == pytest.approx(com, abs=1e-12)
+    assert np.einsum("i,tij->tj", MASSES, position) / MASSES.sum() == pytest.approx(
+        com, abs=1e-12
+    )
     assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
     for values, rate in ((com, "com_velocity"), (bend, "bend_rate")):
         rates = np.array([getattr(s, rate) for s in states])
@@ -396,9 +501,9 @@ def test_state_fields_and_description_are_consistent():
     impulse = np.cumsum((force[1:] + force[:-1]) / 2, axis=0) * 0.001
     assert np.abs(momentum[1:] - impulse).max() < 0.05 * np.abs(momentum).max()
     assert plant.name == "analytical"
-    assert plant.describe() == AnalyticalSnake(spec, friction="wheel", tick=0.001).describe() | {
-        "model": "compliant"
-    }
+    assert plant.describe() == AnalyticalSnake(
+        spec, friction="wheel", tick=0.001
+    ).describe() | {"model": "compliant"}
     again = plant.reset()
     assert not again.bend.any() and not again.com.any()
     still = plant.step(vented(spec))

@@ -94,17 +94,27 @@ ORIFICE = {
 }
 CASES: dict[str, tuple[Callable[[], Plant], dict[str, Spoil]]] = {
     "complete": (partial(AnalyticalSnake, SPEC), BODY | LAG),
-    "complete, orifice": (partial(AnalyticalSnake, SPEC, pneumatics="orifice"), BODY | ORIFICE),
+    "complete, orifice": (
+        partial(AnalyticalSnake, SPEC, pneumatics="orifice"),
+        BODY | ORIFICE,
+    ),
     "simplified": (partial(AnalyticalSnake, SPEC, model="simplified"), BODY | LAG),
-    "compliant": (partial(AnalyticalSnake, SPEC, model="compliant"), BODY | YIELDING | LAG),
+    "compliant": (
+        partial(AnalyticalSnake, SPEC, model="compliant"),
+        BODY | YIELDING | LAG,
+    ),
     "compliant, orifice": (
-        partial(AnalyticalSnake, SPEC, model="compliant", pneumatics="orifice"), BODY | YIELDING | ORIFICE
+        partial(AnalyticalSnake, SPEC, model="compliant", pneumatics="orifice"),
+        BODY | YIELDING | ORIFICE,
     ),
     "twin": (partial(TwinSnake, SPEC, contact="preloaded"), TWIN | LAG),
-    "twin on skids": (partial(TwinSnake, SPEC, contact=PreloadedContact("skid")), TWIN | LAG),
+    "twin on skids": (
+        partial(TwinSnake, SPEC, contact=PreloadedContact("skid")),
+        TWIN | LAG,
+    ),
     "twin on its loads": (partial(TwinSnake, SPEC, contact="loaded"), TWIN | LAG),
     "twin, orifice": (partial(TwinSnake, SPEC, pneumatics="orifice"), TWIN | ORIFICE),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(autouse=True)
@@ -140,7 +150,11 @@ def assert_kept(error: DivergedError, until: float) -> None:
 @pytest.mark.parametrize(
     "case",
     [
-        name if name in ("complete", "twin, orifice") else pytest.param(name, marks=pytest.mark.slow)
+        (
+            name
+            if name in ("complete", "twin, orifice")
+            else pytest.param(name, marks=pytest.mark.slow)
+        )
         for name in CASES
     ],
 )
@@ -190,7 +204,9 @@ def test_samples_before_divergence_are_kept_at_any_rate(record_hz):
     spoiling = at(0.2, partial(BODY["X"], plant, 1e15))
     with pytest.raises(DivergedError) as caught:
         rollout(plant, Gait(2.0), 0.4, record_hz=record_hz, observers=[spoiling])
-    assert caught.value.trajectory.time == pytest.approx(np.arange(0.2 * record_hz + 1) / record_hz)
+    assert caught.value.trajectory.time == pytest.approx(
+        np.arange(0.2 * record_hz + 1) / record_hz
+    )
 
 
 class Runaway(Controller):
@@ -228,8 +244,10 @@ def test_diverged_controller_is_named_with_the_time(build, value):
     for valves in (wild, np.stack([vented(SPEC), wild]), wild.tolist()):
         with pytest.raises(DivergedError) as caught:
             rollout(build(SPEC), Runaway(valves), 0.3)
-        assert str(caught.value) == (
-            f"controller 'runaway' diverged at t = {AT} s: it commands the valve state {value:g}"
+        assert (
+            str(caught.value)
+            == f"controller 'runaway' diverged at t = {AT} s: it commands the valve"
+            f" state {value:g}"
         )
         assert_kept(caught.value, AT)
 
@@ -243,7 +261,9 @@ def test_integer_commands_can_diverge():
 def test_diverged_script_is_reported_in_its_chunk(build):
     plant = build(SPEC)
     plant.max_chunk_s = TICK
-    with pytest.raises(DivergedError, match=rf"controller 'runaway' diverged at t = {AT} s") as caught:
+    with pytest.raises(
+        DivergedError, match=rf"controller 'runaway' diverged at t = {AT} s"
+    ) as caught:
         rollout(plant, Runaway(with_one(np.nan), scripted=True), 0.3)
     assert_kept(caught.value, AT)
 
@@ -290,7 +310,9 @@ def test_diverged_twin_ends_alone_in_its_batch(spoil):
         assert isinstance(error, DivergedError) and error.time <= AT + TICK + 1e-9
         assert_kept(error, AT)
         for run, before in ((first, sound[0]), (last, sound[2])):
-            assert all(np.array_equal(run[name], before[name]) for name in before.columns)
+            assert all(
+                np.array_equal(run[name], before[name]) for name in before.columns
+            )
 
 
 @pytest.mark.parametrize("value", WILD)
@@ -298,13 +320,20 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
     batch = TwinBatch([SPEC, SPEC], threads=1)
 
     def policy(state: SnakeState) -> np.ndarray:
-        wild = with_one(value) if state.time.max() > AT - 1e-9 else vented(SPEC).astype(float)
+        wild = (
+            with_one(value)
+            if state.time.max() > AT - 1e-9
+            else vented(SPEC).astype(float)
+        )
         return np.stack([vented(SPEC).astype(float), wild])
 
     first, error = run_batch(batch, policy, 0.2)
     assert isinstance(first, Trajectory) and len(first) == 21
     assert isinstance(error, DivergedError)
-    assert str(error) == f"policy diverged at t = {AT} s: it commands the valve state {value:g}"
+    assert (
+        str(error)
+        == f"policy diverged at t = {AT} s: it commands the valve state {value:g}"
+    )
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
 
 
@@ -331,7 +360,9 @@ def test_history_ends_before_its_first_implausible_sample():
     history = SnakeState.history([plant.step(vented(SPEC)) for _ in range(4)])
     assert check_plausible("analytical", history) is history
     history.com[2, 1] = -np.inf
-    with pytest.raises(DivergedError, match=r"^analytical diverged at t = 0.06 s: com is -inf") as caught:
+    with pytest.raises(
+        DivergedError, match=r"^analytical diverged at t = 0.06 s: com is -inf"
+    ) as caught:
         check_plausible("analytical", history)
     assert caught.value.history.time == pytest.approx([0.02, 0.04])
 
@@ -361,11 +392,19 @@ def test_diverged_scenario_exits_with_3_and_keeps_its_last_state(tmp_path, srs_t
     done = srs_twin("run", "--quiet", "burst.yaml", cwd=tmp_path)
     assert done.returncode == 3, done.stderr
     assert "burst: twin diverged at t = 0.1" in done.stderr
-    assert done.stderr.rstrip().endswith("the trajectory up to that time is in runs/burst/twin.parquet")
+    assert done.stderr.rstrip().endswith(
+        "the trajectory up to that time is in runs/burst/twin.parquet"
+    )
     assert "Traceback" not in done.stderr and done.stdout == ""
     folder = tmp_path / "runs/burst"
-    assert sorted(os.listdir(folder)) == ["analytical.parquet", "scenario.resolved.yaml", "twin.parquet"]
+    assert sorted(os.listdir(folder)) == [
+        "analytical.parquet",
+        "scenario.resolved.yaml",
+        "twin.parquet",
+    ]
     kept = Trajectory.from_parquet(Path(folder / "twin.parquet"))
     assert 0.0 < kept.time[-1] < 0.2
     assert all(np.isfinite(column).all() for column in kept.columns.values())
-    assert Trajectory.from_parquet(folder / "analytical.parquet").time[-1] == pytest.approx(0.4)
+    assert Trajectory.from_parquet(folder / "analytical.parquet").time[
+        -1
+    ] == pytest.approx(0.4)

@@ -38,7 +38,9 @@ def slow_but(quick, cases):
 ALL = pytest.mark.parametrize("options", slow_but(("complete",), MODELS))
 
 
-def driven(plant: AnalyticalSnake | TwinSnake, duration: float, hz: float) -> SnakeState:
+def driven(
+    plant: AnalyticalSnake | TwinSnake, duration: float, hz: float
+) -> SnakeState:
     """Return the motion of a plant in a turn at 2 Hz, from rest."""
     plant.reset()
     gait = Gait(2.0, 0.2)
@@ -46,7 +48,9 @@ def driven(plant: AnalyticalSnake | TwinSnake, duration: float, hz: float) -> Sn
     return plant.play(gait.script(duration), round(duration * hz))
 
 
-def free_rates(plant: AnalyticalSnake | TwinSnake, h: SnakeState, offset: float = 0.2) -> np.ndarray:
+def free_rates(
+    plant: AnalyticalSnake | TwinSnake, h: SnakeState, offset: float = 0.2
+) -> np.ndarray:
     """Return the rates of the free bends in a motion of `driven`, shape (samples, segments), rad/s."""
     return free_bends(plant, Gait(2.0, offset), h.time).bend_rate
 
@@ -71,15 +75,24 @@ def test_work_is_the_integral_of_the_torque_power(options, law, mu):
 
     def missed(step: float) -> float:
         plant = AnalyticalSnake(
-            spec, friction=law, timestep=step, slip_speed=0.01, pneumatics=Wave(spec, bias=0.1), **options
+            spec,
+            friction=law,
+            timestep=step,
+            slip_speed=0.01,
+            pneumatics=Wave(spec, bias=0.1),
+            **options,
         )
         h = driven(plant, 1.0, 1 / step)
-        added = cumulative_simpson(np.append(0, power(plant, h)), dx=step, initial=0)[1:]
+        added = cumulative_simpson(np.append(0, power(plant, h)), dx=step, initial=0)[
+            1:
+        ]
         return np.abs(h.work - added).max() / h.work[-1]
 
     coarse, fine = missed(5e-4), missed(2.5e-4)
     assert fine < 2e-6
-    assert np.log2(coarse / fine) == pytest.approx(2, abs=0.6)  # kinks of the laws scatter it
+    assert np.log2(coarse / fine) == pytest.approx(
+        2, abs=0.6
+    )  # kinks of the laws scatter it
 
 
 def kinetic(h: SnakeState, spec: RobotSpec, step: float) -> np.ndarray:
@@ -96,16 +109,25 @@ def stored(plant: AnalyticalSnake, h: SnakeState) -> np.ndarray:
 
 @pytest.mark.parametrize(
     "law",
-    [pytest.param("axis", marks=pytest.mark.slow), "wheel", pytest.param("ellipse", marks=pytest.mark.slow)],
+    [
+        pytest.param("axis", marks=pytest.mark.slow),
+        "wheel",
+        pytest.param("ellipse", marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"])
+@pytest.mark.parametrize(
+    "options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"]
+)
 def test_friction_only_dissipates(options, law):
     """Work minus kinetic energy never decreases."""
     spec, step = robot(), 2e-4
-    plant = AnalyticalSnake(spec, friction=law, timestep=step, supply_pa=SUPPLY, **options)
+    plant = AnalyticalSnake(
+        spec, friction=law, timestep=step, supply_pa=SUPPLY, **options
+    )
     h = driven(plant, 1.0, 1 / step)
     taken = h.work - kinetic(h, spec, step) - stored(plant, h)
-    # Differences of places do not see where a valve's switch puts a kink into the velocities.
+    # Differences of places do not see where a valve's switch puts a kink into the
+    # velocities.
     keep = np.ones(len(taken), dtype=bool)
     switches = np.flatnonzero((h.valves[1:] != h.valves[:-1]).any(axis=(1, 2)))
     for k in [0, len(taken), *switches]:
@@ -116,7 +138,13 @@ def test_friction_only_dissipates(options, law):
 
 @pytest.mark.parametrize(
     "name",
-    ["complete", *(pytest.param(name, marks=pytest.mark.slow) for name in ("simplified", "compliant"))],
+    [
+        "complete",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("simplified", "compliant")
+        ),
+    ],
 )
 def test_mean_gait_power_equals_friction_power(name):
     """Over whole periods, the metric is the power of the floor forces plus that of the dampers."""
@@ -125,12 +153,17 @@ def test_mean_gait_power_equals_friction_power(name):
     h, step = driven(plant, 4.0, 2000), 5e-4
     velocity = np.gradient(h.position, step, axis=0)
     deviation = h.bend_rate - free_rates(plant, h)
-    power = plant.spec.bending.damping * (deviation**2).sum(axis=1) * (name == "compliant")
+    power = (
+        plant.spec.bending.damping * (deviation**2).sum(axis=1) * (name == "compliant")
+    )
     taken = (power - (h.contact_force * velocity).sum(axis=(1, 2)))[h.time > 1.0].mean()
     assert metrics["mechanical_power_w"] == pytest.approx(taken, rel=0.005)
     weight, speed = plant.spec.mass.total * 9.81, metrics["com_speed_m_s"]
-    assert metrics["cost_of_transport"] == pytest.approx(taken / (weight * speed), rel=0.005)
-    # Every connector travels at least as far as the snake, against at least the drag of its wheels.
+    assert metrics["cost_of_transport"] == pytest.approx(
+        taken / (weight * speed), rel=0.005
+    )
+    # Every connector travels at least as far as the snake, against at least the drag of
+    # its wheels.
     assert metrics["cost_of_transport"] > plant.spec.friction.mu_t
 
 
@@ -138,12 +171,21 @@ def test_yaw_power_counts_without_friction_torque():
     """The omitted moment does no work: it neither rotates the body nor dissipates."""
     spec, step = robot(), 2e-4
     plant = AnalyticalSnake(
-        spec, timestep=step, slip_speed=0.01, pneumatics=Wave(spec, bias=0.1), **MODELS["no torque"]
+        spec,
+        timestep=step,
+        slip_speed=0.01,
+        pneumatics=Wave(spec, bias=0.1),
+        **MODELS["no torque"],
     )
     h = driven(plant, 1.0, 1 / step)
-    velocity, yaw_rate = np.gradient(h.position, step, axis=0), np.gradient(h.heading, step)
+    velocity, yaw_rate = (
+        np.gradient(h.position, step, axis=0),
+        np.gradient(h.heading, step),
+    )
     arm = h.position - h.com[:, None]
-    moment = (arm[..., 0] * h.contact_force[..., 1] - arm[..., 1] * h.contact_force[..., 0]).sum(axis=1)
+    moment = (
+        arm[..., 0] * h.contact_force[..., 1] - arm[..., 1] * h.contact_force[..., 0]
+    ).sum(axis=1)
     floor_power = (h.contact_force * velocity).sum(axis=(1, 2)) - moment * yaw_rate
     change = np.gradient(kinetic(h, spec, step), step)
     inside = slice(5, -5)
@@ -163,7 +205,8 @@ def in_springs_and_dampers(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return energy stored (J) and power dissipated (W) in the two hinges of each segment.
 
-    Hinges of stiffness 2k and damping 2c deviate from their shares q_f/2 of the free bends.
+    Hinges of stiffness 2k and damping 2c deviate from their shares q_f/2 of the free
+    bends.
     """
     model, law = plant.physics.model, plant.spec.bending
     rates = free_rates(plant, h)
@@ -196,13 +239,16 @@ def test_twin_work_is_the_integral_of_torque_times_bend_rate(contact, offset):
     begin = round(0.5 / step)
     expected = recorded_work(plant, h, offset)[begin:]
     recorded, expected = h.work[begin:] - h.work[begin], expected - expected[0]
-    assert recorded[-1] == pytest.approx(expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact])
+    assert recorded[-1] == pytest.approx(
+        expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact]
+    )
 
 
 def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
     """Return ∫ Σ T dq_f, the energy of body and springs, and the internal loss, J.
 
-    All follow from recorded columns; differences of the positions at the ends of steps are the velocities.
+    All follow from recorded columns; differences of the positions at the ends of steps
+    are the velocities.
     """
     step = plant.timestep
     h = driven(plant, duration, 1 / step)
@@ -227,7 +273,9 @@ def test_energy_of_a_clamped_twin_is_conserved():
     spec = robot()
 
     def missed(step: float) -> float:
-        work, kept, lost = conserved(TwinSnake(spec, timestep=step, supply_pa=SUPPLY, base="clamped"), 0.2)
+        work, kept, lost = conserved(
+            TwinSnake(spec, timestep=step, supply_pa=SUPPLY, base="clamped"), 0.2
+        )
         assert lost > 0.02 * work
         return (kept + lost) / work - 1
 
@@ -243,9 +291,12 @@ def test_energy_of_a_twin_on_the_floor_is_conserved(contact):
     h = driven(plant, 1.0, 1 / plant.timestep)
     velocity = np.gradient(h.position, plant.timestep, axis=0)
     friction = -plant.timestep * (h.contact_force * velocity).sum()
-    # Recorded forces are sums over a connector's wheels, without the moment that brakes its turning.
+    # Recorded forces are sums over a connector's wheels, without the moment that brakes
+    # its turning.
     assert kept + lost + friction == pytest.approx(work, rel=0.03)
-    assert h.internal_loss[-1] == pytest.approx(lost, rel=0.02)  # pitch and roll hardly move
+    assert h.internal_loss[-1] == pytest.approx(
+        lost, rel=0.02
+    )  # pitch and roll hardly move
     assert lost > 0.03 * work
 
 
@@ -256,16 +307,18 @@ def test_batch_work_equals_that_of_single_twins():
     script = gait.script(0.2)
     alone = twin.play(script, samples)
     (batched,) = TwinBatch([spec], supply_pa=SUPPLY).play([script], samples)
-    assert (batched.work == alone.work).all() and (batched.internal_loss == alone.internal_loss).all()
+    assert (batched.work == alone.work).all() and (
+        batched.internal_loss == alone.internal_loss
+    ).all()
 
 
 def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     """Step a twin's model with `mj_step`; return stored and dissipated energy at each step, J.
 
-    Stored are the kinetic energy and the energy of the relative motion of hinges; dissipated is the
-    friction of floor, axles and relative motion. Normal forces are not counted: wheels bouncing on the
-    floor gain energy from the finite time step (6 % of the friction at 1 ms, 1.4 % at 0.25 ms), which no
-    torque delivers.
+    Stored are the kinetic energy and the energy of the relative motion of hinges;
+    dissipated is the friction of floor, axles and relative motion. Normal forces are
+    not counted: wheels bouncing on the floor gain energy from the finite time step (6 %
+    of the friction at 1 ms, 1.4 % at 0.25 ms), which no torque delivers.
     """
     gait, chambers = Gait(2.0, 0.2), copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)
@@ -274,12 +327,20 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     trace = chambers.advance(gait.script(duration), np.append(times, duration))
     controls = plant.physics.controls(trace)[:-1]
     plant.reset()
-    model, data, kind = plant.physics.model, plant.physics.data, mujoco.mjtState.mjSTATE_INTEGRATION
+    model, data, kind = (
+        plant.physics.model,
+        plant.physics.data,
+        mujoco.mjtState.mjSTATE_INTEGRATION,
+    )
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, kind)
-    energy, taken, inertia = np.empty(len(times)), np.empty(len(times)), np.empty((model.nv, model.nv))
+    energy, taken, inertia = (
+        np.empty(len(times)),
+        np.empty(len(times)),
+        np.empty((model.nv, model.nv)),
+    )
     for k, row in enumerate(controls):
         data.ctrl[: len(row)] = row
         mujoco.mj_step(model, data)
@@ -288,24 +349,31 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
         mujoco.mj_mulJacVec(model, data, speed, data.qvel)
         normal = data.contact.efc_address
         friction = data.efc_force @ speed - data.efc_force[normal] @ speed[normal]
-        taken[k] = plant.timestep * (inside.dissipated(data.qvel, trace.bend_rate[k + 1]) - friction)
+        taken[k] = plant.timestep * (
+            inside.dissipated(data.qvel, trace.bend_rate[k + 1]) - friction
+        )
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_crb(model, data)
         mujoco.mj_fullM(model, data, inertia)
-        energy[k] = data.qvel @ inertia @ data.qvel / 2 + inside.stored(data.qpos, trace.bend[k + 1])
+        energy[k] = data.qvel @ inertia @ data.qvel / 2 + inside.stored(
+            data.qpos, trace.bend[k + 1]
+        )
     return energy, np.cumsum(taken)
 
 
-@pytest.mark.parametrize(("stiffness", "timestep"), [(None, 0.001), (None, 0.0005), (20.0, 0.001)])
+@pytest.mark.parametrize(
+    ("stiffness", "timestep"), [(None, 0.001), (None, 0.0005), (20.0, 0.001)]
+)
 def test_twin_work_equals_the_power_of_constraint_forces(stiffness, timestep):
     """Compare foot velocities times floor forces with qfrc_constraint · qvel; they share the engine only."""
     spec = robot(stiffness=stiffness)
     plant = TwinSnake(spec, contact="preloaded", timestep=timestep, supply_pa=SUPPLY)
     energy, taken = bare(plant, 1.5)
     work = driven(plant, 1.5, 1 / timestep).work
-    # After the preload has pressed the wheels into the floor, which is no work of the segments. Recorded work
-    # contains the kinetic energy at the beginning of the last step.
+    # After the preload has pressed the wheels into the floor, which is no work of the
+    # segments. Recorded work contains the kinetic energy at the beginning of the last
+    # step.
     begin = round(0.25 / timestep)
     change, expected = work[1 + begin :], (energy + taken)[begin:-1]
     change, expected = change - change[0], expected - expected[0]
@@ -327,7 +395,9 @@ def test_twin_power_equals_that_of_the_compliant_model():
     stiff, inside = powers(TwinSnake(robot(stiffness=20.0), supply_pa=SUPPLY))
     shipped, _ = powers(TwinSnake(robot(), supply_pa=SUPPLY))
     complete, _ = powers(AnalyticalSnake(robot(), **options))
-    compliant, _ = powers(AnalyticalSnake(robot(), model="compliant", inertia="connector", **options))
+    compliant, _ = powers(
+        AnalyticalSnake(robot(), model="compliant", inertia="connector", **options)
+    )
     # The material of stiff segments dissipates, too: c grows with k.
     assert stiff - inside == pytest.approx(complete, rel=0.05)
     assert shipped == pytest.approx(compliant, rel=0.05)
@@ -341,7 +411,9 @@ def test_twin_torques_are_consistent_with_its_work(drag):
     spec = replace(spec, friction=replace(spec.friction, drag=drag))
 
     def ratio(timestep: float) -> float:
-        plant = TwinSnake(spec, timestep=timestep, pneumatics=Wave(spec, bias=0.1, rise=0.4))
+        plant = TwinSnake(
+            spec, timestep=timestep, pneumatics=Wave(spec, bias=0.1, rise=0.4)
+        )
         h = driven(plant, 1.5, 1 / timestep)
         begin = h.time > 0.25
         return timestep * power(plant, h)[begin].sum() / (h.work[-1] - h.work[begin][0])

@@ -38,7 +38,12 @@ def changed(base: str, **sections: dict[str, object]) -> RobotFile:
     for section, numbers in sections.items():
         units = section_units(section)
         records = {
-            key: {"value": value, "unit": units[key], "status": "estimated", "source": "test"}
+            key: {
+                "value": value,
+                "unit": units[key],
+                "status": "estimated",
+                "source": "test",
+            }
             for key, value in numbers.items()
         }
         data[section] = (data[section] or {}) | records
@@ -47,7 +52,9 @@ def changed(base: str, **sections: dict[str, object]) -> RobotFile:
 
 def save(path: Path, robot: RobotFile) -> None:
     """Write a robot file; the name of the robot becomes the stem of the path."""
-    path.write_text(dump_yaml(robot.model_dump(exclude_none=True) | {"name": path.stem}), "utf-8")
+    path.write_text(
+        dump_yaml(robot.model_dump(exclude_none=True) | {"name": path.stem}), "utf-8"
+    )
 
 
 def exported(tmp_path, robot: RobotFile, scene: str = SCENE) -> mujoco.MjModel:
@@ -77,13 +84,16 @@ def distance(model: mujoco.MjModel, data: mujoco.MjData) -> float:
     return float(np.linalg.norm(data.subtree_com[1] - home.subtree_com[1]))
 
 
-def driven(model: mujoco.MjModel, controls: np.ndarray, pose: np.ndarray | None = None) -> mujoco.MjData:
+def driven(
+    model: mujoco.MjModel, controls: np.ndarray, pose: np.ndarray | None = None
+) -> mujoco.MjData:
     """Return the state of a model after it has followed chamber controls, one row per time step.
 
     Args:
         model: the model.
         controls: chamber controls of each step, Pa.
-        pose: initial position and quaternion of its root, shape (7,); None for those of `home`.
+        pose: initial position and quaternion of its root, shape (7,); None for those of
+            `home`.
     """
     data = at_home(model)
     if pose is not None:
@@ -116,11 +126,23 @@ LAG = {"bending": {"damping_time_s": 0.008}}
         (changed("gen4", bending={"damping_time_s": 0.0015}), 51.0, 1e-3),
     ],
     ids=[
-        "gen1", "gen2", "gen3", "gen4", "gen4-131", "bias", "drag", "dead-zone", "limit", "both", "damped",
+        "gen1",
+        "gen2",
+        "gen3",
+        "gen4",
+        "gen4-131",
+        "bias",
+        "drag",
+        "dead-zone",
+        "limit",
+        "both",
+        "damped",
         "less damped",
     ],
-)  # fmt: skip
-def test_exported_model_follows_the_preloaded_twin(tmp_path, robot, supply_kpa, largest):
+)
+def test_exported_model_follows_the_preloaded_twin(
+    tmp_path, robot, supply_kpa, largest
+):
     """Nominal models agree to rounding, although the file knows neither the valves nor the package."""
     spec = robot.spec()
     twin = TwinSnake(spec, contact="preloaded", supply_pa=1e3 * supply_kpa)
@@ -135,7 +157,9 @@ def test_exported_model_follows_the_preloaded_twin(tmp_path, robot, supply_kpa, 
         controls = np.hstack([controls, constant, mean])
     data = driven(model, controls, pose=qpos[0, :7])
     assert np.abs(qpos[-1, 7:]).max() > 0.1
-    joints = [j for j in range(model.njnt) if not model.joint(j).name.startswith("axle")]
+    joints = [
+        j for j in range(model.njnt) if not model.joint(j).name.startswith("axle")
+    ]
     places = model.jnt_qposadr[joints[1:]]
     assert data.qpos[places] == pytest.approx(qpos[-1, places], abs=largest)
     assert data.qpos[:3] == pytest.approx(qpos[-1, :3], abs=largest)
@@ -153,11 +177,17 @@ def test_shipped_model_gets_the_supply_of_every_shipped_scenario(root):
     ]
     for name in shipped_names("sweep"):
         swept = load_sweep(name)
-        pressures = (point.changes.get("supply.pressure_kpa", 0.0) for point in swept.points)
+        pressures = (
+            point.changes.get("supply.pressure_kpa", 0.0) for point in swept.points
+        )
         robot = swept.experiment.base["robot"]["name"]
         supplies += [(robot, 1e3 * pressure) for pressure in pressures]
     assert {robot for robot, _ in supplies} >= set(limits)
-    assert [(robot, supply) for robot, supply in supplies if supply > limits.get(robot, math.inf)] == []
+    assert [
+        (robot, supply)
+        for robot, supply in supplies
+        if supply > limits.get(robot, math.inf)
+    ] == []
 
 
 def complete_robot() -> RobotFile:
@@ -170,12 +200,19 @@ def complete_robot() -> RobotFile:
         friction={"drag_n": 0.05},
         actuator=DEAD_ZONE | BEND_LIMIT | {"onset_share": 0.5},
         modules={
-            "gain": rows, "tau_fill": rows, "tau_vent": rows,
-            "bias_rad": [0.1] * 2, "sensor_gain": [1.1] * 2, "sensor_bias_rad": [0.1] * 2,
-            "gain_spread": 0.1, "tau_spread": 0.1, "bias_spread_rad": 0.1,
-            "sensor_gain_spread": 0.1, "sensor_bias_spread_rad": 0.1,
+            "gain": rows,
+            "tau_fill": rows,
+            "tau_vent": rows,
+            "bias_rad": [0.1] * 2,
+            "sensor_gain": [1.1] * 2,
+            "sensor_bias_rad": [0.1] * 2,
+            "gain_spread": 0.1,
+            "tau_spread": 0.1,
+            "bias_spread_rad": 0.1,
+            "sensor_gain_spread": 0.1,
+            "sensor_bias_spread_rad": 0.1,
         },
-    )  # fmt: skip
+    )
     return robot
 
 
@@ -186,7 +223,11 @@ def larger(value):
     return value + 1 if isinstance(value, int) else 1.001 * value + 1e-6
 
 
-NOT_OF_THE_BODY = {"supply.nominal_kpa", "supply.continuous_limit_kpa", "gait.phase_step_rad"}
+NOT_OF_THE_BODY = {
+    "supply.nominal_kpa",
+    "supply.continuous_limit_kpa",
+    "gait.phase_step_rad",
+}
 """Numbers for valves and gaits; of two limits, the files have the larger one."""
 
 FREE_BEND_ONLY = {"actuator.tau_mode_s"}
@@ -204,9 +245,15 @@ def test_every_number_reaches_the_files_or_is_named_as_missing():
             continue
         data = robot.model_dump()
         data[section][key]["value"] = larger(record.value)
-        reached = robot_files(RobotFile.model_validate(data).spec(), linear=True) != before
+        reached = (
+            robot_files(RobotFile.model_validate(data).spec(), linear=True) != before
+        )
         left_out = "is left out" in lines.get(path, "")
-        if not reached and not left_out and path not in NOT_OF_THE_BODY | FREE_BEND_ONLY:
+        if (
+            not reached
+            and not left_out
+            and path not in NOT_OF_THE_BODY | FREE_BEND_ONLY
+        ):
             silent.append(path)
         if reached and left_out:
             untrue.append(path)
@@ -215,15 +262,28 @@ def test_every_number_reaches_the_files_or_is_named_as_missing():
 
 def test_lines_state_the_field_the_value_and_the_consequence(tmp_path, srs_twin):
     sensors = {"sensor_gain": [1.0, 1.1, 1.0, 1.0]}
-    save(tmp_path / "limited.yaml", changed("gen4", actuator=BEND_LIMIT, modules=sensors))
+    save(
+        tmp_path / "limited.yaml", changed("gen4", actuator=BEND_LIMIT, modules=sensors)
+    )
     done = srs_twin("models", "export", "limited.yaml", "--out", "here", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, "here/limited/scene.xml\n"), done.stderr
+    assert (done.returncode, done.stdout) == (
+        0,
+        "here/limited/scene.xml\n",
+    ), done.stderr
     assert {
-        "limited: actuator.bend_limit_rad = 1.571 rad is approximate, bends near it are up to 19 % too "
-        "large: convert pressures with equivalent_linear_pressure (models/README.md)",
-        "limited: modules.sensor_gain = [1.0, 1.1, 1.0, 1.0] is left out: the lengths of the tendons are the "
-        "exact bends",
-        "limited: friction.mu_n = 0.57 is approximate: it acts on the static loads, and no wheel lifts",
+        (
+            "limited: actuator.bend_limit_rad = 1.571 rad is approximate, bends near it"
+            " are up to 19 % too large: convert pressures with"
+            " equivalent_linear_pressure (models/README.md)"
+        ),
+        (
+            "limited: modules.sensor_gain = [1.0, 1.1, 1.0, 1.0] is left out: the"
+            " lengths of the tendons are the exact bends"
+        ),
+        (
+            "limited: friction.mu_n = 0.57 is approximate: it acts on the static loads,"
+            " and no wheel lifts"
+        ),
     } <= set(done.stderr.splitlines())
 
 
@@ -232,17 +292,32 @@ def test_dead_zone_is_refused_before_anything_is_written(tmp_path, srs_twin):
     words = "models", "export", "gen2", "stiff.yaml", "--out", "here"
     done = srs_twin(*words, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "stiff has a dead zone (actuator.onset_share 1, onset_rad 0.3 rad)" in done.stderr
-    assert "--linear exports it for controls that you convert (models/README.md)" in done.stderr
+    assert (
+        "stiff has a dead zone (actuator.onset_share 1, onset_rad 0.3 rad)"
+        in done.stderr
+    )
+    assert (
+        "--linear exports it for controls that you convert (models/README.md)"
+        in done.stderr
+    )
     assert not (tmp_path / "here").exists()
     done = srs_twin(*words, "--linear", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "stiff: actuator.onset_rad = 0.3 rad is left out: convert pressures with" in done.stderr
+    assert (
+        "stiff: actuator.onset_rad = 0.3 rad is left out: convert pressures with"
+        in done.stderr
+    )
 
 
 def test_pressure_option_raises_the_limit_of_the_controls(tmp_path, srs_twin):
-    for option, limit in ((), 68.94757), (("--pressure", "10"), 68.94757), (("--pressure", "77"), 77.0):
-        done = srs_twin("models", "export", "gen2", *option, "--out", "here", cwd=tmp_path)
+    for option, limit in (
+        ((), 68.94757),
+        (("--pressure", "10"), 68.94757),
+        (("--pressure", "77"), 77.0),
+    ):
+        done = srs_twin(
+            "models", "export", "gen2", *option, "--out", "here", cwd=tmp_path
+        )
         assert done.returncode == 0, done.stderr
         model = mujoco.MjModel.from_xml_path(str(tmp_path / "here/gen2/scene.xml"))
         assert model.actuator("plus_1").ctrlrange == pytest.approx([0.0, 1e3 * limit])
@@ -295,7 +370,11 @@ def test_tail_on_two_axles_is_refused():
         robot_files(changed("gen2", tail=tail).spec())
 
 
-DM_CONTROL = [block.text for block in Page(ROOT / "models/README.md").blocks if block.language == "py"]
+DM_CONTROL = [
+    block.text
+    for block in Page(ROOT / "models/README.md").blocks
+    if block.language == "py"
+]
 
 
 @pytest.mark.parametrize("block", DM_CONTROL, ids=["arena", "attached"])
@@ -308,7 +387,9 @@ def test_dm_control_lines_of_the_readme_move_as_the_scene(root, monkeypatch, blo
     exec(block, found)
     model = found["physics"].model.ptr
     scene = mujoco.MjModel.from_xml_path(f"models/gen2/{SCENE}")
-    pressure = step_pressures(TwinSnake(load_robot("gen2"), contact="preloaded"), 2.0, 1.0)
+    pressure = step_pressures(
+        TwinSnake(load_robot("gen2"), contact="preloaded"), 2.0, 1.0
+    )
     expected = driven(scene, pressure).ten_length
     data = mujoco.MjData(model)
     for row in pressure.reshape(len(pressure), -1):

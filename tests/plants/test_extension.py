@@ -15,7 +15,10 @@ SUPPLY, EXTENSION = 20e3, 2.5e-7
 
 def long_robot(connectors=4):
     spec = load_robot("spatial_example")
-    mass = replace(spec.mass, connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:])
+    mass = replace(
+        spec.mass,
+        connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:],
+    )
     mass = replace(mass, segments=spec.mass.segments[: connectors - 1])
     actuator = replace(spec.actuator, extension=EXTENSION)
     geometry = replace(spec.geometry, connectors=connectors)
@@ -41,9 +44,13 @@ def test_all_chambers_lengthen_the_segments_with_their_pressure():
         state = twin.step(full)
         if tick in (5, 25):
             t = 0.02 * tick
-            share = 1 - (tau1 * np.exp(-t / tau1) - tau2 * np.exp(-t / tau2)) / (tau1 - tau2)
+            share = 1 - (tau1 * np.exp(-t / tau1) - tau2 * np.exp(-t / tau2)) / (
+                tau1 - tau2
+            )
             expected = spec.geometry.pitch + share * EXTENSION * SUPPLY
-            assert lengths(state) == pytest.approx(np.full(3, expected), abs=friction_error(spec) + 2e-5)
+            assert lengths(state) == pytest.approx(
+                np.full(3, expected), abs=friction_error(spec) + 2e-5
+            )
     assert np.abs(state.bend).max() < 0.02
 
 
@@ -69,17 +76,24 @@ def test_a_robot_without_extension_has_the_same_model():
     plain = TwinSnake(replace(spec, actuator=replace(spec.actuator, extension=0.0)))
     longer = TwinSnake(spec)
     assert longer.physics.model.nv == plain.physics.model.nv + spec.segments
-    joints = [plain.physics.model.joint(j).name for j in range(plain.physics.model.njnt)]
+    joints = [
+        plain.physics.model.joint(j).name for j in range(plain.physics.model.njnt)
+    ]
     assert not any("stretch" in name for name in joints)
 
 
 def test_planar_robots_and_single_hinges_are_refused():
     extension = {"robot.actuator.extension_m_per_kpa": 1e-4}
-    with pytest.raises(InputFileError, match="segments of a planar robot keep their length"):
+    with pytest.raises(
+        InputFileError, match="segments of a planar robot keep their length"
+    ):
         load_scenario("gen2_straight", set=extension)
     spec = load_scenario("spatial_sidewinding", set=extension).robot
     assert spec.actuator.extension == pytest.approx(1e-7)
-    with pytest.raises(InputError, match="hinges_per_segment: 1 is not allowed for segments that lengthen"):
+    with pytest.raises(
+        InputError,
+        match="hinges_per_segment: 1 is not allowed for segments that lengthen",
+    ):
         TwinSnake(spec, hinges_per_segment=1)
     planar = load_robot("skin_example")
     with pytest.raises(InputError, match="segments of planar ones keep their length"):

@@ -24,9 +24,10 @@ def by_rows(
 ) -> np.ndarray:
     """Return the moments of the segments from d'Alembert's principle with a dense Jacobian.
 
-    The rows r give the velocities of the connectors along, across and about themselves for the velocities
-    u, W are their masses and inertias. The acceleration w of the whole body makes rᵀ (W (ṙ u + r u̇) − f)
-    vanish for its three velocities; the components of the bends are their moments.
+    The rows r give the velocities of the connectors along, across and about themselves
+    for the velocities u, W are their masses and inertias. The acceleration w of the
+    whole body makes rᵀ (W (ṙ u + r u̇) − f) vanish for its three velocities; the
+    components of the bends are their moments.
     """
     n = len(solid.mass)
     body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
@@ -56,7 +57,9 @@ def by_rows(
     heavy=st.booleans(),
     turning=st.booleans(),
 )
-def test_recursive_inverse_dynamics_equals_the_dense_sum(seed, connectors, law, frozen, heavy, turning):
+def test_recursive_inverse_dynamics_equals_the_dense_sum(
+    seed, connectors, law, frozen, heavy, turning
+):
     random = np.random.default_rng(seed)
     mass = random.uniform(0.01, 0.1, connectors)
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
@@ -64,11 +67,17 @@ def test_recursive_inverse_dynamics_equals_the_dense_sum(seed, connectors, law, 
     floor = floor_friction(law, random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
     samples, segments = 3, connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
-    bend, acceleration = random.normal(0, 0.7, (samples, segments)), random.normal(0, 99, (samples, segments))
+    bend, acceleration = (
+        random.normal(0, 0.7, (samples, segments)),
+        random.normal(0, 99, (samples, segments)),
+    )
     result = np.empty((samples, segments))
     trace = Trace.empty(samples, segments)._replace(
         bend=bend, bend_rate=u[:, 3:].copy(), bend_acceleration=acceleration
     )
     inverse_dynamics(u[:, :3].copy(), trace, (solid, floor, turning), result)
-    expected = [by_rows(u[k], bend[k], acceleration[k], solid, floor, turning) for k in range(samples)]
+    expected = [
+        by_rows(u[k], bend[k], acceleration[k], solid, floor, turning)
+        for k in range(samples)
+    ]
     assert result == pytest.approx(np.array(expected), rel=1e-10, abs=1e-10)

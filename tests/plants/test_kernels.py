@@ -17,7 +17,17 @@ from srs_twin.plants.analytical.floor import (
     floor_friction,
     forces_and_slopes,
 )
-from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, BodyParameters, X, Y, pose_body
+from srs_twin.plants.analytical.kinematics import (
+    COS,
+    SIN,
+    SPIN,
+    VX,
+    VY,
+    BodyParameters,
+    X,
+    Y,
+    pose_body,
+)
 from srs_twin.plants.analytical.steps import advance, bend_within
 from srs_twin.pneumatics import Trace
 from srs_twin.robot import friction
@@ -26,7 +36,10 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 
 GRAVITY = 9.81
 
-MARKED_LAWS = [pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow]) for law in LAWS]
+MARKED_LAWS = [
+    pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow])
+    for law in LAWS
+]
 """Laws of friction; those whose kernels no other quick test compiles are slow."""
 
 
@@ -55,7 +68,9 @@ class Swim:
         return rise * wave, slope * wave + rise * rate
 
 
-def by_kernel(swim: Swim, duration: float, step: float, tolerance: float = math.inf) -> np.ndarray:
+def by_kernel(
+    swim: Swim, duration: float, step: float, tolerance: float = math.inf
+) -> np.ndarray:
     """Return the kernel's final state."""
     return run(swim, duration, step, tolerance)[0]
 
@@ -79,7 +94,9 @@ def run(
         (np.empty((0, kernels.STATES)), np.empty((0, 3))),
     )
     steps, marks = np.full(count, step), np.empty(0, dtype=int)
-    done, substeps = advance(now, steps, trace, marks, (solid, floor, True), tolerance, seen)
+    done, substeps = advance(
+        now, steps, trace, marks, (solid, floor, True), tolerance, seen
+    )
     assert done == count
     return state, substeps
 
@@ -112,7 +129,9 @@ def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
         f_n = (
             swim.mu_n * across / speed
             if locked
-            else math.sqrt(swim.mu_n**2 - swim.mu_t**2) * across / math.hypot(across, slip)
+            else math.sqrt(swim.mu_n**2 - swim.mu_t**2)
+            * across
+            / math.hypot(across, slip)
         )
     return -load * (f_t + 1j * f_n) * np.exp(1j * heading)
 
@@ -120,8 +139,8 @@ def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
 def by_newton(swim: Swim, duration: float) -> np.ndarray:
     """Integrate Newton's law for position and heading of the head; return centre of mass and mean heading.
 
-    The sums of m_i r̈_i and of their moments about the head equal those of the floor. Velocities and
-    accelerations of the shape are time differences.
+    The sums of m_i r̈_i and of their moments about the head equal those of the floor.
+    Velocities and accelerations of the shape are time differences.
     """
     mass, h = np.array(swim.mass), 1e-4
     contacts = (0.0,) if swim.track == 0 else (swim.track, -swim.track)
@@ -140,17 +159,24 @@ def by_newton(swim: Swim, duration: float) -> np.ndarray:
         for m, a, v, p, p1 in zip(mass, arm, velocity, phi, phi1, strict=True):
             for side in contacts:
                 sideways = 1j * side * np.exp(1j * (angle + p))
-                f = drag(swim, m * GRAVITY / len(contacts), v + 1j * (spin + p1) * sideways, angle + p)
+                f = drag(
+                    swim,
+                    m * GRAVITY / len(contacts),
+                    v + 1j * (spin + p1) * sideways,
+                    angle + p,
+                )
                 total += f
                 moment += ((a + sideways).conjugate() * f).imag
         # r̈_i = r̈_head + i α ρ_i + known_i, with α the angular acceleration.
         known = turn * (d2 + 2j * spin * d1 - spin**2 * d)
         s, weight = (mass * arm).sum(), mass.sum()
-        matrix = np.array([
-            [weight, 0, -s.imag],
-            [0, weight, s.real],
-            [-s.imag, s.real, (mass * abs(arm) ** 2).sum()],
-        ])  # fmt: skip
+        matrix = np.array(
+            [
+                [weight, 0, -s.imag],
+                [0, weight, s.real],
+                [-s.imag, s.real, (mass * abs(arm) ** 2).sum()],
+            ]
+        )
         force = total - (mass * known).sum()
         torque = moment - (mass * (arm.conjugate() * known).imag).sum()
         ax, ay, alpha = np.linalg.solve(matrix, [force.real, force.imag, torque])
@@ -161,7 +187,9 @@ def by_newton(swim: Swim, duration: float) -> np.ndarray:
     angle = -phi.mean()
     centre = (mass * d).sum() / mass.sum() * np.exp(1j * angle)
     start = [-centre.real, -centre.imag, angle, 0.0, 0.0, 0.0]
-    end = solve_ivp(rates, (0, duration), start, method="LSODA", rtol=1e-7, atol=1e-9).y[:, -1]
+    end = solve_ivp(
+        rates, (0, duration), start, method="LSODA", rtol=1e-7, atol=1e-9
+    ).y[:, -1]
     d, _, _, phi, _ = shape(duration)
     centre = end[0] + 1j * end[1] + (mass * d).sum() / mass.sum() * np.exp(1j * end[2])
     return np.array([centre.real, centre.imag, end[2] + phi.mean()])
@@ -179,14 +207,19 @@ CASES = {
 def test_kernel_satisfies_newtons_law(name):
     swim, duration = CASES[name], 1.0
     expected = by_newton(swim, duration)
-    coarse, fine = by_kernel(swim, duration, 1e-3)[:3], by_kernel(swim, duration, 2.5e-4)[:3]
+    coarse, fine = (
+        by_kernel(swim, duration, 1e-3)[:3],
+        by_kernel(swim, duration, 2.5e-4)[:3],
+    )
     travelled = np.hypot(*expected[:2])
     assert travelled > 0.01
     assert coarse == pytest.approx(expected, abs=1e-3 * travelled + 1e-4)
     assert fine == pytest.approx(expected, abs=2e-5)
 
 
-@pytest.mark.parametrize(("law", "mu_t", "mu_n"), [("axis", 0.1, 1.0), ("viscous", 1.0, 10.0)])
+@pytest.mark.parametrize(
+    ("law", "mu_t", "mu_n"), [("axis", 0.1, 1.0), ("viscous", 1.0, 10.0)]
+)
 def test_time_integration_has_second_order(law, mu_t, mu_n):
     swim = Swim((0.03, 0.05, 0.02, 0.04), law, slip=0.1, mu_t=mu_t, mu_n=mu_n)
     steps = np.array([2e-3, 1e-3, 5e-4])
@@ -199,7 +232,8 @@ def test_time_integration_has_second_order(law, mu_t, mu_n):
 def test_result_is_insensitive_to_the_slip_speed():
     """Convergence: half of a slip speed of 1 mm/s changes the distance in one second by less than 0.5 %."""
     far = [
-        np.hypot(*by_kernel(Swim((0.03,) * 5, "axis", slip=slip), 1.0, 2.5e-4)[:2]) for slip in (1e-3, 5e-4)
+        np.hypot(*by_kernel(Swim((0.03,) * 5, "axis", slip=slip), 1.0, 2.5e-4)[:2])
+        for slip in (1e-3, 5e-4)
     ]
     assert far[1] == pytest.approx(far[0], rel=5e-3)
 
@@ -229,13 +263,18 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         net, slopes, power = forces_and_slopes(body, solid.mass, *v, floor)
         xx, xy, xz, yy, yz, zz, yx, zx, zy = slopes
-        return np.array(net), np.array([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]), power
+        return (
+            np.array(net),
+            np.array([[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]]),
+            power,
+        )
 
     net, slope, power = total(u)
     h = 1e-6 * np.eye(3)
     result = [(total(u + d)[0] - total(u - d)[0]) / 2e-6 for d in h]
     assert slope == pytest.approx(np.transpose(result), abs=1e-6)
-    # The same forces one connector at a time: their sum, their moment and the power they take.
+    # The same forces one connector at a time: their sum, their moment and the power
+    # they take.
     force = np.empty((4, 3))
     fill_forces(body, solid.mass, u, floor, force)
     turn = body[COS] + 1j * body[SIN]
@@ -243,8 +282,12 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     place, own = body[X] + 1j * body[Y], body[VX] + 1j * body[VY]
     velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[SPIN]
     assert net[:2] == pytest.approx([pushed.sum().real, pushed.sum().imag], abs=1e-14)
-    assert net[2] == pytest.approx((place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14)
-    contact_power = (velocity.conjugate() * pushed).real.sum() + (force[:, 2] * spin).sum()
+    assert net[2] == pytest.approx(
+        (place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14
+    )
+    contact_power = (velocity.conjugate() * pushed).real.sum() + (
+        force[:, 2] * spin
+    ).sum()
     assert power == pytest.approx(-contact_power, rel=1e-12) and power > 0
 
 
@@ -261,7 +304,9 @@ def test_floor_evaluates_the_named_law(law, track):
     contacts = (0.0,) if track == 0 else (-track, track)
     force, moment = np.zeros(2), 0.0
     for arm in contacts:
-        pushed = getattr(friction, law)(along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05)[:2]
+        pushed = getattr(friction, law)(
+            along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05
+        )[:2]
         force, moment = force + pushed, moment + arm * pushed[0]
     actual = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
     assert actual[:3] == pytest.approx([*force, moment], rel=1e-12)
@@ -269,7 +314,9 @@ def test_floor_evaluates_the_named_law(law, track):
 
 def test_posed_rates_match_finite_differences():
     solid, bend, rate = draw(3, 5)
-    now, before, after = (posed(solid, bend + h * rate, rate) for h in (0.0, -1e-6, 1e-6))
+    now, before, after = (
+        posed(solid, bend + h * rate, rate) for h in (0.0, -1e-6, 1e-6)
+    )
     difference = (after - before) / 2e-6
     turning = now[COS] * difference[SIN] - now[SIN] * difference[COS]
     assert now[SPIN] == pytest.approx(turning, abs=1e-8)
@@ -295,10 +342,14 @@ def test_mean_heading_is_zero_for_a_coil_of_several_turns():
 def test_frozen_chords_have_the_straight_length():
     solid, bend, rate = draw(4, 5)
     now = posed(solid._replace(frozen=1.0), bend, rate)
-    ahead, after = (posed(solid._replace(frozen=1.0), bend + h * rate, rate) for h in (-1e-6, 1e-6))
+    ahead, after = (
+        posed(solid._replace(frozen=1.0), bend + h * rate, rate) for h in (-1e-6, 1e-6)
+    )
     links = np.diff(now[X : Y + 1], axis=1)
     assert np.hypot(*links) == pytest.approx([0.06] * 4)
-    assert now[VX : VY + 1] == pytest.approx((after - ahead)[X : Y + 1] / 2e-6, abs=1e-9)
+    assert now[VX : VY + 1] == pytest.approx(
+        (after - ahead)[X : Y + 1] / 2e-6, abs=1e-9
+    )
     # Along the mean of the two headings, as the arcs' chords.
     whole = posed(solid, bend, rate)
     arcs = np.diff(whole[X : Y + 1], axis=1)
@@ -324,7 +375,9 @@ def test_stop_within_a_step_has_the_exact_position(speed):
     """v̇ = −μ g v/√(v² + ε²) from v₀ to rest: μ g s = ½ [v₀ √(v₀² + ε²) + ε² asinh(v₀/ε)]."""
     swim = Swim((0.03,) * 4, "axis", amplitude=0.0, slip=0.00025)
     root = math.hypot(speed, swim.slip)
-    distance = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (2 * swim.mu_n * GRAVITY)
+    distance = (speed * root + swim.slip**2 * math.asinh(speed / swim.slip)) / (
+        2 * swim.mu_n * GRAVITY
+    )
     state, substeps = run(swim, 0.2, 5e-3, TOLERANCE, speed)
     assert state[kernels.STATE_Y] == pytest.approx(distance, abs=2e-6)
     assert substeps < 2 * 40

@@ -49,28 +49,38 @@ MU = st.floats(0.01, 1.0)
 
 
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, at=st.floats(0, 6.3))
-def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(v_t, v_n, mu_t, mu_n, at):
+def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(
+    v_t, v_n, mu_t, mu_n, at
+):
     assume(abs(v_t) > 1e-3 and abs(v_n) > 1e-3)
     p_t, p_n = 0.99 * LOAD * mu_t * math.cos(at), 0.99 * LOAD * mu_n * math.sin(at)
-    assert stick_slip_friction(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[:2] == pytest.approx(
-        (p_t, p_n), rel=1e-12
-    )
-    assert stick_slip_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[:2] == pytest.approx(
-        ellipse(v_t, v_n, LOAD, mu_t, mu_n, 0.0)[:2], rel=1e-3, abs=1e-3 * LOAD * max(mu_t, mu_n)
+    assert stick_slip_friction(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[
+        :2
+    ] == pytest.approx((p_t, p_n), rel=1e-12)
+    assert stick_slip_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[
+        :2
+    ] == pytest.approx(
+        ellipse(v_t, v_n, LOAD, mu_t, mu_n, 0.0)[:2],
+        rel=1e-3,
+        abs=1e-3 * LOAD * max(mu_t, mu_n),
     )
 
 
 @given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
 def test_rim_speed_balances_contact_and_axle(v_t, v_n, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    f_t, f_n, _, _, _, w = rolling_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag)
+    f_t, f_n, _, _, _, w = rolling_friction(
+        v_t, v_n, LOAD, mu_t, mu_n, 1e-3, *push, rim, lag
+    )
     assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    f_t, f_n, *_ = rolling_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag)
+    f_t, f_n, *_ = rolling_friction(
+        v_t, v_n, LOAD, mu_t, mu_n, 1e-3, 0.0, 0.0, 0.0, lag
+    )
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
@@ -79,7 +89,9 @@ def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, share * mu_n, mu_n, slip)[:2]
-    actual = rolling_friction(v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12)[:2]
+    actual = rolling_friction(
+        v_t, v_n, LOAD, share * mu_n, mu_n, slip, 0.0, 0.0, 0.0, 1e-12
+    )[:2]
     assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
@@ -91,9 +103,13 @@ def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, share)
     slip, mu_t = 1e-6, share * mu_n
     expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
     contact = SimpleNamespace(
-        wheels=1, law=LAWS_ON_LOADS.index(law), coefficients=(mu_t, mu_n, slip, 1e-12, mu_t)
+        wheels=1,
+        law=LAWS_ON_LOADS.index(law),
+        coefficients=(mu_t, mu_n, slip, 1e-12, mu_t),
     )
-    actual = _friction_law.py_func(contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0)[:2]
+    actual = _friction_law.py_func(
+        contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0
+    )[:2]
     assert actual == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
@@ -109,8 +125,13 @@ def test_rolling_friction_slopes_match_finite_differences(seed, slip):
         rolling_friction(v_t + step, v_n, *arguments),
         rolling_friction(v_t - step, v_n, *arguments),
     )
-    left, right = rolling_friction(v_t, v_n + step, *arguments), rolling_friction(v_t, v_n - step, *arguments)
-    found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [(left[1] - right[1]) / (2 * step)]
+    left, right = (
+        rolling_friction(v_t, v_n + step, *arguments),
+        rolling_friction(v_t, v_n - step, *arguments),
+    )
+    found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [
+        (left[1] - right[1]) / (2 * step)
+    ]
     assert found == pytest.approx([tt, tn, nn], rel=1e-4, abs=1e-6)
 
 
@@ -119,9 +140,19 @@ def assert_close(twin: Result, speed: float, yaw_rate: float, drift: float) -> N
     assert twin.yaw_rate == pytest.approx(yaw_rate, rel=0.02, abs=drift)
 
 
-@given(limit=st.floats(1, 300), slope=st.floats(-10, 10), order=st.floats(0.5, 1), step=st.floats(-10, 10))
-def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(limit, slope, order, step):
-    values = [[limit + slope * e**order + step * e * s for s in (0.1, 0.05)] for e in (8.0, 4.0, 2.0, 1.0)]
+@given(
+    limit=st.floats(1, 300),
+    slope=st.floats(-10, 10),
+    order=st.floats(0.5, 1),
+    step=st.floats(-10, 10),
+)
+def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(
+    limit, slope, order, step
+):
+    values = [
+        [limit + slope * e**order + step * e * s for s in (0.1, 0.05)]
+        for e in (8.0, 4.0, 2.0, 1.0)
+    ]
     found, error = extrapolate(values)
     assert found == pytest.approx(limit, abs=1e-6)
     assert error == pytest.approx(abs(0.05 * step), abs=1e-6)
@@ -129,7 +160,10 @@ def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(limit, slope, orde
 
 @pytest.mark.slow
 def test_transient_agrees_with_the_explicit_simulation():
-    twin, explicit = crawled("gen2_straight", 2, contact="loaded"), simulate(POINTS["gen2_straight"], 2)
+    twin, explicit = (
+        crawled("gen2_straight", 2, contact="loaded"),
+        simulate(POINTS["gen2_straight"], 2),
+    )
     assert_close(twin, explicit.speed_mm_s, explicit.yaw_rate, drift=0.01)
 
 
@@ -137,13 +171,18 @@ def test_transient_agrees_with_the_explicit_simulation():
 @pytest.mark.parametrize("name", ["gen2_turn", "gen1_straight", "gen3_straight"])
 def test_stored_values_are_current(name):
     slip = SLIPS_M_S[0]
-    result, runs = simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip), stored()[name]
+    result, runs = (
+        simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip),
+        stored()[name],
+    )
     assert result.speed_mm_s == pytest.approx(runs.speed_mm_s[0][0], rel=1e-3)
     assert result.yaw_rate == pytest.approx(runs.yaw_rate[0][0], rel=2e-3, abs=1e-3)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name, point in POINTS.items() if point.tail is None])
+@pytest.mark.parametrize(
+    "name", [name for name, point in POINTS.items() if point.tail is None]
+)
 def test_every_point_agrees_with_the_explicit_simulation(name):
     # This one turns 2.8 % too fast at 1 ms and 0.5 % at half of it.
     step = 0.0005 if name == "stiff_slow_turn" else 0.001
@@ -159,7 +198,9 @@ def test_a_tail_on_two_axles_lifts_as_in_the_explicit_simulation():
     """Speeds converge to first order in the step: 1 ms is 1.2 % too fast, 0.5 ms is 0.6 %."""
     runs = stored()["gen3_tail"]
     speed = runs.speed[0]
-    twin, fine = (crawled("gen3_tail", None, step, contact="loaded") for step in (0.001, 0.0005))
+    twin, fine = (
+        crawled("gen3_tail", None, step, contact="loaded") for step in (0.001, 0.0005)
+    )
     assert twin.air > 0.05
     assert 2 * fine.speed_mm_s - twin.speed_mm_s == pytest.approx(speed, rel=0.005)
     assert abs(fine.speed_mm_s - speed) < 0.6 * abs(twin.speed_mm_s - speed)
@@ -174,7 +215,9 @@ def test_static_loads_of_a_two_axle_tail_follow_the_levers():
     plant = TwinSnake(spec, contact="loaded")
     state = plant.step(np.full((3, spec.segments, 2), -1))
     tail = spec.mass.connectors[-1] * GRAVITY
-    assert plant.physics.wheel_loads()[-2:].sum(axis=1) == pytest.approx([0.25 * tail, 0.75 * tail], rel=0.01)
+    assert plant.physics.wheel_loads()[-2:].sum(axis=1) == pytest.approx(
+        [0.25 * tail, 0.75 * tail], rel=0.01
+    )
     assert state.contact_force.shape == (spec.geometry.connectors, 2)
 
 
@@ -182,7 +225,9 @@ def test_spinning_snake_decelerates_by_the_lever_of_its_axles():
     spec = replace(robot("gen3"), tail=TAIL, friction=Friction(mu_t=0.5, mu_n=0.5))
     plant = TwinSnake(spec, contact=LoadedContact("ellipse"), tick=0.001)
     physics, data = plant.physics, plant.physics.data
-    axles = physics.connector_positions()[[axle.connector - 1 for axle in spec.axles], 0]
+    axles = physics.connector_positions()[
+        [axle.connector - 1 for axle in spec.axles], 0
+    ]
     levers = axles - [axle.behind for axle in spec.axles] - physics.center_of_mass()[0]
     root = data.qpos[0] - physics.center_of_mass()[0]
     data.qvel[[1, 5]] = 10.0 * root, 10.0
@@ -196,7 +241,9 @@ def test_spinning_snake_decelerates_by_the_lever_of_its_axles():
     assert moment < -0.1
 
 
-@pytest.mark.parametrize("plant", [partial(TwinSnake, contact="preloaded"), AnalyticalSnake])
+@pytest.mark.parametrize(
+    "plant", [partial(TwinSnake, contact="preloaded"), AnalyticalSnake]
+)
 def test_tail_on_two_axles_needs_loaded_contact(plant):
     with pytest.raises(InputError, match="tail"):
         plant(replace(robot("gen3"), tail=TAIL))
@@ -205,29 +252,41 @@ def test_tail_on_two_axles_needs_loaded_contact(plant):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["gen2_turn", "stiff_turn"])
 def test_half_the_time_step_gives_the_same_result(name):
-    coarse, fine = (crawled(name, 4, step, contact="loaded") for step in (0.001, 0.0005))
+    coarse, fine = (
+        crawled(name, 4, step, contact="loaded") for step in (0.001, 0.0005)
+    )
     assert coarse.speed_mm_s == pytest.approx(fine.speed_mm_s, rel=0.01)
     assert coarse.yaw_rate == pytest.approx(fine.yaw_rate, rel=0.02)
 
 
 def test_spinning_up_wheels_does_not_pitch_the_snake():
-    # Thrown along with wheels at rest, the floor's force F at the hubs and the bearings' drag tip it forward.
+    # Thrown along with wheels at rest, the floor's force F at the hubs and the
+    # bearings' drag tip it forward.
     plant, g = TwinSnake(SPEC, contact="loaded", tick=0.004), SPEC.geometry
     plant.physics.data.qvel[0] = 0.5
     plant.step(np.full((SPEC.segments, 2), -1))
-    force, loads = -plant.physics.floor_forces()[..., 0].sum(), plant.physics.wheel_loads().sum(axis=1)
+    force, loads = (
+        -plant.physics.floor_forces()[..., 0].sum(),
+        plant.physics.wheel_loads().sum(axis=1),
+    )
     assert force == pytest.approx(SPEC.friction.mu_n * loads.sum(), rel=1e-3)
     places = plant.physics.connector_positions()[:, 0]
     moment = loads @ (places - plant.physics.center_of_mass()[0])
     drag = SPEC.friction.mu_t * loads.sum() * g.wheel_radius
     # In its first step the snake still pitches a little.
-    assert moment == pytest.approx(force * (g.com_height - g.wheel_radius) + drag, rel=0.01)
+    assert moment == pytest.approx(
+        force * (g.com_height - g.wheel_radius) + drag, rel=0.01
+    )
 
 
 def test_energy_balance_of_air_motion_floor_and_segments():
     plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
     run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
-    gait, chambers, torque = Gait(2.0, 0.2), TwinSnake(SPEC, supply_pa=48.3e3).pneumatics, run.stack("torque")
+    gait, chambers, torque = (
+        Gait(2.0, 0.2),
+        TwinSnake(SPEC, supply_pa=48.3e3).pneumatics,
+        run.stack("torque"),
+    )
     gait.reset(SPEC, plant.tick)
     free = chambers.advance(gait.script(2.0), run.time).bend
     # Pitch and roll take a little.
@@ -243,7 +302,9 @@ def test_runs_are_reproducible_across_processes():
     runs += [rollout(alone, Gait(2.0, 0.3), 0.3), rollout(alone, Gait(2.0, 0.3), 0.3)]
     assert all((run.position == runs[0].position).all() for run in runs)
     batch.reset()
-    for run in run_many([Job(twin, Gait(2.0, 0.3), 0.3) for twin in batch.twins], threads=2):
+    for run in run_many(
+        [Job(twin, Gait(2.0, 0.3), 0.3) for twin in batch.twins], threads=2
+    ):
         assert (run.position == runs[0].position).all()
 
 
@@ -260,7 +321,10 @@ def test_unknown_contact_raises(given, words):
 
 
 def test_contact_rejects_unknown_options():
-    for make in (partial(LoadedContact, "viscous"), partial(LoadedContact, load="dynamic")):
+    for make in (
+        partial(LoadedContact, "viscous"),
+        partial(LoadedContact, load="dynamic"),
+    ):
         with pytest.raises(InputError, match="unknown; allowed"):
             make()
     for make in (
@@ -277,19 +341,29 @@ def test_contact_rejects_unknown_options():
 @pytest.mark.parametrize(
     ("former", "contact", "numerics"),
     [
-        ({"friction": "ellipse", "load": "static"}, LoadedContact("ellipse", "static"), Numerics()),
+        (
+            {"friction": "ellipse", "load": "static"},
+            LoadedContact("ellipse", "static"),
+            Numerics(),
+        ),
         ({"wheels": "skid"}, LoadedContact("ellipse"), Numerics()),
         (
             {"contact": "preloaded", "wheels": "skid", "preload": 3.0},
             PreloadedContact("skid", 3.0),
             Numerics(),
         ),
-        ({"wheel_spin": 0.0, "slip_speed": 2e-3}, LoadedContact(slip_speed=2e-3), Numerics(wheel_spin=0.0)),
+        (
+            {"wheel_spin": 0.0, "slip_speed": 2e-3},
+            LoadedContact(slip_speed=2e-3),
+            Numerics(wheel_spin=0.0),
+        ),
         ({"axle_time": 0.001, "slip_time": 0.001}, LoadedContact(), Numerics()),
     ],
 )
 def test_deprecated_keywords_work_and_warn(former, contact, numerics):
-    with pytest.warns(DeprecationWarning, match="of TwinSnake are deprecated; pass contact="):
+    with pytest.warns(
+        DeprecationWarning, match="of TwinSnake are deprecated; pass contact="
+    ):
         twin = TwinSnake(SPEC, **former)
     assert (twin.contact, twin._settings.numerics) == (contact, numerics)
 
@@ -310,8 +384,14 @@ def test_deprecated_keywords_are_checked_as_before():
         TwinSnake(SPEC, wheel="skid")
     for former, words in (
         ({"preload": 3.0}, "preload is not allowed with contact 'loaded'"),
-        ({"contact": "preloaded", "load": "static"}, "load is not allowed with contact 'preloaded'"),
-        ({"contact": "preloaded", "friction": "wheel"}, "friction is not allowed with contact 'preloaded'"),
+        (
+            {"contact": "preloaded", "load": "static"},
+            "load is not allowed with contact 'preloaded'",
+        ),
+        (
+            {"contact": "preloaded", "friction": "wheel"},
+            "friction is not allowed with contact 'preloaded'",
+        ),
         ({"wheels": "round"}, "wheels 'round' is unknown"),
         ({"contact": None}, "contact None is not allowed; it must be a LoadedContact"),
     ):

@@ -42,9 +42,14 @@ def test_chord_agrees_to_second_order(hinges):
 def test_known_hinge_stations():
     assert hinge_stations(1, 1.0, 0.0) == pytest.approx([0.5])
     assert hinge_stations(2, 1.0, 0.0) == pytest.approx([1 / 6, 5 / 6])
-    assert hinge_stations(4, 1.0, 0.0) == pytest.approx([0.1, 0.1 + 0.8 / 3, 0.9 - 0.8 / 3, 0.9])
+    assert hinge_stations(4, 1.0, 0.0) == pytest.approx(
+        [0.1, 0.1 + 0.8 / 3, 0.9 - 0.8 / 3, 0.9]
+    )
     assert hinge_stations(2, 0.06, 0.02) == pytest.approx([0.02, 0.06])
-    with pytest.raises(InputError, match=r"hinges_per_segment: 0 is not allowed; a segment needs 1 or more"):
+    with pytest.raises(
+        InputError,
+        match=r"hinges_per_segment: 0 is not allowed; a segment needs 1 or more",
+    ):
         hinge_stations(0, 1.0, 0.0)
 
 
@@ -60,7 +65,9 @@ def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
 
 def test_model_mass_equals_robot_mass(scene):
     model, _, name = scene
-    assert model.body_mass.sum() == pytest.approx(load_robot(name).mass.total, rel=1e-12)
+    assert model.body_mass.sum() == pytest.approx(
+        load_robot(name).mass.total, rel=1e-12
+    )
 
 
 def test_centre_of_mass_equals_that_of_the_point_masses(scene):
@@ -68,7 +75,9 @@ def test_centre_of_mass_equals_that_of_the_point_masses(scene):
     spec = load_robot(name)
     stations = data.xpos[[model.body(f"connector_{i}").id for i in range(1, 6)], 0]
     expected = spec.mass.array() @ stations / spec.mass.total
-    assert data.subtree_com[0][0] == pytest.approx(expected, abs=2e-3 * spec.geometry.body_length)
+    assert data.subtree_com[0][0] == pytest.approx(
+        expected, abs=2e-3 * spec.geometry.body_length
+    )
     assert data.subtree_com[0][1] == pytest.approx(0, abs=1e-15)
 
 
@@ -88,7 +97,9 @@ def test_connectors_are_one_pitch_apart_on_their_wheels(scene):
     places = np.array([data.xpos[model.body(f"connector_{i}").id] for i in range(1, 6)])
     assert np.diff(places[:, 0]) == pytest.approx([-g.pitch] * 4, rel=1e-12)
     assert places[:, 2] == pytest.approx([g.com_height] * 5)
-    left, right = (data.xpos[model.body(f"wheel_{side}_2").id] for side in ("left", "right"))
+    left, right = (
+        data.xpos[model.body(f"wheel_{side}_2").id] for side in ("left", "right")
+    )
     assert left - right == pytest.approx([0, 2 * g.half_track, 0], abs=1e-12)
     assert left[2] == pytest.approx(g.wheel_radius)
 
@@ -98,7 +109,9 @@ def test_static_load_of_a_connector_is_its_weight(scene):
     model, data, name = scene
     spec = load_robot(name)
     own = np.zeros(5)
-    stations = np.array([data.xpos[model.body(f"connector_{i}").id][0] for i in range(1, 6)])
+    stations = np.array(
+        [data.xpos[model.body(f"connector_{i}").id][0] for i in range(1, 6)]
+    )
     for body in range(1, model.nbody):
         share = (stations[0] - data.xipos[body][0]) / spec.geometry.pitch
         front = min(int(share + 1e-9), 3)
@@ -112,13 +125,22 @@ def test_series_hinges_have_the_stiffness_and_damping_of_the_segment(scene):
     bending = load_robot(name).bending
     for j in range(1, 5):
         hinges = [model.joint(f"hinge_{j}_{k}").id for k in HINGES]
-        assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(bending.stiffness)
+        assert 1 / (1 / model.jnt_stiffness[hinges]).sum() == pytest.approx(
+            bending.stiffness
+        )
         damping = model.dof_damping[model.jnt_dofadr[hinges]]
-        # The integrator evaluates springs at the end of a step, which adds the damping stiffness × step.
+        # The integrator evaluates springs at the end of a step, which adds the damping
+        # stiffness × step.
         whole = damping + ModelSettings.timestep * model.jnt_stiffness[hinges]
-        assert 1 / (1 / whole).sum() == pytest.approx(bending.stiffness * bending.damping_time)
-        assert model.joint(f"pitch_{j}").stiffness == pytest.approx(bending.pitch_stiffness)
-        assert model.joint(f"roll_{j}").stiffness == pytest.approx(bending.roll_stiffness)
+        assert 1 / (1 / whole).sum() == pytest.approx(
+            bending.stiffness * bending.damping_time
+        )
+        assert model.joint(f"pitch_{j}").stiffness == pytest.approx(
+            bending.pitch_stiffness
+        )
+        assert model.joint(f"roll_{j}").stiffness == pytest.approx(
+            bending.roll_stiffness
+        )
 
 
 def test_plus_pressure_bends_to_the_left(scene):
@@ -129,7 +151,9 @@ def test_plus_pressure_bends_to_the_left(scene):
         data.ctrl[:] = 0.0
         data.ctrl[model.actuator(f"{chamber}_2").id] = 1e4
         mujoco.mj_forward(model, data)
-        moment = data.qfrc_actuator[model.jnt_dofadr[[model.joint(f"hinge_2_{k}").id for k in HINGES]]]
+        moment = data.qfrc_actuator[
+            model.jnt_dofadr[[model.joint(f"hinge_2_{k}").id for k in HINGES]]
+        ]
         expected = sign * spec.bending.stiffness * spec.actuator.gain * 1e4
         assert moment == pytest.approx([expected] * len(HINGES), rel=1e-9)
     data.ctrl[:] = 0.0
@@ -144,9 +168,12 @@ def test_tendon_length_is_the_difference_of_headings(scene):
     mujoco.mj_forward(model, data)
     frames = data.xmat[[model.body(f"connector_{i}").id for i in range(1, 6)]]
     headings = np.unwrap(np.arctan2(frames[:, 3], frames[:, 0]))
-    assert headings[:-1] - headings[1:] == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
+    assert headings[:-1] - headings[1:] == pytest.approx(
+        [0.4, -0.8, 1.2, 0.1], abs=1e-12
+    )
     assert data.ten_length == pytest.approx([0.4, -0.8, 1.2, 0.1], abs=1e-12)
-    # Segment 1 bends to the left: seen along segment 2, connector 1 is to the left of its chord.
+    # Segment 1 bends to the left: seen along segment 2, connector 1 is to the left of
+    # its chord.
     ahead = np.array([np.cos(headings[1]), np.sin(headings[1])])
     to_head = (data.body("connector_1").xpos - data.body("connector_2").xpos)[:2]
     assert ahead[0] * to_head[1] - ahead[1] * to_head[0] > 0
@@ -160,30 +187,47 @@ def test_axle_and_tread_friction_are_proportional_to_the_load(scene):
         load = mass * GRAVITY / 2
         for side in ("left", "right"):
             drag = model.dof_frictionloss[model.joint(f"axle_{side}_{i}").dofadr]
-            assert drag / spec.geometry.wheel_radius == pytest.approx([spec.friction.mu_t * load])
+            assert drag / spec.geometry.wheel_radius == pytest.approx(
+                [spec.friction.mu_t * load]
+            )
         # The lateral friction limit of a preloaded wheel is μ_n times its static load.
         mu = pair_attributes(spec, numerics)["friction"][0]
-        assert mu * (load + pressed[i - 1, 0]) == pytest.approx(spec.friction.mu_n * load)
+        assert mu * (load + pressed[i - 1, 0]) == pytest.approx(
+            spec.friction.mu_n * load
+        )
     assert model.npair == len(treads(spec)) == 10
     for pair in range(model.npair):
-        assert model.pair_friction[pair][:2] == pytest.approx(pair_attributes(spec, numerics)["friction"][:2])
+        assert model.pair_friction[pair][:2] == pytest.approx(
+            pair_attributes(spec, numerics)["friction"][:2]
+        )
 
 
 def test_every_element_has_a_name(scene):
     model, _, name = scene
     kinds = {
-        "body": model.nbody, "joint": model.njnt, "geom": model.ngeom, "tendon": model.ntendon,
-        "actuator": model.nu, "sensor": model.nsensor, "site": model.nsite, "light": model.nlight,
-    }  # fmt: skip
+        "body": model.nbody,
+        "joint": model.njnt,
+        "geom": model.ngeom,
+        "tendon": model.ntendon,
+        "actuator": model.nu,
+        "sensor": model.nsensor,
+        "site": model.nsite,
+        "light": model.nlight,
+    }
     for kind, count in kinds.items():
         assert all(getattr(model, kind)(k).name for k in range(count)), kind
-    assert all(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PAIR, k) for k in range(model.npair))
+    assert all(
+        mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_PAIR, k)
+        for k in range(model.npair)
+    )
 
 
 @pytest.mark.parametrize("connectors", range(2, 13))
 def test_any_number_of_connectors_builds(connectors):
     spec = chain((0.03,) * connectors)
-    model = scene_mjcf(spec, ModelSettings(hinges_per_segment=2, contact=PreloadedContact())).compile()
+    model = scene_mjcf(
+        spec, ModelSettings(hinges_per_segment=2, contact=PreloadedContact())
+    ).compile()
     assert model.ntendon == connectors - 1
     assert model.npair == 2 * connectors
     # Free joint; two hinges, pitch and roll per segment; two wheels per connector.
@@ -194,9 +238,14 @@ def test_any_number_of_connectors_builds(connectors):
 @pytest.mark.parametrize("hinges", [1, 2, 3, 8])
 def test_mass_and_stiffness_are_independent_of_the_number_of_hinges(hinges):
     spec = robot()
-    model = robot_mjcf(spec, ModelSettings(hinges_per_segment=hinges, contact=PreloadedContact())).compile()
+    model = robot_mjcf(
+        spec, ModelSettings(hinges_per_segment=hinges, contact=PreloadedContact())
+    ).compile()
     assert model.body_mass.sum() == pytest.approx(spec.mass.total)
-    series = [model.jnt_stiffness[model.joint(f"hinge_1_{k}").id] for k in range(1, hinges + 1)]
+    series = [
+        model.jnt_stiffness[model.joint(f"hinge_1_{k}").id]
+        for k in range(1, hinges + 1)
+    ]
     assert 1 / np.sum(1 / np.array(series)) == pytest.approx(spec.bending.stiffness)
 
 
@@ -204,14 +253,22 @@ def test_control_range_reaches_the_supply_pressure():
     spec = robot()
     shipped = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     over = robot_mjcf(
-        spec, ModelSettings(contact=PreloadedContact()), supply_pa=2 * spec.supply.pulsed_limit
+        spec,
+        ModelSettings(contact=PreloadedContact()),
+        supply_pa=2 * spec.supply.pulsed_limit,
     ).compile()
-    assert shipped.actuator("plus_1").ctrlrange == pytest.approx([0, spec.supply.pulsed_limit])
-    assert over.actuator("minus_4").ctrlrange == pytest.approx([0, 2 * spec.supply.pulsed_limit])
+    assert shipped.actuator("plus_1").ctrlrange == pytest.approx(
+        [0, spec.supply.pulsed_limit]
+    )
+    assert over.actuator("minus_4").ctrlrange == pytest.approx(
+        [0, 2 * spec.supply.pulsed_limit]
+    )
 
 
 def test_numerics_set_the_engine_options():
-    model = scene_mjcf(robot(), ModelSettings(0.0005, contact=PreloadedContact(slip_time=0.004))).compile()
+    model = scene_mjcf(
+        robot(), ModelSettings(0.0005, contact=PreloadedContact(slip_time=0.004))
+    ).compile()
     assert model.opt.timestep == 0.0005
     assert model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     assert model.opt.jacobian == mujoco.mjtJacobian.mjJAC_SPARSE
@@ -221,5 +278,8 @@ def test_numerics_set_the_engine_options():
 
 
 def test_time_step_above_the_damping_time_raises():
-    with pytest.raises(InputError, match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be be"):
+    with pytest.raises(
+        InputError,
+        match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be be",
+    ):
         robot_mjcf(robot(), ModelSettings(0.004))

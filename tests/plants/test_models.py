@@ -32,7 +32,8 @@ from srs_twin.plants.twin.mjcf.wheels import preload_force, treads
 ROBOTS = ("gen1", "gen2", "gen3", "gen4")
 SECOND = round(1 / ModelSettings.timestep)
 
-# A program without the package: a file, MuJoCo, and one second of random control through valves.
+# A program without the package: a file, MuJoCo, and one second of random control
+# through valves.
 PLAIN = """
 import sys, numpy as np, mujoco
 model = mujoco.MjModel.from_xml_path(sys.argv[1])
@@ -72,9 +73,13 @@ def at_home(model):
 def test_shipped_mjcf_files_are_current(root, spec, tmp_path):
     written = export_robot(spec, tmp_path)
     assert [path.name for path in written] == [f"{spec.name}.xml", SCENE, SCENE_MJX]
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in written)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        path.name for path in written
+    )
     for path in written:
-        assert path.read_text("utf-8") == (root / "models" / spec.name / path.name).read_text("utf-8")
+        assert path.read_text("utf-8") == (
+            root / "models" / spec.name / path.name
+        ).read_text("utf-8")
     assert stale_files(spec, root / "models" / spec.name) == []
 
 
@@ -83,10 +88,14 @@ def test_stale_and_missing_files_are_detected(tmp_path):
     assert stale_files(gen2, tmp_path) == ["gen2.xml", SCENE, SCENE_MJX]
     export_robot(gen2, tmp_path)
     assert stale_files(gen2, tmp_path) == []
-    stiffer = dataclasses.replace(gen2, bending=dataclasses.replace(gen2.bending, stiffness=0.5))
+    stiffer = dataclasses.replace(
+        gen2, bending=dataclasses.replace(gen2.bending, stiffness=0.5)
+    )
     # The scene's own part knows of no stiffness.
     assert stale_files(stiffer, tmp_path) == ["gen2.xml", SCENE_MJX]
-    rougher = dataclasses.replace(gen2, friction=dataclasses.replace(gen2.friction, mu_n=0.6))
+    rougher = dataclasses.replace(
+        gen2, friction=dataclasses.replace(gen2.friction, mu_n=0.6)
+    )
     assert stale_files(rougher, tmp_path) == [SCENE, SCENE_MJX]
 
 
@@ -104,11 +113,18 @@ def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipp
     compared = set()
     for name in dir(twin):
         ours = getattr(twin, name)
-        # The models are called 'gen2' and 'gen2 scene', which shifts the addresses of all names.
+        # The models are called 'gen2' and 'gen2 scene', which shifts the addresses of
+        # all names.
         if isinstance(ours, np.ndarray) and not name.startswith(("_", "name")):
             np.testing.assert_array_equal(getattr(shipped, name), ours, err_msg=name)
             compared.add(name)
-    assert compared >= {"body_mass", "jnt_axis", "dof_frictionloss", "actuator_biasprm", "pair_friction"}
+    assert compared >= {
+        "body_mass",
+        "jnt_axis",
+        "dof_frictionloss",
+        "actuator_biasprm",
+        "pair_friction",
+    }
     assert [twin.actuator(i).name for i in range(twin.nu)] == [
         shipped.actuator(i).name for i in range(twin.nu)
     ]
@@ -121,8 +137,11 @@ def test_exported_and_built_models_move_equally(spec, shipped):
     for step in range(SECOND):
         if step % 50 == 0:
             target = rng.uniform(*twin.actuator_ctrlrange.T)
-        # Pressures that jump over the whole range can make a model diverge (models/README.md).
-        one.ctrl += (target - one.ctrl) * ModelSettings.timestep / spec.actuator.tau_fill
+        # Pressures that jump over the whole range can make a model diverge
+        # (models/README.md).
+        one.ctrl += (
+            (target - one.ctrl) * ModelSettings.timestep / spec.actuator.tau_fill
+        )
         other.ctrl[:] = one.ctrl
         mujoco.mj_step(twin, one)
         mujoco.mj_step(shipped, other)
@@ -134,8 +153,17 @@ def test_exported_and_built_models_move_equally(spec, shipped):
 @pytest.mark.parametrize("name", ROBOTS)
 def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
     fill_time = str(load_robot(name).actuator.tau_fill)
-    command = [sys.executable, "-c", PLAIN, str(root / "models" / name / SCENE), "7", fill_time]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    command = [
+        sys.executable,
+        "-c",
+        PLAIN,
+        str(root / "models" / name / SCENE),
+        "7",
+        fill_time,
+    ]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     assert float(done.stdout) > 0.1  # rad: it did bend
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
@@ -150,17 +178,24 @@ def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped)
     assert np.abs(data.qpos[:3] - home[:3]).max() < 1e-3
     force = data.sensordata[: 6 * spec.geometry.connectors].reshape(-1, 2, 3).copy()
     force[..., 2] -= preload_force(spec, PreloadedContact())
-    np.testing.assert_allclose(force.sum(axis=(0, 1)), [0, 0, spec.mass.total * GRAVITY], atol=1e-6)
-    # The wheels of a connector share its own weight evenly; a flexible body passes on little.
     np.testing.assert_allclose(
-        force[..., 2].sum(axis=1), spec.mass.array() * GRAVITY, atol=0.05 * spec.mass.total * GRAVITY
+        force.sum(axis=(0, 1)), [0, 0, spec.mass.total * GRAVITY], atol=1e-6
+    )
+    # The wheels of a connector share its own weight evenly; a flexible body passes on
+    # little.
+    np.testing.assert_allclose(
+        force[..., 2].sum(axis=1),
+        spec.mass.array() * GRAVITY,
+        atol=0.05 * spec.mass.total * GRAVITY,
     )
 
 
 def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
     data, g = at_home(shipped), spec.geometry
     mujoco.mj_forward(shipped, data)
-    places = np.array([data.body(f"connector_{i}").xpos for i in range(1, g.connectors + 1)])
+    places = np.array(
+        [data.body(f"connector_{i}").xpos for i in range(1, g.connectors + 1)]
+    )
     np.testing.assert_allclose(np.diff(places[:, 0]), -g.pitch)
     np.testing.assert_allclose(places[:, 2], g.com_height)
     assert shipped.body_mass.sum() == pytest.approx(spec.mass.total)
@@ -169,7 +204,10 @@ def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
         assert wheel.xpos[2] == pytest.approx(g.wheel_radius)
         assert abs(wheel.xpos[1]) == pytest.approx(g.half_track)
     for j in range(1, spec.segments + 1):
-        hinges = [shipped.joint(f"hinge_{j}_{k}") for k in range(1, ModelSettings.hinges_per_segment + 1)]
+        hinges = [
+            shipped.joint(f"hinge_{j}_{k}")
+            for k in range(1, ModelSettings.hinges_per_segment + 1)
+        ]
         in_series = 1 / sum(1 / hinge.stiffness[0] for hinge in hinges)
         assert in_series == pytest.approx(spec.bending.stiffness)
         limit = max(spec.supply.continuous_limit, spec.supply.pulsed_limit)
@@ -179,7 +217,11 @@ def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
 def test_plus_pressure_gives_the_free_bend_to_the_left(spec, shipped):
     data = at_home(shipped)
     pressure = 0.2 / spec.actuator.gain
-    names = [name for i in range(shipped.nu) if (name := shipped.actuator(i).name).startswith("plus_1")]
+    names = [
+        name
+        for i in range(shipped.nu)
+        if (name := shipped.actuator(i).name).startswith("plus_1")
+    ]
     for name in names:
         data.actuator(name).ctrl = pressure
     mujoco.mj_forward(shipped, data)
@@ -194,7 +236,9 @@ def test_plus_pressure_gives_the_free_bend_to_the_left(spec, shipped):
 
 
 def test_robot_file_contains_the_robot_only(root, spec):
-    robot = mujoco.MjModel.from_xml_path(str(root / "models" / spec.name / f"{spec.name}.xml"))
+    robot = mujoco.MjModel.from_xml_path(
+        str(root / "models" / spec.name / f"{spec.name}.xml")
+    )
     assert (robot.npair, robot.nsensor, robot.nlight, robot.ntex) == (0, 0, 0, 0)
     assert robot.key("home").qpos.shape == (robot.nq,)
     assert not (robot.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
@@ -208,29 +252,67 @@ def test_files_have_the_layout_of_menagerie(spec):
     for text in texts.values():
         assert text.endswith("</mujoco>\n")
         indents = [
-            len(line) - len(line.lstrip(" ")) for line in text.splitlines() if line.lstrip()[:1] == "<"
+            len(line) - len(line.lstrip(" "))
+            for line in text.splitlines()
+            if line.lstrip()[:1] == "<"
         ]
         assert {indent % 2 for indent in indents} == {0}
         tree = ElementTree.fromstring(text)
         unnamed = {"inertial", "default", "include"}
-        for section in ("worldbody", "contact", "actuator", "sensor", "keyframe", "asset"):
+        for section in (
+            "worldbody",
+            "contact",
+            "actuator",
+            "sensor",
+            "keyframe",
+            "asset",
+        ):
             for element in tree.iterfind(f"./{section}//*"):
-                assert element.tag in unnamed or element.get("name"), ElementTree.tostring(element)
+                assert element.tag in unnamed or element.get("name"), (
+                    ElementTree.tostring(element)
+                )
     tree = ElementTree.fromstring(robot)
     classes = {item.get("class") for item in tree.iter("default")}
-    assert classes >= {"hinge", "pitch", "roll", "axle", "tread", "rim", "skin", "plate", "muscle", "press"}
-    for tag, repeated in (("joint", "stiffness"), ("geom", "contype"), ("general", "ctrlrange")):
-        own = [item for section in ("worldbody", "actuator") for item in tree.iterfind(f"./{section}//{tag}")]
+    assert classes >= {
+        "hinge",
+        "pitch",
+        "roll",
+        "axle",
+        "tread",
+        "rim",
+        "skin",
+        "plate",
+        "muscle",
+        "press",
+    }
+    for tag, repeated in (
+        ("joint", "stiffness"),
+        ("geom", "contype"),
+        ("general", "ctrlrange"),
+    ):
+        own = [
+            item
+            for section in ("worldbody", "actuator")
+            for item in tree.iterfind(f"./{section}//{tag}")
+        ]
         assert own and not [item for item in own if item.get(repeated)], (tag, repeated)
-    ours, theirs = ElementTree.fromstring(scene), {"compiler", "option", "tendon", "actuator", "keyframe"}
+    ours, theirs = (
+        ElementTree.fromstring(scene),
+        {"compiler", "option", "tendon", "actuator", "keyframe"},
+    )
     assert not theirs & {section.tag for section in ours}
 
 
 def test_title_is_escaped_in_the_comment(tmp_path):
-    wild = dataclasses.replace(load_robot("gen2"), title="a --> <body/> <!-- 'b' & \"c\"")
+    wild = dataclasses.replace(
+        load_robot("gen2"), title="a --> <body/> <!-- 'b' & \"c\""
+    )
     export_robot(wild, tmp_path)
     model = mujoco.MjModel.from_xml_path(str(tmp_path / SCENE))
-    assert model.nbody == scene_mjcf(wild, ModelSettings(contact=PreloadedContact())).compile().nbody
+    assert (
+        model.nbody
+        == scene_mjcf(wild, ModelSettings(contact=PreloadedContact())).compile().nbody
+    )
 
 
 def test_unwritable_folder_is_an_input_error(tmp_path):
@@ -241,9 +323,13 @@ def test_unwritable_folder_is_an_input_error(tmp_path):
 
 def test_models_command_exports_and_checks(srs_twin, tmp_path):
     done = srs_twin("models", "export", "gen2", "gen4", "--out", "here", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (0, "here/gen2/scene.xml\nhere/gen4/scene.xml\n")
+    assert (done.returncode, done.stdout) == (
+        0,
+        "here/gen2/scene.xml\nhere/gen4/scene.xml\n",
+    )
     left_out = (
-        "gen4: actuator.tau_fill_s = 0.1107 s is left out: controls are pressures, which change at once"
+        "gen4: actuator.tau_fill_s = 0.1107 s is left out: controls are pressures,"
+        " which change at once"
     )
     assert left_out in done.stderr.splitlines()
     done = srs_twin("models", "check", "here/gen4/scene.xml", "gen2", cwd=tmp_path)
@@ -264,5 +350,6 @@ def test_models_check_reports_stale_files(root, monkeypatch, capsys, tmp_path):
     assert stop.value.exit_code == 2
     output = capsys.readouterr().err
     assert output.endswith(
-        "scene.xml: gen2.xml is out of date; `srs-twin models export gen2` writes it again\n"
+        "scene.xml: gen2.xml is out of date; `srs-twin models export gen2` writes it"
+        " again\n"
     )

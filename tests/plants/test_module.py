@@ -34,7 +34,10 @@ def bench(kind: str, control: str, **options) -> Plant:
     layout = CONTROLS[control][1]
     timestep = {"twin": {"timestep": 0.00025}}.get(kind, {})
     return PLANTS[kind](
-        MODULE, base="clamped", tick=0.001, **{"layout": layout, "sensor": sensor} | timestep | options
+        MODULE,
+        base="clamped",
+        tick=0.001,
+        **{"layout": layout, "sensor": sensor} | timestep | options,
     )
 
 
@@ -44,17 +47,31 @@ def bench(kind: str, control: str, **options) -> Plant:
 def module(**changes):
     """Return the scenario of a step with some keys changed."""
     data = {
-        "robot": "gen4_module", "duration_s": 1.0, "bench": True,
-        "controller": {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 0.4}},
-    }  # fmt: skip
+        "robot": "gen4_module",
+        "duration_s": 1.0,
+        "bench": True,
+        "controller": {
+            "kind": "direct_smc",
+            "reference": {"kind": "step", "bend_rad": 0.4},
+        },
+    }
     return parse_scenario(data | changes, name="module")
 
 
 @pytest.mark.parametrize(
     ("controller", "layout"),
     [
-        ({"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 0.4}}, "in_out"),
-        ({"kind": "iterative_smc", "reference": {"kind": "constant", "bend_rad": 0.4}}, "3/2"),
+        (
+            {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 0.4}},
+            "in_out",
+        ),
+        (
+            {
+                "kind": "iterative_smc",
+                "reference": {"kind": "constant", "bend_rad": 0.4},
+            },
+            "3/2",
+        ),
         ({"kind": "gait", "frequency_hz": 1.0}, "3/2"),
         ({"kind": "hold_valves"}, "3/2"),
         ({"kind": "hold_valves", "minus": "hold"}, "in_out"),
@@ -65,12 +82,18 @@ def test_controller_selects_the_layout_and_bench_the_tick(controller, layout):
     assert scenario.layout == scenario.document["valves"]["layout"] == layout
     for kind in PLANTS:
         plant = scenario.build_plant(kind)
-        assert (plant.layout, plant.tick, plant.describe()["base"]) == (layout, 0.001, "clamped")
+        assert (plant.layout, plant.tick, plant.describe()["base"]) == (
+            layout,
+            0.001,
+            "clamped",
+        )
     assert parse_scenario(scenario.document, name="module") == scenario
 
 
 def test_explicit_layout_is_kept():
-    scenario = module(controller={"kind": "gait", "frequency_hz": 1.0}, valves={"layout": "in_out"})
+    scenario = module(
+        controller={"kind": "gait", "frequency_hz": 1.0}, valves={"layout": "in_out"}
+    )
     assert scenario.build_plant("twin").layout == "in_out"
 
 
@@ -78,19 +101,28 @@ def test_explicit_gains_override_shipped_gains():
     default = module().build_controller()
     settings = module(
         controller={
-            "kind": "direct_smc", "d_per_s": 3.0, "epsilon_rad_per_s": 0.5, "cutoff_hz": 7.0,
+            "kind": "direct_smc",
+            "d_per_s": 3.0,
+            "epsilon_rad_per_s": 0.5,
+            "cutoff_hz": 7.0,
             "reference": {"kind": "sine", "amplitude_rad": 0.3, "frequency_hz": 2.0},
         }
-    ).build_controller()  # fmt: skip
+    ).build_controller()
     assert (settings.D, settings.epsilon, settings.cutoff_hz) == (3.0, 0.5, 7.0)
     assert settings.reference == Sine(0.3, 2.0)
     plain = DirectSMC(STEP)
-    assert (default.D, default.epsilon, default.cutoff_hz) == (plain.D, plain.epsilon, plain.cutoff_hz)
+    assert (default.D, default.epsilon, default.cutoff_hz) == (
+        plain.D,
+        plain.epsilon,
+        plain.cutoff_hz,
+    )
 
 
 def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
     controller = {"kind": "direct_smc", "reference": {"kind": "step", "bend_rad": 1.2}}
-    with pytest.raises(InputFileError, match=r"reaches 68.75°.*41.97°.*beyond_range: saturate"):
+    with pytest.raises(
+        InputFileError, match=r"reaches 68.75°.*41.97°.*beyond_range: saturate"
+    ):
         module(controller=controller)
     scenario = module(controller=controller | {"beyond_range": "saturate"})
     (warning,) = scenario.warnings
@@ -109,7 +141,10 @@ def test_invalid_sensor_settings_raise():
     ):
         changed = {"robot": {"base": "gen4_module"}, "sensor": sensor}
         if words.startswith("segment"):
-            changed["robot"] = {"base": "gen4_module", "geometry": {"segment_length_m": 0.04}}
+            changed["robot"] = {
+                "base": "gen4_module",
+                "geometry": {"segment_length_m": 0.04},
+            }
             words = "it must be at most the segment's length, 0.04 m"
         with pytest.raises(InputFileError, match=words):
             module(**changed)
@@ -117,22 +152,28 @@ def test_invalid_sensor_settings_raise():
 
 def test_pulses_shorter_than_a_tick_raise_before_the_run():
     with pytest.raises(
-        InputFileError, match="controller: on the twin plant: .*carrier of 600 Hz is too fast"
+        InputFileError,
+        match="controller: on the twin plant: .*carrier of 600 Hz is too fast",
     ):
         module(
             controller={
-                "kind": "iterative_smc", "carrier_hz": 600,
+                "kind": "iterative_smc",
+                "carrier_hz": 600,
                 "reference": {"kind": "constant", "bend_rad": 0.2},
             },
             plants={"twin": {"tick_s": 0.002}},
-        )  # fmt: skip
+        )
 
 
 @plants
 def test_layout_unsupported_by_the_controller_raises(kind):
-    with pytest.raises(InputError, match="drives valves of layout in_out; the .* plant has 3/2"):
+    with pytest.raises(
+        InputError, match="drives valves of layout in_out; the .* plant has 3/2"
+    ):
         rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
-    with pytest.raises(InputError, match="drives valves of layout 3/2; the .* plant has in_out"):
+    with pytest.raises(
+        InputError, match="drives valves of layout 3/2; the .* plant has in_out"
+    ):
         rollout(bench(kind, "iterative", layout="in_out"), IterativeSMC(STEP), 0.01)
 
 
@@ -163,21 +204,29 @@ def test_work_equals_the_kinetic_energy(kind, allowed):
     run = rollout(plant, HoldValves(), 1.0, record_hz=1000)
     q, time = run["bend_1"], run.time
     power = run["torque_1"] * np.gradient(q, time)
-    done = np.concatenate([[0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(time))])
+    done = np.concatenate(
+        [[0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(time))]
+    )
     # The moving end: its speed and its turning from the recorded places.
     speed = np.gradient(run.position[:, 1], time, axis=0)
     energy = heavy.mass.array()[1] * (speed**2).sum(axis=1) / 2
     largest = energy.max()
     assert largest > 1e-5
     inner = slice(5, -5)
-    assert np.abs(run["work"] - energy)[inner].max() < (0.01 + allowed) * largest + _turning(kind, heavy, run)
+    assert np.abs(run["work"] - energy)[inner].max() < (
+        0.01 + allowed
+    ) * largest + _turning(kind, heavy, run)
     assert np.abs(done - run["work"])[inner].max() < (0.01 + allowed) * largest
 
 
 def _turning(kind, spec, run):
     """Return the largest rotational energy of the end connector, which point masses lack, J."""
     spin = np.gradient(run["theta_2"], run.time)
-    return 0.0 if kind == "analytical" else float(1.1 * (spec.yaw_inertia()[1] * spin**2 / 2).max())
+    return (
+        0.0
+        if kind == "analytical"
+        else float(1.1 * (spec.yaw_inertia()[1] * spin**2 / 2).max())
+    )
 
 
 def test_analytical_torque_satisfies_lagranges_equation():
@@ -213,14 +262,30 @@ def test_analytical_torque_satisfies_lagranges_equation():
     h = 1e-4
 
     def momentum(q, dq):
-        return np.array([(energy(q, dq + h * e) - energy(q, dq - h * e)) / (2 * h) for e in np.eye(2)])
+        return np.array(
+            [
+                (energy(q, dq + h * e) - energy(q, dq - h * e)) / (2 * h)
+                for e in np.eye(2)
+            ]
+        )
 
-    later, earlier = momentum(q + h * dq, dq + h * ddq), momentum(q - h * dq, dq - h * ddq)
-    slope = np.array([(energy(q + h * e, dq) - energy(q - h * e, dq)) / (2 * h) for e in np.eye(2)])
+    later, earlier = (
+        momentum(q + h * dq, dq + h * ddq),
+        momentum(q - h * dq, dq - h * ddq),
+    )
+    slope = np.array(
+        [(energy(q + h * e, dq) - energy(q - h * e, dq)) / (2 * h) for e in np.eye(2)]
+    )
     expected = (later - earlier) / (2 * h) - slope
     head = np.array([0.3, -0.2, 1.1])
-    states, velocities, torque = np.zeros((1, kernels.STATES)), np.zeros((1, 3)), np.zeros((1, 2))
-    trace = Trace.empty(1, len(q))._replace(bend=q[None], bend_rate=dq[None], bend_acceleration=ddq[None])
+    states, velocities, torque = (
+        np.zeros((1, kernels.STATES)),
+        np.zeros((1, 3)),
+        np.zeros((1, 2)),
+    )
+    trace = Trace.empty(1, len(q))._replace(
+        bend=q[None], bend_rate=dq[None], bend_acceleration=ddq[None]
+    )
     simulate_clamped(trace, solid, head, states, velocities, torque)
     assert torque[0] == pytest.approx(expected, rel=1e-4)
 
@@ -233,11 +298,17 @@ def test_analytical_torque_satisfies_lagranges_equation():
 
     assert states[0, :2] == pytest.approx(centre(q), abs=1e-6)
     speed = (centre(q + h * dq) - centre(q - h * dq)) / (2 * h)
-    assert states[0, [kernels.STATE_VX, kernels.STATE_VY]] == pytest.approx(speed, abs=1e-5)
+    assert states[0, [kernels.STATE_VX, kernels.STATE_VY]] == pytest.approx(
+        speed, abs=1e-5
+    )
     mean = head[2] + places(q)[1].mean()
     assert states[0, kernels.HEADING] == pytest.approx(mean, abs=1e-12)
-    assert velocities[0, :2] @ velocities[0, :2] == pytest.approx(speed @ speed, rel=1e-4)
-    assert velocities[0, 0] == pytest.approx(speed @ [math.cos(mean), math.sin(mean)], abs=1e-5)
+    assert velocities[0, :2] @ velocities[0, :2] == pytest.approx(
+        speed @ speed, rel=1e-4
+    )
+    assert velocities[0, 0] == pytest.approx(
+        speed @ [math.cos(mean), math.sin(mean)], abs=1e-5
+    )
 
 
 # Both benches
@@ -247,42 +318,65 @@ def test_analytical_torque_satisfies_lagranges_equation():
 @controls
 @pytest.mark.parametrize(
     ("reference", "duration"),
-    [pytest.param(STEP, 0.8, id="step"), pytest.param(SINE, 1.0, id="sine", marks=pytest.mark.slow)],
+    [
+        pytest.param(STEP, 0.8, id="step"),
+        pytest.param(SINE, 1.0, id="sine", marks=pytest.mark.slow),
+    ],
 )
 def test_both_benches_agree_within_ten_percent(control, reference, duration):
     runs = [
-        rollout(bench(kind, control), CONTROLS[control][0](reference), duration, record_hz=1000)
+        rollout(
+            bench(kind, control),
+            CONTROLS[control][0](reference),
+            duration,
+            record_hz=1000,
+        )
         for kind in PLANTS
     ]
     ours, theirs = (plant_metrics(run) for run in runs)
     reported = 0
     for name in (
-        "rise_time_s", "settling_5_s", "ripple_pp_rad", "error_rms_rad", "amplitude_rel", "phase_lag_rad",
-        "inlet_openings", "outlet_openings",
-    ):  # fmt: skip
+        "rise_time_s",
+        "settling_5_s",
+        "ripple_pp_rad",
+        "error_rms_rad",
+        "amplitude_rel",
+        "phase_lag_rad",
+        "inlet_openings",
+        "outlet_openings",
+    ):
         if ours[name] is None:
             assert theirs[name] is None
             continue
         reported += 1
         assert theirs[name] == pytest.approx(ours[name], rel=0.1, abs=1e-9), name
     assert reported >= 4
-    assert all(item["com_speed_m_s"] is None and item["final_bend_rad"] is None for item in (ours, theirs))
+    assert all(
+        item["com_speed_m_s"] is None and item["final_bend_rad"] is None
+        for item in (ours, theirs)
+    )
     metrics = compare(*runs).metrics
     assert metrics["bend_rms_rel"] < 0.02 and metrics["com_speed_rel"] is None
 
 
 def test_static_bend_is_gain_times_pressure():
     for kind in PLANTS:
-        run = rollout(bench(kind, "direct", supply_pa=30e3), HoldValves("vent", "fill"), 1.5)
+        run = rollout(
+            bench(kind, "direct", supply_pa=30e3), HoldValves("vent", "fill"), 1.5
+        )
         values = plant_metrics(run)
-        assert values["final_bend_rad"] == pytest.approx(-MODULE.actuator.gain * 30e3, rel=1e-4)
+        assert values["final_bend_rad"] == pytest.approx(
+            -MODULE.actuator.gain * 30e3, rel=1e-4
+        )
         assert values["error_rms_rad"] is None
 
 
 @controls
 def test_direct_control_settles_fast_with_few_valve_openings(control):
     """A step of 25°: direct control settles within 0.25 s without overshoot; iterative control overshoots."""
-    found = plant_metrics(rollout(bench("twin", control), CONTROLS[control][0](STEP), 0.9, record_hz=1000))
+    found = plant_metrics(
+        rollout(bench("twin", control), CONTROLS[control][0](STEP), 0.9, record_hz=1000)
+    )
     if control == "direct":
         assert found["settling_5_s"] <= 0.25
         assert found["overshoot_rad"] <= found["sensed_ripple_pp_rad"]
@@ -300,7 +394,12 @@ class Blindfolded(Plant):
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self.name, self.spec, self.tick, self.layout = plant.name, plant.spec, plant.tick, plant.layout
+        self.name, self.spec, self.tick, self.layout = (
+            plant.name,
+            plant.spec,
+            plant.tick,
+            plant.layout,
+        )
         self.commands: list[np.ndarray] = []
 
     def reset(self, **start) -> SnakeState:
@@ -313,8 +412,9 @@ class Blindfolded(Plant):
     def _hidden(self, state: SnakeState) -> SnakeState:
         blank = {
             f.name: np.full(np.shape(getattr(state, f.name)), np.nan)
-            for f in fields(state) if f.name not in ("time", "sensed")
-        }  # fmt: skip
+            for f in fields(state)
+            if f.name not in ("time", "sensed")
+        }
         return replace(state, **blank)
 
 
@@ -328,7 +428,9 @@ def test_controllers_read_only_the_sensor(kind, control):
         state = blind.step(controller.step(state))
     seeing = bench(kind, control)
     run = rollout(seeing, CONTROLS[control][0](STEP), 0.3, seed=3, record_hz=1000)
-    last = np.array([entry if entry.ndim == 2 else entry[-1] for entry in blind.commands])
+    last = np.array(
+        [entry if entry.ndim == 2 else entry[-1] for entry in blind.commands]
+    )
     assert (last[:, 0, 0] == run["valve_plus_1"][1:]).all()
     assert (last[:, 0, 1] == run["valve_minus_1"][1:]).all()
 
@@ -338,7 +440,12 @@ def test_sensor_drift_biases_the_bend():
     errors = []
     for bias in (0.0, 0.2):
         sensor = make_sensor("hall", MODULE, span=0.8, bias=bias)
-        run = rollout(bench("analytical", "direct", sensor=sensor), DirectSMC(STEP), 0.8, record_hz=1000)
+        run = rollout(
+            bench("analytical", "direct", sensor=sensor),
+            DirectSMC(STEP),
+            0.8,
+            record_hz=1000,
+        )
         errors.append(plant_metrics(run)["steady_error_rad"])
         shift = abs(sensor.calibration.slope) * bias
     assert abs(errors[1] - errors[0]) == pytest.approx(shift, rel=0.3)
@@ -352,13 +459,18 @@ def test_report_shows_reference_tracking(tmp_path):
     from srs_twin.cli.table import rows
     from srs_twin.experiment import run_scenario
 
-    scenario = module(record_hz=1000, duration_s=0.3, sensor={"kind": "hall", "span_rad": 0.8})
+    scenario = module(
+        record_hz=1000, duration_s=0.3, sensor={"kind": "hall", "span_rad": 0.8}
+    )
     result = run_scenario(scenario, tmp_path)
     headings = {heading for heading, *_ in rows(result.metrics)}
     assert {"overshoot, relative", "rise, 10 to 90 %", "inlet openings"} <= headings
     assert not headings & {"CoM speed", "path length", "yaw rate"}
     page = (tmp_path / "report.html").read_text("utf-8")
-    assert "Bend of the first segment and its reference." in page and "Speed of the centre" not in page
+    assert (
+        "Bend of the first segment and its reference." in page
+        and "Speed of the centre" not in page
+    )
     assert (tmp_path / "recording.rrd").stat().st_size > 10_000
     assert load_scenario(tmp_path / "scenario.resolved.yaml") == scenario
 
@@ -375,7 +487,12 @@ def test_plot_shows_periods_of_a_periodic_reference(reference, period):
     from srs_twin.viewing.plots.signals import reference_period
 
     scenario = module(controller={"kind": "direct_smc", "reference": reference})
-    run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), 1.0, record_hz=1000)
+    run = rollout(
+        scenario.build_plant("analytical"),
+        scenario.build_controller(),
+        1.0,
+        record_hz=1000,
+    )
     found = reference_period(run)
     assert found == (None if period is None else pytest.approx(period, rel=1e-3))
 
@@ -396,9 +513,15 @@ def test_chapter_4_scenarios_share_one_set_of_gains():
     from srs_twin.io.files import shipped_names
 
     found = {}
-    for name in (each for each in shipped_names("scenario") if each.startswith("module_")):
+    for name in (
+        each for each in shipped_names("scenario") if each.startswith("module_")
+    ):
         settings = load_scenario(name).document["controller"]
-        gains = {k: v for k, v in settings.items() if k not in ("reference", "beyond_range", "kind")}
+        gains = {
+            k: v
+            for k, v in settings.items()
+            if k not in ("reference", "beyond_range", "kind")
+        }
         found.setdefault(settings["kind"], []).append(gains)
     assert len(found["direct_smc"]) == len(found["iterative_smc"]) == 7
     for gains in found.values():

@@ -27,7 +27,12 @@ from srs_twin.control.replay import HoldValves
 from srs_twin.plants.twin.mjcf.model import robot_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, make_pneumatics
-from srs_twin.pneumatics.chambers import air_bend, apply_bend_law, equivalent_linear_pressure, largest_bend
+from srs_twin.pneumatics.chambers import (
+    air_bend,
+    apply_bend_law,
+    equivalent_linear_pressure,
+    largest_bend,
+)
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.file import load_robot_file
 from srs_twin.robot.sections import ModulesFile
@@ -40,24 +45,43 @@ both = pytest.mark.parametrize("kind", PLANTS)
 
 
 def unlike(
-    seed: int = 1, *, limit: float = 1.4, bias: float = 0.1, sensors: float = 0.0, **onset: float
+    seed: int = 1,
+    *,
+    limit: float = 1.4,
+    bias: float = 0.1,
+    sensors: float = 0.0,
+    **onset: float,
 ) -> RobotSpec:
     """Return a generation 4 with unequal modules and a bend limit (rad)."""
     rng, spec = np.random.default_rng(seed), load_robot("gen4")
     modules = Modules.from_arrays(
-        gain=rng.uniform(0.7, 1.3, (4, 2)), tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
-        tau_vent=rng.uniform(0.7, 1.3, (4, 2)), bias=rng.uniform(-bias, bias, 4),
-        sensor_gain=1 + rng.uniform(-sensors, sensors, 4), sensor_bias=rng.uniform(-sensors, sensors, 4),
-    )  # fmt: skip
-    return replace(spec, actuator=replace(spec.actuator, bend_limit=limit, **onset), variation=modules)
+        gain=rng.uniform(0.7, 1.3, (4, 2)),
+        tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
+        tau_vent=rng.uniform(0.7, 1.3, (4, 2)),
+        bias=rng.uniform(-bias, bias, 4),
+        sensor_gain=1 + rng.uniform(-sensors, sensors, 4),
+        sensor_bias=rng.uniform(-sensors, sensors, 4),
+    )
+    return replace(
+        spec,
+        actuator=replace(spec.actuator, bend_limit=limit, **onset),
+        variation=modules,
+    )
 
 
 def mirrored(spec: RobotSpec) -> RobotSpec:
     """Return the mirror image of a robot, with exchanged + and − chambers."""
     modules = spec.modules
-    turned = {name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")}
-    other = {"bias": -modules.array("bias"), "sensor_bias": -modules.array("sensor_bias")}
-    variation = Modules.from_arrays(**turned, **other, sensor_gain=modules.array("sensor_gain"))
+    turned = {
+        name: modules.array(name)[:, ::-1] for name in ("gain", "tau_fill", "tau_vent")
+    }
+    other = {
+        "bias": -modules.array("bias"),
+        "sensor_bias": -modules.array("sensor_bias"),
+    }
+    variation = Modules.from_arrays(
+        **turned, **other, sensor_gain=modules.array("sensor_gain")
+    )
     return replace(spec, variation=variation)
 
 
@@ -70,32 +94,52 @@ def test_bend_law_saturates_at_its_limit(x, limit):
     law = limit, 0.0, 1.0, 1.0
     value, slope, curve = apply_bend_law(x, law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < slope <= 1
-    assert value**4 * (limit**4 + x**4) == pytest.approx((x * limit) ** 4, rel=1e-9, abs=1e-12)
+    assert value**4 * (limit**4 + x**4) == pytest.approx(
+        (x * limit) ** 4, rel=1e-9, abs=1e-12
+    )
     step = 1e-4
     ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
-    assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2)
+    assert curve == pytest.approx(
+        (ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2
+    )
     assert apply_bend_law(x, (np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
 
 
 @pytest.mark.slow
 @settings(max_examples=100)
 @given(
-    st.floats(-3, 3), st.floats(0.5, 3) | st.just(np.inf), st.floats(0, 1),
-    st.floats(0.05, 1.5), st.floats(0.05, 1.5),
-)  # fmt: skip
-def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(x, limit, share, onset, width):
+    st.floats(-3, 3),
+    st.floats(0.5, 3) | st.just(np.inf),
+    st.floats(0, 1),
+    st.floats(0.05, 1.5),
+    st.floats(0.05, 1.5),
+)
+def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
+    x, limit, share, onset, width
+):
     law, step = (limit, share, onset, width), 1e-5
     value, slope, curve = apply_bend_law(x, law)
-    y = x - share * width / 2 * np.log(np.cosh((x + onset) / width) / np.cosh((x - onset) / width))
-    assert value == pytest.approx(y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12)
-    assert (value, slope) == (-apply_bend_law(-x, law)[0], apply_bend_law(-x, law)[1]) and slope >= 0
-    assert apply_bend_law(0.0, law)[1] == pytest.approx(1 - share * np.tanh(onset / width))
+    y = x - share * width / 2 * np.log(
+        np.cosh((x + onset) / width) / np.cosh((x - onset) / width)
+    )
+    assert value == pytest.approx(
+        y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12
+    )
+    assert (value, slope) == (
+        -apply_bend_law(-x, law)[0],
+        apply_bend_law(-x, law)[1],
+    ) and slope >= 0
+    assert apply_bend_law(0.0, law)[1] == pytest.approx(
+        1 - share * np.tanh(onset / width)
+    )
     spec = unlike(limit=limit, onset_share=share, onset=onset, onset_width=width)
     pressure = np.zeros((4, 2))
     pressure[:, 0] = x / (spec.actuator.gain * spec.modules.array("gain")[:, 0])
     assert air_bend(spec, pressure) == pytest.approx(np.full(4, value), abs=1e-12)
-    assert equivalent_linear_pressure(spec, np.zeros((4, 2))) == pytest.approx(np.zeros((4, 2)))
+    assert equivalent_linear_pressure(spec, np.zeros((4, 2))) == pytest.approx(
+        np.zeros((4, 2))
+    )
     ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
@@ -104,13 +148,15 @@ def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(x, limit, share, ons
 def test_equivalent_linear_pressure_gives_the_same_bend():
     spec, pressure = unlike(), np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
     linear = replace(spec, actuator=replace(spec.actuator, bend_limit=np.inf))
-    assert air_bend(linear, equivalent_linear_pressure(spec, pressure)) == pytest.approx(
-        air_bend(spec, pressure), rel=1e-12
-    )
+    assert air_bend(
+        linear, equivalent_linear_pressure(spec, pressure)
+    ) == pytest.approx(air_bend(spec, pressure), rel=1e-12)
     assert equivalent_linear_pressure(linear, pressure) is pressure
     full = np.array([SUPPLY, 0.0])
     nominal = replace(spec, variation=None)
-    assert largest_bend(nominal, SUPPLY) == pytest.approx(air_bend(nominal, np.tile(full, (4, 1)))[0])
+    assert largest_bend(nominal, SUPPLY) == pytest.approx(
+        air_bend(nominal, np.tile(full, (4, 1)))[0]
+    )
 
 
 def law(spec: RobotSpec, kind: str, leak: float):
@@ -122,8 +168,13 @@ def law(spec: RobotSpec, kind: str, leak: float):
 
     def rates(_, y, state):
         p = y[:2]
-        flow = np.where(state == 1, (SUPPLY - p) / fill, np.where(state == -1, -p / vent, 0.0))
-        return [*(flow - leak * p), (g[0] * p[0] - g[1] * p[1] - y[2]) / actuator.tau_mode]
+        flow = np.where(
+            state == 1, (SUPPLY - p) / fill, np.where(state == -1, -p / vent, 0.0)
+        )
+        return [
+            *(flow - leak * p),
+            (g[0] * p[0] - g[1] * p[1] - y[2]) / actuator.tau_mode,
+        ]
 
     def bend(x):
         m = actuator.bend_limit
@@ -142,20 +193,33 @@ def test_lag_solves_the_equations_of_unequal_modules(leak):
     for states in np.random.default_rng(2).choice([-1, 0, 1], size=(12, 4, 2)):
         trace = chambers.advance(chambers.schedule(states, 0.05), at)
         solution = solve_ivp(
-            rates, (0, 0.05), y, args=(states[1],), rtol=1e-10, atol=1e-10, method="LSODA", dense_output=True
+            rates,
+            (0, 0.05),
+            y,
+            args=(states[1],),
+            rtol=1e-10,
+            atol=1e-10,
+            method="LSODA",
+            dense_output=True,
         )
         y = solution.y[:, -1]
         expected = solution.sol(at)
         assert trace.pressure[:, 1].T == pytest.approx(expected[:2], abs=1e-5 * SUPPLY)
         assert trace.bend[:, 1] == pytest.approx(bend(expected[2]), abs=1e-6)
         step = 1e-6
-        ahead, behind = (bend(solution.sol(np.clip(at + d, 0, 0.05))[2]) for d in (step, -step))
+        ahead, behind = (
+            bend(solution.sol(np.clip(at + d, 0, 0.05))[2]) for d in (step, -step)
+        )
         inner = slice(0, -1)
-        assert trace.bend_rate[inner, 1] == pytest.approx(((ahead - behind) / (2 * step))[inner], abs=2e-3)
+        assert trace.bend_rate[inner, 1] == pytest.approx(
+            ((ahead - behind) / (2 * step))[inner], abs=2e-3
+        )
     assert chambers.bend[1] == pytest.approx(bend(y[2]), abs=1e-6)
 
 
-@pytest.mark.parametrize("kind", ["lag", pytest.param("orifice", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", ["lag", pytest.param("orifice", marks=pytest.mark.slow)]
+)
 def test_bend_accelerations_are_derivatives_of_the_rates(kind):
     finer = {"substep": 5e-5} if kind == "orifice" else {}
     chambers = make_pneumatics(kind, unlike(), supply_pa=SUPPLY, layout="3/2", **finer)
@@ -168,7 +232,8 @@ def test_bend_accelerations_are_derivatives_of_the_rates(kind):
         (trace.bend_rate, trace.bend_acceleration, 8e3),
     ):
         slope = (value[2:] - value[:-2]) / (2 * step)
-        # A chamber begins to grow where its segment comes through straight: a kink, once a segment.
+        # A chamber begins to grow where its segment comes through straight: a kink,
+        # once a segment.
         assert np.quantile(np.abs(slope - rate[1:-1])[50:], 0.995) < 0.01 * size
 
 
@@ -179,13 +244,17 @@ def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     air, displacement = chambers._plumbing.dead, spec.chamber.displacement
 
     def content() -> float:
-        sizes = air + displacement * np.maximum(0, np.stack([chambers.bend, -chambers.bend], axis=1))
+        sizes = air + displacement * np.maximum(
+            0, np.stack([chambers.bend, -chambers.bend], axis=1)
+        )
         return float(((chambers.pressure + 101_325) * sizes).sum())
 
     # The first amounts are those of bodies that are not straight.
     before = 101_325 * (8 * air + displacement * np.abs(spec.modules.bias).sum())
     chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 3.0), np.zeros(0))
-    assert chambers.drawn - chambers.lost == pytest.approx(content() - before, abs=1e-6 * before)
+    assert chambers.drawn - chambers.lost == pytest.approx(
+        content() - before, abs=1e-6 * before
+    )
     slow = LagPneumatics(spec, supply_pa=SUPPLY)
     slow.advance(slow.schedule(np.tile([1, -1], (4, 1)), 3.0), np.zeros(0))
     assert chambers.bend == pytest.approx(slow.bend, abs=1e-5)
@@ -196,7 +265,9 @@ def test_larger_time_constant_means_smaller_conductance():
     slow = np.ones((4, 2))
     slow[2, 1] = 2.0
     modules = replace(Modules.nominal(4), tau_fill=tuple(map(tuple, slow.tolist())))
-    fill, vent = OrificePneumatics(replace(spec, variation=modules), supply_pa=SUPPLY).conductances
+    fill, vent = OrificePneumatics(
+        replace(spec, variation=modules), supply_pa=SUPPLY
+    ).conductances
     even_fill, even_vent = OrificePneumatics(spec, supply_pa=SUPPLY).conductances
     assert vent == pytest.approx(even_vent, rel=1e-12)
     assert even_fill / fill == pytest.approx(slow, rel=0.02)
@@ -205,7 +276,10 @@ def test_larger_time_constant_means_smaller_conductance():
 def test_initially_empty_line_delays_filling():
     spec = load_robot("gen4")
     options = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
-    full, empty = OrificePneumatics(spec, **options), OrificePneumatics(spec, **options, line_begins=0.0)
+    full, empty = (
+        OrificePneumatics(spec, **options),
+        OrificePneumatics(spec, **options, line_begins=0.0),
+    )
     for chambers in (full, empty):
         chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
     assert empty.bend.max() < 0.5 * full.bend.min()
@@ -225,7 +299,9 @@ def test_snake_at_rest_has_the_rest_bends(kind):
     assert state.bend == pytest.approx(spec.modules.bias, abs=1e-8)
     assert (*state.com, state.heading) == pytest.approx(pose, abs=1e-9)
     run = rollout(plant, HoldValves("vent", "vent"), 0.5, pose=pose)
-    assert [run[name][-1] for name in ("com_x", "com_y", "heading")] == pytest.approx(pose, abs=1e-4)
+    assert [run[name][-1] for name in ("com_x", "com_y", "heading")] == pytest.approx(
+        pose, abs=1e-4
+    )
     assert run["bend_2"][-1] == pytest.approx(spec.modules.bias[1], abs=1e-3)
 
 
@@ -233,20 +309,33 @@ def test_snake_at_rest_has_the_rest_bends(kind):
 @pytest.mark.parametrize(
     ("side", "share", "supply", "chambers"),
     [
-        ("plus", 0.0, 48e3, "lag"), ("minus", 0.0, 48e3, "lag"), ("minus", 1.0, 10e3, "lag"),
-        ("plus", 1.0, 20e3, "lag"), ("minus", 0.8, 30e3, "lag"), ("plus", 0.8, 40e3, "orifice"),
+        ("plus", 0.0, 48e3, "lag"),
+        ("minus", 0.0, 48e3, "lag"),
+        ("minus", 1.0, 10e3, "lag"),
+        ("plus", 1.0, 20e3, "lag"),
+        ("minus", 0.8, 30e3, "lag"),
+        ("plus", 0.8, 40e3, "orifice"),
         ("minus", 1.0, 48e3, "lag"),
     ],
-)  # fmt: skip
+)
 def test_static_bend_follows_the_module_gains(kind, side, share, supply, chambers):
     """On a bench, where only the air bends the segment; the formula is repeated here."""
-    spec = replace(load_robot("gen4_module"), variation=Modules.from_arrays(
-        gain=np.array([[1.2, 0.8]]), tau_fill=np.ones((1, 2)), tau_vent=np.ones((1, 2)),
-        bias=np.array([0.15]), sensor_gain=np.array([1.1]), sensor_bias=np.array([-0.05]),
-    ))  # fmt: skip
+    spec = replace(
+        load_robot("gen4_module"),
+        variation=Modules.from_arrays(
+            gain=np.array([[1.2, 0.8]]),
+            tau_fill=np.ones((1, 2)),
+            tau_vent=np.ones((1, 2)),
+            bias=np.array([0.15]),
+            sensor_gain=np.array([1.1]),
+            sensor_bias=np.array([-0.05]),
+        ),
+    )
     late = {"onset_share": share, "onset": 0.3, "onset_width": 0.2}
     spec = replace(spec, actuator=replace(spec.actuator, bend_limit=1.0, **late))
-    plant = PLANTS[kind](spec, base="clamped", tick=0.001, supply_pa=supply, pneumatics=chambers)
+    plant = PLANTS[kind](
+        spec, base="clamped", tick=0.001, supply_pa=supply, pneumatics=chambers
+    )
     states = ("fill", "vent") if side == "plus" else ("vent", "fill")
     run = rollout(plant, HoldValves(*states), 2.0)
     x = spec.actuator.gain * supply * (1.2 if side == "plus" else -0.8)
@@ -291,9 +380,16 @@ def test_exported_model_has_module_gains_and_rest_bends():
     model = robot_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     for j in range(1, 5):
         hinges = [model.joint(f"hinge_{j}_{k}") for k in (1, 2)]
-        assert sum(model.qpos_spring[h.qposadr[0]] for h in hinges) == pytest.approx(spec.modules.bias[j - 1])
+        assert sum(model.qpos_spring[h.qposadr[0]] for h in hinges) == pytest.approx(
+            spec.modules.bias[j - 1]
+        )
         for side, name, sign in ((0, "plus", 1), (1, "minus", -1)):
-            required = sign * spec.bending.stiffness * spec.actuator.gain * spec.modules.gain[j - 1][side]
+            required = (
+                sign
+                * spec.bending.stiffness
+                * spec.actuator.gain
+                * spec.modules.gain[j - 1][side]
+            )
             assert model.actuator(f"{name}_{j}").gainprm[0] == pytest.approx(required)
 
 
@@ -309,7 +405,10 @@ def test_stuck_valve_ignores_commands(kind, state, level):
     stuck, other = run["pressure_plus_2"], run["pressure_minus_2"]
     assert np.ptp(run["valve_plus_2"][run["time"] > 0.53]) == 0
     assert np.abs(stuck[run["time"] > 2.0] / 48e3 - level).max() < 1e-4
-    assert np.ptp(stuck[run["time"] < 0.5]) > 40e3 and np.ptp(other[run["time"] > 2.0]) > 40e3
+    assert (
+        np.ptp(stuck[run["time"] < 0.5]) > 40e3
+        and np.ptp(other[run["time"] > 2.0]) > 40e3
+    )
     assert plant.openings()[1, 0] <= 2 < plant.openings()[1, 1]
 
 
@@ -319,7 +418,9 @@ def test_valve_can_stick_within_a_schedule():
     at = np.array([0.01, 0.02])
     trace = chambers.advance(chambers.schedule(np.full((4, 2), -1), 0.02), at)
     tau = 0.1107
-    assert trace.pressure[:, 0, 1] == pytest.approx([0.0, 48e3 * (1 - np.exp(-0.01 / tau))], abs=1e-6)
+    assert trace.pressure[:, 0, 1] == pytest.approx(
+        [0.0, 48e3 * (1 - np.exp(-0.01 / tau))], abs=1e-6
+    )
     assert not trace.pressure[:, 0, 0].any()
 
 
@@ -329,25 +430,34 @@ def test_valve_can_stick_within_a_schedule():
 def test_random_modules_have_the_requested_spread_and_independent_streams():
     record = {"unit": "1", "status": "estimated", "source": "test"}
     file = ModulesFile(
-        gain_spread={**record, "value": 0.15}, bias_spread_rad={**record, "value": 0.1, "unit": "rad"}
+        gain_spread={**record, "value": 0.15},
+        bias_spread_rad={**record, "value": 0.1, "unit": "rad"},
     )
     draws = [file.draw(4, seed) for seed in range(300)]
     gains = np.array([entry.gain for entry in draws]).ravel()
     assert kstest((gains - 1) / 0.15, norm.cdf).pvalue > 0.01
     assert np.abs(gains - 1).max() <= 3 * 0.15 + 1e-12
     biases = np.array([entry.bias for entry in draws])
-    assert np.abs(np.corrcoef(biases.T, gains.reshape(300, 8).T) - np.eye(12)).max() < 0.2
+    assert (
+        np.abs(np.corrcoef(biases.T, gains.reshape(300, 8).T) - np.eye(12)).max() < 0.2
+    )
     alone = ModulesFile(gain_spread={**record, "value": 0.15})
-    assert alone.draw(4, 7).gain == draws[7].gain and alone.draw(4, 7).bias == (0.0,) * 4
+    assert (
+        alone.draw(4, 7).gain == draws[7].gain and alone.draw(4, 7).bias == (0.0,) * 4
+    )
     assert draws[7] == file.draw(4, 7) != draws[8]
 
 
 def test_listed_and_random_module_values_combine():
     unit = {"unit": "1", "status": "measured", "source": "test"}
     listed = [[1.0, 2.0], [0.5, 1.0]]
-    file = ModulesFile(gain={**unit, "value": listed}, gain_spread={**unit, "value": 0.1}, seed=3)
+    file = ModulesFile(
+        gain={**unit, "value": listed}, gain_spread={**unit, "value": 0.1}, seed=3
+    )
     alone = ModulesFile(gain_spread={**unit, "value": 0.1})
-    assert np.array(file.draw(2, 99).gain) == pytest.approx(np.array(listed) * alone.draw(2, 3).gain)
+    assert np.array(file.draw(2, 99).gain) == pytest.approx(
+        np.array(listed) * alone.draw(2, 3).gain
+    )
 
 
 @pytest.mark.parametrize(
@@ -358,7 +468,10 @@ def test_listed_and_random_module_values_combine():
             {"bias": (0.0, 0.0, np.nan, 0.0)},
             "modules.bias nan is not allowed; it must be -3.14159 to 3.14159",
         ),
-        ({"tau_fill": ((1.0, 0.0),) * 4}, "modules.tau_fill 0 is not allowed; it must be 0.01 to 100"),
+        (
+            {"tau_fill": ((1.0, 0.0),) * 4},
+            "modules.tau_fill 0 is not allowed; it must be 0.01 to 100",
+        ),
     ],
 )
 def test_invalid_modules_raise(changed, words):
@@ -393,12 +506,18 @@ def test_scenario_with_modules_and_faults(tmp_path):
     path = tmp_path / "one.yaml"
     path.write_text(SCENARIO)
     scenario = load_scenario(path)
-    assert scenario.robot.modules.bias == (0.1, 0.0, 0.0, -0.1) and scenario.robot.actuator.bend_limit == 1.5
+    assert (
+        scenario.robot.modules.bias == (0.1, 0.0, 0.0, -0.1)
+        and scenario.robot.actuator.bend_limit == 1.5
+    )
     assert len({*np.ravel(scenario.robot.modules.gain)}) == 8
     for kind in PLANTS:
         run = rollout(scenario.build_plant(kind), scenario.build_controller(), 1.0)
         late = run["time"] >= 0.5
-        assert np.isnan(run["sensed_3"][late]).all() and np.isfinite(run["sensed_3"][~late]).all()
+        assert (
+            np.isnan(run["sensed_3"][late]).all()
+            and np.isfinite(run["sensed_3"][~late]).all()
+        )
         assert (run["sensed_4"] == 0.25).all()
         assert run["sensed_2"] == pytest.approx(run["bend_2"] + 0.2)
         assert run["pressure_minus_1"][-1] > 0.99 * 131e3
@@ -409,9 +528,21 @@ def test_scenario_with_modules_and_faults(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("segment: 3,", "segment: 5,", "10:34: faults[0].segment: 5 is not allowed; gen4 has 4 segments"),
-        ("[0.1, 0, 0, -0.1]", "[0.1, 0]", "modules.bias_rad: 2 entries for 4 segments; give 4, head first"),
-        ("gain_spread: 0.15", "gain_spred: 0.15", "unknown key; did you mean gain_spread?"),
+        (
+            "segment: 3,",
+            "segment: 5,",
+            "10:34: faults[0].segment: 5 is not allowed; gen4 has 4 segments",
+        ),
+        (
+            "[0.1, 0, 0, -0.1]",
+            "[0.1, 0]",
+            "modules.bias_rad: 2 entries for 4 segments; give 4, head first",
+        ),
+        (
+            "gain_spread: 0.15",
+            "gain_spred: 0.15",
+            "unknown key; did you mean gain_spread?",
+        ),
         ("gain_spread: 0.15", "gain_spread: 3", "a number from 0 to 0.3"),
         ("bend_limit_rad: 1.5", "onset_share: 1.5", "a number from 0 to 1"),
         ("bend_limit_rad: 1.5", "onset_width_rad: 0", "a number from 0.01 to 6.3"),
@@ -439,8 +570,13 @@ def test_robot_file_with_modules_has_sources(tmp_path):
 
 def test_sensor_drift_keeps_the_noise():
     spec = unlike(sensors=0.1)
-    drifted, plain = make_sensor("hall", spec), make_sensor("hall", replace(spec, variation=None))
+    drifted, plain = (
+        make_sensor("hall", spec),
+        make_sensor("hall", replace(spec, variation=None)),
+    )
     bend, time = np.full((5, 4), 0.3), np.arange(5) * 0.01
-    expected = plain.read(bend, time, 3) * spec.modules.sensor_gain + spec.modules.sensor_bias
+    expected = (
+        plain.read(bend, time, 3) * spec.modules.sensor_gain + spec.modules.sensor_bias
+    )
     assert drifted.read(bend, time, 3) == pytest.approx(expected)
     assert drifted.kind == "hall" and "drift_gain" in drifted.describe()

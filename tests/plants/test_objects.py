@@ -15,7 +15,13 @@ from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.spec import GRAVITY, Friction, RobotSpec
-from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION, Circle, MovableObject, Polygon, World
+from srs_twin.robot.world import (
+    OBSTACLE_FRICTION as FRICTION,
+    Circle,
+    MovableObject,
+    Polygon,
+    World,
+)
 from srs_twin.rollout import rollout
 from srs_twin.trajectory import Trajectory
 
@@ -26,7 +32,9 @@ CYLINDER = MovableObject((0.03,), 0.05, 0.3, 0.3, 0.2)
 BOX = MovableObject((0.08, 0.04), 0.05, 0.3, 0.3, 0.2, 0.4)
 
 
-def twin_with(*objects: MovableObject, robot: RobotSpec = GEN2, **world: object) -> TwinSnake:
+def twin_with(
+    *objects: MovableObject, robot: RobotSpec = GEN2, **world: object
+) -> TwinSnake:
     return TwinSnake(robot, world=World(objects=objects, **world))  # type: ignore[arg-type]
 
 
@@ -53,8 +61,11 @@ def test_spinning_cylinder_is_braked_by_the_moment_of_a_uniform_pressure():
     twin.step(VENTED)
     radius = CYLINDER.size[0]
     braking = (2 / 3 * CYLINDER.friction * GRAVITY * radius) / (radius**2 / 2)
-    # The tolerance of the friction solve is relative to the friction of the whole snake.
-    assert twin.physics.data.qvel[-1] == pytest.approx(spin - braking * twin.tick, abs=5e-4 * spin)
+    # The tolerance of the friction solve is relative to the friction of the whole
+    # snake.
+    assert twin.physics.data.qvel[-1] == pytest.approx(
+        spin - braking * twin.tick, abs=5e-4 * spin
+    )
 
 
 @pytest.mark.slow
@@ -67,9 +78,16 @@ def test_object_at_rest_on_a_slope_stays_until_the_friction_angle():
         for _ in range(10):
             twin.step(VENTED)
         moved = np.hypot(*(twin.state.qpos[-3:-1] - [CYLINDER.x, CYLINDER.y]))
-        gained = GRAVITY * (math.sin(floor.tilt) - CYLINDER.friction * math.cos(floor.tilt)) * 0.2**2 / 2
+        gained = (
+            GRAVITY
+            * (math.sin(floor.tilt) - CYLINDER.friction * math.cos(floor.tilt))
+            * 0.2**2
+            / 2
+        )
         # Friction builds up within the slip speed of 1 mm/s.
-        assert moved == pytest.approx(gained if slides else 0.0, abs=1.1e-3 * 0.2 if slides else 1e-5)
+        assert moved == pytest.approx(
+            gained if slides else 0.0, abs=1.1e-3 * 0.2 if slides else 1e-5
+        )
 
 
 @pytest.mark.slow
@@ -89,7 +107,9 @@ def test_collision_conserves_momentum(item):
         total = np.zeros(3)
         for body, mass in ((1, GEN2.mass.total), (model.nbody - 1, item.mass)):
             velocity, place = data.subtree_linvel[body], data.subtree_com[body]
-            spin = data.subtree_angmom[body][2] + mass * (place[0] * velocity[1] - place[1] * velocity[0])
+            spin = data.subtree_angmom[body][2] + mass * (
+                place[0] * velocity[1] - place[1] * velocity[0]
+            )
             total += [mass * velocity[0], mass * velocity[1], spin]
         return total
 
@@ -107,7 +127,9 @@ def test_work_of_the_torques_is_the_energy_that_object_and_floor_receive(item):
     twin = twin_with(item)
     run = rollout(twin, Gait(2.0), 2.0, record_hz=1000)
     assert abs(run["object_x_1"][-1] - item.x) > 0.03, "the snake must push it"
-    power = (run.stack("torque") * free_bends(twin, Gait(2.0), run.time).bend_rate).sum(axis=1)
+    power = (run.stack("torque") * free_bends(twin, Gait(2.0), run.time).bend_rate).sum(
+        axis=1
+    )
     work = np.trapezoid(power, run.time)
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
 
@@ -133,7 +155,11 @@ def test_mirrored_push_gives_the_mirrored_motion():
         gait = Gait(2.0, phase=0.0 if sign > 0 else math.pi)
         run = rollout(twin_with(box), gait, 1.0)
         results.append(
-            [run["object_x_1"][-1], sign * run["object_y_1"][-1], sign * run["object_heading_1"][-1]]
+            [
+                run["object_x_1"][-1],
+                sign * run["object_y_1"][-1],
+                sign * run["object_heading_1"][-1],
+            ]
         )
     np.testing.assert_allclose(*results, atol=1e-6)
     assert abs(results[0][0] - 0.172) > 0.005
@@ -163,9 +189,15 @@ def test_contacts_with_an_immovable_object_are_those_with_an_obstacle():
     heavy = MovableObject((0.03,), 1000.0, 10.0, 0.2, 0.035)
     post = World(obstacles=(Circle(0.2, 0.035, 0.03),))
     runs = [
-        rollout(TwinSnake(GEN2, world=world), Gait(2.0), 1.0) for world in (World(objects=(heavy,)), post)
+        rollout(TwinSnake(GEN2, world=world), Gait(2.0), 1.0)
+        for world in (World(objects=(heavy,)), post)
     ]
-    assert np.hypot(runs[1].stack("obstacle_force_x"), runs[1].stack("obstacle_force_y")).max() > 0.1
+    assert (
+        np.hypot(
+            runs[1].stack("obstacle_force_x"), runs[1].stack("obstacle_force_y")
+        ).max()
+        > 0.1
+    )
     np.testing.assert_allclose(runs[0].com, runs[1].com, atol=1e-4)
 
 
@@ -182,17 +214,29 @@ def test_curled_body_touches_itself():
     fine, _ = curled(TwinSnake(chain, world=world, timestep=0.00025))
     assert fine < 0.5 * coarse
     assert overlap == 0.0, "less than a quarter of the width"
-    assert curled(TwinSnake(chain))[1] > 0.9 * width, "a world without objects has no such contacts"
+    assert curled(TwinSnake(chain))[1] > 0.9 * width, (
+        "a world without objects has no such contacts"
+    )
 
 
 def curled(twin: TwinSnake) -> tuple[float, float]:
     """Fill all left chambers for 0.8 s; return the displacement of the centre of mass and the overlap, m."""
-    spec, curl = twin.spec, np.tile(np.array([1, -1], dtype=np.int8), (twin.spec.segments, 1))
+    spec, curl = (
+        twin.spec,
+        np.tile(np.array([1, -1], dtype=np.int8), (twin.spec.segments, 1)),
+    )
     start = twin.reset().com
     states = [twin.step(curl) for _ in range(40)]
-    signals = {"x": [s.position[:, 0] for s in states], "y": [s.position[:, 1] for s in states]}
+    signals = {
+        "x": [s.position[:, 0] for s in states],
+        "y": [s.position[:, 1] for s in states],
+    }
     signals["theta"] = [s.theta for s in states]
-    columns = {f"{k}_{i + 1}": row for k, v in signals.items() for i, row in enumerate(np.transpose(v))}
+    columns = {
+        f"{k}_{i + 1}": row
+        for k, v in signals.items()
+        for i, row in enumerate(np.transpose(v))
+    }
     run = Trajectory({"time": np.arange(40.0)} | columns)
     return float(np.abs(states[-1].com - start).max()), body_overlap(run, spec.geometry)
 
@@ -204,11 +248,13 @@ def test_chain_without_stiffness_follows_the_capstan_law(wrap):
     assert tension / hold_back == pytest.approx(math.exp(FRICTION * wrap), rel=0.05)
 
 
-def pulled_over_an_object(wrap: float, radius: float, hold_back: float = 1.0) -> tuple[float, float]:
+def pulled_over_an_object(
+    wrap: float, radius: float, hold_back: float = 1.0
+) -> tuple[float, float]:
     """Return the tension that slides a limp chain over a fixed cylinder, and the hold-back tension, N.
 
-    The chain has no floor friction. The hold-back tension acts on the tail; a stiff spring moves the head
-    slowly, and its force is the tension.
+    The chain has no floor friction. The hold-back tension acts on the tail; a stiff
+    spring moves the head slowly, and its force is the tension.
     """
     connectors, width = 17, 0.002
     chain = replace(
@@ -220,7 +266,11 @@ def pulled_over_an_object(wrap: float, radius: float, hold_back: float = 1.0) ->
     pitch, bent_radius = chain.geometry.pitch, radius + width / 2 + 2e-4
     edges = np.arange(connectors) * pitch
     middle, half = edges[-1] / 2, wrap * bent_radius / 2
-    bend = np.clip(np.minimum(edges[1:], middle + half) - np.maximum(edges[:-1], middle - half), 0, None)
+    bend = np.clip(
+        np.minimum(edges[1:], middle + half) - np.maximum(edges[:-1], middle - half),
+        0,
+        None,
+    )
     bend /= bent_radius
 
     def wrapped(x: float, y: float) -> TwinSnake:
@@ -234,16 +284,24 @@ def pulled_over_an_object(wrap: float, radius: float, hold_back: float = 1.0) ->
 
     place = wrapped(10.0, 10.0).physics.connector_positions()[:, :2]
     on_arc = place[np.abs(edges - middle) < half]
-    centre = np.linalg.lstsq(np.column_stack([2 * on_arc, np.ones(len(on_arc))]), (on_arc**2).sum(axis=1))[0]
+    centre = np.linalg.lstsq(
+        np.column_stack([2 * on_arc, np.ones(len(on_arc))]), (on_arc**2).sum(axis=1)
+    )[0]
     twin = wrapped(float(centre[0]), float(centre[1]))
     data, model = twin.physics.data, twin.physics.model
     head, tail = model.body("connector_1").id, model.body(f"connector_{connectors}").id
     ahead, behind = data.xmat[head][[0, 3]].copy(), -data.xmat[tail][[0, 3]]
-    start, vented, pulls = data.xpos[head][:2].copy(), np.full((connectors - 1, 2), -1, dtype=np.int8), []
+    start, vented, pulls = (
+        data.xpos[head][:2].copy(),
+        np.full((connectors - 1, 2), -1, dtype=np.int8),
+        [],
+    )
     speed, stiffness, damping = 0.01, 2000.0, 20.0
     for k in range(2000):
         time, velocity = k * twin.tick, np.empty(6)
-        mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, head, velocity, 0)
+        mujoco.mj_objectVelocity(
+            model, data, mujoco.mjtObj.mjOBJ_BODY, head, velocity, 0
+        )
         pull = stiffness * (start + ahead * speed * time - data.xpos[head][:2])
         pull += damping * (ahead * speed - velocity[3:5])
         data.xfrc_applied[head, :2] = pull

@@ -26,9 +26,9 @@ def driven(
 
 def forces(run: Trajectory) -> np.ndarray:
     """Return the force of the obstacles on each connector, shape (samples, N, 2), N."""
-    return np.stack([[run[f"obstacle_force_{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]).transpose(
-        2, 0, 1
-    )
+    return np.stack(
+        [[run[f"obstacle_force_{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]
+    ).transpose(2, 0, 1)
 
 
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
@@ -59,7 +59,9 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
 @pytest.mark.parametrize("law", ["wheel", "ellipse"])
 def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, law):
     """Newton's law of the whole snake with recorded forces and positions."""
-    twin = TwinSnake(robot(), supply_pa=48e3, world=WORLDS[name], contact=LoadedContact(law))
+    twin = TwinSnake(
+        robot(), supply_pa=48e3, world=WORLDS[name], contact=LoadedContact(law)
+    )
     gait, mass = Gait(2.0), twin.spec.mass.total
     gait.reset(twin.spec, twin.tick)
     history = twin.play(gait.script(3.0), 1500)
@@ -67,7 +69,8 @@ def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, law):
     impulse = np.cumsum(pushed, axis=0) * 0.002
     momentum = mass * history.com_velocity
     assert np.abs(history.obstacle_force).max() > 0.5
-    # Momentum drifts to first order in the step, as it does without obstacles (laws/test_frictionless.py).
+    # Momentum drifts to first order in the step, as it does without obstacles
+    # (laws/test_frictionless.py).
     assert impulse == pytest.approx(momentum, abs=0.05 * np.abs(momentum).max())
     without = np.cumsum(history.contact_force.sum(axis=1), axis=0) * 0.002
     assert np.abs(without - momentum).max() > np.abs(momentum).max()
@@ -78,18 +81,24 @@ def test_normal_force_of_a_circle_is_radial():
     _, run = driven(World((circle,)), duration=2.0)
     force = forces(run)
     size = np.linalg.norm(force, axis=2)
-    place = np.stack([[run[f"{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]).transpose(2, 0, 1)
+    place = np.stack(
+        [[run[f"{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]
+    ).transpose(2, 0, 1)
     away = place - [circle.x, circle.y]
     away /= np.linalg.norm(away, axis=2, keepdims=True)
     hit = size > 0.2
     assert hit.any()
-    # Friction of 0.5 turns it by 27°, half a pitch between connector and contact by some 35° more.
+    # Friction of 0.5 turns it by 27°, half a pitch between connector and contact by
+    # some 35° more.
     assert ((force * away).sum(axis=2)[hit] > 0.4 * size[hit]).all()
 
 
 def test_remote_obstacles_do_not_change_the_motion():
     _, alone = driven(None, duration=1.0)
-    _, bounded = driven(World(bounds=Bounds((-1, 1), (-1, 1)), goal=Goal(0.5, 0, None, 0.05)), duration=1.0)
+    _, bounded = driven(
+        World(bounds=Bounds((-1, 1), (-1, 1)), goal=Goal(0.5, 0, None, 0.05)),
+        duration=1.0,
+    )
     assert all((bounded[name] == alone[name]).all() for name in alone.columns)
     assert not any(name.startswith("obstacle") for name in alone.columns)
     far, run = driven(World((Circle(5, 5, 0.1),)), duration=1.0)
@@ -102,9 +111,9 @@ def test_obstacle_contact_converges_with_the_time_step():
     for timestep in (0.001, 0.0005):
         _, run = driven(OBLIQUE, timestep=timestep, duration=2.0)
         ends.append([run["com_x"][-1], run["com_y"][-1], run["heading"][-1]])
-    assert ends[0][:2] == pytest.approx(ends[1][:2], abs=0.02) and ends[0][2] == pytest.approx(
-        ends[1][2], abs=0.2
-    )
+    assert ends[0][:2] == pytest.approx(ends[1][:2], abs=0.02) and ends[0][
+        2
+    ] == pytest.approx(ends[1][2], abs=0.2)
 
 
 def test_twin_of_a_scenario_has_its_obstacles(tmp_path):
@@ -118,5 +127,7 @@ def test_twin_of_a_scenario_has_its_obstacles(tmp_path):
     assert np.abs(forces(run)).max() > 0.2 and run.unit("obstacle_force_x_1") == "N"
     assert (
         "obstacle_force_x_1"
-        not in rollout(scenario.build_plant("analytical"), scenario.build_controller(), 1.0).columns
+        not in rollout(
+            scenario.build_plant("analytical"), scenario.build_controller(), 1.0
+        ).columns
     )

@@ -21,7 +21,11 @@ STATED = (1.95, 21.5, 2.45, 0.155, 0.915, 1.75, 0.0, 1.55)
 
 
 def scenario(twin, **changes):
-    data = {"robot": "gen2", "duration_s": 2, "controller": {"kind": "gait", "frequency_hz": 2.0}}
+    data = {
+        "robot": "gen2",
+        "duration_s": 2,
+        "controller": {"kind": "gait", "frequency_hz": 2.0},
+    }
     return parse_scenario(data | {"plants": {"twin": twin}}, set=changes)
 
 
@@ -41,7 +45,9 @@ REFERENCE = ("loaded", 0.00025, 2, "reference")
 
 def test_preset_names_match_the_scenario_key():
     assert tuple(PRESETS) == get_args(Preset)
-    assert PRESETS["fast"].keys() == PRESETS["reference"].keys(), "or one could not take the other's place"
+    assert PRESETS["fast"].keys() == PRESETS["reference"].keys(), (
+        "or one could not take the other's place"
+    )
     assert TwinFile().preset is None and TwinFile() == TwinFile.model_validate({})
 
 
@@ -53,13 +59,18 @@ def test_preset_names_match_the_scenario_key():
         ({"preset": "fast"}, FAST),
         ({"preset": "fast", "timestep_s": 0.001}, ("loaded", 0.001, 2, None)),
         ({"preset": "fast", "contact": "preloaded"}, ("preloaded", 0.002, 2, None)),
-        ({"preset": "fast", "friction": "ellipse", "hinges_per_segment": 3}, ("loaded", 0.002, 3, "fast")),
+        (
+            {"preset": "fast", "friction": "ellipse", "hinges_per_segment": 3},
+            ("loaded", 0.002, 3, "fast"),
+        ),
     ],
 )
 def test_explicit_setting_overrides_the_preset(twin, used):
     result = scenario(twin)
     assert settings(result) == used
-    assert settings(parse_scenario(result.document)) == used, "defaults written out, the same"
+    assert settings(parse_scenario(result.document)) == used, (
+        "defaults written out, the same"
+    )
 
 
 def test_a_law_needs_the_loaded_contact():
@@ -70,19 +81,31 @@ def test_a_law_needs_the_loaded_contact():
 def test_another_preset_replaces_only_settings_of_the_first():
     """Sweeps, studies and `--set` modify documents that contain all settings."""
     resolved = scenario({"hinges_per_segment": 3}).document
-    assert settings(parse_scenario(resolved, set={KEY: "fast"})) == ("loaded", 0.002, 3, "fast")
+    assert settings(parse_scenario(resolved, set={KEY: "fast"})) == (
+        "loaded",
+        0.002,
+        3,
+        "fast",
+    )
     fast = scenario({"preset": "fast"}).document
     assert settings(parse_scenario(fast, set={KEY: "reference"})) == REFERENCE
     experiment = Experiment(scenario({}).document, ("twin",))
     both = {KEY: "fast", "plants.twin.timestep_s": 0.0005}
     for changes in (both, dict(reversed(both.items()))):
-        assert settings(parse_scenario(experiment.document(changes))) == ("loaded", 0.0005, 2, None)
+        assert settings(parse_scenario(experiment.document(changes))) == (
+            "loaded",
+            0.0005,
+            2,
+            None,
+        )
     assert settings(parse_scenario(experiment.document({KEY: "fast"}))) == FAST
 
 
 def test_unknown_preset_raises_with_the_allowed_names(srs_twin, tmp_path):
     done = srs_twin("run", "gen2_turn", "--set", f"{KEY}=fst", cwd=tmp_path)
-    output = f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
+    output = (
+        f"{KEY}: must be one of reference, fast, not text 'fst'; did you mean fast?\n"
+    )
     assert (done.returncode, done.stderr) == (2, f"--set {KEY}=fst: {output}")
 
 
@@ -96,23 +119,42 @@ def test_unknown_preset_raises_with_the_allowed_names(srs_twin, tmp_path):
     ],
 )
 def test_run_records_its_preset(srs_twin, tmp_path, twin, named):
-    changes = [word for key, value in twin.items() for word in ("--set", f"plants.twin.{key}={value}")]
+    changes = [
+        word
+        for key, value in twin.items()
+        for word in ("--set", f"plants.twin.{key}={value}")
+    ]
     short = ("--set", "duration_s=2", "--out", "run")
-    done = srs_twin("run", "gen2_turn", "--plants", "twin", *changes, *short, cwd=tmp_path)
+    done = srs_twin(
+        "run", "gen2_turn", "--plants", "twin", *changes, *short, cwd=tmp_path
+    )
     metrics = json.loads((tmp_path / "run/metrics.json").read_text("utf-8"))
     report = (tmp_path / "run/report.html").read_text("utf-8")
     assert metrics.get("preset") == named
     for text in (" ".join(done.stdout.split()), report):
-        assert (f"The twin ran with preset {named}, for searching:" in text) == (named is not None)
+        assert (f"The twin ran with preset {named}, for searching:" in text) == (
+            named is not None
+        )
 
 
 def test_other_settings_have_no_preset(srs_twin, tmp_path):
-    words = ("--set", f"{KEY}=fast", "--set", "duration_s=1", "--plants", "analytical", "--out", "run")
+    words = (
+        "--set",
+        f"{KEY}=fast",
+        "--set",
+        "duration_s=1",
+        "--plants",
+        "analytical",
+        "--out",
+        "run",
+    )
     assert "preset" not in srs_twin("run", "gen2_turn", *words, cwd=tmp_path).stdout
 
 
 def test_twin_built_from_a_preset_reports_it():
-    assert TwinSnake(load_robot("gen4"), **PRESETS["fast"]).describe()["preset"] == "fast"
+    assert (
+        TwinSnake(load_robot("gen4"), **PRESETS["fast"]).describe()["preset"] == "fast"
+    )
 
 
 def test_no_shipped_scenario_uses_the_fast_preset(root):
@@ -125,5 +167,7 @@ def test_no_shipped_scenario_uses_the_fast_preset(root):
 @pytest.mark.parametrize("name", ["gen2_turn", "gen3_turn"])
 def test_fast_preset_has_the_stated_error(name):
     fast = PRESETS["fast"]
-    actual = np.abs(errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})]))[:, 0]
+    actual = np.abs(
+        errors([measured(name, fast)], [measured(name, fast | {"timestep": FINE_S})])
+    )[:, 0]
     assert (actual <= STATED).all(), dict(zip(METRICS, actual, strict=True))

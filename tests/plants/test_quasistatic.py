@@ -11,7 +11,10 @@ from scipy.spatial.transform import Rotation
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.errors import DivergedError, InputError, InputFileError
-from srs_twin.plants.analytical import quasistatic_kernels, spatial_kinematics as kernels
+from srs_twin.plants.analytical import (
+    quasistatic_kernels,
+    spatial_kinematics as kernels,
+)
 from srs_twin.plants.analytical.quasistatic import make_constants
 from srs_twin.robot.spec import GRAVITY, Skin
 from srs_twin.robot.world import Floor, World
@@ -41,10 +44,23 @@ SIDEWINDING = PitchWave(0.3, math.pi / 2)
 
 
 def crawl(
-    spec=SPEC, *, frequency=0.5, pitch=SIDEWINDING, periods=1.0, pose=(0.0, 0.0, 0.0), step=0.01, **gait
+    spec=SPEC,
+    *,
+    frequency=0.5,
+    pitch=SIDEWINDING,
+    periods=1.0,
+    pose=(0.0, 0.0, 0.0),
+    step=0.01,
+    **gait,
 ):
     snake = AnalyticalSnake(spec, model="quasistatic", timestep=step)
-    run = rollout(snake, Gait(frequency, pitch=pitch, **gait), periods / frequency, pose=pose, record_hz=25)
+    run = rollout(
+        snake,
+        Gait(frequency, pitch=pitch, **gait),
+        periods / frequency,
+        pose=pose,
+        record_hz=25,
+    )
     return snake, run
 
 
@@ -81,7 +97,9 @@ def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
             )
             kernels.pose(moved, constants, work)
             places.append(work.point.copy())
-        assert (places[0] - places[1]) / 2e-6 == pytest.approx(motion[:, :, row], abs=1e-7)
+        assert (places[0] - places[1]) / 2e-6 == pytest.approx(
+            motion[:, :, row], abs=1e-7
+        )
 
 
 @pytest.mark.slow
@@ -103,7 +121,8 @@ def test_a_segment_bent_in_one_plane_is_an_arc():
     kernels.pose(state, constants, work)
     behind = work.frame[0].T @ (work.position[1] - work.position[0])
     radius, gap = constants.length / bend, constants.gap
-    # Both ends of a body that bends upwards rise, so that the rear is above the frame of the head.
+    # Both ends of a body that bends upwards rise, so that the rear is above the frame
+    # of the head.
     along = gap + radius * math.sin(bend) + gap * math.cos(bend)
     up = radius * (1 - math.cos(bend)) + gap * math.sin(bend)
     assert behind == pytest.approx([-along, 0.0, up], abs=1e-12)
@@ -112,7 +131,12 @@ def test_a_segment_bent_in_one_plane_is_an_arc():
 @pytest.mark.slow
 def test_a_cantilever_sags_as_the_elastica():
     segments, stiffness = 8, 0.5
-    spec = short(segments, stiffness=stiffness, pitch_stiffness=stiffness, roll_stiffness=stiffness)
+    spec = short(
+        segments,
+        stiffness=stiffness,
+        pitch_stiffness=stiffness,
+        roll_stiffness=stiffness,
+    )
     # All of the body bends: rods with gaps are stiffer than the elastica.
     spec = replace(spec, geometry=replace(spec.geometry, rigid_gap=1e-6))
     snake = AnalyticalSnake(spec, model="quasistatic", base="clamped", timestep=0.01)
@@ -124,12 +148,16 @@ def test_a_cantilever_sags_as_the_elastica():
     s = np.linspace(0.0, 1.0, 50)
     rod = solve_bvp(
         lambda s, y: np.stack([y[1], -number * (1 - s) * np.cos(y[0])]),
-        lambda a, b: np.array([a[0], b[1]]), s, np.zeros((2, 50)),
-    )  # fmt: skip
+        lambda a, b: np.array([a[0], b[1]]),
+        s,
+        np.zeros((2, 50)),
+    )
     fine = np.linspace(0, 1, 400)
     expected = np.trapezoid(np.sin(rod.sol(fine)[0]), fine)
     assert expected > 0.1
-    assert (state.height[0] - state.height[-1]) / length == pytest.approx(expected, rel=0.01)
+    assert (state.height[0] - state.height[-1]) / length == pytest.approx(
+        expected, rel=0.01
+    )
 
 
 @pytest.mark.slow
@@ -143,7 +171,10 @@ def test_loads_balance_the_weight_and_its_moment(sidewinder):
     assert 0.1 < (loads > 0.0).mean() < 0.9
     assert loads.sum() == pytest.approx(weight.sum(), rel=2e-3)
     radius = np.ptp(place[:, 0])
-    for axis in (0, 1):  # the friction acts at the radius below the axis: a moment of up to μ r W
+    for axis in (
+        0,
+        1,
+    ):  # the friction acts at the radius below the axis: a moment of up to μ r W
         arm = place[:, axis] - place[:, axis].mean()
         lever = SPEC.friction.mu_n * SPEC.geometry.com_height
         assert abs(arm @ (loads - weight)) < weight.sum() * (lever + 1e-3 * radius)
@@ -157,7 +188,9 @@ def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
     twist = state[kernels.BENDS :][: 3 * SEGMENTS].reshape(-1, 3)[:, 2]
     kernels.pose(state, constants, body._work)
     height = body._work.point[:, 2] - constants.radius
-    stored = GRAVITY * constants.mass @ height + constants.stiffness[2] / 2 * twist @ twist
+    stored = (
+        GRAVITY * constants.mass @ height + constants.stiffness[2] / 2 * twist @ twist
+    )
     names = [kernels.FRICTION_LOSS, kernels.INTERNAL_LOSS, kernels.DRAG_LOSS]
     losses = state[names]
     assert state[kernels.WORK] == pytest.approx(losses.sum() + stored, rel=0.02)
@@ -166,7 +199,11 @@ def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
 
 @pytest.mark.slow
 def test_a_slower_gait_of_slower_chambers_has_the_same_path(sidewinder):
-    slow = replace(SPEC.actuator, tau_fill=2 * SPEC.actuator.tau_fill, tau_vent=2 * SPEC.actuator.tau_vent)
+    slow = replace(
+        SPEC.actuator,
+        tau_fill=2 * SPEC.actuator.tau_fill,
+        tau_vent=2 * SPEC.actuator.tau_vent,
+    )
     _, run = crawl(replace(SPEC, actuator=slow), frequency=0.25, periods=2.0, step=0.02)
     moved, expected = (path.com[-1] - path.com[0] for path in (run, sidewinder[1]))
     assert np.linalg.norm(moved - expected) < 0.02 * np.linalg.norm(expected)
@@ -178,7 +215,8 @@ def test_a_turned_start_turns_the_path_and_a_mirrored_gait_mirrors_it():
     _, turned = crawl(pose=(0.3, -0.2, 1.0))
     turn = np.array([[math.cos(1.0), -math.sin(1.0)], [math.sin(1.0), math.cos(1.0)]])
     assert turned.com - [0.3, -0.2] == pytest.approx(run.com @ turn.T, abs=1e-7)
-    # Half a period later the wave to the left and right is mirrored; the pitch wave lags by half a period.
+    # Half a period later the wave to the left and right is mirrored; the pitch wave
+    # lags by half a period.
     _, mirrored = crawl(pitch=PitchWave(0.3, -math.pi / 2), phase=math.pi)
     assert mirrored.com * [1, -1] == pytest.approx(run.com, abs=1e-7)
 
@@ -190,7 +228,9 @@ def test_a_planar_gait_moves_as_the_compliant_planar_model():
     planar = replace(spec, chamber=replace(spec.chamber, directions=None))
     reference = AnalyticalSnake(planar, model="compliant", timestep=0.002)
     gait = Gait(0.5)
-    run, expected = (rollout(plant, gait, 4.0, record_hz=25) for plant in (snake, reference))
+    run, expected = (
+        rollout(plant, gait, 4.0, record_hz=25) for plant in (snake, reference)
+    )
     assert run.stack("bend") == pytest.approx(expected.stack("bend"), abs=0.01)
     step = expected.com[-1] - expected.com[0]
     assert np.linalg.norm(run.com[-1] - run.com[0] - step) < 0.03 * np.linalg.norm(step)
@@ -205,17 +245,25 @@ def test_half_the_step_hardly_changes_the_path():
 
 @pytest.mark.slow
 def test_a_saved_state_continues_with_the_same_bits():
-    gait, first = Gait(0.5, pitch=SIDEWINDING), AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
+    gait, first = (
+        Gait(0.5, pitch=SIDEWINDING),
+        AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01),
+    )
     gait.reset(SPEC, first.tick)
     commands = [gait.step(first.state) for _ in range(10)]
     for command in commands[:5]:
         first.step(command)
-    saved, second = first.save(), AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
+    saved, second = (
+        first.save(),
+        AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01),
+    )
     second.restore(saved)
     for command in commands[5:]:
         one, other = first.step(command), second.step(command)
     assert (
-        (one.com == other.com).all() and (one.load == other.load).all() and (one.theta == other.theta).all()
+        (one.com == other.com).all()
+        and (one.load == other.load).all()
+        and (one.theta == other.theta).all()
     )
 
 
@@ -228,7 +276,9 @@ def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counte
     for _ in range(100):
         state = snake.step(up)
     # All segments bent upwards form a ring with a single support, which topples.
-    assert snake.jumps >= 1 and abs(state.height - SPEC.geometry.com_height).min() < 1e-3
+    assert (
+        snake.jumps >= 1 and abs(state.height - SPEC.geometry.com_height).min() < 1e-3
+    )
 
 
 @pytest.mark.slow
@@ -244,14 +294,20 @@ def test_a_step_that_cannot_be_made_short_enough_ends_the_run():
 
 
 def test_robots_worlds_and_laws_that_have_no_solution_are_refused():
-    with pytest.raises(InputError, match="needs a spatial robot; gen2 bends in one plane"):
+    with pytest.raises(
+        InputError, match="needs a spatial robot; gen2 bends in one plane"
+    ):
         AnalyticalSnake(load_robot("gen2"), model="quasistatic")
     with pytest.raises(InputError, match="with a potential, 'ellipse', not 'cosine'"):
         AnalyticalSnake(replace(SPEC, skin=Skin("cosine")), model="quasistatic")
     with pytest.raises(InputError, match="level floor"):
         AnalyticalSnake(SPEC, model="quasistatic", world=World(floor=Floor(tilt=0.1)))
-    with pytest.raises(InputFileError, match="quasistatic needs chamber.directions_deg"):
-        load_scenario("gen2_straight", set={"plants.analytical": {"model": "quasistatic"}})
+    with pytest.raises(
+        InputFileError, match="quasistatic needs chamber.directions_deg"
+    ):
+        load_scenario(
+            "gen2_straight", set={"plants.analytical": {"model": "quasistatic"}}
+        )
 
 
 @pytest.mark.slow

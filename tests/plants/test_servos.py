@@ -15,7 +15,9 @@ from srs_twin.robot.file import load_robot
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import parse_scenario
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "add-a-robot.md").read_text("utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "add-a-robot.md").read_text(
+    "utf-8"
+)
 TEXT = PAGE.split("```yaml servo_snake.yaml\n")[1].split("```")[0]
 TAU, ANGLE = 0.1, 0.6  # response time, s, and commanded angle, rad, of this robot
 
@@ -43,15 +45,20 @@ def test_joints_follow_a_critically_damped_response_under_load(write):
         for k in range(1, 26):
             t = k * plant.tick / TAU
             expected = ANGLE * (1 - (1 + t) * np.exp(-t))
-            # Floor and inertia turn a joint by less than friction coefficient times 1 mrad.
+            # Floor and inertia turn a joint by less than friction coefficient times 1
+            # mrad.
             assert plant.step(valves).bend == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.slow
 def test_plants_agree_on_a_gait_of_a_wheeled_rigid_snake(write):
     spec = load_robot(write())
-    model = AnalyticalSnake(spec, friction="wheel", load="momentary", inertia="connector")
-    model_run, twin_run = (rollout(plant, Gait(1.0), 3.0) for plant in (model, TwinSnake(spec)))
+    model = AnalyticalSnake(
+        spec, friction="wheel", load="momentary", inertia="connector"
+    )
+    model_run, twin_run = (
+        rollout(plant, Gait(1.0), 3.0) for plant in (model, TwinSnake(spec))
+    )
     assert twin_run.com[-1, 0] == pytest.approx(model_run.com[-1, 0], rel=0.005)
     assert model_run.com[-1, 0] > 0.3
 
@@ -63,8 +70,12 @@ def test_plants_agree_on_a_rigid_snake_with_skin(write):
         for key, mu in (("forward", 0.1), ("transverse", 0.6))
     )
     lines = TEXT.splitlines(keepends=True)
-    wheels = [line for line in lines if line.split(":")[0].strip() in
-              ("half_track_m", "wheel_radius_m", "wheel_kg", "mu_t", "mu_n", "friction")]  # fmt: skip
+    wheels = [
+        line
+        for line in lines
+        if line.split(":")[0].strip()
+        in ("half_track_m", "wheel_radius_m", "wheel_kg", "mu_t", "mu_n", "friction")
+    ]
     path = write(
         *((line, "") for line in wheels),
         ("connectors_kg", "segments_kg"),
@@ -72,17 +83,31 @@ def test_plants_agree_on_a_rigid_snake_with_skin(write):
     )
     spec = load_robot(path)
     model = AnalyticalSnake(spec, load="momentary", inertia="connector")
-    model_run, twin_run = (rollout(plant, Gait(1.0), 3.0) for plant in (model, TwinSnake(spec)))
+    model_run, twin_run = (
+        rollout(plant, Gait(1.0), 3.0) for plant in (model, TwinSnake(spec))
+    )
     assert twin_run.com[-1, 0] == pytest.approx(model_run.com[-1, 0], rel=0.02)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("  kind: position\n", ""), "actuator.tau_fill_s: missing; a robot with actuator pressure needs it"),
         (
-            ("actuator:\n", "actuator:\n  onset_rad: {value: 0.3, unit: rad, status: measured, source: x}\n"),
-            "actuator.onset_rad: a robot with actuator position has no onset_rad; remove it",
+            ("  kind: position\n", ""),
+            "actuator.tau_fill_s: missing; a robot with actuator pressure needs it",
+        ),
+        (
+            (
+                "actuator:\n",
+                (
+                    "actuator:\n  onset_rad: {value: 0.3, unit: rad, status: measured,"
+                    " source: x}\n"
+                ),
+            ),
+            (
+                "actuator.onset_rad: a robot with actuator position has no onset_rad;"
+                " remove it"
+            ),
         ),
         (
             ("kind: position", "kind: servo"),
@@ -99,7 +124,10 @@ def test_keys_of_the_other_kind_are_refused(write, change, message):
 @pytest.mark.parametrize(
     ("section", "message"),
     [
-        ({"supply": {"pressure_kpa": 50}}, "supply.pressure_kpa: servo_snake has servos and no supply"),
+        (
+            {"supply": {"pressure_kpa": 50}},
+            "supply.pressure_kpa: servo_snake has servos and no supply",
+        ),
         (
             {"pneumatics": {"kind": "orifice"}},
             "pneumatics.kind: servo_snake has servos, which respond like lag",
@@ -107,8 +135,15 @@ def test_keys_of_the_other_kind_are_refused(write, change, message):
     ],
 )
 def test_air_is_refused_for_servos(write, section, message):
-    data = {"robot": str(write()), "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 1.0}}
+    data = {
+        "robot": str(write()),
+        "duration_s": 1,
+        "controller": {"kind": "gait", "frequency_hz": 1.0},
+    }
     data |= {"plants": {"analytical": {}}}
-    assert parse_scenario(data).document == parse_scenario(parse_scenario(data).document).document
+    assert (
+        parse_scenario(data).document
+        == parse_scenario(parse_scenario(data).document).document
+    )
     with pytest.raises(InputFileError, match=message):
         parse_scenario(data | section)

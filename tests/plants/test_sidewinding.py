@@ -1,12 +1,13 @@
 r"""Sidewinding of a stiff, thin snake compared with the kinematics without slip (Burdick et al. 1995).
 
-A wave travels along the body with the speed c = f Λ, Λ the arc length of one wave. Seen from the wave, the
-material moves along the body with this speed. The parts that rest on the floor do not move, so the body moves
-with the velocity
+A wave travels along the body with the speed c = f Λ, Λ the arc length of one wave. Seen
+from the wave, the material moves along the body with this speed. The parts that rest on
+the floor do not move, so the body moves with the velocity
 
 $$ v = c\,(\langle t \rangle - t_c), $$
 
-with the mean of the body's tangents ⟨t⟩ and the tangent t_c of the parts that carry the load.
+with the mean of the body's tangents ⟨t⟩ and the tangent t_c of the parts that carry the
+load.
 """
 
 import math
@@ -40,9 +41,13 @@ def test_a_stiff_sidewinder_travels_as_the_kinematics_without_slip_predict(share
     com = run.com[used]
     measured = (com[-1] - com[0]) / (3 / FREQUENCY_HZ)
     assert np.hypot(*measured) == pytest.approx(np.hypot(*expected), rel=0.12)
-    direction = math.atan2(measured[1], measured[0]) - math.atan2(expected[1], expected[0])
+    direction = math.atan2(measured[1], measured[0]) - math.atan2(
+        expected[1], expected[0]
+    )
     assert abs(math.degrees(direction)) < 3.0
     # It travels to the right, across its heading, and supported parts slip slowly.
-    assert math.degrees(math.atan2(measured[1], measured[0])) == pytest.approx(-90.0, abs=15.0)
+    assert math.degrees(math.atan2(measured[1], measured[0])) == pytest.approx(
+        -90.0, abs=15.0
+    )
     speed = np.linalg.norm(np.gradient(run.position, run.time, axis=0), axis=-1)[used]
     assert (speed * load).sum() / load.sum() < 0.3 * np.hypot(*measured)

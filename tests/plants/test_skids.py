@@ -41,8 +41,12 @@ def test_each_skid_touches_once_at_the_track(scene):
     places = data.contact.pos.reshape(g.connectors, 2, 3)
     places = places[np.argsort(-places[:, 0, 0])]
     stations = g.body_length / 2 - g.pitch * np.arange(g.connectors)
-    assert places[..., 0] == pytest.approx(np.stack([stations, stations], axis=1), abs=1e-9)
-    assert places[..., 1] == pytest.approx(np.tile([g.half_track, -g.half_track], (g.connectors, 1)))
+    assert places[..., 0] == pytest.approx(
+        np.stack([stations, stations], axis=1), abs=1e-9
+    )
+    assert places[..., 1] == pytest.approx(
+        np.tile([g.half_track, -g.half_track], (g.connectors, 1))
+    )
 
 
 def test_skids_have_the_mass_and_inertia_of_wheels(scene):
@@ -55,11 +59,17 @@ def test_skids_have_the_mass_and_inertia_of_wheels(scene):
         own, axle = model.body(f"connector_{i}"), wheeled.body(f"connector_{i}")
         assert own.ipos == pytest.approx([0, 0, 0], abs=1e-15)
         wheels = [wheeled.body(f"wheel_{side}_{i}") for side in ("left", "right")]
-        assert own.mass == pytest.approx(axle.mass + sum(wheel.mass for wheel in wheels))
+        assert own.mass == pytest.approx(
+            axle.mass + sum(wheel.mass for wheel in wheels)
+        )
         offset = sum(wheel.mass[0] * wheel.pos[1] ** 2 for wheel in wheels)
-        turning = axle.inertia[yaw] + sum(wheel.inertia[yaw] for wheel in wheels) + offset
+        turning = (
+            axle.inertia[yaw] + sum(wheel.inertia[yaw] for wheel in wheels) + offset
+        )
         assert own.inertia[yaw] == pytest.approx(turning)
-    assert model.nv == wheeled.nv - 2 * g.connectors == 6 + 4 * spec.segments, "no axles"
+    assert model.nv == wheeled.nv - 2 * g.connectors == 6 + 4 * spec.segments, (
+        "no axles"
+    )
 
 
 def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
@@ -72,7 +82,9 @@ def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
         assert along * pressed == pytest.approx(spec.friction.mu_t * load)
         assert across * pressed == pytest.approx(spec.friction.mu_n * load)
     assert model.npair == len(treads(spec)) == 10
-    assert model.pair_friction[:, :2] == pytest.approx(np.tile([along, across], (10, 1)))
+    assert model.pair_friction[:, :2] == pytest.approx(
+        np.tile([along, across], (10, 1))
+    )
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.5, 2.0, -2.5])
@@ -84,14 +96,21 @@ def test_contact_frames_turn_with_the_skids(heading):
     assert len(contacts.frame) == 10
     for normal, along, across in contacts.frame.reshape(-1, 3, 3):
         assert normal == pytest.approx([0, 0, 1])
-        assert np.abs(along) == pytest.approx(np.abs([np.cos(heading), np.sin(heading), 0]), abs=1e-6)
+        assert np.abs(along) == pytest.approx(
+            np.abs([np.cos(heading), np.sin(heading), 0]), abs=1e-6
+        )
         assert np.cross(normal, along) == pytest.approx(across)
     assert (contacts.friction[:, 0] < contacts.friction[:, 1]).all()
 
 
 def test_skids_stay_on_the_floor_and_off_their_tips():
     plant, contacts = TwinSnake(robot(), contact=PreloadedContact("skid")), []
-    rollout(plant, Gait(2.0, 0.2), 2.0, observers=[lambda _: contacts.append(plant.physics.data.ncon)])
+    rollout(
+        plant,
+        Gait(2.0, 0.2),
+        2.0,
+        observers=[lambda _: contacts.append(plant.physics.data.ncon)],
+    )
     assert set(contacts[1:]) == {10}
 
 
@@ -100,7 +119,9 @@ def test_sideways_slide_does_not_roll_the_snake_over(name):
     plant = TwinSnake(robot(name, stiffness=20.0), contact=PreloadedContact("skid"))
     throw(plant, (-np.sin(0.7), np.cos(0.7)), heading=0.7)
     upright = []
-    for _ in range(round((1.0 / (plant.spec.friction.mu_n * GRAVITY) + 0.2) / plant.tick)):
+    for _ in range(
+        round((1.0 / (plant.spec.friction.mu_n * GRAVITY) + 0.2) / plant.tick)
+    ):
         state = plant.step(vented(plant.spec))
         upright.append(plant.physics.data.xmat[plant.physics._connectors][:, 8].min())
     assert np.degrees(np.arccos(min(upright))) < 2
@@ -121,8 +142,13 @@ def test_snake_at_rest_does_not_move():
 def test_description_contains_the_wheels():
     described = twin().describe()
     assert (described["wheels"], described["preload"]) == ("skid", PRELOAD["skid"])
-    assert TwinSnake(SPEC, contact="preloaded").describe()["preload"] == PRELOAD["rolling"]
-    assert TwinSnake(SPEC, contact=PreloadedContact("skid", 7.0)).describe()["preload"] == 7.0
+    assert (
+        TwinSnake(SPEC, contact="preloaded").describe()["preload"] == PRELOAD["rolling"]
+    )
+    assert (
+        TwinSnake(SPEC, contact=PreloadedContact("skid", 7.0)).describe()["preload"]
+        == 7.0
+    )
 
 
 @pytest.mark.parametrize("connectors", [2, 9])

@@ -16,7 +16,11 @@ from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.analytical.cells import Division, cells_of_skin
 from srs_twin.plants.twin.mjcf.belly import patches, rods
 from srs_twin.plants.twin.mjcf.export import robot_files
-from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
+from srs_twin.plants.twin.mjcf.numerics import (
+    LoadedContact,
+    ModelSettings,
+    PreloadedContact,
+)
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.plants.twin.stick_slip import skin_friction
 from srs_twin.robot import friction
@@ -37,9 +41,14 @@ def with_skin(spec: RobotSpec = SPEC, **changes: object) -> RobotSpec:
 def wave_speed(spec: RobotSpec, period: float = 60.0) -> float:
     """Return the speed under a slow wave of curvature, body lengths per period, forward positive."""
     plant = AnalyticalSnake(
-        spec, pneumatics=CurvatureWave(spec, amplitude=7.0, period=period), track=0.0, tick=period / 50,
-        timestep=period / 5000, slip_speed=1e-4 / period, tolerance=1e-3 / period,
-    )  # fmt: skip
+        spec,
+        pneumatics=CurvatureWave(spec, amplitude=7.0, period=period),
+        track=0.0,
+        tick=period / 50,
+        timestep=period / 5000,
+        slip_speed=1e-4 / period,
+        tolerance=1e-3 / period,
+    )
     run = rollout(plant, HoldValves("vent", "vent"), 2 * period, record_hz=50 / period)
     return float(np.hypot(*(run.com[-1] - run.com[-51])))
 
@@ -52,8 +61,14 @@ def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
     pitch, half = SPEC.geometry.pitch, SPEC.geometry.body_length / 2
     expected = SPEC.mass.total * (2 * half) ** 2 / 12
     for places, masses in (
-        (np.append(0.0, np.cumsum(cells_of_skin(SPEC).length)), cells_of_skin(SPEC).mass),
-        (np.array([p.place for p in patches(SPEC, SETTINGS)]), [p.mass for p in patches(SPEC, SETTINGS)]),
+        (
+            np.append(0.0, np.cumsum(cells_of_skin(SPEC).length)),
+            cells_of_skin(SPEC).mass,
+        ),
+        (
+            np.array([p.place for p in patches(SPEC, SETTINGS)]),
+            [p.mass for p in patches(SPEC, SETTINGS)],
+        ),
     ):
         assert np.sum(masses) == pytest.approx(SPEC.mass.total)
         assert masses @ places / SPEC.mass.total == pytest.approx(half)
@@ -68,7 +83,9 @@ def test_cells_divide_the_arc_and_leave_the_gap_straight():
     cells = Division.of(SPEC.geometry, SPEC.skin.points)
     assert cells.length.sum() == pytest.approx(SPEC.geometry.pitch)
     assert cells.share.sum() == pytest.approx(1.0)
-    assert cells.length[cells.share > 0].sum() == pytest.approx(SPEC.geometry.segment_length)
+    assert cells.length[cells.share > 0].sum() == pytest.approx(
+        SPEC.geometry.segment_length
+    )
     q = np.random.default_rng(0).normal(size=(3, SPEC.segments))
     division = cells_of_skin(SPEC)
     assert division.total(division.split(q)) == pytest.approx(q)
@@ -79,7 +96,9 @@ def test_sliding_skin_of_the_twin_follows_the_law(law):
     rng = np.random.default_rng(1)
     for v_t, v_n in rng.normal(size=(50, 2)):
         mu = 0.1 if v_t > 0 else 0.15
-        slipping = skin_friction(v_t, v_n, 2.0, 0.1, 0.15, 0.5, 1e-9, 0.0, 0.0, law == "cosine")
+        slipping = skin_friction(
+            v_t, v_n, 2.0, 0.1, 0.15, 0.5, 1e-9, 0.0, 0.0, law == "cosine"
+        )
         assert slipping[:2] == pytest.approx(
             getattr(friction, law)(v_t, v_n, 2.0, mu, 0.5, 1e-12)[:2], rel=1e-6
         )
@@ -93,10 +112,16 @@ def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
         values = skin_friction(*v, 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
         for k in range(2):
             h = np.eye(2)[k] * 1e-6 * slip
-            ahead = skin_friction(*(v + h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
-            behind = skin_friction(*(v - h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
+            ahead = skin_friction(
+                *(v + h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine"
+            )
+            behind = skin_friction(
+                *(v - h), 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine"
+            )
             slopes = (np.array(ahead[:2]) - behind[:2]) / (2e-6 * slip)
-            assert [values[2 + k], values[4 + k]] == pytest.approx(list(slopes), rel=1e-4, abs=1e-3)
+            assert [values[2 + k], values[4 + k]] == pytest.approx(
+                list(slopes), rel=1e-4, abs=1e-3
+            )
 
 
 @pytest.mark.slow
@@ -105,9 +130,13 @@ def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
 def test_mirrored_gait_makes_the_mirrored_path(law, plant):
     left = gait_run(plant(with_skin(law=law)), 0.3)
     right = gait_run(plant(with_skin(law=law)), -0.3, np.pi)
-    tolerance = 1e-6 if plant is AnalyticalSnake else 2e-4  # of a path of some decimetres, m
+    tolerance = (
+        1e-6 if plant is AnalyticalSnake else 2e-4
+    )  # of a path of some decimetres, m
     assert np.abs(left.com[-1] - right.com[-1] * [1, -1]).max() < tolerance
-    assert left["theta_1"][-1] == pytest.approx(-right["theta_1"][-1], abs=100 * tolerance)
+    assert left["theta_1"][-1] == pytest.approx(
+        -right["theta_1"][-1], abs=100 * tolerance
+    )
 
 
 @pytest.mark.slow
@@ -125,9 +154,13 @@ def test_distance_per_period_does_not_depend_on_the_rate():
 @pytest.mark.slow
 def test_wave_of_curvature_has_the_speed_of_published_theory():
     """Hu et al. 2009; benchmarks/skin.py has further cases and an independent solver."""
-    assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(0.1255, rel=0.01)
+    assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(
+        0.1255, rel=0.01
+    )
     other = wave_speed(continuous_snake(0.11, 0.11, 0.19, law="ellipse"))
-    assert other == pytest.approx(1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05)
+    assert other == pytest.approx(
+        1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05
+    )
 
 
 @pytest.mark.slow
@@ -137,7 +170,9 @@ def test_backward_friction_brakes_only_backward_slip():
         for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
             start = replace(plant.reset(), com_velocity=np.array([v, 0.0]))
             plant.place(start)
-            run = [plant.step(np.full((SPEC.segments, 2), -1)).com[0] for _ in range(25)]
+            run = [
+                plant.step(np.full((SPEC.segments, 2), -1)).com[0] for _ in range(25)
+            ]
             assert abs(run[-1]) == pytest.approx(v * v / (2 * mu * 9.81), rel=0.02)
 
 
@@ -153,7 +188,10 @@ def test_results_converge_with_the_contact_points(law):
 
 @pytest.mark.slow
 def test_results_of_the_twin_converge_with_the_contact_points():
-    few, most = (np.ptp(gait_run(TwinSnake(with_skin(points=points))).com[:, 0]) for points in (6, 18))
+    few, most = (
+        np.ptp(gait_run(TwinSnake(with_skin(points=points))).com[:, 0])
+        for points in (6, 18)
+    )
     assert few == pytest.approx(most, rel=0.01)
 
 
@@ -161,9 +199,13 @@ def test_results_of_the_twin_converge_with_the_contact_points():
 @LAWS
 def test_twin_agrees_with_the_compliant_model(law):
     spec = with_skin(law=law, points=12)
-    model = AnalyticalSnake(spec, model="compliant", inertia="connector", load="momentary")
+    model = AnalyticalSnake(
+        spec, model="compliant", inertia="connector", load="momentary"
+    )
     twin = TwinSnake(spec, hinges_per_segment=4)
-    distance = [run.com[-1, 0] - run.com[-51, 0] for run in (gait_run(model), gait_run(twin))]
+    distance = [
+        run.com[-1, 0] - run.com[-51, 0] for run in (gait_run(model), gait_run(twin))
+    ]
     assert distance[1] == pytest.approx(distance[0], rel=0.03)
 
 
@@ -177,8 +219,12 @@ def test_work_of_compliant_cells_is_the_integral_of_the_torque_power():
     gait.reset(SPEC, plant.tick)
     h = plant.play(gait.script(1.0), round(1.0 / step))
     free = free_bends(plant, Gait(1.0), h.time).bend
-    torque, bend = (np.concatenate([np.zeros((1, SPEC.segments)), a]) for a in (h.torque, free))
-    expected = np.cumsum(((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum(axis=1))
+    torque, bend = (
+        np.concatenate([np.zeros((1, SPEC.segments)), a]) for a in (h.torque, free)
+    )
+    expected = np.cumsum(
+        ((torque[1:] + torque[:-1]) / 2 * np.diff(bend, axis=0)).sum(axis=1)
+    )
     assert np.abs(h.work - expected).max() < 0.005 * h.work[-1]
 
 
@@ -189,7 +235,9 @@ def test_floor_carries_the_weight_evenly():
     loads = twin.physics.wheel_loads()
     static = [patch.mass * 9.81 / 2 for patch in patches(SPEC, SETTINGS)]
     assert loads.sum() == pytest.approx(SPEC.mass.total * 9.81, rel=1e-6)
-    assert loads == pytest.approx(np.repeat(np.array(static)[:, None], 2, axis=1), rel=0.05)
+    assert loads == pytest.approx(
+        np.repeat(np.array(static)[:, None], 2, axis=1), rel=0.05
+    )
     assert run[-1].contact_force.shape == (SPEC.geometry.connectors, 2)
 
 
@@ -205,17 +253,23 @@ def test_saved_state_continues_bit_for_bit():
 
 
 def test_robots_with_skin_have_no_mjcf_file():
-    with pytest.raises(InputError, match="skin_example has a skin: srs_twin computes its friction"):
+    with pytest.raises(
+        InputError, match="skin_example has a skin: srs_twin computes its friction"
+    ):
         robot_files(SPEC)
 
 
 def test_options_that_a_skin_does_not_have_are_refused():
-    with pytest.raises(InputError, match="skin has neither model 'simplified' nor inertia 'lumped'"):
+    with pytest.raises(
+        InputError, match="skin has neither model 'simplified' nor inertia 'lumped'"
+    ):
         AnalyticalSnake(SPEC, model="simplified")
     with pytest.raises(InputError, match="robot with skin needs contact 'loaded'"):
         TwinSnake(SPEC, contact=PreloadedContact())
     with pytest.raises(InputError, match="friction law of a skin"):
         Skin(law="wheel")
-    with pytest.raises(InputError, match="either a skin and masses of segments, or wheels"):
+    with pytest.raises(
+        InputError, match="either a skin and masses of segments, or wheels"
+    ):
         replace(SPEC, skin=None)
     assert TwinSnake(SPEC, contact=LoadedContact()).contact.law == "cosine"

@@ -9,24 +9,42 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, robot
 
-from srs_twin import AnalyticalSnake, Gait, InputError, LoadedContact, Numerics, TwinSnake, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    InputError,
+    LoadedContact,
+    Numerics,
+    TwinSnake,
+    rollout,
+)
 from srs_twin.control.replay import HoldValves
 from srs_twin.robot.spec import Friction
-from srs_twin.robot.world import OBSTACLE_FRICTION as FRICTION, WALL_M, Floor, Polygon, Step, World
+from srs_twin.robot.world import (
+    OBSTACLE_FRICTION as FRICTION,
+    WALL_M,
+    Floor,
+    Polygon,
+    Step,
+    World,
+)
 
 SPEC = robot()
 MU = {"along": SPEC.friction.mu_t, "across": SPEC.friction.mu_n}
 DOWNHILL = {"along": math.pi, "across": -math.pi / 2}
 PLANTS = {
     "twin": lambda **given: TwinSnake(SPEC, contact="loaded", **given),
-    "twin on skids": lambda **given: TwinSnake(SPEC, contact=LoadedContact("ellipse"), **given),
+    "twin on skids": lambda **given: TwinSnake(
+        SPEC, contact=LoadedContact("ellipse"), **given
+    ),
     "complete": lambda **given: AnalyticalSnake(SPEC, **given),
     "compliant": lambda **given: AnalyticalSnake(
         SPEC, model="compliant", friction="wheel", load="momentary", **given
     ),
 }
 MARKED_PLANTS = [
-    pytest.param(name, marks=[pytest.mark.slow] if name == "compliant" else []) for name in PLANTS
+    pytest.param(name, marks=[pytest.mark.slow] if name == "compliant" else [])
+    for name in PLANTS
 ]
 AIRLESS = HoldValves("vent", "vent")
 
@@ -45,7 +63,9 @@ def on_slope(plant: str, direction: str, share: float):
 @pytest.mark.parametrize("plant", MARKED_PLANTS)
 def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
     assert abs(on_slope(plant, direction, 0.5)[1]) < 1e-6
-    assert abs(on_slope(plant, direction, 0.995)[1]) < 2e-4  # just below the friction angle
+    assert (
+        abs(on_slope(plant, direction, 0.995)[1]) < 2e-4
+    )  # just below the friction angle
 
 
 @pytest.mark.parametrize("direction", MU)
@@ -69,35 +89,55 @@ def test_both_plants_climb_a_slope_with_similar_speed():
     for uphill in (0.0, 2.0):
         world = World(floor=Floor(tilt, uphill))
         for plant in ("twin", "compliant"):
-            run = rollout(PLANTS[plant](world=world, supply_pa=48.3e3), Gait(2.0), 2.0, pose=(0, 0, uphill))
+            run = rollout(
+                PLANTS[plant](world=world, supply_pa=48.3e3),
+                Gait(2.0),
+                2.0,
+                pose=(0, 0, uphill),
+            )
             speeds.append(
-                math.hypot(run["com_x"][-1] - run["com_x"][50], run["com_y"][-1] - run["com_y"][50])
+                math.hypot(
+                    run["com_x"][-1] - run["com_x"][50],
+                    run["com_y"][-1] - run["com_y"][50],
+                )
             )
     level = rollout(PLANTS["twin"](supply_pa=48.3e3), Gait(2.0), 2.0)
     assert speeds[0] == pytest.approx(speeds[1], rel=0.1)
-    assert speeds[2:] == pytest.approx(speeds[:2], rel=1e-3)  # independent of the initial heading
+    assert speeds[2:] == pytest.approx(
+        speeds[:2], rel=1e-3
+    )  # independent of the initial heading
     assert speeds[0] < 0.8 * (level["com_x"][-1] - level["com_x"][50])
 
 
 def test_lateral_force_transfers_load():
-    # All wheels slide sideways: h/(2a) times the friction of both is transferred between them.
+    # All wheels slide sideways: h/(2a) times the friction of both is transferred
+    # between them.
     plant = TwinSnake(SPEC, contact="loaded")
     plant.physics.data.qvel[1] = 0.5
     plant.step(np.full((SPEC.segments, 2), -1))
-    loads, force = plant.physics.wheel_loads(), plant.physics.floor_forces()[..., 1].sum(axis=1)
+    loads, force = (
+        plant.physics.wheel_loads(),
+        plant.physics.floor_forces()[..., 1].sum(axis=1),
+    )
     shift = SPEC.geometry.com_height / (2 * SPEC.geometry.half_track) * force
     assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.02)
 
 
 def test_momentary_loads_agree_between_plants():
-    # On both plants what loads change is the same where the twin's connectors keep their own weights.
+    # On both plants what loads change is the same where the twin's connectors keep
+    # their own weights.
     changes = {}
     for kind in ("twin", "compliant"):
         turned = []
         for load in ("static", "momentary"):
             contact = LoadedContact(load="across" if load == "momentary" else load)
             plant = (
-                TwinSnake(SPEC, contact=contact, numerics=Numerics(wheel_spin=0.0), supply_pa=48.3e3)
+                TwinSnake(
+                    SPEC,
+                    contact=contact,
+                    numerics=Numerics(wheel_spin=0.0),
+                    supply_pa=48.3e3,
+                )
                 if kind == "twin"
                 else AnalyticalSnake(
                     SPEC,
@@ -114,7 +154,9 @@ def test_momentary_loads_agree_between_plants():
     assert changes["twin"] == pytest.approx(changes["compliant"], abs=0.01)
 
 
-@pytest.mark.parametrize(("height", "reached"), [(0.002, True), (-0.005, True), (0.02, False)])
+@pytest.mark.parametrize(
+    ("height", "reached"), [(0.002, True), (-0.005, True), (0.02, False)]
+)
 def test_wheels_climb_steps_up_to_the_limit(height, reached):
     front = SPEC.geometry.body_length / 2
     world = World(steps=(Step(front + 0.03, height),))
@@ -137,11 +179,15 @@ def test_snake_leaning_on_a_wall_is_in_static_equilibrium():
     weight, g = SPEC.mass.total * GRAVITY, SPEC.geometry
     resting = twin.pneumatics.rest_trace().at(np.zeros(2, dtype=int))
     _, pushed, held = twin.physics.run(resting).obstacle_force[0].sum(axis=0)
-    loads, across = twin.physics.wheel_loads().sum(axis=0), twin.physics.floor_forces()[..., 1].sum()
+    loads, across = (
+        twin.physics.wheel_loads().sum(axis=0),
+        twin.physics.floor_forces()[..., 1].sum(),
+    )
     assert pushed + across == pytest.approx(weight * math.sin(tilt), rel=1e-3)
     assert loads.sum() + held == pytest.approx(weight * math.cos(tilt), rel=1e-3)
     assert abs(held) < FRICTION * pushed
-    # Tipping moments of the floor force, below the centres of mass, and of the wall force, beside them.
+    # Tipping moments of the floor force, below the centres of mass, and of the wall
+    # force, beside them.
     tipped = (g.com_height * across - g.width / 2 * held) / g.half_track
     assert loads[1] - loads[0] == pytest.approx(tipped, rel=0.01)
 
@@ -162,7 +208,9 @@ def test_wall_friction_follows_coulomb():
     twin.physics.data.qvel[0] = 0.3
     states = [twin.step(still) for _ in range(6)]
     slowed = (states[0].com_velocity[0] - states[-1].com_velocity[0]) / (5 * twin.tick)
-    assert slowed == pytest.approx(FRICTION * GRAVITY * math.sin(math.radians(10)), rel=1e-3)
+    assert slowed == pytest.approx(
+        FRICTION * GRAVITY * math.sin(math.radians(10)), rel=1e-3
+    )
     rubbed, pressed = states[-1].obstacle_force.sum(axis=0)
     assert -rubbed == pytest.approx(FRICTION * pressed, rel=1e-3)
     lost = states[-1].work - states[0].work  # motion less what friction took
@@ -172,7 +220,11 @@ def test_wall_friction_follows_coulomb():
 @pytest.mark.parametrize(("share", "moves"), [(0.98, False), (1.02, True)])
 def test_snake_against_a_wall_sticks_up_to_the_friction_angle(share, moves):
     lean = math.atan(share * FRICTION)  # slope of the wall in the plane of the floor
-    drift = along_a_wall(math.pi / 2 - lean).advance(np.full((SPEC.segments, 2), -1), 1)[-1].com_velocity[0]
+    drift = (
+        along_a_wall(math.pi / 2 - lean)
+        .advance(np.full((SPEC.segments, 2), -1), 1)[-1]
+        .com_velocity[0]
+    )
     assert (abs(drift) > 1e-3) == moves
     assert moves or abs(drift) < 1e-6
 
@@ -189,7 +241,9 @@ def test_unsupported_floor_raises(build, words):
         build(World(steps=(Step(0.5, 0.002),)))
 
 
-@pytest.mark.parametrize("steps", [(Step(500.0, 0.002),), (Step(0.5, 0.002), Step(0.5, 0.001))])
+@pytest.mark.parametrize(
+    "steps", [(Step(500.0, 0.002),), (Step(0.5, 0.002), Step(0.5, 0.001))]
+)
 def test_steps_may_be_far_away_or_coincide(steps):
     plant = TwinSnake(SPEC, contact="loaded", world=World(steps=steps))
     assert rollout(plant, AIRLESS, 0.1)["com_x"][-1] == pytest.approx(0.0, abs=1e-6)

@@ -25,22 +25,35 @@ SIDEWINDING = PitchWave(0.4, np.pi / 2)
 
 
 def crawl(gait, duration=1.0, spec=SPEC, **options):
-    return rollout(TwinSnake(spec, supply_pa=SUPPLY, timestep=0.002), gait, duration, **options)
+    return rollout(
+        TwinSnake(spec, supply_pa=SUPPLY, timestep=0.002), gait, duration, **options
+    )
 
 
 def small(spec=SPEC, connectors=4):
     """Return the robot with fewer segments, which simulates faster."""
-    mass = replace(spec.mass, connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:])
+    mass = replace(
+        spec.mass,
+        connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:],
+    )
     mass = replace(mass, segments=spec.mass.segments[: connectors - 1])
-    return replace(spec, geometry=replace(spec.geometry, connectors=connectors), mass=mass)
+    return replace(
+        spec, geometry=replace(spec.geometry, connectors=connectors), mass=mass
+    )
 
 
 def with_directions(*degrees):
-    return replace(SPEC, chamber=replace(SPEC.chamber, directions=tuple(np.radians(degrees))))
+    return replace(
+        SPEC, chamber=replace(SPEC.chamber, directions=tuple(np.radians(degrees)))
+    )
 
 
-@pytest.mark.parametrize(("filled", "component", "sign"), [(0, 0, 1), (1, 0, -1), (2, 1, 1), (3, 1, -1)])
-def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(filled, component, sign):
+@pytest.mark.parametrize(
+    ("filled", "component", "sign"), [(0, 0, 1), (1, 0, -1), (2, 1, 1), (3, 1, -1)]
+)
+def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
+    filled, component, sign
+):
     planar_spec = replace(SPEC, chamber=replace(SPEC.chamber, directions=None))
     planar = LagPneumatics(planar_spec, supply_pa=SUPPLY, layout="3/2")
     spatial = make_pneumatics("lag", SPEC, supply_pa=SUPPLY, layout="3/2")
@@ -49,17 +62,26 @@ def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(filled, componen
     one[0, 0, 0] = many[0, 0, filled] = 1
     expected = planar.advance(Schedule(0.3, starts, one), times)
     trace = spatial.advance(Schedule(0.3, starts, many), times)
-    assert trace.pressure[:, 0, filled] == pytest.approx(expected.pressure[:, 0, 0], rel=1e-12)
-    assert sign * trace.bend[:, 0, component] == pytest.approx(expected.bend[:, 0], rel=1e-9, abs=1e-12)
-    assert sign * trace.bend_rate[:, 0, component] == pytest.approx(expected.bend_rate[:, 0], rel=1e-9)
+    assert trace.pressure[:, 0, filled] == pytest.approx(
+        expected.pressure[:, 0, 0], rel=1e-12
+    )
+    assert sign * trace.bend[:, 0, component] == pytest.approx(
+        expected.bend[:, 0], rel=1e-9, abs=1e-12
+    )
+    assert sign * trace.bend_rate[:, 0, component] == pytest.approx(
+        expected.bend_rate[:, 0], rel=1e-9
+    )
     assert trace.air == pytest.approx(expected.air, rel=1e-9, abs=1e-12)
     assert abs(trace.bend[:, 0, 1 - component]).max() < 1e-12
 
 
 def test_equal_pressures_in_three_chambers_do_not_bend():
-    chambers = make_pneumatics("lag", with_directions(90, 210, 330), supply_pa=SUPPLY, layout="3/2")
+    chambers = make_pneumatics(
+        "lag", with_directions(90, 210, 330), supply_pa=SUPPLY, layout="3/2"
+    )
     trace = chambers.advance(
-        Schedule(0.5, np.zeros(1), np.ones((1, 8, 3), dtype=np.int8)), np.array([0.1, 0.5])
+        Schedule(0.5, np.zeros(1), np.ones((1, 8, 3), dtype=np.int8)),
+        np.array([0.1, 0.5]),
     )
     assert abs(trace.bend).max() < 1e-12 and trace.pressure.min() > 0.0
 
@@ -69,7 +91,9 @@ def test_the_limit_holds_for_the_magnitude_of_the_bend():
     chambers = make_pneumatics("lag", limited, supply_pa=100e3, layout="3/2")
     states = np.full((1, 8, 4), -1, dtype=np.int8)
     states[0, :, [0, 2]] = 1
-    bend = chambers.advance(Schedule(2.0, np.zeros(1), states), np.array([2.0])).bend[0, 0]
+    bend = chambers.advance(Schedule(2.0, np.zeros(1), states), np.array([2.0])).bend[
+        0, 0
+    ]
     assert bend[0] == pytest.approx(bend[1]) and 0.49 < np.hypot(*bend) < 0.5
 
 
@@ -77,7 +101,9 @@ def test_directions_must_surround_the_axis():
     with pytest.raises(InputError, match="less than 180"):
         with_directions(0, 90, 180)
     with pytest.raises(InputFileError, match="neighbours must be less than 180"):
-        load_scenario("spatial_sidewinding", set={"robot.chamber.directions_deg": [0, 90, 180]})
+        load_scenario(
+            "spatial_sidewinding", set={"robot.chamber.directions_deg": [0, 90, 180]}
+        )
     with pytest.raises(InputFileError, match="round section"):
         load_scenario("spatial_sidewinding", set={"robot.geometry.width_m": 0.06})
 
@@ -94,7 +120,9 @@ def test_the_fundamental_of_a_resting_wave_has_the_amplitude_of_the_share():
     edges = np.append(schedule.starts, 1.0)
     amplitudes = []
     for plus, minus in ((0, 1), (2, 3)):
-        wave = (schedule.states[:, 0, plus].astype(float) - schedule.states[:, 0, minus]) / 2
+        wave = (
+            schedule.states[:, 0, plus].astype(float) - schedule.states[:, 0, minus]
+        ) / 2
         phases = np.exp(-2j * np.pi * edges)
         amplitudes.append(abs(2 * (wave * np.diff(phases) / (-2j * np.pi)).sum()))
     assert amplitudes[1] / amplitudes[0] == pytest.approx(0.3 / 0.7, abs=1e-3)
@@ -105,7 +133,11 @@ def test_a_pitch_wave_alone_leaves_the_other_chambers_empty():
     gait = Gait(1.0, pitch=PitchWave(1.0, lifted_segments=1))
     gait.reset(SPEC, 0.02)
     states = gait.script(1.0).states
-    assert (states[:, :, :2] == -1).all() and (states[:, 0, 2] == 1).all() and (states[:, 1, 2] == -1).any()
+    assert (
+        (states[:, :, :2] == -1).all()
+        and (states[:, 0, 2] == 1).all()
+        and (states[:, 1, 2] == -1).any()
+    )
 
 
 def test_stepping_gives_the_states_of_the_script():
@@ -115,7 +147,9 @@ def test_stepping_gives_the_states_of_the_script():
     for tick in range(20):
         slots = gait.valves_at(0.02 * tick)
         piece = script.slice(0.02 * tick, 0.02 * (tick + 1))
-        assert (slots[0] == piece.states[0]).all() and (slots[-1] == piece.states[-1]).all()
+        assert (slots[0] == piece.states[0]).all() and (
+            slots[-1] == piece.states[-1]
+        ).all()
 
 
 @pytest.fixture(scope="module")
@@ -135,13 +169,21 @@ def test_columns_of_a_spatial_run_survive_a_file(run, tmp_path):
     run.to_parquet(tmp_path / "run.parquet")
     again = Trajectory.from_parquet(tmp_path / "run.parquet")
     assert again.stack("pitch").shape == again.stack("bend").shape == (len(run), 5)
-    assert again.stack("pressure_4").shape == (len(run), 5) and not again.has("pressure_plus")
+    assert again.stack("pressure_4").shape == (len(run), 5) and not again.has(
+        "pressure_plus"
+    )
     turns = np.stack([again.stack(f"quaternion_{axis}") for axis in "wxyz"], axis=-1)
     assert np.linalg.norm(turns, axis=-1) == pytest.approx(np.ones(turns.shape[:-1]))
     w, x, y, z = np.moveaxis(turns, -1, 0)
     heading = np.arctan2(2 * (x * y + w * z), 1 - 2 * (y**2 + z**2))
-    assert np.cos(heading - again.stack("theta")) == pytest.approx(np.ones(heading.shape))
-    assert (again.unit("pitch_1"), again.unit("pressure_1_1"), again.unit("z_1")) == ("rad", "Pa", "m")
+    assert np.cos(heading - again.stack("theta")) == pytest.approx(
+        np.ones(heading.shape)
+    )
+    assert (again.unit("pitch_1"), again.unit("pressure_1_1"), again.unit("z_1")) == (
+        "rad",
+        "Pa",
+        "m",
+    )
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +193,9 @@ def lifting():
 
 
 def lift(gait, **options):
-    return rollout(TwinSnake(small(connectors=6), supply_pa=SUPPLY), gait, 0.3, **options)
+    return rollout(
+        TwinSnake(small(connectors=6), supply_pa=SUPPLY), gait, 0.3, **options
+    )
 
 
 def test_the_mirror_image_of_a_gait_travels_along_the_mirror_image_of_its_path(lifting):
@@ -170,18 +214,25 @@ def test_the_motion_does_not_depend_on_the_heading(lifting):
 
 
 def test_a_run_continues_from_a_saved_state_with_the_same_bits():
-    twin, gait = TwinSnake(small(), supply_pa=SUPPLY, timestep=0.002), Gait(0.5, pitch=SIDEWINDING)
+    twin, gait = (
+        TwinSnake(small(), supply_pa=SUPPLY, timestep=0.002),
+        Gait(0.5, pitch=SIDEWINDING),
+    )
     rollout(twin, gait, 0.2)
     saved, valves = twin.save(), gait.valves_at(0.2)
     expected = twin.step(valves)
     twin.step(valves)
     twin.restore(saved)
     again = twin.step(valves)
-    assert (again.qpos == expected.qpos).all() and (again.pressure == expected.pressure).all()
+    assert (again.qpos == expected.qpos).all() and (
+        again.pressure == expected.pressure
+    ).all()
 
 
 def test_a_clamped_snake_sags_as_the_elastica():
-    spec = small(replace(SPEC, geometry=replace(SPEC.geometry, rigid_gap=0.0)), connectors=5)
+    spec = small(
+        replace(SPEC, geometry=replace(SPEC.geometry, rigid_gap=0.0)), connectors=5
+    )
     length, mass = spec.geometry.body_length, spec.mass.total
     stiffness = 2.0  # N·m/rad; the tip then sags by a tenth of the length
     spec = replace(
@@ -199,14 +250,21 @@ def test_a_clamped_snake_sags_as_the_elastica():
     for _ in range(100):
         state = twin.step(empty)
     sag = (state.height[0] - state.height[-1]) / length
-    # Elastica of a uniform heavy rod: EI θ'' = −w (L − s) cos θ, clamped at s = 0 and free at s = L.
-    number = GRAVITY * mass / length * length**3 / (stiffness * spec.geometry.segment_length)
+    # Elastica of a uniform heavy rod: EI θ'' = −w (L − s) cos θ, clamped at s = 0 and
+    # free at s = L.
+    number = (
+        GRAVITY * mass / length * length**3 / (stiffness * spec.geometry.segment_length)
+    )
     s = np.linspace(0.0, 1.0, 50)
     rod = solve_bvp(
         lambda s, y: np.stack([y[1], -number * (1 - s) * np.cos(y[0])]),
-        lambda a, b: np.array([a[0], b[1]]), s, np.zeros((2, 50)),
-    )  # fmt: skip
-    expected = np.trapezoid(np.sin(rod.sol(np.linspace(0, 1, 400))[0]), np.linspace(0, 1, 400))
+        lambda a, b: np.array([a[0], b[1]]),
+        s,
+        np.zeros((2, 50)),
+    )
+    expected = np.trapezoid(
+        np.sin(rod.sol(np.linspace(0, 1, 400))[0]), np.linspace(0, 1, 400)
+    )
     assert sag == pytest.approx(expected, rel=0.02)
     assert abs(state.bend[:, 0]).max() < 1e-9
 
@@ -234,14 +292,21 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
         lambda: Shadow(SPEC),
         lambda: make_task("GoTo", robot="spatial_example"),
     ):
-        with pytest.raises(InputError, match="does not support the spatial robot spatial_example"):
+        with pytest.raises(
+            InputError, match="does not support the spatial robot spatial_example"
+        ):
             refused()
     with pytest.raises(InputError, match="needs a spatial robot; gen2"):
         rollout(TwinSnake(planar), Gait(1.0, pitch=SIDEWINDING), 0.1)
     with pytest.raises(InputFileError, match="analytical: spatial_example is spatial"):
         load_scenario("spatial_sidewinding", set={"plants.analytical": {}})
-    with pytest.raises(InputFileError, match="controller.kind: spatial_example is spatial"):
-        load_scenario("spatial_sidewinding", set={"controller": {"kind": "ilc", "frequency_hz": 1.0}})
+    with pytest.raises(
+        InputFileError, match="controller.kind: spatial_example is spatial"
+    ):
+        load_scenario(
+            "spatial_sidewinding",
+            set={"controller": {"kind": "ilc", "frequency_hz": 1.0}},
+        )
     with pytest.raises(InputError, match="does not support the spatial robot"):
         twin = TwinSnake(small())
         twin.place(twin.state)
@@ -253,7 +318,9 @@ def test_supports_and_turns_about_the_axis_are_counted():
     load[:, [0, 1, 3, 5]] = 1.0  # three separate parts
     roll = 2 * np.pi * 0.75 * times
     columns = {f"load_{i + 1}": load[:, i] for i in range(count)}
-    for name, values in zip("wxyz", (np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll), strict=True):
+    for name, values in zip(
+        "wxyz", (np.cos(roll / 2), np.sin(roll / 2), 0 * roll, 0 * roll), strict=True
+    ):
         columns |= {f"quaternion_{name}_{i + 1}": values for i in range(count)}
     columns |= {f"z_{i + 1}": 0 * times for i in range(count)}
     metrics = spatial_metrics(Trajectory({"time": times} | columns, {}))

@@ -18,32 +18,47 @@ shares = st.lists(st.floats(0.001, 0.999), max_size=6, unique=True).map(sorted)
 
 
 @given(spans, shares, st.integers(1, 5), st.floats(0.05, 2.0))
-def test_steps_cover_the_span_and_end_on_samples_and_events(span, shares, samples, length):
+def test_steps_cover_the_span_and_end_on_samples_and_events(
+    span, shares, samples, length
+):
     events, longest = span * np.array(shares), span * length
     steps = Steps.between(span, events, samples, longest=longest, same=SAME)
     assert (steps.lengths > 0).all()
     assert steps.lengths.max() <= longest * (1 + 1e-9)
     assert steps.lengths.sum() == pytest.approx(span)
-    assert steps.ends[steps.sample_steps - 1] == pytest.approx(span * np.arange(1, samples + 1) / samples)
+    assert steps.ends[steps.sample_steps - 1] == pytest.approx(
+        span * np.arange(1, samples + 1) / samples
+    )
     assert all(np.abs(steps.ends - event).min() <= SAME for event in events)
     assert steps.stage_times[2::2] == pytest.approx(steps.ends)
-    assert steps.stage_times[1::2] == pytest.approx(steps.ends - (1 - GAMMA) * steps.lengths)
+    assert steps.stage_times[1::2] == pytest.approx(
+        steps.ends - (1 - GAMMA) * steps.lengths
+    )
 
 
 @given(spans, shares, st.integers(1, 5), st.floats(0.02, 0.7))
 def test_chunks_contain_the_same_steps_and_samples(span, shares, samples, turn):
-    steps = Steps.between(span, span * np.array(shares), samples, longest=span / 20, same=SAME)
+    steps = Steps.between(
+        span, span * np.array(shares), samples, longest=span / 20, same=SAME
+    )
     pieces = list(steps.chunks(turn * span))
     assert [begin for begin, _, _ in pieces][1:] == [end for _, end, _ in pieces][:-1]
-    assert np.concatenate([begin + piece.ends for begin, _, piece in pieces]) == pytest.approx(steps.ends)
+    assert np.concatenate(
+        [begin + piece.ends for begin, _, piece in pieces]
+    ) == pytest.approx(steps.ends)
     before = np.cumsum([0] + [len(piece.ends) for _, _, piece in pieces])
-    marks = [first + piece.sample_steps for first, (_, _, piece) in zip(before, pieces, strict=False)]
+    marks = [
+        first + piece.sample_steps
+        for first, (_, _, piece) in zip(before, pieces, strict=False)
+    ]
     assert np.concatenate(marks).tolist() == steps.sample_steps.tolist()
 
 
 def test_equal_ticks_share_one_object():
     none = np.empty(0)
-    one, other = (Steps.between(0.001, none, 1, longest=0.002, same=SAME) for _ in range(2))
+    one, other = (
+        Steps.between(0.001, none, 1, longest=0.002, same=SAME) for _ in range(2)
+    )
     assert one is other
     event = Steps.between(0.001, np.array([0.0004]), 1, longest=0.002, same=SAME)
     assert event.ends.tolist() == [0.0004, 0.001] and event.sample_steps.tolist() == [2]

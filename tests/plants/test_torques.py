@@ -22,16 +22,20 @@ SMOOTH = {"mu_t": 1.0, "mu_n": 15.0}  # for the viscous law
 def bent(plant: AnalyticalSnake, duration: float, step: float) -> SnakeState:
     """Return the motion of a plant with smooth chambers, every `step` (s)."""
     plant.reset()
-    return plant.play(plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration),
-                      round(duration / step))  # fmt: skip
+    return plant.play(
+        plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration),
+        round(duration / step),
+    )
 
 
-def from_the_tail(h: SnakeState, spec: RobotSpec, inertia: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+def from_the_tail(
+    h: SnakeState, spec: RobotSpec, inertia: np.ndarray, yaw: np.ndarray
+) -> np.ndarray:
     """Return the segments' moments from recorded places and floor forces, Newton and Euler from the tail.
 
-    A massless arc that connectors j and j + 1 hold in F and moments does no work but T δq: with its chord
-    L e along the mean of their headings, T = −L' F·e − N₁ − r × F/2, where F and N₁ are what it gives to the
-    connector behind, and r = −L e.
+    A massless arc that connectors j and j + 1 hold in F and moments does no work but T
+    δq: with its chord L e along the mean of their headings, T = −L' F·e − N₁ − r × F/2,
+    where F and N₁ are what it gives to the connector behind, and r = −L e.
 
     Args:
         h: motion at equal steps.
@@ -44,14 +48,21 @@ def from_the_tail(h: SnakeState, spec: RobotSpec, inertia: np.ndarray, yaw: np.n
     place, mean = h.position[1:-1], (h.theta[1:-1, 1:] + h.theta[1:-1, :-1]) / 2
     ahead, half = np.stack([np.cos(mean), np.sin(mean)], axis=-1), h.bend[1:-1] / 2
     length, gap = spec.geometry.segment_length, spec.geometry.rigid_gap
-    slope = length * (np.cos(half) - np.sinc(half / np.pi)) / (2 * half) - gap * np.sin(half) / 2
+    slope = (
+        length * (np.cos(half) - np.sinc(half / np.pi)) / (2 * half)
+        - gap * np.sin(half) / 2
+    )
     torque = np.empty_like(half)
     for j in range(spec.segments):
         force = needed[:, j + 1 :].sum(axis=1)
         arm = place[:, j + 1 :] - place[:, j + 1, None]
         behind = (cross(arm, needed[:, j + 1 :]) + spin[:, j + 1 :]).sum(axis=1)
         chord = place[:, j + 1] - place[:, j]
-        torque[:, j] = -slope[:, j] * (force * ahead[:, j]).sum(axis=1) - behind - cross(chord, force) / 2
+        torque[:, j] = (
+            -slope[:, j] * (force * ahead[:, j]).sum(axis=1)
+            - behind
+            - cross(chord, force) / 2
+        )
     return torque
 
 
@@ -69,12 +80,21 @@ def first(values: np.ndarray) -> np.ndarray:
 
 def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray:
     """Return the moment of both wheels' drag on each connector, shape (samples, N), N·m."""
-    along = (first(h.position) * np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1)).sum(axis=-1)
-    across = cross(np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1), first(h.position))
+    along = (
+        first(h.position) * np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1)
+    ).sum(axis=-1)
+    across = cross(
+        np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1), first(h.position)
+    )
     track, load = spec.geometry.half_track, spec.mass.array() * 9.81 / 2
     left, right = (
         wheel(
-            along - side * track * first(h.theta), across, load, spec.friction.mu_t, spec.friction.mu_n, slip
+            along - side * track * first(h.theta),
+            across,
+            load,
+            spec.friction.mu_t,
+            spec.friction.mu_n,
+            slip,
         )
         for side in (1, -1)
     )
@@ -85,18 +105,34 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
 @pytest.mark.parametrize("model", ["complete", "compliant"])
 @pytest.mark.parametrize(
     ("law", "mu", "inertia"),
-    [("viscous", SMOOTH, "point"), ("axis", {}, "point"), ("axis", {}, "lumped"), ("wheel", {}, "connector")],
+    [
+        ("viscous", SMOOTH, "point"),
+        ("axis", {}, "point"),
+        ("axis", {}, "lumped"),
+        ("wheel", {}, "connector"),
+    ],
 )
 def test_torques_satisfy_newtons_law(model, law, mu, inertia):
     slip, spec = 0.02, chain(MASSES, **mu)
     plant = AnalyticalSnake(
-        spec, model=model, friction=law, inertia=inertia, timestep=STEP, slip_speed=slip,
+        spec,
+        model=model,
+        friction=law,
+        inertia=inertia,
+        timestep=STEP,
+        slip_speed=slip,
         pneumatics=Wave(spec, amplitude=0.8, bias=0.2),
-    )  # fmt: skip
+    )
     h = bent(plant, 0.8, STEP)
-    yaw = yaw_of_two_wheels(h, spec, slip) if law in TWO_POINT_LAWS else np.zeros_like(h.theta)
+    yaw = (
+        yaw_of_two_wheels(h, spec, slip)
+        if law in TWO_POINT_LAWS
+        else np.zeros_like(h.theta)
+    )
     lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
-    own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[inertia]
+    own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[
+        inertia
+    ]
     # From 0.2 s on, where bends are large enough to divide by them.
     expected, result = from_the_tail(h, spec, own, yaw)[2000:], h.torque[1:-1][2000:]
     error = np.abs(result - expected) / np.sqrt((expected**2).mean())
@@ -105,24 +141,39 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
 
 
 def apart(
-    law: str, mu: dict[str, float], inertia: str, stiffness: tuple[float, ...], cut_hz: float = 20.0
+    law: str,
+    mu: dict[str, float],
+    inertia: str,
+    stiffness: tuple[float, ...],
+    cut_hz: float = 20.0,
 ) -> list[float]:
     """Return the relative RMS difference of spring torques and `complete` torques after a low-pass filter.
 
-    Valve events cause jumps of the bend acceleration that decay with τ₂ = 2 ms. Torques at 10 kHz resolve
-    them; at 1 kHz they would be sampled at random, and the filter would spread them over 50 ms.
+    Valve events cause jumps of the bend acceleration that decay with τ₂ = 2 ms. Torques
+    at 10 kHz resolve them; at 1 kHz they would be sampled at random, and the filter
+    would spread them over 50 ms.
     """
-    spec, options = robot(**mu), {"friction": law, "inertia": inertia, "supply_pa": 48.3e3, "timestep": STEP}
+    spec, options = (
+        robot(**mu),
+        {"friction": law, "inertia": inertia, "supply_pa": 48.3e3, "timestep": STEP},
+    )
     gait, length = Gait(2.0, 0.2), 1.0
-    complete = rollout(AnalyticalSnake(spec, **options), gait, length, record_hz=1 / STEP)
+    complete = rollout(
+        AnalyticalSnake(spec, **options), gait, length, record_hz=1 / STEP
+    )
     valve = complete.stack("valve_plus")
     # A valve's state is that which led to the sample: it switched at the one before.
     switch = np.flatnonzero((valve[1:] != valve[:-1]).any(axis=1))
     away = np.abs(complete.time[:, None] - complete.time[switch]).min(axis=1) > 0.005
-    away &= (complete.time > 0.4) & (complete.time < length - 0.1)  # warm up, and the filter's end
+    away &= (complete.time > 0.4) & (
+        complete.time < length - 0.1
+    )  # warm up, and the filter's end
     expected = complete.stack("torque")
     expected[switch] = (
-        expected[switch] + 3 * expected[switch + 1] - 3 * expected[switch + 2] + expected[switch + 3]
+        expected[switch]
+        + 3 * expected[switch + 1]
+        - 3 * expected[switch + 2]
+        + expected[switch + 3]
     ) / 2
     low = butter(2, cut_hz, fs=1 / STEP, output="sos")
     expected = sosfiltfilt(low, expected, axis=0)[away]
@@ -130,7 +181,10 @@ def apart(
     for k in stiffness:
         stiff = replace(spec, bending=replace(spec.bending, stiffness=k))
         springs = rollout(
-            AnalyticalSnake(stiff, model="compliant", **options), gait, length, record_hz=1 / STEP
+            AnalyticalSnake(stiff, model="compliant", **options),
+            gait,
+            length,
+            record_hz=1 / STEP,
         )
         difference = sosfiltfilt(low, springs.stack("torque"), axis=0)[away] - expected
         actual.append(float(np.sqrt((difference**2).mean() / (expected**2).mean())))
@@ -153,18 +207,25 @@ def test_stiff_springs_exert_the_inverse_dynamics_torques(law, mu, inertia):
 @pytest.mark.slow
 def test_spring_torques_converge_with_stiffness():
     soft, middle, stiff = apart("viscous", SMOOTH, "point", (20.0, 80.0, 320.0))
-    assert np.log([soft / middle, middle / stiff]) / np.log(4) == pytest.approx([1, 1], abs=0.2)
+    assert np.log([soft / middle, middle / stiff]) / np.log(4) == pytest.approx(
+        [1, 1], abs=0.2
+    )
 
 
 def test_torque_of_one_segment_between_two_masses():
     """By hand: two equal masses m at the distance L without a floor, in the frame of their mean heading.
 
-    They are on the line of that heading at ± L(q)/2, so that the kinetic energy is m L'² q̇²/4 and the mean
-    heading is constant. T = (d/dt)(m L'² q̇/2) − m L' L'' q̇²/2, plus the inertia J/2 of both ends.
+    They are on the line of that heading at ± L(q)/2, so that the kinetic energy is m
+    L'² q̇²/4 and the mean heading is constant. T = (d/dt)(m L'² q̇/2) − m L' L'' q̇²/2,
+    plus the inertia J/2 of both ends.
     """
     spec = chain((0.05, 0.05), mu_t=0.0, mu_n=0.0)
     wave = Wave(spec, amplitude=0.9, bias=0.3)
-    h = bent(AnalyticalSnake(spec, timestep=STEP, inertia="connector", pneumatics=wave), 0.5, STEP)
+    h = bent(
+        AnalyticalSnake(spec, timestep=STEP, inertia="connector", pneumatics=wave),
+        0.5,
+        STEP,
+    )
     q, dq, ddq = (values[:, 0] for values in wave.free(h.time))
     length, gap, tiny = spec.geometry.segment_length, spec.geometry.rigid_gap, 1e-20j
 
@@ -173,7 +234,10 @@ def test_torque_of_one_segment_between_two_masses():
         return length * (c / q - 2 * s / q**2) - gap * s / 2
 
     bulge = slope(q + tiny).imag / tiny.imag
-    expected = 0.05 / 2 * (slope(q) ** 2 * ddq + slope(q) * bulge * dq**2) + spec.yaw_inertia()[0] / 2 * ddq
+    expected = (
+        0.05 / 2 * (slope(q) ** 2 * ddq + slope(q) * bulge * dq**2)
+        + spec.yaw_inertia()[0] / 2 * ddq
+    )
     big = np.abs(q) > 0.05
     assert h.torque[big, 0] == pytest.approx(expected[big], rel=1e-6, abs=1e-9)
     assert np.abs(h.heading).max() < 1e-12

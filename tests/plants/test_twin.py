@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 from snakes import GRAVITY, chain, robot, throw, vented
 
-from srs_twin import AnalyticalSnake, Gait, InputError, PreloadedContact, TwinSnake, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    InputError,
+    PreloadedContact,
+    TwinSnake,
+    rollout,
+)
 from srs_twin.plants.twin.mjcf.model import ModelSettings
 
 SPEC = robot()
@@ -38,7 +45,13 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
     assert state.com == pytest.approx([0.3, -0.1], abs=1e-12)
     assert -np.diff(state.position, axis=0) == pytest.approx(np.tile(pitch, (4, 1)))
     assert state.theta == pytest.approx([np.pi / 3] * 5)
-    for quantity in (state.com_velocity, state.bend, state.bend_rate, state.pressure, state.contact_force):
+    for quantity in (
+        state.com_velocity,
+        state.bend,
+        state.bend_rate,
+        state.pressure,
+        state.contact_force,
+    ):
         assert quantity == pytest.approx(np.zeros_like(quantity), abs=1e-15)
     assert state.time == 0 and not plant.openings().any()
 
@@ -46,13 +59,17 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
 def test_state_fields_are_consistent(turning):
     plant, states = turning
     mass, position = plant.spec.mass.array(), column(states, "position")
-    # Links between hinges, and wheels away from the centre of the axle, carry 2 % of the mass.
+    # Links between hinges, and wheels away from the centre of the axle, carry 2 % of
+    # the mass.
     centre = np.einsum("i,tij->tj", mass, position) / mass.sum()
     assert centre == pytest.approx(column(states, "com"), abs=1e-3)
     theta = column(states, "theta")
     assert theta.mean(axis=1) == pytest.approx(column(states, "heading"), abs=1e-12)
-    # Bends are sums of hinge angles; pitch and roll change headings seen from above a little.
-    assert theta[:, :-1] - theta[:, 1:] == pytest.approx(column(states, "bend"), abs=0.02)
+    # Bends are sums of hinge angles; pitch and roll change headings seen from above a
+    # little.
+    assert theta[:, :-1] - theta[:, 1:] == pytest.approx(
+        column(states, "bend"), abs=0.02
+    )
     assert np.abs(column(states, "bend")).max() > 0.8
     chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
     half, g = column(states, "bend") / 2, plant.spec.geometry
@@ -79,8 +96,12 @@ def test_momentum_changes_by_the_impulse_of_the_floor(turning):
 def _momentum_error(plant: TwinSnake, states) -> float:
     """Return the largest |Δp − ∫ Σ f dt| over the largest |p|."""
     momentum = plant.spec.mass.total * column(states, "com_velocity")
-    impulse = np.cumsum(column(states, "contact_force")[1:].sum(axis=1), axis=0) * plant.tick
-    return float(np.abs(momentum[1:] - momentum[0] - impulse).max() / np.abs(momentum).max())
+    impulse = (
+        np.cumsum(column(states, "contact_force")[1:].sum(axis=1), axis=0) * plant.tick
+    )
+    return float(
+        np.abs(momentum[1:] - momentum[0] - impulse).max() / np.abs(momentum).max()
+    )
 
 
 def test_friction_stays_near_the_static_friction_cone(turning):
@@ -98,24 +119,40 @@ def test_named_accessors_agree_with_mujoco_arrays():
     rollout(plant, Gait(2.0, 0.2), 0.3)
     physics, data = plant.physics, plant.physics.data
     for j in range(1, 5):
-        hinges = [data.joint(f"hinge_{j}_{k}") for k in range(1, ModelSettings.hinges_per_segment + 1)]
-        angle, rate = sum(hinge.qpos[0] for hinge in hinges), sum(hinge.qvel[0] for hinge in hinges)
+        hinges = [
+            data.joint(f"hinge_{j}_{k}")
+            for k in range(1, ModelSettings.hinges_per_segment + 1)
+        ]
+        angle, rate = (
+            sum(hinge.qpos[0] for hinge in hinges),
+            sum(hinge.qvel[0] for hinge in hinges),
+        )
         assert physics.bend_angles()[j - 1] == pytest.approx(angle, abs=1e-12)
         assert physics.bend_rates()[j - 1] == pytest.approx(rate, abs=1e-9)
     for i in range(1, 6):
-        assert physics.connector_positions()[i - 1] == pytest.approx(data.body(f"connector_{i}").xpos)
+        assert physics.connector_positions()[i - 1] == pytest.approx(
+            data.body(f"connector_{i}").xpos
+        )
         frame = data.body(f"connector_{i}").xmat.reshape(3, 3)
         heading = physics.connector_headings()[i - 1]
-        assert [np.cos(heading), np.sin(heading)] == pytest.approx(frame[:2, 0] / np.hypot(*frame[:2, 0]))
+        assert [np.cos(heading), np.sin(heading)] == pytest.approx(
+            frame[:2, 0] / np.hypot(*frame[:2, 0])
+        )
     assert physics.floor_forces().shape == (5, 2, 3)
     assert (physics.wheel_loads() == physics.floor_forces()[..., 2]).all()
     weights = physics.model.body_mass
-    assert physics.center_of_mass() == pytest.approx(weights @ physics.data.xipos / weights.sum())
+    assert physics.center_of_mass() == pytest.approx(
+        weights @ physics.data.xipos / weights.sum()
+    )
 
 
 def test_accessors_return_copies():
     physics = TwinSnake(SPEC).physics
-    for accessor in (physics.bend_angles, physics.connector_positions, physics.center_of_mass):
+    for accessor in (
+        physics.bend_angles,
+        physics.connector_positions,
+        physics.center_of_mass,
+    ):
         accessor()[:] = 9.0
         assert np.abs(accessor()).max() < 1.0
 
@@ -136,7 +173,9 @@ def test_samples_within_a_tick_belong_to_the_same_run():
     for _ in range(5):
         slots = np.repeat(generator.choice([-1, 1], size=(4, 4, 2)), 50, axis=0)
         end, samples = whole.advance(slots, 1), parts.advance(slots, 10)
-        assert [s.time for s in samples] == pytest.approx(end[0].time - 0.002 * np.arange(9, -1, -1))
+        assert [s.time for s in samples] == pytest.approx(
+            end[0].time - 0.002 * np.arange(9, -1, -1)
+        )
         assert samples[-1].qpos == pytest.approx(end[0].qpos, abs=1e-9)
 
 
@@ -161,7 +200,9 @@ def test_wheels_do_not_turn_when_sliding_sideways():
 
 
 def test_headings_are_unwrapped_beyond_a_full_turn():
-    plant = TwinSnake(robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0))
+    plant = TwinSnake(
+        robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0)
+    )
     throw(plant, (0.0, 0.0), spin=12.0)
     headings = [plant.step(vented(SPEC)).heading for _ in range(60)]
     assert np.diff(headings) == pytest.approx([12.0 * 0.02] * 59, rel=0.02)
@@ -188,7 +229,9 @@ def test_any_number_of_connectors_runs(connectors):
 
 def test_both_plants_count_the_same_openings():
     counts = [
-        rollout(build(SPEC), Gait(1.7, 0.3), 2.0, record_hz=10).metadata["valve_switches"]
+        rollout(build(SPEC), Gait(1.7, 0.3), 2.0, record_hz=10).metadata[
+            "valve_switches"
+        ]
         for build in (TwinSnake, AnalyticalSnake)
     ]
     assert counts[0] == counts[1]
@@ -196,19 +239,28 @@ def test_both_plants_count_the_same_openings():
 
 
 def test_both_plants_have_the_same_pressures():
-    twin, analytical = (rollout(build(SPEC), Gait(1.7, 0.3), 0.5) for build in (TwinSnake, AnalyticalSnake))
+    twin, analytical = (
+        rollout(build(SPEC), Gait(1.7, 0.3), 0.5)
+        for build in (TwinSnake, AnalyticalSnake)
+    )
     for name in ("pressure_plus", "pressure_minus"):
         assert twin.stack(name) == pytest.approx(analytical.stack(name), abs=1e-6)
 
 
 def test_invalid_settings_raise():
-    with pytest.raises(InputError, match="wheels 'round' is unknown; allowed: rolling, skid"):
+    with pytest.raises(
+        InputError, match="wheels 'round' is unknown; allowed: rolling, skid"
+    ):
         TwinSnake(SPEC, contact=PreloadedContact("round"))
-    with pytest.raises(InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"):
+    with pytest.raises(
+        InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"
+    ):
         TwinSnake(SPEC, timestep=0.0015)
     with pytest.raises(InputError, match="hinges_per_segment: 0 is not allowed"):
         TwinSnake(SPEC, hinges_per_segment=0)
     with pytest.raises(InputError, match="valve layout '5/2' is unknown"):
         TwinSnake(SPEC, layout="5/2")
-    with pytest.raises(InputError, match="valve state 0 is not possible with layout 3/2"):
+    with pytest.raises(
+        InputError, match="valve state 0 is not possible with layout 3/2"
+    ):
         TwinSnake(SPEC).step(np.zeros((4, 2), dtype=np.int8))

@@ -30,7 +30,11 @@ from srs_twin.errors import InputError, TaskFailedError
 from srs_twin.experiment import load_run, run_scenario
 from srs_twin.extensions import PLUGINS, allow_plugin, owners, plugins
 from srs_twin.recordings.formats import identify, read_markers
-from srs_twin.scenario.loading import load_scenario, parse_scenario, scenario_json_schema
+from srs_twin.scenario.loading import (
+    load_scenario,
+    parse_scenario,
+    scenario_json_schema,
+)
 from srs_twin.scenario.provenance import run_key
 from srs_twin.studies.sweep.execution import local, open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
@@ -55,14 +59,20 @@ def plugin(tmp_path):
 
     def write(*sources: str) -> Path:
         path = tmp_path / f"outside_{next(names)}.py"
-        path.write_text("".join(sources).replace("from __future__ import annotations\n", ""))
+        path.write_text(
+            "".join(sources).replace("from __future__ import annotations\n", "")
+        )
         return path
 
     return write
 
 
 def document(kind: str, **keys: object) -> dict[str, object]:
-    return {"robot": "gen2", "duration_s": 0.4, "controller": {"kind": kind, "frequency": 2.0, **keys}}
+    return {
+        "robot": "gen2",
+        "duration_s": 0.4,
+        "controller": {"kind": kind, "frequency": 2.0, **keys},
+    }
 
 
 def problems(data: dict[str, object]) -> str:
@@ -80,20 +90,34 @@ def test_the_keys_are_the_arguments_of_the_class(plugin):
     scenario = parse_scenario(document(f"{path.stem}:Damped", gain=0.4, limit=None))
     controller = scenario.build_controller()
     assert (controller.frequency, controller.gain, controller.limit) == (2.0, 0.4, None)
-    # Defaults are written out, except those that a file cannot contain; null stays null.
-    written = {"frequency": 2.0, "gain": 0.4, "side": "left", "limit": None, "layouts": 3}
+    # Defaults are written out, except those that a file cannot contain; null stays
+    # null.
+    written = {
+        "frequency": 2.0,
+        "gain": 0.4,
+        "side": "left",
+        "limit": None,
+        "layouts": 3,
+    }
     assert scenario.document["controller"] == {"kind": f"{path.stem}:Damped"} | written
     again = parse_scenario(scenario.document)
-    assert again.document == scenario.document and again.build_controller().limit is None
-    assert parse_scenario(scenario.document, set={"controller.gain": 0.5}).build_controller().gain == 0.5
+    assert (
+        again.document == scenario.document and again.build_controller().limit is None
+    )
+    assert (
+        parse_scenario(scenario.document, set={"controller.gain": 0.5})
+        .build_controller()
+        .gain
+        == 0.5
+    )
 
 
 def test_the_arguments_are_checked_like_other_keys(plugin, tmp_path):
     path = plugin(CONTROLLER)
     allow_plugin(path)
     (tmp_path / "s.yaml").write_text(
-        "robot: gen2\nduration_s: 1\ncontroller:\n"
-        f"  kind: {path.stem}:Damped\n  frequenzy: 2\n  gain: much\n  side: lefft\n  weights: [1]\n"
+        f"robot: gen2\nduration_s: 1\ncontroller:\n  kind: {path.stem}:Damped\n "
+        " frequenzy: 2\n  gain: much\n  side: lefft\n  weights: [1]\n"
     )
     with pytest.raises(InputError) as error:
         load_scenario(tmp_path / "s.yaml")
@@ -102,8 +126,14 @@ def test_the_arguments_are_checked_like_other_keys(plugin, tmp_path):
         "4:3: controller.frequency: missing; it must be a number",
         "5:3: controller.frequenzy: unknown key; did you mean frequency?",
         "6:9: controller.gain: must be a number, not text 'much'",
-        "7:9: controller.side: must be one of left, right, not text 'lefft'; did you mean left?",
-        "8:3: controller.weights: unknown key; allowed: kind, frequency, gain, side, limit, layouts, top",
+        (
+            "7:9: controller.side: must be one of left, right, not text 'lefft'; did"
+            " you mean left?"
+        ),
+        (
+            "8:3: controller.weights: unknown key; allowed: kind, frequency, gain,"
+            " side, limit, layouts, top"
+        ),
     ]
 
 
@@ -148,23 +178,36 @@ def test_a_scenario_with_own_parts_can_be_pickled(plugin):
 def test_a_plugin_in_compare_and_its_run_without_it(plugin, srs_twin, tmp_path):
     path = plugin(CONTROLLER, METRICS)
     text = SCENARIO.replace("KIND", f"{path.stem}:Damped")
-    expect = f"expect: [{{metric: {path.stem}:heading_range_rad, plant: twin, above: 0}}]\n"
+    expect = (
+        f"expect: [{{metric: {path.stem}:heading_range_rad, plant: twin, above: 0}}]\n"
+    )
     (tmp_path / "mine.yaml").write_text(text + expect)
-    done = srs_twin("compare", "mine.yaml", "--plugin", path.name, "--check", cwd=tmp_path)
+    done = srs_twin(
+        "compare", "mine.yaml", "--plugin", path.name, "--check", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
-    assert "heading range" in done.stdout and "met    twin heading_range_rad" in done.stdout
+    assert (
+        "heading range" in done.stdout
+        and "met    twin heading_range_rad" in done.stdout
+    )
     metrics = json.loads((tmp_path / "runs/mine/metrics.json").read_text())
     assert metrics["plants"]["twin"]["heading_range_rad"] > 0
     resolved = tmp_path / "runs/mine/scenario.resolved.yaml"
     written = yaml.safe_load(resolved.read_text())
     assert written["controller"]["gain"] == 0.2
     assert written["expect"][0]["metric"] == f"{path.stem}:heading_range_rad"
-    # The environment variable has the same effect, and the resolved file repeats the run.
+    # The environment variable has the same effect, and the resolved file repeats the
+    # run.
     os.environ[PLUGINS] = str(path)
-    done = srs_twin("compare", str(resolved), "--out", "again", "-q", "--check", cwd=tmp_path)
+    done = srs_twin(
+        "compare", str(resolved), "--out", "again", "-q", "--check", cwd=tmp_path
+    )
     assert done.returncode == 0, done.stderr
     again = json.loads((tmp_path / "again/metrics.json").read_text())
-    assert again["plants"]["twin"]["heading_range_rad"] == metrics["plants"]["twin"]["heading_range_rad"]
+    assert (
+        again["plants"]["twin"]["heading_range_rad"]
+        == metrics["plants"]["twin"]["heading_range_rad"]
+    )
     os.environ[PLUGINS] = ""
     # A finished run is read without the plug-in, even if its file is gone.
     path.unlink()
@@ -209,7 +252,9 @@ def test_a_sweep_with_two_workers_knows_the_plugin(plugin, tmp_path):
     (tmp_path / "sweep.yaml").write_text(
         f"scenario: {tmp_path}/mine.yaml\nvary: {{controller.gian: [0.0, 0.2]}}\n"
     )
-    with pytest.raises(InputError, match=r"controller\.gian: unknown key; did you mean gain"):
+    with pytest.raises(
+        InputError, match=r"controller\.gian: unknown key; did you mean gain"
+    ):
         load_sweep(tmp_path / "sweep.yaml")
 
 
@@ -238,7 +283,12 @@ def site(tmp_path, monkeypatch):
 
 def test_an_installed_package_registers_short_names(site, tmp_path):
     assert parse_scenario(document("damped")).build_controller().gain == 0.2
-    assert parse_scenario(document(f"{site}.control:Damped")).document["controller"]["gain"] == 0.2
+    assert (
+        parse_scenario(document(f"{site}.control:Damped")).document["controller"][
+            "gain"
+        ]
+        == 0.2
+    )
     expect = [{"metric": "heading_range_rad", "plant": "twin", "above": 0}]
     scenario = parse_scenario({**document("damped"), "expect": expect})
     result = run_scenario(scenario, tmp_path / "run")
@@ -267,16 +317,23 @@ def test_entry_points_in_the_current_folder_do_not_count(tmp_path, monkeypatch):
     assert "outside_here" not in sys.modules
     # A user who starts Python here may still allow it.
     allow_plugin("outside_here")
-    assert parse_scenario(document("outside_here.control:Damped")).build_controller().gain == 0.2
+    assert (
+        parse_scenario(document("outside_here.control:Damped")).build_controller().gain
+        == 0.2
+    )
 
 
 def test_damaged_entry_points_are_named(tmp_path, monkeypatch):
     info = tmp_path / "site" / "damaged-1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Name: damaged\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[srs_twin.controllers]\nodd = not a name!\n")
+    (info / "entry_points.txt").write_text(
+        "[srs_twin.controllers]\nodd = not a name!\n"
+    )
     monkeypatch.syspath_prepend(tmp_path / "site")
-    assert "'not a name!' does not name a class; write module:Name" in problems(document("odd"))
+    assert "'not a name!' does not name a class; write module:Name" in problems(
+        document("odd")
+    )
 
 
 def test_the_first_of_two_packages_has_a_short_name(tmp_path, monkeypatch):
@@ -323,12 +380,16 @@ def test_keys_cover_all_files_and_the_version_of_a_distribution(site, tmp_path):
     data = {"controller": {"kind": "damped"}}
     built_in = run_key({"controller": {"kind": "gait"}}, ["twin"], runner)
     keys.add(run_key(data, ["twin"], runner))
-    keys.add(run_key({"controller": {"kind": f"{site}.control:Damped"}}, ["twin"], runner))
+    keys.add(
+        run_key({"controller": {"kind": f"{site}.control:Damped"}}, ["twin"], runner)
+    )
     (tmp_path / "site" / site / "helper.py").write_text("A = 1\n")
     keys.add(run_key(data, ["twin"], runner))
     (tmp_path / "site" / site / "metrics.py").write_text("B = 1\n")
     keys.add(run_key(data, ["twin"], runner))
-    owners()[site]._path.joinpath("METADATA").write_text(f"Name: {site}\nVersion: 1.1\n")
+    owners()[site]._path.joinpath("METADATA").write_text(
+        f"Name: {site}\nVersion: 1.1\n"
+    )
     keys.add(run_key(data, ["twin"], runner))
     assert len(keys) == 5
     assert run_key({"controller": {"kind": "gait"}}, ["twin"], runner) == built_in
@@ -354,25 +415,49 @@ def test_modules_that_nobody_allowed_are_not_imported(kind, module, key):
     data[key] = {"kind": kind}
     text = problems(data)
     assert f"{key}.kind: module {kind.partition(':')[0]} is not allowed" in text
-    assert "a file alone never runs code" in text and "--plugin FILE.py" in text and PLUGINS in text
+    assert (
+        "a file alone never runs code" in text
+        and "--plugin FILE.py" in text
+        and PLUGINS in text
+    )
     assert module not in sys.modules
 
 
 def test_popen_is_not_imported_by_the_command_line(tmp_path):
     (tmp_path / "s.yaml").write_text(SCENARIO.replace("KIND", "antigravity:Popen"))
     (tmp_path / "antigravity.py").write_text("open('ran', 'w')")
-    code = "import sys; from srs_twin.cli import main; sys.argv[0] = 'srs-twin'; main(['run', 's.yaml'])"
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    code = (
+        "import sys; from srs_twin.cli import main; sys.argv[0] = 'srs-twin';"
+        " main(['run', 's.yaml'])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
+    )
     assert done.returncode == 2, done.stderr
-    assert done.stderr.startswith("s.yaml:3:20: controller.kind: module antigravity is not allowed")
+    assert done.stderr.startswith(
+        "s.yaml:3:20: controller.kind: module antigravity is not allowed"
+    )
     assert not (tmp_path / "ran").exists()
 
 
 @pytest.mark.parametrize(
     "kind",
-    ["{}:a.b", "{}:__class__", "{}:_Damped", ".{}:Damped", "..:x", "{}:", ":Damped", "{}:Damped:x", "a b:C",
-     "{}:Damped()", "{}/x:Damped", "{}\n:Damped", "{}:Dämped"],
-)  # fmt: skip
+    [
+        "{}:a.b",
+        "{}:__class__",
+        "{}:_Damped",
+        ".{}:Damped",
+        "..:x",
+        "{}:",
+        ":Damped",
+        "{}:Damped:x",
+        "a b:C",
+        "{}:Damped()",
+        "{}/x:Damped",
+        "{}\n:Damped",
+        "{}:Dämped",
+    ],
+)
 def test_other_names_are_refused_before_the_import(kind, plugin):
     path = plugin(CONTROLLER)
     allow_plugin(path)
@@ -388,8 +473,17 @@ def test_other_names_are_refused_before_the_import(kind, plugin):
         ("system", "from os import system"),
         ("absent", ""),
         ("Controller", "from srs_twin import Controller"),
-        ("ControllerSection", "from srs_twin.scenario.controllers import ControllerSection"),
-        ("Half", "import srs_twin\nclass Half(srs_twin.Controller):\n    def step(self, state): pass"),
+        (
+            "ControllerSection",
+            "from srs_twin.scenario.controllers import ControllerSection",
+        ),
+        (
+            "Half",
+            (
+                "import srs_twin\nclass Half(srs_twin.Controller):\n    def step(self,"
+                " state): pass"
+            ),
+        ),
         ("Shifted", PARTS),
         ("Fake", "class Fake:\n    def __new__(cls, *a, **k): raise SystemExit(99)"),
     ],
@@ -398,13 +492,19 @@ def test_a_class_needs_the_right_base_before_it_is_called(name, source, plugin):
     path = plugin(source)
     allow_plugin(path)
     text = problems(document(f"{path.stem}:{name}"))
-    assert f"{path.stem}:{name} must be a class that derives from Controller or ControllerSection" in text
+    assert (
+        f"{path.stem}:{name} must be a class that derives from Controller or"
+        " ControllerSection" in text
+    )
 
 
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("import no_such_name", "ModuleNotFoundError: No module named 'no_such_name' (FILE.py:1)"),
+        (
+            "import no_such_name",
+            "ModuleNotFoundError: No module named 'no_such_name' (FILE.py:1)",
+        ),
         ("def f(:", "SyntaxError: invalid syntax (FILE.py, line 1)"),
         ("raise SystemExit(0)", "SystemExit: 0"),
         ("\n1 / 0", "ZeroDivisionError: division by zero (FILE.py:2)"),
@@ -415,7 +515,9 @@ def test_a_plugin_that_cannot_be_imported_is_named(source, message, plugin):
     allow_plugin(path)
     text = problems(document(f"{path.stem}:Damped"))
     assert (
-        f"controller.kind: module {path.stem} cannot be imported: {message}".replace("FILE", path.stem)
+        f"controller.kind: module {path.stem} cannot be imported: {message}".replace(
+            "FILE", path.stem
+        )
         in text
     )
     assert "frozen" not in text
@@ -429,8 +531,12 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
         "class B(A):\n    def __init__(self, gain: 'Nothing'): pass\n"
     )
     allow_plugin(path)
-    assert f"{path.stem}:A: no file can give weights; set a default" in problems(document(f"{path.stem}:A"))
-    assert "the types of its arguments cannot be read (name 'Nothing'" in problems(document(f"{path.stem}:B"))
+    assert f"{path.stem}:A: no file can give weights; set a default" in problems(
+        document(f"{path.stem}:A")
+    )
+    assert "the types of its arguments cannot be read (name 'Nothing'" in problems(
+        document(f"{path.stem}:B")
+    )
 
 
 @pytest.mark.parametrize(
@@ -445,7 +551,9 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
         ("sys.py", "a module sys exists already (built in)"),
     ],
 )
-def test_plugins_that_cannot_be_allowed(source, message, tmp_path, monkeypatch, srs_twin):
+def test_plugins_that_cannot_be_allowed(
+    source, message, tmp_path, monkeypatch, srs_twin
+):
     for name in ("my-file.py", "json.py", "numpy.py", "sys.py"):
         (tmp_path / name).write_text("open('ran', 'w')")
     done = srs_twin("compare", "gen2_straight", "--plugin", source, cwd=tmp_path)
@@ -470,10 +578,16 @@ def test_an_error_of_a_plugin_is_not_reported_as_ours(plugin):
     allow_plugin(path)
     scenario = parse_scenario(document(f"{path.stem}:Damped"))
     try:
-        srs.rollout(scenario.build_plant("analytical"), scenario.build_controller(), 0.1)
+        srs.rollout(
+            scenario.build_plant("analytical"), scenario.build_controller(), 0.1
+        )
     except ZeroDivisionError as error:
         text = str(TaskFailedError(error))
-    assert f"({path.name}:" in text and "not part of srs-twin" in text and "please report it" not in text
+    assert (
+        f"({path.name}:" in text
+        and "not part of srs-twin" in text
+        and "please report it" not in text
+    )
 
 
 def test_metrics_of_unknown_modules_are_refused():
@@ -486,7 +600,10 @@ def test_metrics_of_unknown_modules_are_refused():
 def test_parts_of_a_plant_are_named_where_they_stand():
     data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
     data["plants"] = {"twin": {"pneumatics": {"kind": "orifice"}}}
-    assert "plants.twin.pneumatics: unknown key; did you mean pneumatics (beside plants)?" in problems(data)
+    assert (
+        "plants.twin.pneumatics: unknown key; did you mean pneumatics (beside plants)?"
+        in problems(data)
+    )
 
 
 def test_editors_accept_parts_from_outside():

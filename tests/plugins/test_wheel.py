@@ -37,15 +37,24 @@ def test_a_wheel_adds_a_controller_a_metric_and_a_format(srs_twin_process, tmp_p
     (tmp_path / "project" / "pyproject.toml").write_text(PROJECT)
     for words in (
         ("build", "--wheel", "--out-dir", tmp_path / "dist", tmp_path / "project"),
-        ("pip", "install", "--no-deps", "--no-index", "--target", tmp_path / "site",
-         tmp_path / "dist" / "my_snake_parts-1.2-py3-none-any.whl"),
-    ):  # fmt: skip
+        (
+            "pip",
+            "install",
+            "--no-deps",
+            "--no-index",
+            "--target",
+            tmp_path / "site",
+            tmp_path / "dist" / "my_snake_parts-1.2-py3-none-any.whl",
+        ),
+    ):
         subprocess.run(["uv", *map(str, words)], check=True, capture_output=True)
     here = tmp_path / "work"
     here.mkdir()
     expect = "expect: [{metric: heading_range_rad, plant: twin, above: 0}]\n"
     (here / "short.yaml").write_text(SCENARIO.replace("KIND", "damped") + expect)
-    (here / "full.yaml").write_text(SCENARIO.replace("KIND", "my_snake_parts.control:Damped"))
+    (here / "full.yaml").write_text(
+        SCENARIO.replace("KIND", "my_snake_parts.control:Damped")
+    )
     take = tagged_recording(here / "take.txt")
 
     def run(*words: str, installed: bool = True, code: int = 0) -> str:
@@ -57,17 +66,32 @@ def test_a_wheel_adds_a_controller_a_metric_and_a_format(srs_twin_process, tmp_p
     assert "met    twin heading_range_rad" in run("compare", "short.yaml", "--check")
     run("run", "short.yaml", "full.yaml", "--jobs", "2", "--out", "both", "-q")
     speeds = [
-        json.loads((here / "both" / name / "metrics.json").read_text())["plants"]["twin"]["path_length_m"]
+        json.loads((here / "both" / name / "metrics.json").read_text())["plants"][
+            "twin"
+        ]["path_length_m"]
         for name in ("short", "full")
     ]
     assert speeds[0] == speeds[1]
     assert json.loads(run("inspect", str(take), "--json"))[0]["format"] == "Tagged TSV"
-    run("compare", "runs/short/scenario.resolved.yaml", "--out", "again", "--check", "-q")
+    run(
+        "compare",
+        "runs/short/scenario.resolved.yaml",
+        "--out",
+        "again",
+        "--check",
+        "-q",
+    )
     # Without the package the run is still read, but not run again.
-    assert "controller.gain: 0.2" in run("show", "runs/short/scenario.resolved.yaml", installed=False)
+    assert "controller.gain: 0.2" in run(
+        "show", "runs/short/scenario.resolved.yaml", installed=False
+    )
     run("export", "short", "--csv", installed=False)
     run("diff", "runs/short", "again", installed=False)
-    text = run("compare", "runs/short/scenario.resolved.yaml", "-q", installed=False, code=2)
+    text = run(
+        "compare", "runs/short/scenario.resolved.yaml", "-q", installed=False, code=2
+    )
     assert "controller.kind: must be one of gait" in text and "'damped'" in text
     text = run("compare", "full.yaml", "-q", installed=False, code=2)
-    assert text.startswith("full.yaml:3:20: controller.kind: module my_snake_parts.control is not allowed")
+    assert text.startswith(
+        "full.yaml:3:20: controller.kind: module my_snake_parts.control is not allowed"
+    )

@@ -16,7 +16,12 @@ from srs_twin import AnalyticalSnake, InputError, RobotSpec, TwinSnake, rollout
 from srs_twin.control.gait import Gait
 from srs_twin.errors import UnknownNameError
 from srs_twin.plants import analytical
-from srs_twin.pneumatics import LagPneumatics, OrificePneumatics, Schedule, make_pneumatics
+from srs_twin.pneumatics import (
+    LagPneumatics,
+    OrificePneumatics,
+    Schedule,
+    make_pneumatics,
+)
 from srs_twin.pneumatics.flow import flow
 
 AMBIENT, SUPPLY, L_PER_MIN = 101_325.0, 48_300.0, 1 / 60_000
@@ -32,7 +37,11 @@ def iso_6358(upstream: float, downstream: float, b: float) -> float:
     if ratio <= b:
         return upstream
     if ratio > 0.999:
-        return 1000 * (upstream - downstream) * float(np.sqrt(1 - ((0.999 - b) / (1 - b)) ** 2))
+        return (
+            1000
+            * (upstream - downstream)
+            * float(np.sqrt(1 - ((0.999 - b) / (1 - b)) ** 2))
+        )
     return upstream * float(np.sqrt(1 - ((ratio - b) / (1 - b)) ** 2))
 
 
@@ -59,8 +68,10 @@ def test_flow_follows_iso_6358_with_correct_derivatives(first, second, b):
     ratio = min(first, second) / max(first, second)
     if min(abs(ratio - kink) for kink in (b, 0.999, 1.0)) > 1e-6:
         slopes = (
-            (iso_6358(first + step, second, b) - iso_6358(first - step, second, b)) / (2 * step),
-            (iso_6358(first, second + step, b) - iso_6358(first, second - step, b)) / (2 * step),
+            (iso_6358(first + step, second, b) - iso_6358(first - step, second, b))
+            / (2 * step),
+            (iso_6358(first, second + step, b) - iso_6358(first, second - step, b))
+            / (2 * step),
         )
         assert (by_first, by_second) == pytest.approx(slopes, rel=2e-4, abs=1e-6)
 
@@ -80,7 +91,9 @@ def test_flow_is_continuous_at_the_sonic_and_laminar_limits():
 def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critical):
     """Two modules with slightly different pressures pass the working point, e⁻² before the end."""
     spec = robot(name)
-    spec = replace(spec, actuator=replace(spec.actuator, tau_vent=1.4 * spec.actuator.tau_fill))
+    spec = replace(
+        spec, actuator=replace(spec.actuator, tau_vent=1.4 * spec.actuator.tau_fill)
+    )
     supply = spec.supply.nominal
     for direction, tau in ((1, spec.actuator.tau_fill), (-1, spec.actuator.tau_vent)):
         filling, emptying = np.tile([1, -1], (4, 1)), np.tile([-1, -1], (4, 1))
@@ -89,11 +102,17 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
         curves = []
         for wait in (10 * tau, 10.002 * tau):
             chambers = OrificePneumatics(
-                spec, supply_pa=supply, layout="in_out", critical_ratio=critical, substep=tau / 500
+                spec,
+                supply_pa=supply,
+                layout="in_out",
+                critical_ratio=critical,
+                substep=tau / 500,
             )
             chambers.advance(chambers.schedule(first, 20 * tau - wait), np.zeros(0))
             order = Schedule(
-                13.1 * tau, np.array([0.0, wait - 10 * tau + 1e-3 * tau]), np.stack([first, then])
+                13.1 * tau,
+                np.array([0.0, wait - 10 * tau + 1e-3 * tau]),
+                np.stack([first, then]),
             )
             curves.append(chambers.advance(order, times).pressure[:, 0, 0])
         gap = np.abs(curves[0] - curves[1])
@@ -112,9 +131,19 @@ def test_large_pressure_steps_take_as_long_as_with_lag(name):
     times = np.linspace(0, 12 * spec.actuator.tau_fill, 4001)
     up = chambers.advance(chambers.schedule(FILL, times[-1]), times).pressure[:, 0, 0]
     down = chambers.advance(chambers.schedule(VENT, times[-1]), times).pressure[:, 0, 0]
-    assert 0.9 < times[np.argmax(up > (1 - np.exp(-1)) * up[-1])] / spec.actuator.tau_fill < 1.0
-    assert 1.1 < times[np.argmax(down < np.exp(-1) * down[0])] / spec.actuator.tau_vent < 1.25
-    assert up[-1] == pytest.approx(spec.supply.nominal, rel=1e-6) and abs(down[-1]) < 1.0
+    assert (
+        0.9
+        < times[np.argmax(up > (1 - np.exp(-1)) * up[-1])] / spec.actuator.tau_fill
+        < 1.0
+    )
+    assert (
+        1.1
+        < times[np.argmax(down < np.exp(-1) * down[0])] / spec.actuator.tau_vent
+        < 1.25
+    )
+    assert (
+        up[-1] == pytest.approx(spec.supply.nominal, rel=1e-6) and abs(down[-1]) < 1.0
+    )
 
 
 # The integration
@@ -123,17 +152,25 @@ CASES = {
     "supply without limit": {},
     "leak": {"leak_per_s": 0.5},
     "compressor": {"flow_limit": COMPRESSOR},
-    "large compressor, hardly a line": {"flow_limit": 10 * COMPRESSOR, "line_volume": 5e-6},
+    "large compressor, hardly a line": {
+        "flow_limit": 10 * COMPRESSOR,
+        "line_volume": 5e-6,
+    },
 }
 
 
-def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, times: np.ndarray) -> np.ndarray:
+def reference(
+    chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, times: np.ndarray
+) -> np.ndarray:
     """Return pressures, bends, line amount, drawn and lost amounts by LSODA, shape (times, 15)."""
     n, actuator, air = spec.segments, spec.actuator, chambers._plumbing
     fill, vent = (1e5 * c for c in chambers.conductances)
 
     def look(y):
-        return y[: 2 * n].reshape(n, 2) / volumes(spec, y[2 * n : 3 * n]), y[2 * n : 3 * n]
+        return (
+            y[: 2 * n].reshape(n, 2) / volumes(spec, y[2 * n : 3 * n]),
+            y[2 * n : 3 * n],
+        )
 
     def rates(_, y, state):
         pressure, bend = look(y)
@@ -144,16 +181,28 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
                 into[at] = fill[at] * iso_6358(line, pressure[at], air.critical)
             elif state[at] == -1:
                 out[at] += vent[at] * iso_6358(pressure[at], AMBIENT, air.critical)
-        turning = (actuator.gain * (pressure[:, 0] - pressure[:, 1]) - bend) / actuator.tau_mode
+        turning = (
+            actuator.gain * (pressure[:, 0] - pressure[:, 1]) - bend
+        ) / actuator.tau_mode
         supplied = into.sum()
         if air.limited:
-            supplied = air.max_flow * np.clip((SUPPLY + AMBIENT - line) / (0.01 * SUPPLY), 0, 1)
+            supplied = air.max_flow * np.clip(
+                (SUPPLY + AMBIENT - line) / (0.01 * SUPPLY), 0, 1
+            )
         return np.concatenate(
-            [(into - out).ravel(), turning, [supplied - into.sum(), supplied, out.sum()]]
-        )  # fmt: skip
+            [
+                (into - out).ravel(),
+                turning,
+                [supplied - into.sum(), supplied, out.sum()],
+            ]
+        )
 
     y = np.concatenate(
-        [np.full(2 * n, AMBIENT * air.dead), np.zeros(n), [(SUPPLY + AMBIENT) * air.line_volume, 0, 0]]
+        [
+            np.full(2 * n, AMBIENT * air.dead),
+            np.zeros(n),
+            [(SUPPLY + AMBIENT) * air.line_volume, 0, 0],
+        ]
     )
     rows = []
     for k, state in enumerate(order.states):
@@ -179,18 +228,27 @@ def reference(chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, tim
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "case", [name if "compressor" in name else pytest.param(name, marks=pytest.mark.slow) for name in CASES]
+    "case",
+    [
+        name if "compressor" in name else pytest.param(name, marks=pytest.mark.slow)
+        for name in CASES
+    ],
 )
 def test_integration_converges_to_an_independent_integrator(case):
     spec, times = robot(), np.linspace(0.005, 0.3, 60)
     errors = []
     for substep in (5e-4, 1.25e-4):
-        chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out", substep=substep, **CASES[case])
+        chambers = OrificePneumatics(
+            spec, supply_pa=SUPPLY, layout="in_out", substep=substep, **CASES[case]
+        )
         states = np.random.default_rng(3).choice([-1, 0, 1, 1], size=(5, 4, 2))
         order = chambers.schedule(states, 0.3)
         expected = reference(chambers, spec, order, times)
         trace = chambers.advance(order, times)
-        errors.append(np.abs(trace.pressure.reshape(len(times), -1) - expected[:, :8]).max() / SUPPLY)
+        errors.append(
+            np.abs(trace.pressure.reshape(len(times), -1) - expected[:, :8]).max()
+            / SUPPLY
+        )
         assert np.abs(trace.bend - expected[:, 8:12]).max() < 1e-3
         drawn = trace.air * (SUPPLY + AMBIENT) / SUPPLY
         assert drawn == pytest.approx(expected[:, 13], abs=3e-4 * expected[-1, 13])
@@ -203,8 +261,14 @@ def test_integration_has_second_order():
     at = np.linspace(0.02, 0.3, 15)
     results = []
     for substep in (1e-3, 5e-4, 2.5e-4, 2e-5):
-        chambers = OrificePneumatics(spec, supply_pa=SUPPLY, leak_per_s=0.5, substep=substep)
-        results.append(chambers.advance(chambers.schedule(np.stack([FILL, VENT]), 0.3), at).pressure)
+        chambers = OrificePneumatics(
+            spec, supply_pa=SUPPLY, leak_per_s=0.5, substep=substep
+        )
+        results.append(
+            chambers.advance(
+                chambers.schedule(np.stack([FILL, VENT]), 0.3), at
+            ).pressure
+        )
     coarse, middle, fine = (np.abs(item - results[-1]).max() for item in results[:-1])
     assert np.log2(coarse / middle) == pytest.approx(2, abs=0.2)
     assert np.log2(middle / fine) == pytest.approx(2, abs=0.2)
@@ -214,7 +278,9 @@ def test_trace_rates_match_finite_differences():
     chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, substep=5e-5)
     chambers.advance(chambers.schedule(FILL, 0.0502), np.zeros(0))
     step = 2e-5
-    trace = chambers.advance(chambers.schedule(FILL[:, ::-1], 0.02), np.arange(1, 1000) * step)
+    trace = chambers.advance(
+        chambers.schedule(FILL[:, ::-1], 0.02), np.arange(1, 1000) * step
+    )
     for value, rate, size in (
         (trace.bend, trace.bend_rate, 50.0),
         (trace.bend_rate, trace.bend_acceleration, 2e4),
@@ -225,17 +291,34 @@ def test_trace_rates_match_finite_differences():
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.lists(st.sampled_from([-1, 0, 1]), min_size=48, max_size=48), st.sampled_from([None, COMPRESSOR]))
+@given(
+    st.lists(st.sampled_from([-1, 0, 1]), min_size=48, max_size=48),
+    st.sampled_from([None, COMPRESSOR]),
+)
 def test_air_is_conserved(states, limit):
     spec = robot()
     chambers = OrificePneumatics(
-        spec, supply_pa=SUPPLY, layout="in_out", flow_limit=limit, leak_per_s=0.3, line_volume=3e-5
+        spec,
+        supply_pa=SUPPLY,
+        layout="in_out",
+        flow_limit=limit,
+        leak_per_s=0.3,
+        line_volume=3e-5,
     )
-    before = amounts(spec, chambers.pressure, chambers.bend) + 3e-5 * (chambers.line_pressure + AMBIENT)
+    before = amounts(spec, chambers.pressure, chambers.bend) + 3e-5 * (
+        chambers.line_pressure + AMBIENT
+    )
     for valves in np.array(states).reshape(6, 4, 2):
-        trace = chambers.advance(chambers.schedule(valves, 0.03), np.linspace(0, 0.03, 7))
-        assert np.isfinite(trace.bend_acceleration).all() and trace.pressure.min() > -0.5 * AMBIENT
-    inside = amounts(spec, chambers.pressure, chambers.bend) + 3e-5 * (chambers.line_pressure + AMBIENT)
+        trace = chambers.advance(
+            chambers.schedule(valves, 0.03), np.linspace(0, 0.03, 7)
+        )
+        assert (
+            np.isfinite(trace.bend_acceleration).all()
+            and trace.pressure.min() > -0.5 * AMBIENT
+        )
+    inside = amounts(spec, chambers.pressure, chambers.bend) + 3e-5 * (
+        chambers.line_pressure + AMBIENT
+    )
     # A line without limit is the supply itself.
     assert inside + chambers.lost - chambers.drawn == pytest.approx(before, rel=1e-10)
     assert chambers.air == pytest.approx(chambers.drawn * SUPPLY / (SUPPLY + AMBIENT))
@@ -243,7 +326,9 @@ def test_air_is_conserved(states, limit):
 
 def test_result_is_independent_of_the_division_of_a_schedule():
     spec = robot()
-    one, many = (OrificePneumatics(spec, supply_pa=SUPPLY, substep=1e-4) for _ in range(2))
+    one, many = (
+        OrificePneumatics(spec, supply_pa=SUPPLY, substep=1e-4) for _ in range(2)
+    )
     states = np.random.default_rng(4).choice([-1, 1], size=(10, 4, 2))
     whole = one.advance(one.schedule(states, 0.2), np.linspace(0.02, 0.2, 10))
     for k, valves in enumerate(states):
@@ -269,9 +354,13 @@ def test_closed_chamber_is_compressed_by_the_actual_bend():
     space = volumes(spec, bend + np.outer(times, rate))[..., 0]
     kept = (trace.pressure[..., 0] + AMBIENT) * space
     assert kept == pytest.approx(np.full_like(kept, kept[0, 0]), rel=1e-9)
-    assert (kept[0, 0] - AMBIENT * space[0, 0]) / space[0, 0] == pytest.approx(SUPPLY, rel=1e-6)
+    assert (kept[0, 0] - AMBIENT * space[0, 0]) / space[0, 0] == pytest.approx(
+        SUPPLY, rel=1e-6
+    )
     after = chambers.advance(order, np.zeros(1), bend=np.full(4, 0.7)).pressure[0, :, 0]
-    assert (after + AMBIENT) * volumes(spec, np.full(4, 0.7))[:, 0] == pytest.approx(kept[0], rel=1e-9)
+    assert (after + AMBIENT) * volumes(spec, np.full(4, 0.7))[:, 0] == pytest.approx(
+        kept[0], rel=1e-9
+    )
 
 
 def test_passing_the_free_bends_changes_nothing():
@@ -280,7 +369,9 @@ def test_passing_the_free_bends_changes_nothing():
     for valves in np.random.default_rng(5).choice([-1, 1], size=(6, 4, 2)):
         for _ in range(500):
             order, end = free.schedule(valves, 1e-4), np.array([1e-4])
-            got.append(reported.advance(order, end, bend=free.bend, bend_rate=rate).pressure[0])
+            got.append(
+                reported.advance(order, end, bend=free.bend, bend_rate=rate).pressure[0]
+            )
             trace = free.advance(order, end)
             expected.append(trace.pressure[0])
             rate = trace.bend_rate[0]
@@ -290,13 +381,17 @@ def test_passing_the_free_bends_changes_nothing():
 # The supply
 
 
-def speed_and_amplitude(spec: RobotSpec, chambers: OrificePneumatics) -> tuple[float, float]:
+def speed_and_amplitude(
+    spec: RobotSpec, chambers: OrificePneumatics
+) -> tuple[float, float]:
     """Return the speed (m/s) and the largest bend (rad) of a gait at 0.9 Hz after 6 s."""
     plant = AnalyticalSnake(spec, supply_pa=SUPPLY, pneumatics=chambers)
     run = rollout(plant, Gait(0.9), 10.0)
     late = run.time >= 6 - 1e-9
     ends = [(run["com_x"][k], run["com_y"][k]) for k in (np.flatnonzero(late)[0], -1)]
-    return float(np.hypot(*np.subtract(*ends)) / 4), float(np.abs(run["bend_2"][late]).max())
+    return float(np.hypot(*np.subtract(*ends)) / 4), float(
+        np.abs(run["bend_2"][late]).max()
+    )
 
 
 def test_generation_3_is_limited_by_two_litres_per_minute():
@@ -316,9 +411,13 @@ def test_flow_limit_slows_all_segments():
     chambers = OrificePneumatics(robot("gen3"), supply_pa=SUPPLY, flow_limit=COMPRESSOR)
     one = np.full((4, 2), -1)
     one[0, 0] = 1
-    alone = chambers.advance(chambers.schedule(one, 0.5), np.array([0.5])).pressure[0, 0, 0]
+    alone = chambers.advance(chambers.schedule(one, 0.5), np.array([0.5])).pressure[
+        0, 0, 0
+    ]
     chambers.reset()
-    together = chambers.advance(chambers.schedule(FILL, 0.5), np.array([0.5])).pressure[0, :, 0]
+    together = chambers.advance(chambers.schedule(FILL, 0.5), np.array([0.5])).pressure[
+        0, :, 0
+    ]
     assert together == pytest.approx(np.full(4, together[0]), rel=1e-12)
     assert together[0] < 0.5 * alone
     assert chambers.line_pressure == pytest.approx(together[0], rel=0.05)
@@ -334,24 +433,43 @@ def test_a_regulator_keeps_the_line_within_a_hundredth():
 def test_changed_supply_pressure_equals_construction_with_it(limit):
     lower = 0.6 * SUPPLY
     more = {"flow_limit": limit, "line_begins": lower, "leak_per_s": 0.2}
-    regulated, made = (OrificePneumatics(robot(), supply_pa=entry, **more) for entry in (SUPPLY, lower))
+    regulated, made = (
+        OrificePneumatics(robot(), supply_pa=entry, **more) for entry in (SUPPLY, lower)
+    )
     regulated.set_supply_pressure(lower)
-    traces = [entry.advance(entry.schedule(FILL, 0.3), np.linspace(0, 0.3, 7)) for entry in (regulated, made)]
+    traces = [
+        entry.advance(entry.schedule(FILL, 0.3), np.linspace(0, 0.3, 7))
+        for entry in (regulated, made)
+    ]
     assert traces[0].pressure == pytest.approx(traces[1].pressure, abs=1e-6 * lower)
-    assert traces[0].air[-1] > 0 and traces[0].air == pytest.approx(traces[1].air, rel=1e-9)
-    assert (regulated.air, regulated.line_pressure) == pytest.approx((made.air, made.line_pressure))
+    assert traces[0].air[-1] > 0 and traces[0].air == pytest.approx(
+        traces[1].air, rel=1e-9
+    )
+    assert (regulated.air, regulated.line_pressure) == pytest.approx(
+        (made.air, made.line_pressure)
+    )
 
 
 def test_place_sets_pressures_and_bends():
-    chambers, random = OrificePneumatics(robot(), supply_pa=SUPPLY), np.random.default_rng(2)
+    chambers, random = (
+        OrificePneumatics(robot(), supply_pa=SUPPLY),
+        np.random.default_rng(2),
+    )
     pressure, bend = random.uniform(0, SUPPLY, (4, 2)), np.array([1.1, -0.8, 0.3, -0.1])
     chambers.place(pressure, bend)
     now = chambers.current_trace()
-    assert now.pressure[0] == pytest.approx(pressure) and now.bend[0] == pytest.approx(bend)
+    assert now.pressure[0] == pytest.approx(pressure) and now.bend[0] == pytest.approx(
+        bend
+    )
 
 
 def test_settings_are_recorded_in_their_units():
-    options = {"flow_limit": 2 / 60_000, "line_volume": 30e-6, "line_begins": 12e3, "leak_per_s": 0.3}
+    options = {
+        "flow_limit": 2 / 60_000,
+        "line_volume": 30e-6,
+        "line_begins": 12e3,
+        "leak_per_s": 0.3,
+    }
     settings = OrificePneumatics(robot(), supply_pa=SUPPLY, **options).describe()
     assert settings["flow_limit_l_per_min"] == pytest.approx(2.0)
     assert settings["line_volume_ml"] == pytest.approx(30.0)
@@ -365,12 +483,30 @@ def test_settings_are_recorded_in_their_units():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"critical_ratio": 0.9}, "critical_ratio 0.9 is not allowed; it must be 0 to 0.8"),
-        ({"flow_limit": 0.0}, "flow_limit 0.0 is not allowed; it must be finite and above 0"),
-        ({"line_volume": -1.0}, "line_volume -1.0 is not allowed; it must be finite and above 0"),
-        ({"substep": float("nan")}, "substep nan is not allowed; it must be finite and above 0"),
-        ({"leak_per_s": -0.1}, "leak_per_s -0.1 is not allowed; it must be finite and 0 or more"),
-        ({"valve_delay_s": -0.1}, "valve_delay_s -0.1 is not allowed; it must be finite and 0 or more"),
+        (
+            {"critical_ratio": 0.9},
+            "critical_ratio 0.9 is not allowed; it must be 0 to 0.8",
+        ),
+        (
+            {"flow_limit": 0.0},
+            "flow_limit 0.0 is not allowed; it must be finite and above 0",
+        ),
+        (
+            {"line_volume": -1.0},
+            "line_volume -1.0 is not allowed; it must be finite and above 0",
+        ),
+        (
+            {"substep": float("nan")},
+            "substep nan is not allowed; it must be finite and above 0",
+        ),
+        (
+            {"leak_per_s": -0.1},
+            "leak_per_s -0.1 is not allowed; it must be finite and 0 or more",
+        ),
+        (
+            {"valve_delay_s": -0.1},
+            "valve_delay_s -0.1 is not allowed; it must be finite and 0 or more",
+        ),
     ],
 )
 def test_numbers_out_of_range_raise(arguments, words):
@@ -379,10 +515,16 @@ def test_numbers_out_of_range_raise(arguments, words):
 
 
 def test_pneumatics_are_selected_by_name():
-    made = make_pneumatics("orifice", robot(), supply_pa=SUPPLY, layout="3/2", critical_ratio=0.4)
-    assert isinstance(made, OrificePneumatics) and made.describe()["critical_ratio"] == 0.4
+    made = make_pneumatics(
+        "orifice", robot(), supply_pa=SUPPLY, layout="3/2", critical_ratio=0.4
+    )
+    assert (
+        isinstance(made, OrificePneumatics) and made.describe()["critical_ratio"] == 0.4
+    )
     assert make_pneumatics(made, robot(), supply_pa=1.0, layout="3/2") is made
-    with pytest.raises(UnknownNameError, match=r"unknown pneumatics 'orifise'; did you mean orifice\?"):
+    with pytest.raises(
+        UnknownNameError, match=r"unknown pneumatics 'orifise'; did you mean orifice\?"
+    ):
         make_pneumatics("orifise", robot(), supply_pa=SUPPLY, layout="3/2")
 
 
@@ -391,22 +533,38 @@ def limited(l_per_min: float, **options: float) -> OrificePneumatics:
     return OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow, **options)
 
 
-@pytest.mark.parametrize("inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"])
+@pytest.mark.parametrize(
+    "inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"]
+)
 @pytest.mark.parametrize("l_per_min", [2.0, 20.0])
-def test_coupling_step_is_small_enough_with_a_flow_limit(l_per_min, inertia, monkeypatch):
+def test_coupling_step_is_small_enough_with_a_flow_limit(
+    l_per_min, inertia, monkeypatch
+):
     """Regression: at 1 ms chambers and bodies oscillated, up to 180 kPa from a supply of 48 kPa."""
-    options = {"model": "compliant", "friction": "wheel", "inertia": inertia, "supply_pa": SUPPLY}
+    options = {
+        "model": "compliant",
+        "friction": "wheel",
+        "inertia": inertia,
+        "supply_pa": SUPPLY,
+    }
 
     def run(finer: float) -> tuple[np.ndarray, np.ndarray]:
         chambers = limited(l_per_min)
         chambers.coupling_step_s /= finer
         monkeypatch.setattr(analytical, "_POINT_MASS_COUPLING_STEP", 1e-4 / finer)
-        result = rollout(AnalyticalSnake(robot(), pneumatics=chambers, **options), Gait(2.0, 0.4), 0.4)
-        pressure = np.concatenate([result.stack("pressure_plus"), result.stack("pressure_minus")])
+        result = rollout(
+            AnalyticalSnake(robot(), pneumatics=chambers, **options),
+            Gait(2.0, 0.4),
+            0.4,
+        )
+        pressure = np.concatenate(
+            [result.stack("pressure_plus"), result.stack("pressure_minus")]
+        )
         return pressure, result.stack("bend")
 
     (pressure, bend), (fine_pressure, fine_bend) = run(1.0), run(2.0)
-    # A closed chamber that a swinging connector stretches falls below the ambient pressure, by 70 Pa here.
+    # A closed chamber that a swinging connector stretches falls below the ambient
+    # pressure, by 70 Pa here.
     assert pressure.min() > -0.005 * SUPPLY and pressure.max() < SUPPLY
     assert pressure == pytest.approx(fine_pressure, abs=0.01 * fine_pressure.max())
     assert bend == pytest.approx(fine_bend, abs=0.005)
@@ -414,10 +572,16 @@ def test_coupling_step_is_small_enough_with_a_flow_limit(l_per_min, inertia, mon
 
 def test_twin_time_step_above_the_coupling_step_raises():
     with pytest.raises(
-        InputError, match=r"time step 0.001 s is too long .*; it must be 0.00025 s or less \(timestep_s"
+        InputError,
+        match=(
+            r"time step 0.001 s is too long .*; it must be 0.00025 s or less"
+            r" \(timestep_s"
+        ),
     ):
         TwinSnake(robot(), pneumatics=limited(2.0))
-    TwinSnake(robot(), pneumatics=limited(2.0), timestep=0.00025).step(np.full((4, 2), -1))
+    TwinSnake(robot(), pneumatics=limited(2.0), timestep=0.00025).step(
+        np.full((4, 2), -1)
+    )
 
 
 @pytest.mark.slow
@@ -429,13 +593,18 @@ def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
         chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow_limit)
         step = {"timestep": min(0.001, chambers.coupling_step_s)} | options
         actual = rollout(
-            TwinSnake(robot(), supply_pa=SUPPLY, pneumatics=chambers, **step), Gait(2.0, offset=0.4), 2.0
+            TwinSnake(robot(), supply_pa=SUPPLY, pneumatics=chambers, **step),
+            Gait(2.0, offset=0.4),
+            2.0,
         )
         distance = math.hypot(
-            actual["com_x"][-1] - actual["com_x"][0], actual["com_y"][-1] - actual["com_y"][0]
+            actual["com_x"][-1] - actual["com_x"][0],
+            actual["com_y"][-1] - actual["com_y"][0],
         )
         return distance, actual["heading"][-1]
 
     preloaded, loaded = crawled(contact="preloaded"), crawled(contact="loaded")
     assert loaded == pytest.approx(preloaded, rel=0.1)
-    assert crawled(contact="loaded", timestep=0.00025) == pytest.approx(loaded, rel=0.03)
+    assert crawled(contact="loaded", timestep=0.00025) == pytest.approx(
+        loaded, rel=0.03
+    )

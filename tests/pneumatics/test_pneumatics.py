@@ -25,32 +25,49 @@ def actuated(
 ) -> RobotSpec:
     """Return a robot with other time constants (s) and a gain of 3e-5 rad/Pa."""
     spec = chain((0.03,) * (segments + 1))
-    actuator = replace(spec.actuator, tau_fill=fill, tau_vent=vent, tau_mode=mode, gain=GAIN)
+    actuator = replace(
+        spec.actuator, tau_fill=fill, tau_vent=vent, tau_mode=mode, gain=GAIN
+    )
     return replace(spec, actuator=actuator)
 
 
-def commands(ticks: int, slots: int, segments: int, states: tuple[int, ...]) -> st.SearchStrategy[np.ndarray]:
+def commands(
+    ticks: int, slots: int, segments: int, states: tuple[int, ...]
+) -> st.SearchStrategy[np.ndarray]:
     """Return random valve sequences of shape (ticks, slots, segments, 2)."""
     count = ticks * slots * segments * 2
     flat = st.lists(st.sampled_from(states), min_size=count, max_size=count)
-    return flat.map(lambda v: np.array(v, dtype=np.int8).reshape(ticks, slots, segments, 2))
+    return flat.map(
+        lambda v: np.array(v, dtype=np.int8).reshape(ticks, slots, segments, 2)
+    )
 
 
 TIMES = st.floats(0.005, 0.5)
 
 
 @settings(max_examples=25)
-@given(commands(4, 3, 1, (-1, 0, 1)), TIMES, TIMES, st.floats(0.001, 0.05), st.sampled_from([0.0, 0.7]))
+@given(
+    commands(4, 3, 1, (-1, 0, 1)),
+    TIMES,
+    TIMES,
+    st.floats(0.001, 0.05),
+    st.sampled_from([0.0, 0.7]),
+)
 def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode, leak):
     pneumatics = LagPneumatics(
-        actuated(1, fill=fill, vent=vent, mode=mode), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak
+        actuated(1, fill=fill, vent=vent, mode=mode),
+        supply_pa=SUPPLY,
+        layout="in_out",
+        leak_per_s=leak,
     )
     tick, values = 0.03, np.zeros(3)
     at = np.array([0.004, 0.01, 0.017, 0.0299, tick])
     for slots in valves:
         trace = pneumatics.advance(pneumatics.schedule(slots, tick), at)
         for k, state in enumerate(slots[:, 0, :]):
-            rows = np.flatnonzero((at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12))
+            rows = np.flatnonzero(
+                (at > tick * k / 3 + 1e-12) & (at <= tick * (k + 1) / 3 + 1e-12)
+            )
             inside = at[rows] - tick * k / 3
 
             def rates(_, y, state=state):
@@ -59,13 +76,22 @@ def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode,
                 )
                 return [*(filling - leak * y[:2]), (GAIN * (y[0] - y[1]) - y[2]) / mode]
 
-            # The tolerances do not control the error of the interpolant: the steps must resolve the mode.
+            # The tolerances do not control the error of the interpolant: the steps must
+            # resolve the mode.
             solution = solve_ivp(
-                rates, (0, tick / 3), values, method="DOP853", rtol=1e-10, atol=[1e-5, 1e-5, 1e-11],
-                dense_output=True, max_step=mode / 2,
-            )  # fmt: skip
+                rates,
+                (0, tick / 3),
+                values,
+                method="DOP853",
+                rtol=1e-10,
+                atol=[1e-5, 1e-5, 1e-11],
+                dense_output=True,
+                max_step=mode / 2,
+            )
             expected = solution.sol(inside).T
-            assert trace.pressure[rows, 0] == pytest.approx(expected[:, :2], abs=1e-6 * SUPPLY)
+            assert trace.pressure[rows, 0] == pytest.approx(
+                expected[:, :2], abs=1e-6 * SUPPLY
+            )
             assert trace.bend[rows, 0] == pytest.approx(expected[:, 2], abs=1e-6)
             slope = [rates(0, y)[2] for y in expected]
             assert trace.bend_rate[rows, 0] == pytest.approx(slope, abs=1e-6 / mode)
@@ -76,7 +102,10 @@ def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode,
 @given(commands(3, 4, 2, (-1, 0, 1)))
 def test_result_is_independent_of_the_division_of_a_tick(valves):
     spec = actuated(2, fill=0.08, vent=0.15)
-    one, many = (LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1) for _ in range(2))
+    one, many = (
+        LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1)
+        for _ in range(2)
+    )
     at = np.linspace(0.02, 0.06, 3)
     whole = one.advance(one.schedule(valves.reshape(-1, 2, 2), 0.06), at)
     for k, slots in enumerate(valves):
@@ -93,9 +122,13 @@ def test_result_is_independent_of_the_division_of_a_tick(valves):
 @settings(max_examples=40)
 @given(commands(20, 1, 2, (-1, 1)), TIMES, TIMES, st.floats(0, 5))
 def test_pressures_stay_between_zero_and_the_supply(valves, fill, vent, leak):
-    pneumatics = LagPneumatics(actuated(2, fill=fill, vent=vent), supply_pa=SUPPLY, leak_per_s=leak)
+    pneumatics = LagPneumatics(
+        actuated(2, fill=fill, vent=vent), supply_pa=SUPPLY, leak_per_s=leak
+    )
     for slots in valves:
-        trace = pneumatics.advance(pneumatics.schedule(slots, 0.05), np.linspace(0, 0.05, 11))
+        trace = pneumatics.advance(
+            pneumatics.schedule(slots, 0.05), np.linspace(0, 0.05, 11)
+        )
         assert trace.pressure.min() >= 0
         assert trace.pressure.max() <= SUPPLY * (1 + 1e-12)
         assert np.abs(trace.bend).max() <= GAIN * SUPPLY * (1 + 1e-12)
@@ -107,7 +140,9 @@ def test_exchanged_chambers_mirror_the_bend(valves):
     left, right = (LagPneumatics(actuated(), supply_pa=SUPPLY) for _ in range(2))
     for slots in valves:
         a = left.advance(left.schedule(slots, 0.02), np.array([0.013, 0.02]))
-        b = right.advance(right.schedule(slots[..., ::-1], 0.02), np.array([0.013, 0.02]))
+        b = right.advance(
+            right.schedule(slots[..., ::-1], 0.02), np.array([0.013, 0.02])
+        )
         assert (a.pressure == b.pressure[..., ::-1]).all()
         assert a.bend == pytest.approx(-b.bend, abs=1e-15)
 
@@ -127,19 +162,31 @@ def test_openings_count_changes_to_filling(valves):
 
 def test_holding_keeps_the_pressure_and_a_leak_lowers_it():
     for leak in (0.0, 0.4):
-        pneumatics = LagPneumatics(actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
+        pneumatics = LagPneumatics(
+            actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak
+        )
         fill, hold = np.array([[1, -1]]), np.array([[0, 0]])
-        full = pneumatics.advance(pneumatics.schedule(fill, 0.5), np.array([0.5])).pressure[0, 0, 0]
-        held = pneumatics.advance(pneumatics.schedule(hold, 2.0), np.array([1.0, 2.0])).pressure[:, 0, 0]
-        assert held == pytest.approx(full * np.exp(-leak * np.array([1.0, 2.0])), rel=1e-12)
+        full = pneumatics.advance(
+            pneumatics.schedule(fill, 0.5), np.array([0.5])
+        ).pressure[0, 0, 0]
+        held = pneumatics.advance(
+            pneumatics.schedule(hold, 2.0), np.array([1.0, 2.0])
+        ).pressure[:, 0, 0]
+        assert held == pytest.approx(
+            full * np.exp(-leak * np.array([1.0, 2.0])), rel=1e-12
+        )
         assert full > 0.8 * SUPPLY
 
 
 def test_fill_and_vent_have_separate_time_constants():
     pneumatics = LagPneumatics(actuated(1, fill=0.2, vent=0.05), supply_pa=SUPPLY)
-    filled = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.2), np.array([0.2])).pressure[0, 0, 0]
+    filled = pneumatics.advance(
+        pneumatics.schedule([[1, -1]], 0.2), np.array([0.2])
+    ).pressure[0, 0, 0]
     assert filled == pytest.approx(SUPPLY * (1 - np.exp(-1)))
-    emptied = pneumatics.advance(pneumatics.schedule([[-1, -1]], 0.05), np.array([0.05])).pressure[0, 0, 0]
+    emptied = pneumatics.advance(
+        pneumatics.schedule([[-1, -1]], 0.05), np.array([0.05])
+    ).pressure[0, 0, 0]
     assert emptied == pytest.approx(filled * np.exp(-1))
 
 
@@ -147,7 +194,9 @@ def test_fill_and_vent_have_separate_time_constants():
 def test_equal_time_constants_have_a_finite_limit(excess):
     """For τ₁ → τ₂ the step response tends to 1 − (1 + t/τ) e^{−t/τ}."""
     tau, time = 0.05, np.linspace(0, 0.4, 9)
-    pneumatics = LagPneumatics(actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY)
+    pneumatics = LagPneumatics(
+        actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY
+    )
     bend = pneumatics.advance(pneumatics.schedule([[1, -1]], 0.4), time).bend[:, 0]
     expected = GAIN * SUPPLY * (1 - (1 + time / tau) * np.exp(-time / tau))
     assert bend == pytest.approx(expected, abs=(1e-6 + excess) * GAIN * SUPPLY)
@@ -161,16 +210,24 @@ def test_air_is_the_integrated_inflow(valves, leak):
     pneumatics = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     values, space, worth = np.zeros(4), spec.chamber, SUPPLY / (SUPPLY + AMBIENT_PA)
     for slots in valves:
-        trace = pneumatics.advance(pneumatics.schedule(slots, 0.1), np.linspace(0.002, 0.1, 50))
+        trace = pneumatics.advance(
+            pneumatics.schedule(slots, 0.1), np.linspace(0.002, 0.1, 50)
+        )
         for state in slots[:, 0, :]:
 
             def rates(_, y, state=state):
                 filling = np.where(state == 1, (SUPPLY - y[:2]) / tau, 0)
                 turning = (GAIN * (y[0] - y[1]) - y[2]) / 0.00214
                 sign = np.array([1.0, -1.0])
-                volume = space.dead_volume + space.displacement * np.maximum(0, sign * y[2])
-                growing = space.displacement * np.where(sign * y[2] > 0, sign, 0) * turning
-                drawn = ((volume * filling + (y[:2] + AMBIENT_PA) * growing) * (state == 1)).sum()
+                volume = space.dead_volume + space.displacement * np.maximum(
+                    0, sign * y[2]
+                )
+                growing = (
+                    space.displacement * np.where(sign * y[2] > 0, sign, 0) * turning
+                )
+                drawn = (
+                    (volume * filling + (y[:2] + AMBIENT_PA) * growing) * (state == 1)
+                ).sum()
                 rate = filling - np.where(state == -1, y[:2] / tau, 0) - leak * y[:2]
                 return [*rate, turning, worth * drawn]
 
@@ -192,7 +249,9 @@ def test_air_of_one_fill_is_pressure_times_volume():
     pneumatics.advance(pneumatics.schedule([[1, -1]], 5.0), np.zeros(0))
     grown = spec.chamber.dead_volume + spec.chamber.displacement * GAIN * SUPPLY
     amount = (SUPPLY + AMBIENT_PA) * grown - AMBIENT_PA * spec.chamber.dead_volume
-    assert pneumatics.air == pytest.approx(SUPPLY * amount / (SUPPLY + AMBIENT_PA), rel=1e-9)
+    assert pneumatics.air == pytest.approx(
+        SUPPLY * amount / (SUPPLY + AMBIENT_PA), rel=1e-9
+    )
     drawn = pneumatics.air
     pneumatics.advance(pneumatics.schedule([[-1, -1]], 5.0), np.zeros(0))
     assert pneumatics.air == drawn, "venting gives nothing back and takes nothing"
@@ -204,7 +263,14 @@ def test_air_of_one_fill_is_pressure_times_volume():
 @pytest.mark.parametrize("delay", [0.003, 0.02, 0.0535])
 def test_valve_delay_shifts_the_response_across_ticks(kind, delay):
     prompt, late = (
-        make_pneumatics(kind, actuated(), supply_pa=SUPPLY, layout="in_out", leak_per_s=0.2, valve_delay_s=d)
+        make_pneumatics(
+            kind,
+            actuated(),
+            supply_pa=SUPPLY,
+            layout="in_out",
+            leak_per_s=0.2,
+            valve_delay_s=d,
+        )
         for d in (0.0, delay)
     )
     valves = np.random.default_rng(7).choice([-1, 0, 1], size=(9, 2, 2, 2))
@@ -218,7 +284,9 @@ def test_valve_delay_shifts_the_response_across_ticks(kind, delay):
     ends = 0.01 * np.arange(1, 19) - delay
     for k in np.ndindex(2, 2):
         expected = np.interp(ends, times, whole.pressure[(slice(None), *k)], left=0.0)
-        assert np.concatenate(pressures)[(slice(None), *k)] == pytest.approx(expected, abs=0.01 * SUPPLY)
+        assert np.concatenate(pressures)[(slice(None), *k)] == pytest.approx(
+            expected, abs=0.01 * SUPPLY
+        )
     # Before the first command arrives valves vent, which opens nothing.
     assert (np.concatenate(states)[ends < 0] == -1).all()
     assert (late.openings <= prompt.openings).all() and late.openings.sum() > 0
@@ -239,35 +307,57 @@ def test_effective_schedule_includes_delay():
 
 def test_reset_empties_all_chambers():
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY)
-    pneumatics.advance(pneumatics.schedule(np.ones((2, 2), dtype=np.int8), 0.1), np.array([0.1]))
+    pneumatics.advance(
+        pneumatics.schedule(np.ones((2, 2), dtype=np.int8), 0.1), np.array([0.1])
+    )
     assert pneumatics.pressure.min() > 0 and (pneumatics.openings == 1).all()
     pneumatics.reset()
-    assert not pneumatics.pressure.any() and not pneumatics.bend.any() and not pneumatics.openings.any()
+    assert (
+        not pneumatics.pressure.any()
+        and not pneumatics.bend.any()
+        and not pneumatics.openings.any()
+    )
     assert (pneumatics.valves == -1).all()
 
 
 def test_schedule_merges_equal_slots_and_can_be_sliced_and_joined():
-    slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones((1, 2, 2), dtype=np.int8)
+    slots = np.array([1, 1, -1, -1, -1, 1], dtype=np.int8)[:, None, None] * np.ones(
+        (1, 2, 2), dtype=np.int8
+    )
     whole = Schedule.from_slots(slots, 0.6)
-    assert whole.starts == pytest.approx([0.0, 0.2, 0.5]) and whole.events == pytest.approx([0.2, 0.5])
+    assert whole.starts == pytest.approx(
+        [0.0, 0.2, 0.5]
+    ) and whole.events == pytest.approx([0.2, 0.5])
     assert whole.states[:, 0, 0].tolist() == [1, -1, 1]
     middle = whole.slice(0.2, 0.55)
-    assert middle.starts == pytest.approx([0.0, 0.3]) and middle.span == pytest.approx(0.35)
+    assert middle.starts == pytest.approx([0.0, 0.3]) and middle.span == pytest.approx(
+        0.35
+    )
     again = whole.slice(0.0, 0.3).followed_by(whole.slice(0.3, 0.6))
-    assert again.starts == pytest.approx(whole.starts) and (again.states == whole.states).all()
+    assert (
+        again.starts == pytest.approx(whole.starts)
+        and (again.states == whole.states).all()
+    )
 
 
 def test_layouts_reject_impossible_states():
-    holding = LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").schedule(np.zeros((2, 2)), 0.1)
+    holding = LagPneumatics(actuated(), supply_pa=1.0, layout="in_out").schedule(
+        np.zeros((2, 2)), 0.1
+    )
     assert holding.states.shape == (1, 2, 2)
-    with pytest.raises(InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"):
+    with pytest.raises(
+        InputError, match=r"valve layout '5/2' is unknown; allowed: 3/2, in_out"
+    ):
         LagPneumatics(actuated(), supply_pa=1.0, layout="5/2")
     pneumatics = LagPneumatics(actuated(), supply_pa=1.0)
     with pytest.raises(
-        InputError, match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)"
+        InputError,
+        match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)",
     ):
         pneumatics.schedule(np.zeros((2, 2), dtype=np.int8), 0.1)
-    with pytest.raises(InputError, match=r"valve state 2 is not possible with layout 3/2"):
+    with pytest.raises(
+        InputError, match=r"valve state 2 is not possible with layout 3/2"
+    ):
         pneumatics.schedule(np.array([[1, -1], [2, 1]]), 0.1)
     with pytest.raises(InputError, match="valve state nan is not possible"):
         pneumatics.schedule(np.array([[1, -1], [np.nan, 1]]), 0.1)

@@ -43,7 +43,9 @@ def motive_bodies(path, truth, names, mounted=0.0):
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_bodies_are_read_at_any_rate(tmp_path, rate, speed):
-    truth = Snake(speed=speed, frequency=0.6, record_hz=rate, duration=12.0).trajectory()
+    truth = Snake(
+        speed=speed, frequency=0.6, record_hz=rate, duration=12.0
+    ).trajectory()
     path = tmp_path / "bodies.csv"
     # The order in the file is not the order along the body.
     motive_bodies(path, truth, ["e", "a", "c", "b", "d"], mounted=0.7)

@@ -25,7 +25,9 @@ FLOAT_STEP = 2.0**-24  # relative, of single precision
 def walk(frames=60, markers=4, scale=300.0):
     """Return positions in mm, shape (frames, markers, 3)."""
     rng = np.random.default_rng(frames + markers)
-    return rng.normal(size=(1, markers, 3)) * scale + np.cumsum(rng.normal(size=(frames, markers, 3)), axis=0)
+    return rng.normal(size=(1, markers, 3)) * scale + np.cumsum(
+        rng.normal(size=(frames, markers, 3)), axis=0
+    )
 
 
 def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate=RATE):
@@ -37,11 +39,17 @@ def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate
     if kinds:
         file.add_parameter("POINT", "ANGLES", kinds)
     file["header"]["points"]["first_frame"] = first
-    file["data"]["points"] = np.concatenate([points.transpose(2, 1, 0), np.ones((1, count, len(points)))])
+    file["data"]["points"] = np.concatenate(
+        [points.transpose(2, 1, 0), np.ones((1, count, len(points)))]
+    )
     if analog:
         file["parameters"]["ANALOG"]["RATE"]["value"] = [10 * rate]
-        file["parameters"]["ANALOG"]["LABELS"]["value"] = [f"a{k}" for k in range(analog)]
-        file["data"]["analogs"] = np.random.default_rng(0).normal(size=(1, analog, 10 * len(points)))
+        file["parameters"]["ANALOG"]["LABELS"]["value"] = [
+            f"a{k}" for k in range(analog)
+        ]
+        file["data"]["analogs"] = np.random.default_rng(0).normal(
+            size=(1, analog, 10 * len(points))
+        )
     file.write(str(path))
 
 
@@ -51,14 +59,18 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         scales = {"point_scale": step or -1.0, "point_units": "mm"}
-        writer = c3d.Writer(point_rate=RATE, analog_rate=10 * RATE if analog else 0.0, **scales)
+        writer = c3d.Writer(
+            point_rate=RATE, analog_rate=10 * RATE if analog else 0.0, **scales
+        )
         writer.set_point_labels([f"m{k}" for k in range(count)])
         if analog:
             writer.set_analog_labels([f"a{k}" for k in range(analog)])
         channels = np.zeros((analog, 10)) if analog else np.zeros((0, 0))
         # The library truncates where it should round.
         shift = np.sign(points) * step / 2 if step else 0.0
-        rows = np.concatenate([points + shift, np.zeros((*points.shape[:2], 2))], axis=-1).astype(np.float32)
+        rows = np.concatenate(
+            [points + shift, np.zeros((*points.shape[:2], 2))], axis=-1
+        ).astype(np.float32)
         writer.add_frames([(row, channels) for row in rows])
         writer.set_start_frame(first)
         stream = io.BytesIO()
@@ -67,7 +79,16 @@ def by_c3d(path, points, *, first=1, step=None, analog=0):
 
 
 def by_hand(
-    points, processor, *, step=None, first=1, analog=0, units="mm", more=(), group=None, counted=None
+    points,
+    processor,
+    *,
+    step=None,
+    first=1,
+    analog=0,
+    units="mm",
+    more=(),
+    group=None,
+    counted=None,
 ):
     """Return a file in the number format of a processor: 84 Intel, 85 DEC, 86 MIPS."""
     order = ">" if processor == 86 else "<"
@@ -84,7 +105,12 @@ def by_hand(
 
     def parameter(group, name, size, shape, data):
         body = struct.pack("bB", size, len(shape)) + bytes(shape) + data + b"\0"
-        return struct.pack("bb", len(name), group) + name.encode() + word(len(body) + 2) + body
+        return (
+            struct.pack("bb", len(name), group)
+            + name.encode()
+            + word(len(body) + 2)
+            + body
+        )
 
     def named(group, name):
         return struct.pack("bb", len(name), -group) + name.encode() + word(3) + b"\0"
@@ -92,9 +118,12 @@ def by_hand(
     scale = number(step or -1.0)
     labels = "".join(f"m{k}".ljust(4) for k in range(count)).encode()
     said = [
-        named(1, "POINT"), parameter(1, "USED", 2, [], word(count)), parameter(1, "SCALE", 4, [], scale),
-        parameter(1, "RATE", 4, [], number(RATE)), parameter(1, "LABELS", -1, [4, count], labels),
-    ]  # fmt: skip
+        named(1, "POINT"),
+        parameter(1, "USED", 2, [], word(count)),
+        parameter(1, "SCALE", 4, [], scale),
+        parameter(1, "RATE", 4, [], number(RATE)),
+        parameter(1, "LABELS", -1, [4, count], labels),
+    ]
     if units:
         said.append(parameter(1, "UNITS", -1, [len(units)], units.encode("latin-1")))
     if any(group == 2 for group, *_ in more):
@@ -102,20 +131,31 @@ def by_hand(
     if group:
         said.append(named(*group))
     said += [
-        parameter(group, name, size, shape, make(number, word)) for group, name, size, shape, make in more
+        parameter(group, name, size, shape, make(number, word))
+        for group, name, size, shape, make in more
     ]
     said = b"".join(said) + b"\0\0"
     blocks = -(-(4 + len(said)) // 512)
     last = first + (counted or frames) - 1
-    head = struct.pack("BB", 2, 80) + b"".join(map(word, (count, analog, first, min(last, 65535), 10)))
+    head = struct.pack("BB", 2, 80) + b"".join(
+        map(word, (count, analog, first, min(last, 65535), 10))
+    )
     head += scale + word(2 + blocks) + word(1) + number(RATE)
     data = []
     for frame in points:
         for point in frame:
             seen = np.isfinite(point).all()
             row = [*(point if seen else (0.0, 0.0, 0.0)), 0.0 if seen else -1.0]
-            steps = [round(each / step) for each in row[:3]] + [int(row[3])] if step else row
-            data += [word(each) for each in steps] if step else [number(each) for each in steps]
+            steps = (
+                [round(each / step) for each in row[:3]] + [int(row[3])]
+                if step
+                else row
+            )
+            data += (
+                [word(each) for each in steps]
+                if step
+                else [number(each) for each in steps]
+            )
         data += [word(7) if step else number(7.0)] * analog
     parameters = (bytes([0, 0, blocks, processor]) + said).ljust(512 * blocks, b"\0")
     return head.ljust(512, b"\0") + parameters + b"".join(data)
@@ -124,10 +164,16 @@ def by_hand(
 def same(path, points, *, step=None, first=0.0, unit=1e-3):
     """Compare a file with positions in its unit, with a tolerance of half the resolution of the format."""
     found = read_markers(path)
-    assert found.points.shape == points.shape and found.labels[-1].strip() == f"m{points.shape[1] - 1}"
+    assert (
+        found.points.shape == points.shape
+        and found.labels[-1].strip() == f"m{points.shape[1] - 1}"
+    )
     assert (np.isnan(found.points) == np.isnan(points)).all()
     most = step / 2 if step else np.nanmax(np.abs(points)) * FLOAT_STEP
-    assert np.nanmax(np.abs(found.points - unit * points)) <= unit * most * (1 + 1e-6) + 1e-9
+    assert (
+        np.nanmax(np.abs(found.points - unit * points))
+        <= unit * most * (1 + 1e-6) + 1e-9
+    )
     assert np.abs(found.time - first - np.arange(len(points)) / RATE).max() < 1e-9
     assert type(found.header_frames) is int and found.header_frames == len(points)
     return found
@@ -149,16 +195,25 @@ def test_files_written_by_ezc3d_are_read(tmp_path, analog, first, units):
 def test_files_written_by_c3d_are_read(tmp_path, analog, step, first):
     points = walk()
     by_c3d(tmp_path / "a.c3d", points, first=first, step=step, analog=analog)
-    same(tmp_path / "a.c3d", points, step=step and 1.001 * step, first=max(first - 1, 0) / RATE)
+    same(
+        tmp_path / "a.c3d",
+        points,
+        step=step and 1.001 * step,
+        first=max(first - 1, 0) / RATE,
+    )
 
 
 @pytest.mark.parametrize("processor", [84, 85, 86])
 @pytest.mark.parametrize("step", [None, 0.05])
 @pytest.mark.parametrize("analog", [0, 5])
-def test_processors_and_analog_channels_without_parameters(tmp_path, processor, step, analog):
+def test_processors_and_analog_channels_without_parameters(
+    tmp_path, processor, step, analog
+):
     points = walk()
     points[5:9, 1] = np.nan
-    (tmp_path / "a.c3d").write_bytes(by_hand(points, processor, step=step, analog=analog))
+    (tmp_path / "a.c3d").write_bytes(
+        by_hand(points, processor, step=step, analog=analog)
+    )
     same(tmp_path / "a.c3d", points, step=step)
 
 
@@ -176,11 +231,21 @@ def test_conventions_for_long_files_are_read(tmp_path, processor, key):
     more = {
         "TRIAL": [
             (2, "ACTUAL_START_FIELD", 2, [2], lambda number, word: word(1) + word(0)),
-            (2, "ACTUAL_END_FIELD", 2, [2], lambda number, word: word(66000) + word(66000 >> 16)),
+            (
+                2,
+                "ACTUAL_END_FIELD",
+                2,
+                [2],
+                lambda number, word: word(66000) + word(66000 >> 16),
+            ),
         ],
-        "LONG_FRAMES": [(1, "LONG_FRAMES", 4, [], lambda number, word: number(66000.0))],
+        "LONG_FRAMES": [
+            (1, "LONG_FRAMES", 4, [], lambda number, word: number(66000.0))
+        ],
     }[key]
-    (tmp_path / "a.c3d").write_bytes(by_hand(points, processor, more=more, counted=66000 - 65536))
+    (tmp_path / "a.c3d").write_bytes(
+        by_hand(points, processor, more=more, counted=66000 - 65536)
+    )
     same(tmp_path / "a.c3d", points)
 
 
@@ -191,7 +256,9 @@ def test_parameters_in_conflict_with_the_file_are_ignored(tmp_path):
     same(tmp_path / "a.c3d", points)
 
 
-@pytest.mark.parametrize(("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)])
+@pytest.mark.parametrize(
+    ("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)]
+)
 def test_first_frame_sets_the_start_time(tmp_path, first, begins):
     """Frame 1 is at 0 s, and so is frame 0 of programs that count from 0."""
     points = walk()
@@ -207,9 +274,14 @@ def test_units_of_points_are_converted(tmp_path):
     expected = points * [[1e-3], [1e-2], [1.0]]
     assert np.abs(read_markers(tmp_path / "mixed.c3d").points - expected).max() < 1e-4
     (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
-    assert "POINT:UNITS is missing: mm assumed" in same(tmp_path / "none.c3d", points).corrections
+    assert (
+        "POINT:UNITS is missing: mm assumed"
+        in same(tmp_path / "none.c3d", points).corrections
+    )
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
-    with pytest.raises(InputError, match="odd.c3d: unit of length 'furlong' is not known"):
+    with pytest.raises(
+        InputError, match="odd.c3d: unit of length 'furlong' is not known"
+    ):
         read_markers(tmp_path / "odd.c3d")
 
 
@@ -232,7 +304,10 @@ def test_angles_are_skipped(tmp_path):
     by_ezc3d(tmp_path / "a.c3d", walk(20, 4), kinds=["m1"])
     found = read_markers(tmp_path / "a.c3d")
     assert found.labels == ("m0", "m2", "m3")
-    assert "1 points with angles, forces or similar quantities skipped" in found.corrections
+    assert (
+        "1 points with angles, forces or similar quantities skipped"
+        in found.corrections
+    )
 
 
 def test_of_parameters_that_differ_in_case_the_first_is_used(tmp_path):
@@ -249,14 +324,18 @@ def test_of_parameters_that_differ_in_case_the_first_is_used(tmp_path):
 
 @pytest.mark.parametrize("processor", [84, 85, 86])
 @pytest.mark.parametrize(("analog", "used"), [(12, 4), (0, 12), (12, 0)])
-def test_the_analog_count_that_fills_the_file_is_used(tmp_path, processor, analog, used):
+def test_the_analog_count_that_fills_the_file_is_used(
+    tmp_path, processor, analog, used
+):
     """Whichever of header and parameters is right, the points are read."""
     points = walk()
     said = [(3, "USED", 2, [], lambda number, word: word(used))]
     right = by_hand(points, processor, analog=analog, more=said, group=(3, "ANALOG"))
     (tmp_path / "a.c3d").write_bytes(right)
     same(tmp_path / "a.c3d", points)
-    wrong = bytearray(by_hand(points, processor, analog=used, more=said, group=(3, "ANALOG")))
+    wrong = bytearray(
+        by_hand(points, processor, analog=used, more=said, group=(3, "ANALOG"))
+    )
     order = "big" if processor == 86 else "little"
     wrong[4:6] = analog.to_bytes(2, order)
     (tmp_path / "b.c3d").write_bytes(wrong)
@@ -267,7 +346,10 @@ def test_an_undecidable_analog_count_is_refused(tmp_path):
     said = [(3, "USED", 2, [], lambda number, word: word(5))]
     content = by_hand(walk(), 84, analog=12, more=said, group=(3, "ANALOG"))
     (tmp_path / "a.c3d").write_bytes(content[:-3000])
-    with pytest.raises(InputError, match="the header states 12 analog values per frame, the parameters 5"):
+    with pytest.raises(
+        InputError,
+        match="the header states 12 analog values per frame, the parameters 5",
+    ):
         read_markers(tmp_path / "a.c3d")
 
 
@@ -278,7 +360,9 @@ def test_an_unknown_unit_is_settled_by_the_given_one(tmp_path):
         read_markers(tmp_path / "a.c3d")
     found = read_markers(tmp_path / "a.c3d", Unstated(unit="mm"))
     assert np.abs(found.points - 1e-3 * points).max() < 1e-4
-    assert any("is not a known unit: mm used, as given" in note for note in found.corrections)
+    assert any(
+        "is not a known unit: mm used, as given" in note for note in found.corrections
+    )
 
 
 def test_damaged_bytes_are_read_or_refused_within_bounds(tmp_path):

@@ -38,20 +38,28 @@ def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
         for i in range(1, 6):
             messages = seen[f"/{plant}/connector_{i}/pose"]
             times = [
-                decoded.header.stamp.sec + 1e-9 * decoded.header.stamp.nanosec for _, decoded in messages
+                decoded.header.stamp.sec + 1e-9 * decoded.header.stamp.nanosec
+                for _, decoded in messages
             ]
             assert times == pytest.approx(trajectory.time, abs=1e-9)
-            assert [1e-9 * time for time, _ in messages] == pytest.approx(times, abs=1e-9)
+            assert [1e-9 * time for time, _ in messages] == pytest.approx(
+                times, abs=1e-9
+            )
             poses = [decoded.pose for _, decoded in messages]
             assert [(p.position.x, p.position.y) for p in poses] == pytest.approx(
                 trajectory.position[:, i - 1], abs=1e-9
             )
-            angles = np.unwrap([2 * np.arctan2(p.orientation.z, p.orientation.w) for p in poses])
+            angles = np.unwrap(
+                [2 * np.arctan2(p.orientation.z, p.orientation.w) for p in poses]
+            )
             assert angles == pytest.approx(trajectory[f"theta_{i}"], abs=1e-9)
         bends = np.array([decoded.position for _, decoded in seen[f"/{plant}/bends"]])
         assert bends == pytest.approx(trajectory.stack("bend"), abs=1e-9)
         for j in range(1, 5):
-            pressure = [decoded.fluid_pressure for _, decoded in seen[f"/{plant}/pressure_minus_{j}"]]
+            pressure = [
+                decoded.fluid_pressure
+                for _, decoded in seen[f"/{plant}/pressure_minus_{j}"]
+            ]
             gauge = trajectory[f"pressure_minus_{j}"]
             assert np.array(pressure) - AMBIENT_PA == pytest.approx(gauge, abs=1e-6)
         transforms = [decoded.transforms for _, decoded in seen["/tf"]]
@@ -69,13 +77,17 @@ def test_the_file_reads_back_as_a_recording_of_the_robot(run, tmp_path):
     reader = RecordingReader(map=read_map(recording_map("twin", twin)))
     recording = reader.take(str(path), str(path), spec)
     apart = recording.trajectory.position - twin.position
-    assert np.sqrt((apart**2).mean()) < 1e-3  # constant curvature is fitted to the poses
+    assert (
+        np.sqrt((apart**2).mean()) < 1e-3
+    )  # constant curvature is fitted to the poses
     assert recording.valves is not None and recording.valves.kind == "pressure"
     time, values = recording.valves.breakpoints()
-    expected = np.stack([twin.stack("pressure_plus"), twin.stack("pressure_minus")], axis=-1)
-    assert time - time[0] == pytest.approx(twin.time, abs=1e-9) and values == pytest.approx(
-        expected, abs=1e-6
+    expected = np.stack(
+        [twin.stack("pressure_plus"), twin.stack("pressure_minus")], axis=-1
     )
+    assert time - time[0] == pytest.approx(
+        twin.time, abs=1e-9
+    ) and values == pytest.approx(expected, abs=1e-6)
 
 
 def test_the_command_writes_each_format(run, srs_twin, tmp_path):
@@ -86,12 +98,26 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
     assert set(table.dtype.names) == set(twin.columns)
     assert np.array_equal(table["x_1"], twin["x_1"])  # to the last bit
 
-    assert srs_twin("export", str(run), "--npz", "--out", "run.npz", cwd=tmp_path).returncode == 0
+    assert (
+        srs_twin(
+            "export", str(run), "--npz", "--out", "run.npz", cwd=tmp_path
+        ).returncode
+        == 0
+    )
     with np.load(tmp_path / "run.npz") as archive:
         assert np.array_equal(archive["bend_2"], twin["bend_2"])
         assert json.loads(str(archive["units"]))["bend_2"] == "rad"
 
-    done = srs_twin("export", str(run), "--mcap", "--plant", "analytical", "--out", "a.mcap", cwd=tmp_path)
+    done = srs_twin(
+        "export",
+        str(run),
+        "--mcap",
+        "--plant",
+        "analytical",
+        "--out",
+        "a.mcap",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0 and {path.name for path in tmp_path.iterdir()} >= {
         *("a.mcap", "a.map.yaml", "a.foxglove.json")
     }
@@ -102,13 +128,18 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
     [
         ((), "give one format: --mcap, --csv, --npz"),
         (("--csv", "--npz"), "give one format"),
-        (("--csv", "--out", "run.parquet"), "run.parquet: a file of --csv ends in .csv"),
+        (
+            ("--csv", "--out", "run.parquet"),
+            "run.parquet: a file of --csv ends in .csv",
+        ),
         (("--csv", "--plant", "twim"), "did you mean twin"),
     ],
 )
 def test_what_cannot_be_exported_is_refused(words, message, run, srs_twin, tmp_path):
     done = srs_twin("export", str(run), *words, cwd=tmp_path)
-    assert done.returncode == 2 and message in done.stderr and not list(tmp_path.iterdir())
+    assert (
+        done.returncode == 2 and message in done.stderr and not list(tmp_path.iterdir())
+    )
 
 
 def test_an_existing_file_is_kept(run, srs_twin, tmp_path):
@@ -117,5 +148,8 @@ def test_an_existing_file_is_kept(run, srs_twin, tmp_path):
     assert done.returncode == 2 and "--overwrite" in done.stderr
     assert (tmp_path / "run.csv").read_text() == "mine"
     assert (
-        srs_twin("export", str(run), "--csv", "--out", "run.csv", "--overwrite", cwd=tmp_path).returncode == 0
+        srs_twin(
+            "export", str(run), "--csv", "--out", "run.csv", "--overwrite", cwd=tmp_path
+        ).returncode
+        == 0
     )

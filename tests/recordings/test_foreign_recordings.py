@@ -40,15 +40,30 @@ def bag(path):
     with path.open("wb") as stream:
         writer = Writer(stream)
         kind, raw = writer.register_msgdef(name, DEFINED[name]), writer._writer
-        channel = raw.register_channel("/valves", "json", raw.register_schema("valves", "jsonschema", b"{}"))
+        channel = raw.register_channel(
+            "/valves", "json", raw.register_schema("valves", "jsonschema", b"{}")
+        )
         for k, time in enumerate(truth.time):
             stamp = ns(time)
             for j in range(5):
-                place = [*(truth.position[k, j] + NOISE * random.standard_normal(2)), 0.03]
-                half = (truth[f"theta_{j + 1}"][k] + 0.3 * j + 5e-3 * random.standard_normal()) / 2
-                body = {"header": stamped(stamp), "pose": pose(place, [0.0, 0.0, np.sin(half), np.cos(half)])}
+                place = [
+                    *(truth.position[k, j] + NOISE * random.standard_normal(2)),
+                    0.03,
+                ]
+                half = (
+                    truth[f"theta_{j + 1}"][k]
+                    + 0.3 * j
+                    + 5e-3 * random.standard_normal()
+                ) / 2
+                body = {
+                    "header": stamped(stamp),
+                    "pose": pose(place, [0.0, 0.0, np.sin(half), np.cos(half)]),
+                }
                 writer.write_message(f"/snake/link{j + 1}", kind, body, log_time=stamp)
-            said = {side: states[k, :, c].astype(int).tolist() for c, side in enumerate(SIDES)}
+            said = {
+                side: states[k, :, c].astype(int).tolist()
+                for c, side in enumerate(SIDES)
+            }
             raw.add_message(channel, stamp, json.dumps(said).encode(), stamp)
         writer.finish()
     return path
@@ -56,15 +71,27 @@ def bag(path):
 
 BAG = {
     "bodies": {f"/snake/link{j}": {"connector": j} for j in range(1, 6)},
-    "log": {f"valve_{side}_{j}": f"/valves.{side}[{j - 1}]" for j in range(1, 5) for side in SIDES},
+    "log": {
+        f"valve_{side}_{j}": f"/valves.{side}[{j - 1}]"
+        for j in range(1, 5)
+        for side in SIDES
+    },
 }
 LEDS = ("front", "base", "led2", "led3", "led4", "tip")
 NAMED = {
     "units": "cm",
-    "markers": {"front": {"connector": 1, "side": "ahead"}}
-    | {name: {"connector": k} for k, name in enumerate(LEDS[1:], start=1)},
-    "log": {"time": "Stamp"}
-    | {f"valve_{side}_{j}": f"V{j}{side[0].upper()}" for j in range(1, 5) for side in SIDES},
+    "markers": (
+        {"front": {"connector": 1, "side": "ahead"}}
+        | {name: {"connector": k} for k, name in enumerate(LEDS[1:], start=1)}
+    ),
+    "log": (
+        {"time": "Stamp"}
+        | {
+            f"valve_{side}_{j}": f"V{j}{side[0].upper()}"
+            for j in range(1, 5)
+            for side in SIDES
+        }
+    ),
 }
 
 
@@ -73,13 +100,21 @@ def leds(folder):
     head = ["Time (s)", *(f"{name} {axis}" for name in LEDS for axis in "XY")]
     rows = np.column_stack([motion().time, 100 * seen().reshape(len(motion()), -1)])
     (folder / "leds.csv").write_text(
-        ",".join(head) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
+        ",".join(head)
+        + "\n"
+        + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
     )
-    names = ["Stamp", *(f"V{j}{side[0].upper()}" for j in range(1, 5) for side in SIDES), "Battery"]
+    names = [
+        "Stamp",
+        *(f"V{j}{side[0].upper()}" for j in range(1, 5) for side in SIDES),
+        "Battery",
+    ]
     states = valves().reshape(len(motion()), -1)
     rows = np.column_stack([motion().time - SHIFT, states, np.full(len(states), 11.1)])
     (folder / "io.csv").write_text(
-        ",".join(names) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
+        ",".join(names)
+        + "\n"
+        + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
     )
 
 
@@ -99,7 +134,9 @@ def replayed(tmp_path_factory):
         names = [f"valve_{side}_{j}" for j in range(1, 5) for side in SIDES]
         rows = np.column_stack([motion().time, valves().reshape(len(motion()), -1)])
         text = (
-            ",".join(["time", *names]) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
+            ",".join(["time", *names])
+            + "\n"
+            + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
         )
         (folder / "take.valves.csv").write_text(text)
         bag(folder / "walk.mcap")
@@ -118,7 +155,12 @@ def test_the_motion_is_recovered_within_its_errors(replayed, name):
     found = Trajectory.from_parquet(replayed / f"runs/{name}/measured.parquet")
     rows = np.rint((found.time - found.time[0]) * RATE).astype(int)
     truth = motion().stack("bend")
-    offset = min(range(3), key=lambda k: np.abs(found.stack("bend") - truth[(rows + k) % len(truth)]).mean())
+    offset = min(
+        range(3),
+        key=lambda k: np.abs(
+            found.stack("bend") - truth[(rows + k) % len(truth)]
+        ).mean(),
+    )
     error = found.stack("bend") - truth[(rows + offset) % len(truth)]
     assert 0.9 < (np.abs(error) < 1.96 * found.stack("bend_error")).mean() < 0.99
     assert np.sqrt((error**2).mean()) < 0.04
@@ -127,7 +169,8 @@ def test_the_motion_is_recovered_within_its_errors(replayed, name):
 @pytest.mark.parametrize("name", ["walk", "leds"])
 def test_plants_differ_as_little_as_from_a_motive_export(replayed, name):
     known, found = (
-        json.loads((replayed / f"runs/{each}/metrics.json").read_text())["plants"] for each in ("take", name)
+        json.loads((replayed / f"runs/{each}/metrics.json").read_text())["plants"]
+        for each in ("take", name)
     )
     for plant in ("analytical", "twin"):
         for metric in ("measured_com_speed_rel", "measured_yaw_rate_abs"):
@@ -138,9 +181,12 @@ def test_a_replay_of_foreign_files_runs_again_from_its_scenario(replayed, monkey
     monkeypatch.chdir(replayed)
     run(["run", "runs/leds/scenario.resolved.yaml", "--out", "again", "--quiet"])
     one, two = (
-        json.loads((replayed / f"{each}/metrics.json").read_text()) for each in ("runs/leds", "again")
+        json.loads((replayed / f"{each}/metrics.json").read_text())
+        for each in ("runs/leds", "again")
     )
-    assert one["plants"]["twin"]["com_speed_m_s"] == two["plants"]["twin"]["com_speed_m_s"]
+    assert (
+        one["plants"]["twin"]["com_speed_m_s"] == two["plants"]["twin"]["com_speed_m_s"]
+    )
 
 
 def test_a_bag_can_be_fitted(replayed, monkeypatch, capsys):

@@ -36,7 +36,9 @@ def written(path, points, names=None):
 
 
 def bend_error(found):
-    error = found.trajectory.stack("bend") - true_at(found.trajectory, motion()).stack("bend")
+    error = found.trajectory.stack("bend") - true_at(found.trajectory, motion()).stack(
+        "bend"
+    )
     return np.sqrt((error**2).mean())
 
 
@@ -45,10 +47,14 @@ def test_markers_on_masts_are_detected_and_used(tmp_path, heights):
     path = written(tmp_path / "masts.csv", raised(heights))
     facts, _ = inspect_file(path, NO_MAP, None)
     assert [each.coverage for each in facts.markers] == [1.0] * 5
-    assert [each.height_mm for each in facts.markers] == pytest.approx(1e3 * np.array(heights), abs=0.1)
+    assert [each.height_mm for each in facts.markers] == pytest.approx(
+        1e3 * np.array(heights), abs=0.1
+    )
     assert not any("levelled" in each or "left out" in each for each in facts.notes)
     spacing = {tuple(each.markers): each.median_mm for each in facts.distances}
-    flat, _ = inspect_file(written(tmp_path / "flat.csv", raised((0.03,) * 5)), NO_MAP, None)
+    flat, _ = inspect_file(
+        written(tmp_path / "flat.csv", raised((0.03,) * 5)), NO_MAP, None
+    )
     for each in flat.distances:
         assert spacing[tuple(each.markers)] == pytest.approx(each.median_mm, abs=0.05)
     assert "never seen" not in in_words(facts) and "90 mm high" in in_words(facts)
@@ -66,8 +72,12 @@ def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
     heights[high] = random.uniform(0.06, 0.2, len(high))
     axis, turn = random.uniform(0, 2 * np.pi, 2)
     tilt = random.uniform(3.1, 20) if seed % 4 else 0.0
-    tilted = Rotation.from_rotvec(np.radians(tilt) * np.array([np.cos(axis), np.sin(axis), 0]))
-    points = raised(heights, seed, layout) @ Rotation.from_euler("z", turn).as_matrix().T
+    tilted = Rotation.from_rotvec(
+        np.radians(tilt) * np.array([np.cos(axis), np.sin(axis), 0])
+    )
+    points = (
+        raised(heights, seed, layout) @ Rotation.from_euler("z", turn).as_matrix().T
+    )
     raised_and_tilted = points @ tilted.as_matrix().T + [0, 0, 1]
     if not tilt:
         found = map_to_floor(raised_and_tilted, "auto", "z")
@@ -84,20 +94,40 @@ def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
     """A lamp above the path does not move, a cap on a head moves up and down, and a cart passes."""
     time = motion().time
     middle = motion().position[:, 2]
-    lamp = np.column_stack([np.tile(middle[200], (len(time), 1)), np.full(len(time), 1.5)])
+    lamp = np.column_stack(
+        [np.tile(middle[200], (len(time), 1)), np.full(len(time), 1.5)]
+    )
     cap = np.column_stack([middle + [0.2, 0.1], 1.7 + 0.03 * np.sin(12 * time)])
-    cart = np.column_stack([0.05 + 0.8 * time, 0.1 - 0.3 * time, np.full(len(time), 0.4)])
-    points = np.concatenate([raised(MASTS), np.stack([lamp, cap, cart], axis=1)], axis=1)
-    path = written(tmp_path / "x.csv", points, ["a", "b", "c", "d", "e", "lamp", "cap", "cart"])
+    cart = np.column_stack(
+        [0.05 + 0.8 * time, 0.1 - 0.3 * time, np.full(len(time), 0.4)]
+    )
+    points = np.concatenate(
+        [raised(MASTS), np.stack([lamp, cap, cart], axis=1)], axis=1
+    )
+    path = written(
+        tmp_path / "x.csv", points, ["a", "b", "c", "d", "e", "lamp", "cap", "cart"]
+    )
     facts, _ = inspect_file(path, NO_MAP, None)
     assert [each.coverage for each in facts.markers] == [1.0] * 8
     found = read_motion(path, SPEC)
     for said in (facts.notes, found.summary.corrections):
         out = [each for each in said if "left out" in each]
-        assert "marker 'lamp' left out: 1500 mm high, does not move with the other markers" in out
-        assert any("'cap' left out: 170" in each and "its height varies by" in each for each in out)
-        assert any("'cart' left out: 400 mm high" in each for each in out) and len(out) == 3
-    assert found.summary.markers.samples_other == 3 * len(time) and bend_error(found) < 0.04
+        assert (
+            "marker 'lamp' left out: 1500 mm high, does not move with the other markers"
+            in out
+        )
+        assert any(
+            "'cap' left out: 170" in each and "its height varies by" in each
+            for each in out
+        )
+        assert (
+            any("'cart' left out: 400 mm high" in each for each in out)
+            and len(out) == 3
+        )
+    assert (
+        found.summary.markers.samples_other == 3 * len(time)
+        and bend_error(found) < 0.04
+    )
 
 
 def test_markers_in_a_map_belong_to_the_robot(tmp_path):

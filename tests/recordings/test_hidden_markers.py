@@ -35,7 +35,9 @@ def test_hidden_markers_that_pass_each_other_keep_their_identity():
 def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
     """The next one on a body that bends a little is almost two segments away."""
     pitch, count = GEOMETRY.pitch, GEOMETRY.connectors
-    heading = 0.6 * np.arange(count)  # two straight steps of length 1 that turn by 0.6 span 2 cos(0.3) = 1.91
+    heading = 0.6 * np.arange(
+        count
+    )  # two straight steps of length 1 that turn by 0.6 span 2 cos(0.3) = 1.91
     body = np.cumsum(pitch * np.exp(1j * heading))
     tracks = np.append(body, body.mean() + 10 * pitch)  # and something else, far away
     points = np.tile(np.stack([tracks.real, tracks.imag], axis=-1), (100, 1, 1))
@@ -47,7 +49,9 @@ def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
 def test_body_is_recovered_while_a_marker_is_hidden():
     count, time = GEOMETRY.connectors - 1, np.arange(200) / 100
     marks = MarkerPlacement(
-        np.repeat(2 * np.arange(count + 1), 2), np.tile([0.02j, -0.02j], count + 1), GEOMETRY
+        np.repeat(2 * np.arange(count + 1), 2),
+        np.tile([0.02j, -0.02j], count + 1),
+        GEOMETRY,
     )
     phase = 2 * np.pi * time[:, None] + np.arange(count)
     state = np.column_stack(

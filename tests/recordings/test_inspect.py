@@ -29,11 +29,20 @@ def inspected(folder, take, **known):
 
 
 def test_facts_of_a_marker_recording(tmp_path):
-    facts, scene = inspected(tmp_path, Take(layout="head", labeled=True, unit="cm", up="x"))
-    assert (facts.format, facts.content, facts.up) == ("Motive CSV 1.21", "markers", "x")
+    facts, scene = inspected(
+        tmp_path, Take(layout="head", labeled=True, unit="cm", up="x")
+    )
+    assert (facts.format, facts.content, facts.up) == (
+        "Motive CSV 1.21",
+        "markers",
+        "x",
+    )
     assert facts.rate_hz == pytest.approx(RATE) and facts.frames == len(motion())
     assert facts.noise_mm == pytest.approx(1e3 * NOISE, rel=0.2)
-    assert facts.order in (facts.order[:], ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))])
+    assert facts.order in (
+        facts.order[:],
+        ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))],
+    )
     assert facts.rigid_pairs == [["snake:ahead", "snake:1"]]
     assert {each.marker for each in facts.head} == {"snake:ahead"}
     assert facts.layouts["head"] == 5 and facts.layouts["single"] == 6
@@ -47,7 +56,8 @@ def test_facts_of_a_marker_recording(tmp_path):
 
 def test_gaps_and_coverage_are_counted(tmp_path):
     facts, _ = inspected(
-        tmp_path, Take(labeled=True, occluded=[(2, 1.0, 1.15), (2, 2.0, 2.05), (4, 3.5, 9.0)])
+        tmp_path,
+        Take(labeled=True, occluded=[(2, 1.0, 1.15), (2, 2.0, 2.05), (4, 3.5, 9.0)]),
     )
     third, last = facts.markers[2], facts.markers[4]
     assert third.gaps == 2 and third.longest_gap_s == pytest.approx(0.15)
@@ -60,23 +70,34 @@ def test_the_proposed_map_reads_the_recording(tmp_path, layout):
     facts, _ = inspected(tmp_path, Take(layout=layout, labeled=False, seed=3))
     path = tmp_path / "map.yaml"
     path.write_text(proposed_map([facts]))
-    found = read_motion(tmp_path / "take.csv", SPEC, map=load_model(RecordingMap, path)).trajectory
+    found = read_motion(
+        tmp_path / "take.csv", SPEC, map=load_model(RecordingMap, path)
+    ).trajectory
     known = read_motion(tmp_path / "take.csv", SPEC).trajectory
     assert found.stack("bend") == pytest.approx(known.stack("bend"), abs=1e-6)
 
 
 def test_a_wrong_unit_of_length_is_noted(tmp_path):
     path = tmp_path / "x.csv"
-    rows = np.column_stack([motion().time, 1e3 * motion().position.reshape(len(motion()), -1)])
+    rows = np.column_stack(
+        [motion().time, 1e3 * motion().position.reshape(len(motion()), -1)]
+    )
     names = [f"{name}_{axis}" for name in "abcde" for axis in "xy"]
     path.write_text(
-        ",".join(["t", *names]) + "\n" + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
+        ",".join(["t", *names])
+        + "\n"
+        + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
     )
-    assert any("lengths in mm? Give --units" in each for each in inspect_file(path, NO_MAP, None)[0].notes)
+    assert any(
+        "lengths in mm? Give --units" in each
+        for each in inspect_file(path, NO_MAP, None)[0].notes
+    )
     facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
     assert not any("Give --units" in each for each in facts.notes)
     assert facts.robot.reads and facts.robot.layout == "single"
-    assert facts.robot.length_mm == pytest.approx([1e3 * SPEC.geometry.segment_length] * 4, rel=0.02)
+    assert facts.robot.length_mm == pytest.approx(
+        [1e3 * SPEC.geometry.segment_length] * 4, rel=0.02
+    )
 
 
 def test_changes_of_columns_are_noted(tmp_path):
@@ -94,22 +115,27 @@ def test_facts_of_a_log(tmp_path):
     assert first.openings_per_s == pytest.approx(2.0, rel=0.02)
 
 
-@pytest.mark.parametrize(("column", "values", "said"), [
-    ("Valve1", [0, 1] * 50, "valve states, 0 venting"),
-    ("PWM 1", [0, 12.5, 50, 100] * 25, "duty, per cent"),
-    ("setpoint 2", [0.0, 22.0, 41.0, 48.3] * 25, "pressure, without a unit"),
-    ("bend_1", [-0.4, 0.1, 0.5, 0.9] * 25, "angle, without a unit"),
-    ("note", ["x"] * 100, "text"),
-    # Ranges do not tell a quantity.
-    ("V1", [0, 1] * 50, "unknown"),
-    ("torque", [0.1, 0.4, 0.9, 1.0] * 25, "unknown"),
-    ("force_N", [0.0, 22.0, 41.0, 48.3] * 25, "unknown"),
-    ("battery", [7.2, 7.4, 8.1] * 25, "unknown"),
-    ("velocity", [-0.3, 0.0, 0.2] * 25, "unknown"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("column", "values", "said"),
+    [
+        ("Valve1", [0, 1] * 50, "valve states, 0 venting"),
+        ("PWM 1", [0, 12.5, 50, 100] * 25, "duty, per cent"),
+        ("setpoint 2", [0.0, 22.0, 41.0, 48.3] * 25, "pressure, without a unit"),
+        ("bend_1", [-0.4, 0.1, 0.5, 0.9] * 25, "angle, without a unit"),
+        ("note", ["x"] * 100, "text"),
+        # Ranges do not tell a quantity.
+        ("V1", [0, 1] * 50, "unknown"),
+        ("torque", [0.1, 0.4, 0.9, 1.0] * 25, "unknown"),
+        ("force_N", [0.0, 22.0, 41.0, 48.3] * 25, "unknown"),
+        ("battery", [7.2, 7.4, 8.1] * 25, "unknown"),
+        ("velocity", [-0.3, 0.0, 0.2] * 25, "unknown"),
+    ],
+)
 def test_quantities_are_known_by_names_and_units(tmp_path, column, values, said):
     path = tmp_path / "log.csv"
-    path.write_text(f"time,{column}\n" + "".join(f"{0.01 * k},{v}\n" for k, v in enumerate(values)))
+    path.write_text(
+        f"time,{column}\n" + "".join(f"{0.01 * k},{v}\n" for k, v in enumerate(values))
+    )
     assert inspect_file(path, NO_MAP, None)[0].signals[0].looks_like.startswith(said)
 
 
@@ -117,18 +143,29 @@ def test_a_carrier_is_distinguished_from_a_gait(tmp_path):
     path, time = tmp_path / "log.csv", np.arange(4000) / 1000
     state = (time * 30 % 1 < 0.4).astype(int)
     path.write_text(
-        "time,valve_plus_1\n" + "".join(f"{t:.3f},{s}\n" for t, s in zip(time, state, strict=True))
+        "time,valve_plus_1\n"
+        + "".join(f"{t:.3f},{s}\n" for t, s in zip(time, state, strict=True))
     )
-    assert "a carrier of about 30 Hz" in inspect_file(path, NO_MAP, None)[0].signals[0].looks_like
+    assert (
+        "a carrier of about 30 Hz"
+        in inspect_file(path, NO_MAP, None)[0].signals[0].looks_like
+    )
 
 
 def test_a_bag_has_bodies_and_signals(tmp_path):
     facts, _ = inspect_file(bag(tmp_path / "walk.mcap"), NO_MAP, None)
-    assert facts.format == "MCAP" and [each.rigid_body for each in facts.markers] == [True] * 5
+    assert (
+        facts.format == "MCAP"
+        and [each.rigid_body for each in facts.markers] == [True] * 5
+    )
     assert all(len(set(each.markers)) == 2 for each in facts.distances)
     assert {each.looks_like for each in facts.signals} == {"valve states"}
     text = proposed_map([facts])
-    assert "bodies:" in text and '"/snake/link1": {connector: 1}' in text and '"/valves.plus[0]"' in text
+    assert (
+        "bodies:" in text
+        and '"/snake/link1": {connector: 1}' in text
+        and '"/valves.plus[0]"' in text
+    )
 
 
 def test_facts_of_other_formats(tmp_path):
@@ -155,7 +192,9 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     assert "map.yaml: exists; give --overwrite" in capsys.readouterr().err
     run(["inspect", "cut.csv", "take.csv", "--json"], 2)
     said = capsys.readouterr()
-    assert [each["file"] for each in json.loads(said.out)] == ["take.csv"] and "cut.csv:" in said.err
+    assert [each["file"] for each in json.loads(said.out)] == [
+        "take.csv"
+    ] and "cut.csv:" in said.err
     run(["inspect", "take.csv", "--robot", "gen2", "--units", "mm"])
     assert "layout head" in capsys.readouterr().out
 
@@ -184,26 +223,66 @@ def test_json_matches_its_schema(tmp_path, monkeypatch, capsys):
     (tmp_path / "log.csv").write_text(valve_csv(motion(), 0.0, 4.0, 7.0))
     (tmp_path / "none.csv").write_text("hello\nworld\n")
     bag(tmp_path / "walk.mcap")
-    run(["inspect", "take.csv", "take.c3d", "log.csv", "walk.mcap", "none.csv", "-r", "gen2", "--json"], 2)
+    run(
+        [
+            "inspect",
+            "take.csv",
+            "take.c3d",
+            "log.csv",
+            "walk.mcap",
+            "none.csv",
+            "-r",
+            "gen2",
+            "--json",
+        ],
+        2,
+    )
     found = json.loads(capsys.readouterr().out)
     Draft202012Validator(schema).validate(found)
-    assert [each["format"] for each in found] == ["Motive CSV 1.21", "C3D", "plain CSV", "MCAP"]
+    assert [each["format"] for each in found] == [
+        "Motive CSV 1.21",
+        "C3D",
+        "plain CSV",
+        "MCAP",
+    ]
     take, c3d, log, walk = found
     assert (take["units"], take["bodies"], c3d["units"]) == ("cm", [], "mm")
     assert take["markers"][0]["noise_m"] == pytest.approx(NOISE, rel=0.2)
-    assert any(each.startswith("markers:") for each in take["proposals"]) and "log:" in log["proposals"]
+    assert (
+        any(each.startswith("markers:") for each in take["proposals"])
+        and "log:" in log["proposals"]
+    )
     assert walk["bodies"][0] == "/snake/link1" and c3d["robot"]["reads"] is False
     assert take["robot"]["reads"] and "markers" not in log
 
 
 def test_numpy_numbers_do_not_reach_json(capsys):
-    facts = {"file": "x", "format": "C3D", "content": "markers", "sha256": "", "proposals": [], "notes": []}
+    facts = {
+        "file": "x",
+        "format": "C3D",
+        "content": "markers",
+        "sha256": "",
+        "proposals": [],
+        "notes": [],
+    }
     facts = RecordingFacts(**facts, frames=np.uint16(435))
     facts.rate_hz = np.float32(100)
     plain = facts.document()
     assert (type(plain["frames"]), type(plain["rate_hz"])) == (int, float)
-    print_json({"a": np.uint16(3), "b": np.arange(2), "c": np.float32(0.5), "d": np.bool_(True)})
-    assert json.loads(capsys.readouterr().out) == {"a": 3, "b": [0, 1], "c": 0.5, "d": True}
+    print_json(
+        {
+            "a": np.uint16(3),
+            "b": np.arange(2),
+            "c": np.float32(0.5),
+            "d": np.bool_(True),
+        }
+    )
+    assert json.loads(capsys.readouterr().out) == {
+        "a": 3,
+        "b": [0, 1],
+        "c": 0.5,
+        "d": True,
+    }
 
 
 def test_unknown_files_are_refused(tmp_path):

@@ -15,7 +15,14 @@ from srs_twin.recordings.formats.base import Unstated
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, read_map
 from srs_twin.recordings.signals.logs import read_bends, read_valves
-from srs_twin.recordings.signals.units import ANGLES, PRESSURES, TIMES, is_clock, stated_unit, symbol
+from srs_twin.recordings.signals.units import (
+    ANGLES,
+    PRESSURES,
+    TIMES,
+    is_clock,
+    stated_unit,
+    symbol,
+)
 from srs_twin.recordings.takes import RecordingReader
 
 pytestmark = pytest.mark.fast
@@ -28,7 +35,10 @@ def log(folder, header, values=RAW, time=None):
     """Write a log of time, P1 and P2."""
     time = 0.1 * np.arange(len(values)) if time is None else time
     path = folder / "log.csv"
-    rows = "".join(f"{t!r},{v!r},0\n" for t, v in zip(map(float, time), map(float, values), strict=True))
+    rows = "".join(
+        f"{t!r},{v!r},0\n"
+        for t, v in zip(map(float, time), map(float, values), strict=True)
+    )
     path.write_text(header + "\n" + rows, encoding="utf-8")
     return path
 
@@ -92,7 +102,9 @@ HEADERS = {
 
 
 @pytest.mark.parametrize(("header", "unit"), HEADERS.items())
-@pytest.mark.parametrize("key", ["pressure_plus_1", "pressure_kpa_plus_1", "setpoint_psi_plus_1"])
+@pytest.mark.parametrize(
+    "key", ["pressure_plus_1", "pressure_kpa_plus_1", "setpoint_psi_plus_1"]
+)
 def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, key):
     unit = unit or "bar"
     quoted = f'"{header}"' if "," in header else header
@@ -103,7 +115,9 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
     expected = PASCALS[unit] * scale * RAW
     assert found.values[:, 0, 0] == pytest.approx(expected, rel=1e-6)
     default = {"kpa": 1e3, "psi": 6894.757}.get(key.split("_")[1], PASCALS[unit])
-    assert any("according to its name" in note for note in found.corrections) == (PASCALS[unit] != default)
+    assert any("according to its name" in note for note in found.corrections) == (
+        PASCALS[unit] != default
+    )
 
 
 @pytest.mark.parametrize(
@@ -125,9 +139,16 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
 )
 def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
     path = log(tmp_path, f"time,{header},P2")
-    with pytest.raises(InputError, match="the unit of column .* is not known .*give it in the map"):
-        read_valves(path, MODULE, mapped(pressure_kpa_plus_1=header, pressure_kpa_minus_1="P2"))
-    given = mapped(pressure_kpa_plus_1={"column": header, "unit": "mbar"}, pressure_kpa_minus_1="P2")
+    with pytest.raises(
+        InputError, match="the unit of column .* is not known .*give it in the map"
+    ):
+        read_valves(
+            path, MODULE, mapped(pressure_kpa_plus_1=header, pressure_kpa_minus_1="P2")
+        )
+    given = mapped(
+        pressure_kpa_plus_1={"column": header, "unit": "mbar"},
+        pressure_kpa_minus_1="P2",
+    )
     assert read_valves(path, MODULE, given).values[2, 0, 0] == 100.0
 
 
@@ -148,22 +169,30 @@ def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
 def test_map_gives_the_unit_that_the_header_lacks(tmp_path, unit, key, factor):
     column = {"column": "P1", "unit": unit} if unit else "P1"
     found = read_valves(
-        log(tmp_path, "time,P1,P2"), MODULE, mapped(**{key: column, "pressure_minus_1": "P2"})
+        log(tmp_path, "time,P1,P2"),
+        MODULE,
+        mapped(**{key: column, "pressure_minus_1": "P2"}),
     )
     assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
 
 
 def test_conflict_of_header_and_map_names_both_units(tmp_path):
     path = log(tmp_path, "time,P1 (bar),P2")
-    given = mapped(pressure_plus_1={"column": "P1 (bar)", "unit": "kpa"}, pressure_minus_1="P2")
+    given = mapped(
+        pressure_plus_1={"column": "P1 (bar)", "unit": "kpa"}, pressure_minus_1="P2"
+    )
     with pytest.raises(
-        InputError, match=r":1:2: column 'P1 \(bar\)' is in bar by its name, in kPa by the map"
+        InputError,
+        match=r":1:2: column 'P1 \(bar\)' is in bar by its name, in kPa by the map",
     ):
         read_valves(path, MODULE, given)
     path.write_text("x_1 (cm),y_1 (cm),time\n" + "1,2,0\n" * 3)
     with pytest.raises(
         InputError,
-        match=r"'x_1 \(cm\)' is in cm according to its name, but in mm according to the map or --units",
+        match=(
+            r"'x_1 \(cm\)' is in cm according to its name, but in mm according to the"
+            r" map or --units"
+        ),
     ):
         read_markers(path, Unstated(unit="mm"))
     path.write_text("tip_x [cm],tip_y [cm],time\n" + "1,2,0\n" * 3)
@@ -174,7 +203,9 @@ def test_conflict_of_header_and_map_names_both_units(tmp_path):
 
 def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
     given = mapped(pressure_kpa_plus_1="PA", pressure_kpa_minus_1="PB")
-    assert read_valves(log(tmp_path, "time,PA,PB"), MODULE, given).values[2, 0, 0] == 1e3
+    assert (
+        read_valves(log(tmp_path, "time,PA,PB"), MODULE, given).values[2, 0, 0] == 1e3
+    )
 
 
 @pytest.mark.parametrize(
@@ -186,7 +217,10 @@ def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
         ),
         ({"pressure_mpa_plus_1": "P1"}, "unit 'mpa' is not known"),
         ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed: none"),
-        ({"time": {"column": "t", "unit": "kPa"}}, "unit 'kPa' is not known; allowed: s, ms"),
+        (
+            {"time": {"column": "t", "unit": "kPa"}},
+            "unit 'kPa' is not known; allowed: s, ms",
+        ),
         ({"ambient_kpa": "P1"}, "the value must be a number"),
         ({"pressure_plus_1": {"column": "P1", "units": "bar"}}, "units"),
     ],
@@ -226,7 +260,11 @@ SECONDS = {
 @pytest.mark.parametrize(("name", "factor"), SECONDS.items())
 @pytest.mark.parametrize("by_map", [False, True])
 def test_unit_of_the_time(tmp_path, name, factor, by_map):
-    path = log(tmp_path, f"{name},pressure_plus_1_kpa,pressure_minus_1_kpa", time=np.array([0.0, 1, 2, 4]))
+    path = log(
+        tmp_path,
+        f"{name},pressure_plus_1_kpa,pressure_minus_1_kpa",
+        time=np.array([0.0, 1, 2, 4]),
+    )
     found = read_valves(path, MODULE, mapped(time=name) if by_map else NO_MAP)
     assert found.time == pytest.approx(factor * np.array([0, 1, 2, 4]), rel=1e-12)
 
@@ -244,7 +282,14 @@ def test_unit_of_the_time_in_a_map(tmp_path):
         )
 
 
-RADIANS = {"": 1, "rad": 1, "deg": np.pi / 180, "mrad": 1e-3, "degrees": np.pi / 180, "°": np.pi / 180}
+RADIANS = {
+    "": 1,
+    "rad": 1,
+    "deg": np.pi / 180,
+    "mrad": 1e-3,
+    "degrees": np.pi / 180,
+    "°": np.pi / 180,
+}
 
 
 @pytest.mark.parametrize(("unit", "factor"), RADIANS.items())
@@ -267,9 +312,12 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
     }
     path = tmp_path / "bends.csv"
     path.write_text(
-        f"time,{names[way]}\n" + "".join(f"{0.01 * k:.2f},{v!r}\n" for k, v in enumerate(map(float, raw)))
+        f"time,{names[way]}\n"
+        + "".join(f"{0.01 * k:.2f},{v!r}\n" for k, v in enumerate(map(float, raw)))
     )
-    found = read_bends(path, MODULE, longest_gap_s=0.2, map=mapped(**log_keys.get(way, {})))
+    found = read_bends(
+        path, MODULE, longest_gap_s=0.2, map=mapped(**log_keys.get(way, {}))
+    )
     assert found.trajectory["bend_1"] == pytest.approx(factor * raw, abs=1e-12)
 
 
@@ -297,7 +345,18 @@ def test_units_in_column_names(name, units, unit):
 def test_names_of_time_columns():
     for name in (*SECONDS, "field.header.stamp", "#timestamp [ns]", "timeStamp"):
         assert is_clock(name.lstrip("#")), name
-    for name in ("clock", "time_to_contact", "t1", "x", "s", "min", "bend_1", "P1 (ms)", "timer", "rate"):
+    for name in (
+        "clock",
+        "time_to_contact",
+        "t1",
+        "x",
+        "s",
+        "min",
+        "bend_1",
+        "P1 (ms)",
+        "timer",
+        "rate",
+    ):
         assert not is_clock(name), name
 
 
@@ -334,8 +393,13 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     path = log(tmp_path, "time,pressure_plus_1_kpa,P2 (kPa)", 101.3 + 30 * RAW)
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
     keys = {"pressure_minus_1": "P2 (kPa)"}
-    hint = r"the smallest pressure is 101.3 kPa: they look absolute: .*ambient_kpa: 101.3"
-    assert any(hint[:30] in note for note in read_valves(path, MODULE, mapped(**keys)).corrections)
+    hint = (
+        r"the smallest pressure is 101.3 kPa: they look absolute: .*ambient_kpa: 101.3"
+    )
+    assert any(
+        hint[:30] in note
+        for note in read_valves(path, MODULE, mapped(**keys)).corrections
+    )
     found = read_valves(path, MODULE, mapped(**keys, ambient_kpa=101.3))
     assert found.values[:, 0, 0] == pytest.approx(3e4 * RAW, abs=1e-6)
     assert found.values[:, 0, 1] == pytest.approx(0, abs=1e-6)
@@ -344,19 +408,29 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
 
 def test_log_of_a_microcontroller(tmp_path):
     path = tmp_path / "log.csv"
-    rows = "".join(f"{10 * k},{30 * (k // 50 % 2)},0,{512 + k % 7}\n" for k in range(400))
+    rows = "".join(
+        f"{10 * k},{30 * (k // 50 % 2)},0,{512 + k % 7}\n" for k in range(400)
+    )
     facts = facts_of(path, f"millis,P1,P2,flex\n{rows}")
     assert (facts.content, len(facts.signals), facts.rows) == ("log", 3, 400)
-    assert facts.duration_s == pytest.approx(3.99) and facts.rate_hz == pytest.approx(100)
+    assert facts.duration_s == pytest.approx(3.99) and facts.rate_hz == pytest.approx(
+        100
+    )
     assert "note: a log of 3 signals, time in ms" in in_words(facts)
     given = mapped(time="millis", pressure_kpa_plus_1="P1", pressure_kpa_minus_1="P2")
     assert read_valves(path, MODULE, given).time[-1] == pytest.approx(3.99)
 
 
 def test_duties_in_per_cent_are_recognised_by_name(tmp_path):
-    path = log(tmp_path, "time,duty_plus_1 (%),duty_minus_1 (%)", np.array([0.0, 0.5, 1.0, 0.0]))
+    path = log(
+        tmp_path,
+        "time,duty_plus_1 (%),duty_minus_1 (%)",
+        np.array([0.0, 0.5, 1.0, 0.0]),
+    )
     found = read_valves(path, MODULE, read_map({"log": {"carrier_hz": 10.0}}))
-    assert (found.at(np.arange(0.1005, 0.2, 0.001))[:, 0, 0] == 1).sum() <= 1  # half a per cent
+    assert (
+        found.at(np.arange(0.1005, 0.2, 0.001))[:, 0, 0] == 1
+    ).sum() <= 1  # half a per cent
 
 
 def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
@@ -366,9 +440,16 @@ def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
-        channel = writer.register_channel("/p", "json", writer.register_schema("p", "jsonschema", b"{}"))
+        channel = writer.register_channel(
+            "/p", "json", writer.register_schema("p", "jsonschema", b"{}")
+        )
         for k, value in enumerate(RAW):
-            writer.add_message(channel, k * 10**8, json.dumps({"data": [value, 0.0]}).encode(), k * 10**8)
+            writer.add_message(
+                channel,
+                k * 10**8,
+                json.dumps({"data": [value, 0.0]}).encode(),
+                k * 10**8,
+            )
         writer.finish()
     spec = chain((0.03, 0.03))
     for key, unit, factor in (
@@ -379,22 +460,33 @@ def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
         ("", "", 1),
     ):
         plus = {"column": "/p.data[0]", "unit": unit} if unit else "/p.data[0]"
-        given = mapped(**{f"pressure_{key}plus_1": plus, f"pressure_{key}minus_1": "/p.data[1]"})
+        given = mapped(
+            **{f"pressure_{key}plus_1": plus, f"pressure_{key}minus_1": "/p.data[1]"}
+        )
         found = read_valves(path, spec, given)
         assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
-        assert ("pressures without a unit are assumed to be in Pa" in found.corrections) == (not key)
+        assert (
+            "pressures without a unit are assumed to be in Pa" in found.corrections
+        ) == (not key)
 
 
 @pytest.mark.parametrize("names", ["P{} (bar)", "pressure_{}_1_bar"])
 def test_bench_log_in_bar_contains_30_kpa(tmp_path, names):
-    header = [names.format(side) for side in ((1, 2) if "P{}" in names else ("plus", "minus"))]
+    header = [
+        names.format(side) for side in ((1, 2) if "P{}" in names else ("plus", "minus"))
+    ]
     time = 0.01 * np.arange(200)
     rows = [f"{t:.2f},{10 * np.sin(6 * t):.4f},{0.3 * (t > 0.5):.3f},0\n" for t in time]
     path = tmp_path / "bar.csv"
     path.write_text(f"time,bend_1_deg,{','.join(header)}\n{''.join(rows)}")
     given = (
-        mapped(pressure_kpa_plus_1=header[0], pressure_kpa_minus_1=header[1]) if "P{}" in names else NO_MAP
+        mapped(pressure_kpa_plus_1=header[0], pressure_kpa_minus_1=header[1])
+        if "P{}" in names
+        else NO_MAP
     )
     found = RecordingReader(map=given).take(str(path), str(path), MODULE).trajectory
-    assert found["pressure_plus_1"][-1] == pytest.approx(3e4) and found["pressure_plus_1"][0] == 0
+    assert (
+        found["pressure_plus_1"][-1] == pytest.approx(3e4)
+        and found["pressure_plus_1"][0] == 0
+    )
     assert found["bend_1"].max() == pytest.approx(np.radians(10), rel=1e-3)

@@ -36,7 +36,9 @@ def errors(recording, truth):
     return place, bend, heading, trajectory.stack("filled") == 0
 
 
-@pytest.mark.parametrize(("layout", "most"), [("single", 0.03), ("head", 0.002), ("pair", 1e-4)])
+@pytest.mark.parametrize(
+    ("layout", "most"), [("single", 0.03), ("head", 0.002), ("pair", 1e-4)]
+)
 def test_motion_without_noise_is_recovered(tmp_path, layout, most):
     """With one marker per connector, the straight start leaves an error of 20 mrad."""
     found = recorded(tmp_path, Take(layout=layout, noise=0.0))
@@ -68,14 +70,18 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
     assert len(found.trajectory) > 0.9 * len(motion())
     assert place[measured].max() < 8 * NOISE
     assert found.summary.markers.moves >= 15
-    assert 0.03 < found.summary.samples_filled / found.summary.markers.samples_seen < 0.08
+    assert (
+        0.03 < found.summary.samples_filled / found.summary.markers.samples_seen < 0.08
+    )
     assert 0 < (~measured).mean() < 0.15
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("seed", first_by_default(1, range(3)))
 def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, seed):
-    found = recorded(tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed))
+    found = recorded(
+        tmp_path, Take(layout=layout, lost=0.03, fragments=True, seed=seed)
+    )
     place, _, _, measured = errors(found, motion())
     assert found.summary.markers.columns > 12
     assert place[measured].max() < 8 * NOISE
@@ -88,26 +94,41 @@ def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
     truth = motion(8.0)
     found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
     place, _, _, measured = errors(found, truth)
-    assert found.summary.markers.moves > 2000 and len(found.trajectory) > 0.9 * len(truth)
+    assert found.summary.markers.moves > 2000 and len(found.trajectory) > 0.9 * len(
+        truth
+    )
     assert place[measured].max() < 8 * NOISE
 
 
 @pytest.mark.parametrize("layout", ["head", "pair"])
 def test_curvature_is_continuous(tmp_path, layout):
     """No bend changes by more than the motion and the noise between frames, also in filled gaps."""
-    found = recorded(tmp_path, Take(layout=layout, swaps=30, lost=0.05, gap_frames=2, noise=1e-4, seed=1))
+    found = recorded(
+        tmp_path,
+        Take(layout=layout, swaps=30, lost=0.05, gap_frames=2, noise=1e-4, seed=1),
+    )
     fastest = np.abs(np.diff(motion().stack("bend"), axis=0)).max()
-    assert np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max() < 1.5 * fastest + 0.1
+    assert (
+        np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max()
+        < 1.5 * fastest + 0.1
+    )
 
 
 @pytest.mark.parametrize("rate", first_by_default(1, [120.0, 30.0, 60.0, 240.0]))
 def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
     found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
     assert found.summary.rate_hz == pytest.approx(rate, rel=1e-6)
-    shared = np.isclose(np.rint(found.trajectory.time * RATE) / RATE, found.trajectory.time, atol=1e-6)
+    shared = np.isclose(
+        np.rint(found.trajectory.time * RATE) / RATE, found.trajectory.time, atol=1e-6
+    )
     there = {name: column[shared] for name, column in found.trajectory.columns.items()}
     true = true_at(Trajectory(there), motion())
-    assert np.abs(np.stack([there[f"bend_{j}"] for j in range(1, 5)], -1) - true.stack("bend")).max() < 0.01
+    assert (
+        np.abs(
+            np.stack([there[f"bend_{j}"] for j in range(1, 5)], -1) - true.stack("bend")
+        ).max()
+        < 0.01
+    )
 
 
 @pytest.mark.slow
@@ -115,12 +136,16 @@ def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
 @pytest.mark.parametrize("unit", first_by_default(1, ["mm", "cm", "m", "in", "ft"]))
 def test_axes_and_units_do_not_change_the_motion(tmp_path, up, unit):
     """The axis is determined, not given; every map is a rotation, so no bend changes its sign."""
-    found = recorded(tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit))
+    found = recorded(
+        tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit)
+    )
     place, bend, _, _ = errors(found, motion())
     assert found.summary.markers.up == up
     assert place.max() < 1e-5
     assert np.abs(bend).max() < 0.002
-    assert any("converted" in each for each in found.summary.corrections) == (unit != "m")
+    assert any("converted" in each for each in found.summary.corrections) == (
+        unit != "m"
+    )
 
 
 def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
@@ -133,8 +158,15 @@ def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
 
 @pytest.mark.slow
 @settings(max_examples=3)
-@given(st.floats(-3, 3), st.floats(-3, 3), st.floats(-np.pi, np.pi), st.sampled_from(LAYOUTS))
-def test_motion_does_not_depend_on_the_world_frame(tmp_path_factory, x, y, turn, layout):
+@given(
+    st.floats(-3, 3),
+    st.floats(-3, 3),
+    st.floats(-np.pi, np.pi),
+    st.sampled_from(LAYOUTS),
+)
+def test_motion_does_not_depend_on_the_world_frame(
+    tmp_path_factory, x, y, turn, layout
+):
     folder = tmp_path_factory.mktemp("turned")
     here = recorded(folder, Take(layout=layout, noise=0.0, digits=9)).trajectory
     truth = motion()
@@ -145,7 +177,9 @@ def test_motion_does_not_depend_on_the_world_frame(tmp_path_factory, x, y, turn,
     }
     moved |= {f"theta_{i}": truth[f"theta_{i}"] + turn for i in range(1, 6)}
     there = recorded(
-        folder, Take(layout=layout, noise=0.0, digits=9), replace(truth, columns={**truth.columns, **moved})
+        folder,
+        Take(layout=layout, noise=0.0, digits=9),
+        replace(truth, columns={**truth.columns, **moved}),
     )
     near(there.trajectory.stack("bend"), here.stack("bend"), 1e-5)
     near(wrapped(there.trajectory["heading"] - here["heading"] - turn), 0, 1e-5)
@@ -160,14 +194,21 @@ def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
     found = map_to_floor(tilted, "auto", "z")
-    assert found.up == "z" and any("levelled" in each for each in found.corrections) == levelled
+    assert (
+        found.up == "z"
+        and any("levelled" in each for each in found.corrections) == levelled
+    )
     assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
 
 
 def test_levelling_is_noted(tmp_path):
-    text = motive_csv(motion(), Take(layout="head", noise=0.0, digits=9, unit="m", up="z"))
+    text = motive_csv(
+        motion(), Take(layout="head", noise=0.0, digits=9, unit="m", up="z")
+    )
     head, rows = text.split("X,Y,Z\r\n")
-    values = np.array([row.split(",") for row in rows.split("\r\n") if row], dtype=float)
+    values = np.array(
+        [row.split(",") for row in rows.split("\r\n") if row], dtype=float
+    )
     c, s = np.cos(0.12), np.sin(0.12)
     for k in range(2, values.shape[1], 3):
         y, z = values[:, k + 1].copy(), values[:, k + 2].copy()
@@ -190,21 +231,33 @@ def test_the_given_head_is_used(tmp_path):
     """For a snake that crawls tail first, the motion alone would give the wrong end."""
     take = Take(labeled=True, noise=0.0)
     backwards = replace(
-        motion(), columns={n: c if n == "time" else c[::-1] for n, c in motion().columns.items()}
+        motion(),
+        columns={n: c if n == "time" else c[::-1] for n, c in motion().columns.items()},
     )
-    guessed, told = (recorded(tmp_path, take, backwards, head=head) for head in (None, "snake:1"))
+    guessed, told = (
+        recorded(tmp_path, take, backwards, head=head) for head in (None, "snake:1")
+    )
     near(told.trajectory["x_1"], backwards["x_1"], 1e-6)
     near(guessed.trajectory["x_5"], backwards["x_1"], 1e-6)
-    assert told.summary.markers.head == "marker 'snake:1'" and "crawled" in guessed.summary.markers.head
+    assert (
+        told.summary.markers.head == "marker 'snake:1'"
+        and "crawled" in guessed.summary.markers.head
+    )
     with pytest.raises(InputError, match="unknown marker 'snake:9'"):
         recorded(tmp_path, take, backwards, head="snake:9")
-    with pytest.raises(InputError, match="marker 'snake:3' is at neither end of the body"):
+    with pytest.raises(
+        InputError, match="marker 'snake:3' is at neither end of the body"
+    ):
         recorded(tmp_path, take, backwards, head="snake:3")
 
 
 def test_a_recording_without_crawling_needs_the_head(tmp_path):
     still = replace(
-        motion(), columns={n: c if n == "time" else c[:1].repeat(401) for n, c in motion().columns.items()}
+        motion(),
+        columns={
+            n: c if n == "time" else c[:1].repeat(401)
+            for n, c in motion().columns.items()
+        },
     )
     with pytest.raises(InputError, match="the head cannot be determined"):
         recorded(tmp_path, Take(), still)
@@ -215,7 +268,10 @@ def test_long_gaps_cut_the_recording(tmp_path):
     found = recorded(tmp_path, take)
     assert found.trajectory.time[0] == pytest.approx(1.5)
     assert found.trajectory.stack("filled").max() == 0
-    assert f"{len(motion()) - len(found.trajectory)} left out at the ends" in found.summary.text()
+    assert (
+        f"{len(motion()) - len(found.trajectory)} left out at the ends"
+        in found.summary.text()
+    )
     bridged = recorded(tmp_path, take, longest_gap_s=0.6)
     assert len(bridged.trajectory) == len(motion())
     flags = bridged.trajectory.stack("filled")
@@ -233,7 +289,13 @@ def test_short_gaps_are_filled_within_a_millimetre(tmp_path):
 def test_reflections_are_removed_and_counted(tmp_path):
     text = motive_csv(motion(), Take(noise=1e-4, unit="m"))
     lines = text.split("\r\n")
-    extra = [",Marker" * 6, ",ghost" * 3 + ",lamp" * 3, ",7" * 3 + ",8" * 3, ",Position" * 6, ",X,Y,Z" * 2]
+    extra = [
+        ",Marker" * 6,
+        ",ghost" * 3 + ",lamp" * 3,
+        ",7" * 3 + ",8" * 3,
+        ",Position" * 6,
+        ",X,Y,Z" * 2,
+    ]
     for line, more in zip(range(2, 7), extra, strict=True):
         lines[line] += more
     for k in range(7, len(lines) - 1):
@@ -242,7 +304,9 @@ def test_reflections_are_removed_and_counted(tmp_path):
     path.write_text("\n".join(lines))
     found = read_motion(path, SPEC)
     assert found.summary.markers.layout == "single"
-    assert found.summary.markers.samples_other == len(motion()) + len(range(40, len(lines) - 1, 40))
+    assert found.summary.markers.samples_other == len(motion()) + len(
+        range(40, len(lines) - 1, 40)
+    )
     place, _, _, measured = errors(found, motion())
     assert measured.all() and place.max() < 1e-3
 
@@ -259,9 +323,14 @@ def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
     found = read_motion(path, SPEC)
     said = "; ".join(found.summary.corrections)
     assert (
-        "sorted" in said and "2 rows repeat the time" in said and "3 frames are missing in the file" in said
+        "sorted" in said
+        and "2 rows repeat the time" in said
+        and "3 frames are missing in the file" in said
     )
-    assert found.summary.markers.frames_missing == 3 and found.summary.markers.header_frames == len(rows)
+    assert (
+        found.summary.markers.frames_missing == 3
+        and found.summary.markers.header_frames == len(rows)
+    )
     assert "(401 according to the header)" in found.summary.text()
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
@@ -293,7 +362,8 @@ def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
     with pytest.raises(
-        InputError, match=r"plain.csv: markers are 5.* mm apart, .* 55 mm; are the lengths in mm\?"
+        InputError,
+        match=r"plain.csv: markers are 5.* mm apart, .* 55 mm; are the lengths in mm\?",
     ):
         read_motion(path, SPEC)
 
@@ -303,7 +373,9 @@ def test_another_robot_is_refused(tmp_path):
 
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion()))
-    with pytest.raises(InputError, match=r"the connectors of gen4 .* mm; is it this robot\?"):
+    with pytest.raises(
+        InputError, match=r"the connectors of gen4 .* mm; is it this robot\?"
+    ):
         read_motion(path, load_robot("gen4"))
 
 
@@ -314,15 +386,21 @@ def test_lengths_of_longer_segments_are_measured(tmp_path):
     path.write_text(plain_csv(motion()))
     found = read_motion(path, replace(SPEC, geometry=geometry))
     assert any(
-        each.startswith("segments are longer than those of gen2 by +2.") for each in found.summary.corrections
+        each.startswith("segments are longer than those of gen2 by +2.")
+        for each in found.summary.corrections
     )
-    assert np.sqrt(((found.trajectory.stack("bend") - motion().stack("bend")) ** 2).mean()) < 0.05
+    assert (
+        np.sqrt(((found.trajectory.stack("bend") - motion().stack("bend")) ** 2).mean())
+        < 0.05
+    )
 
 
 @pytest.mark.parametrize("connectors", [2, 3, 9])
 def test_bodies_with_other_numbers_of_segments_are_read(tmp_path, connectors):
     spec = chain((0.03,) * connectors)
-    truth = rollout(AnalyticalSnake(spec, supply_pa=48e3), Gait(2.0, 0.1), 1.0, record_hz=RATE)
+    truth = rollout(
+        AnalyticalSnake(spec, supply_pa=48e3), Gait(2.0, 0.1), 1.0, record_hz=RATE
+    )
     path = tmp_path / "x.csv"
     write_motive(truth, Take(layout="head", noise=0.0), path)
     found = read_motion(path, spec, layout="head").trajectory
@@ -338,43 +416,84 @@ def test_bodies_with_other_numbers_of_segments_are_read(tmp_path, connectors):
 def test_metadata_and_units(tmp_path):
     found = recorded(tmp_path, Take(layout="pair"), gait_frequency_hz=2.0)
     about = found.trajectory.metadata
-    assert about["source"]["sha256"] == hashlib.sha256((tmp_path / "take.csv").read_bytes()).hexdigest()
-    assert (about["source"]["file"], about["plant"], about["robot"]) == ("take.csv", "measured", "gen2")
+    assert (
+        about["source"]["sha256"]
+        == hashlib.sha256((tmp_path / "take.csv").read_bytes()).hexdigest()
+    )
+    assert (about["source"]["file"], about["plant"], about["robot"]) == (
+        "take.csv",
+        "measured",
+        "gen2",
+    )
     assert about["source"]["corrections"] == list(found.summary.corrections)
-    units = {re.sub(r"_\d+$", "", name): found.trajectory.unit(name) for name in found.trajectory.columns}
+    units = {
+        re.sub(r"_\d+$", "", name): found.trajectory.unit(name)
+        for name in found.trajectory.columns
+    }
     assert units == {
-        "time": "s", "com_x": "m", "com_y": "m", "heading": "rad", "x": "m", "y": "m", "theta": "rad",
-        "bend": "rad", "com_velocity_x": "m/s", "com_velocity_y": "m/s", "yaw_rate": "rad/s",
-        "bend_rate": "rad/s", "bend_error": "rad", "length": "m", "filled": "1", "residual": "m",
-    }  # fmt: skip
+        "time": "s",
+        "com_x": "m",
+        "com_y": "m",
+        "heading": "rad",
+        "x": "m",
+        "y": "m",
+        "theta": "rad",
+        "bend": "rad",
+        "com_velocity_x": "m/s",
+        "com_velocity_y": "m/s",
+        "yaw_rate": "rad/s",
+        "bend_rate": "rad/s",
+        "bend_error": "rad",
+        "length": "m",
+        "filled": "1",
+        "residual": "m",
+    }
     path = tmp_path / "x.parquet"
     found.trajectory.to_parquet(path)
     again = Trajectory.from_parquet(path)
-    assert again.metadata == about and list(again.columns) == list(found.trajectory.columns)
+    assert again.metadata == about and list(again.columns) == list(
+        found.trajectory.columns
+    )
 
 
 def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
     from srs_twin.comparison.metrics import plant_metrics
 
-    found = recorded(tmp_path, Take(layout="pair", swaps=10, lost=0.02), gait_frequency_hz=2.0)
+    found = recorded(
+        tmp_path, Take(layout="pair", swaps=10, lost=0.02), gait_frequency_hz=2.0
+    )
     measured, true = plant_metrics(found.trajectory), plant_metrics(motion())
     assert measured["com_speed_m_s"] == pytest.approx(true["com_speed_m_s"], rel=0.005)
-    assert measured["bend_amplitude_rad"] == pytest.approx(true["bend_amplitude_rad"], rel=0.05)
+    assert measured["bend_amplitude_rad"] == pytest.approx(
+        true["bend_amplitude_rad"], rel=0.05
+    )
 
 
 def test_velocities_of_a_recording_are_slopes_of_its_positions(tmp_path):
     """They agree in the mean over gait periods; within a period the moving line attenuates them."""
     found = recorded(tmp_path, Take(layout="pair"), gait_frequency_hz=2.0).trajectory
     period = round(RATE / 2.0)
-    for rate, place in (("com_velocity_x", "com_x"), ("com_velocity_y", "com_y"), ("yaw_rate", "heading")):
+    for rate, place in (
+        ("com_velocity_x", "com_x"),
+        ("com_velocity_y", "com_y"),
+        ("yaw_rate", "heading"),
+    ):
         for start in (50, 150, 250):
             moved = found[place][start + period] - found[place][start]
-            assert found[rate][start : start + period].mean() * 0.5 == pytest.approx(moved, abs=0.002)
+            assert found[rate][start : start + period].mean() * 0.5 == pytest.approx(
+                moved, abs=0.002
+            )
 
 
 def test_summary_counts_every_sample(tmp_path):
     """Every visible sample is kept, rejected, of another marker, or outside the kept frames."""
-    found = recorded(tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)).summary
+    found = recorded(
+        tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)
+    ).summary
     kept = found.frames_kept * 5 - found.samples_filled
     gone = found.markers.samples_rejected + found.markers.samples_other
-    assert 0 <= found.markers.samples_seen - kept - gone <= 5 * (found.frames_read - found.frames_kept)
+    assert (
+        0
+        <= found.markers.samples_seen - kept - gone
+        <= 5 * (found.frames_read - found.frames_kept)
+    )

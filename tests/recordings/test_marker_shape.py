@@ -13,13 +13,26 @@ from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 pytestmark = pytest.mark.fast
 
 
-@given(st.floats(-3.1, 3.1), st.floats(-3.1, 3.1), st.floats(0.01, 0.1), st.floats(-1, 1), st.floats(-1, 1))
+@given(
+    st.floats(-3.1, 3.1),
+    st.floats(-3.1, 3.1),
+    st.floats(0.01, 0.1),
+    st.floats(-1, 1),
+    st.floats(-1, 1),
+)
 def test_arc_is_recovered_from_its_ends(turn, bend, length, x, y):
     """The arc is the integral of its tangent; its ends and its curvature recover it."""
     s = np.linspace(0, 1, 201)
     tangent = np.exp(1j * (turn - bend * s))
-    path = x + 1j * y - length * (cumulative_simpson(tangent.real, x=s, initial=0)
-                                  + 1j * cumulative_simpson(tangent.imag, x=s, initial=0))  # fmt: skip
+    path = (
+        x
+        + 1j * y
+        - length
+        * (
+            cumulative_simpson(tangent.real, x=s, initial=0)
+            + 1j * cumulative_simpson(tangent.imag, x=s, initial=0)
+        )
+    )
     ends = [np.array([path[k].real, path[k].imag]) for k in (0, -1)]
     found = arc_between(*ends, np.array(bend / length), points=201) @ [1, 1j]
     assert np.abs(found - path).max() < 1e-6 * length
@@ -31,7 +44,9 @@ def test_bend_from_two_markers_at_each_end(heading, bend, apart):
         along = apart / 2 * np.array([np.cos(angle), np.sin(angle)])
         return -along, along
 
-    found = measured_bend(pair_heading(*marks(heading)), pair_heading(*marks(heading - bend)))
+    found = measured_bend(
+        pair_heading(*marks(heading)), pair_heading(*marks(heading - bend))
+    )
     assert found == pytest.approx(bend, abs=1e-12)
 
 
@@ -46,7 +61,9 @@ def test_impossible_curvature_gives_a_half_circle():
 @given(st.floats(-1e3, 1e3), st.floats(-5, 5), st.integers(1, 7), st.integers(0, 99))
 def test_slope_of_a_line_is_exact_everywhere(start, slope, half, seed):
     time = start + np.cumsum(np.random.default_rng(seed).uniform(0.005, 0.02, 30))
-    assert np.abs(moving_slope(time, 3 + slope * time[:, None], half) - slope).max() < 1e-7
+    assert (
+        np.abs(moving_slope(time, 3 + slope * time[:, None], half) - slope).max() < 1e-7
+    )
 
 
 @pytest.mark.parametrize("rate", [15.0, 120.0])
@@ -60,8 +77,13 @@ def test_oscillation_is_attenuated_as_stated_without_lag(rate):
 
 def test_slope_equals_that_of_the_least_squares_line():
     random = np.random.default_rng(0)
-    time, values = np.cumsum(random.uniform(0.01, 0.1, 40)), random.standard_normal((40, 3))
+    time, values = (
+        np.cumsum(random.uniform(0.01, 0.1, 40)),
+        random.standard_normal((40, 3)),
+    )
     found = moving_slope(time, values)
     for k in (0, 3, 20, 39):
         rows = slice(max(0, k - 5), k + 6)
-        assert found[k] == pytest.approx(np.polyfit(time[rows], values[rows], 1)[0], rel=1e-9)
+        assert found[k] == pytest.approx(
+            np.polyfit(time[rows], values[rows], 1)[0], rel=1e-9
+        )

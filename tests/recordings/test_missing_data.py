@@ -74,8 +74,13 @@ def test_text_among_spaces_is_still_refused(tmp_path):
 
 def test_repeated_zeros_are_a_hidden_marker(tmp_path):
     table = read_markers(written(tmp_path, "a.trc", trc("0.000\t0.0\t0")))
-    assert np.isnan(table.points[5:10, 1]).all() and np.isfinite(table.points[:, 0]).all()
-    assert any("5 positions are exactly 0, 0, 0: read as missing" in note for note in table.corrections)
+    assert (
+        np.isnan(table.points[5:10, 1]).all() and np.isfinite(table.points[:, 0]).all()
+    )
+    assert any(
+        "5 positions are exactly 0, 0, 0: read as missing" in note
+        for note in table.corrections
+    )
 
 
 def test_odometry_may_begin_at_the_origin(tmp_path):
@@ -109,7 +114,10 @@ def test_utf_16_is_refused_with_its_reason(tmp_path):
 @pytest.mark.parametrize("unit", [1e0, 1e3, 1e6, 1e9])
 def test_times_of_tum_since_1970_may_have_any_unit(tmp_path, unit):
     start = 1_700_000_000
-    rows = [f"{round((start + k / 10) * unit * 10) / 10:.1f} {k / 10} 0 0 0 0 0 1" for k in range(20)]
+    rows = [
+        f"{round((start + k / 10) * unit * 10) / 10:.1f} {k / 10} 0 0 0 0 0 1"
+        for k in range(20)
+    ]
     table = read_markers(written(tmp_path, "a.tum", "\n".join(rows) + "\n"))
     assert table.time == pytest.approx(np.arange(20) / 10, abs=1e-6)
     assert table.epoch_ns == start * 10**9
@@ -138,18 +146,26 @@ def test_a_velocity_is_no_position(tmp_path):
 def test_a_map_settles_unknown_signals(tmp_path):
     rows = [f"{k / 10}," + ",".join(["0.0", "22.0"] * 4) for k in range(10)]
     names = [f"s{k}" for k in range(8)]
-    path = written(tmp_path, "log.csv", "time," + ",".join(names) + "\n" + "\n".join(rows) + "\n")
-    keys = [f"pressure_kpa_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
+    path = written(
+        tmp_path, "log.csv", "time," + ",".join(names) + "\n" + "\n".join(rows) + "\n"
+    )
+    keys = [
+        f"pressure_kpa_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")
+    ]
     known = RecordingMap(log=dict(zip(keys, names, strict=True)))
     facts, _ = inspect_file(path, known, None)
     assert facts.signals[1].looks_like == "pressure, kPa: 22 to 22 kPa"
-    assert read_valves(path, load_robot("gen2"), known).values.max() == pytest.approx(22e3)
+    assert read_valves(path, load_robot("gen2"), known).values.max() == pytest.approx(
+        22e3
+    )
 
 
 def test_a_static_trc_has_y_up(tmp_path):
     """Without motion, OpenSim's convention decides."""
     place = np.random.default_rng(0).uniform(0.1, 1.8, (6, 3))
-    head = TRC.replace("\ta\t\t\tb\t\t\n", "".join(f"\tm{k}\t\t" for k in range(6)) + "\n")
+    head = TRC.replace(
+        "\ta\t\t\tb\t\t\n", "".join(f"\tm{k}\t\t" for k in range(6)) + "\n"
+    )
     cells = "\t".join(f"{value:.1f}" for value in 1e3 * place.ravel())
     text = head + "".join(f"{k + 1}\t{k / 100}\t{cells}\n" for k in range(20))
     facts, _ = inspect_file(written(tmp_path, "a.trc", text), NO_MAP, None)

@@ -59,16 +59,26 @@ CLOCKS = {
     "us": ("t [us]", np.rint(1e6 * TIME)),
     "epoch_s": ("timestamp", 1.7e9 + TIME),
     "epoch_ms": ("Time (ms)", 1_700_000_000_000 + np.rint(1e3 * TIME).astype(np.int64)),
-    "epoch_us": ("timestamp", 1_700_000_000_000_000 + np.rint(1e6 * TIME).astype(np.int64)),
+    "epoch_us": (
+        "timestamp",
+        1_700_000_000_000_000 + np.rint(1e6 * TIME).astype(np.int64),
+    ),
     "epoch_ns": ("timestamp", ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64)),
-    "dates in UTC": ("time", pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64), utc=True)),
-    "datetime": ("time", pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64))),
+    "dates in UTC": (
+        "time",
+        pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64), utc=True),
+    ),
+    "datetime": (
+        "time",
+        pd.to_datetime(ORIGIN_NS + np.rint(1e9 * TIME).astype(np.int64)),
+    ),
 }
 
 
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize(
-    ("separator", "decimal"), [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ".")]
+    ("separator", "decimal"),
+    [(",", "."), (";", ","), (";", "."), ("\t", ","), ("\t", "."), ("|", ".")],
 )
 @pytest.mark.parametrize("index", [True, False])
 def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
@@ -98,17 +108,28 @@ def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
 def test_times_since_1970_keep_their_resolution(tmp_path, unit):
     """Steps of one unit in the last digit at 1.7e9 s are recovered exactly."""
     factor = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
-    steps_ns = np.cumsum(np.random.default_rng(1).integers(9_900_000, 10_100_000, FRAMES))
+    steps_ns = np.cumsum(
+        np.random.default_rng(1).integers(9_900_000, 10_100_000, FRAMES)
+    )
     lines = []
-    for step, row in zip(steps_ns - steps_ns[0], places().reshape(FRAMES, -1), strict=True):
+    for step, row in zip(
+        steps_ns - steps_ns[0], places().reshape(FRAMES, -1), strict=True
+    ):
         whole, rest = divmod(int(ORIGIN_NS + step), 10**9 // factor)
-        time = f"{whole}.{rest:0{len(str(10**9 // factor)) - 1}d}" if factor < 10**9 else f"{whole}"
+        time = (
+            f"{whole}.{rest:0{len(str(10**9 // factor)) - 1}d}"
+            if factor < 10**9
+            else f"{whole}"
+        )
         lines.append(",".join([time, *(f"{v:.9f}" for v in row)]))
     path = tmp_path / "x.csv"
     path.write_text("\n".join([",".join(["timestamp", *NAMES]), *lines, ""]))
     found = read_markers(path)
     assert found.epoch_ns == ORIGIN_NS
-    assert np.rint(found.time * 1e9).astype(int).tolist() == (steps_ns - steps_ns[0]).tolist()
+    assert (
+        np.rint(found.time * 1e9).astype(int).tolist()
+        == (steps_ns - steps_ns[0]).tolist()
+    )
     note = next(each for each in found.corrections if "1970" in each)
     assert note == f"time since 1970 in {unit}: 1700000000.123456789 s subtracted"
 
@@ -120,7 +141,11 @@ def text(separator=",", point=".", header=True, comments="", end="\n", bom=""):
     ]
     lines = [",".join(["time", *NAMES])] if header else []
     body = end.join([*lines, *rows, ""])
-    return bom + comments + body.replace(",", "\0").replace(".", point).replace("\0", separator)
+    return (
+        bom
+        + comments
+        + body.replace(",", "\0").replace(".", point).replace("\0", separator)
+    )
 
 
 COLUMNS = ("time", *NAMES)
@@ -150,7 +175,10 @@ COLUMNS = ("time", *NAMES)
         (text("|", ","), {"separator": "|", "decimal": ","}),
         (text(";", ","), {"separator": ";", "decimal": ","}),
         (
-            text('","', ",").replace("\n", '"\n"').removesuffix('"').replace("time", '"time', 1),
+            text('","', ",")
+            .replace("\n", '"\n"')
+            .removesuffix('"')
+            .replace("time", '"time', 1),
             {"decimal": ","},
         ),
     ],
@@ -161,7 +189,11 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     path.write_text(content, encoding="utf-8", newline="")
     check(path, 6, dialect=Dialect(**dialect))
     facts, _ = inspect_file(
-        path, RecordingMap(**{k: list(v) if k == "columns" else v for k, v in dialect.items()}), None
+        path,
+        RecordingMap(
+            **{k: list(v) if k == "columns" else v for k, v in dialect.items()}
+        ),
+        None,
     )
     assert facts.frames == FRAMES and len(facts.markers) == 5
 
@@ -169,8 +201,14 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
-        (text(header=False), ":1: 16 numbers but no names of columns; give --columns time,x_1,y_1,…"),
-        (text(";", ",", header=False), ":1: 16 numbers but no names of columns; give --columns"),
+        (
+            text(header=False),
+            ":1: 16 numbers but no names of columns; give --columns time,x_1,y_1,…",
+        ),
+        (
+            text(";", ",", header=False),
+            ":1: 16 numbers but no names of columns; give --columns",
+        ),
         (text(comments="# a\n", header=False), ":2: 16 numbers but no names"),
         (text(",", ","), ":2: 32 cells, but the header has 16"),
         (
@@ -185,7 +223,10 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
         (text().replace("c2_x", "c1_x"), "c1_x: two columns have this name"),
         (
             text().replace("0.030000", '"0,030000"'),
-            "is not a number; give a number or leave the cell empty, or use --decimal ',' for",
+            (
+                "is not a number; give a number or leave the cell empty, or use"
+                " --decimal ',' for"
+            ),
         ),
     ],
     ids=range(9),
@@ -201,13 +242,24 @@ def test_ambiguous_tables_are_refused_with_a_remedy(tmp_path, content, says):
 def test_layout_options_of_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "x.csv").write_text(text(";", ",", header=False))
-    words = ["inspect", "x.csv", "--columns", ",".join(COLUMNS), "--separator", ";", "--decimal", ","]
+    words = [
+        "inspect",
+        "x.csv",
+        "--columns",
+        ",".join(COLUMNS),
+        "--separator",
+        ";",
+        "--decimal",
+        ",",
+    ]
     with pytest.raises(SystemExit) as left:
         main(words)
     said = capsys.readouterr().out
     assert left.value.code == 0 and "60 frames, 100 Hz" in said
     assert "note: cells separated by semicolons, decimal commas" in said
-    (tmp_path / "map.yaml").write_text(f"columns: [{', '.join(COLUMNS)}]\nseparator: ';'\ndecimal: ','\n")
+    (tmp_path / "map.yaml").write_text(
+        f"columns: [{', '.join(COLUMNS)}]\nseparator: ';'\ndecimal: ','\n"
+    )
     with pytest.raises(SystemExit) as left:
         main(["inspect", "x.csv", "--map", "map.yaml"])
     assert left.value.code == 0 and "60 frames, 100 Hz" in capsys.readouterr().out
@@ -219,10 +271,13 @@ def test_given_names_apply_only_to_files_without_names(tmp_path):
     found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
     assert found.values[0, 0].tolist() == [1, -1]
     assert (
-        "the file names its columns: the names of --columns or of the map are not used" in found.corrections
+        "the file names its columns: the names of --columns or of the map are not used"
+        in found.corrections
     )
     path.write_text("0;1;0\n1,5;0;1\n")
-    found = read_valves(path, MODULE, read_map({"columns": ["time", "valve_plus_1", "valve_minus_1"]}))
+    found = read_valves(
+        path, MODULE, read_map({"columns": ["time", "valve_plus_1", "valve_minus_1"]})
+    )
     assert found.time.tolist() == [0.0, 1.5]
 
 
@@ -265,10 +320,24 @@ def test_rotations_and_rates_are_not_markers(tmp_path, names):
 
 def test_markers_with_unusual_names_are_kept():
     names = [f"{name}_{axis}" for name in ("Motor", "rotor", "accu") for axis in "xy"]
-    names += ["x_arm", "y_arm", "c1_xmm", "c1_ymm", "c2 X [cm]", "c2 Y [cm]", "c3[x] (mm)", "c3[y] (mm)"]
+    names += [
+        "x_arm",
+        "y_arm",
+        "c1_xmm",
+        "c1_ymm",
+        "c2 X [cm]",
+        "c2 Y [cm]",
+        "c3[x] (mm)",
+        "c3[y] (mm)",
+    ]
     found = axis_columns(names)
     assert list(found) == ["Motor", "rotor", "accu", "arm", "c1", "c2", "c3"]
-    assert [found[name]["x"].unit for name in ("arm", "c1", "c2", "c3")] == ["", "mm", "cm", "mm"]
+    assert [found[name]["x"].unit for name in ("arm", "c1", "c2", "c3")] == [
+        "",
+        "mm",
+        "cm",
+        "mm",
+    ]
 
 
 VALVES = "time,valve_plus_1,valve_minus_1\n"
@@ -276,7 +345,14 @@ VALVES = "time,valve_plus_1,valve_minus_1\n"
 
 @pytest.mark.parametrize(
     ("unit", "name"),
-    [(1, "time"), (1e3, "time"), (1e6, "t"), (1e9, "timestamp"), (1e3, "time_ms"), (1e9, "stamp [ns]")],
+    [
+        (1, "time"),
+        (1e3, "time"),
+        (1e6, "t"),
+        (1e9, "timestamp"),
+        (1e3, "time_ms"),
+        (1e9, "stamp [ns]"),
+    ],
 )
 def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     path = tmp_path / "log.csv"
@@ -315,7 +391,9 @@ def since_1970(start, end, origin):
     """Return a log of the valves of the motion with times since 1970."""
     head, *rows = valve_csv(motion(), start, end, 0.0).splitlines()
     cut = [row.split(",", 1) for row in rows]
-    return "\n".join([head, *(f"{origin + float(time):.3f},{rest}" for time, rest in cut), ""])
+    return "\n".join(
+        [head, *(f"{origin + float(time):.3f},{rest}" for time, rest in cut), ""]
+    )
 
 
 def test_times_since_1970_in_both_files_give_the_offset(tmp_path, captured):
@@ -327,8 +405,14 @@ def test_times_since_1970_in_both_files_give_the_offset(tmp_path, captured):
     for offset, expected in ((None, 1.0), (0.0, 1.0), (-0.25, 0.75)):
         joined = join(body, log, SPEC, offset=offset)
         about = joined.trajectory.metadata["valve_log"]
-        assert about["offset_s"] == pytest.approx(expected, abs=1e-6) and not about["offset_estimated"]
-        assert any("from times since 1970 in both files" in each for each in joined.summary.corrections)
+        assert (
+            about["offset_s"] == pytest.approx(expected, abs=1e-6)
+            and not about["offset_estimated"]
+        )
+        assert any(
+            "from times since 1970 in both files" in each
+            for each in joined.summary.corrections
+        )
     # The clocks differ by an hour, so the bends determine the offset.
     path.write_text(since_1970(0.0, 4.0, 1_700_003_600))
     joined = join(body, read_valves(path, SPEC), SPEC)
@@ -340,9 +424,14 @@ def test_epoch_of_a_motion_is_kept(tmp_path):
     path = tmp_path / "plain.csv"
     head, *rows = plain_csv(motion()).splitlines()
     moved = [
-        f"{1_700_000_000_000 + round(1e3 * float(row.split(',')[0]))},{row.partition(',')[2]}" for row in rows
+        f"{1_700_000_000_000 + round(1e3 * float(row.split(',')[0]))},{row.partition(',')[2]}"
+        for row in rows
     ]
-    path.write_text("\n".join([head.replace("time_m", "time").replace("time", "time_ms", 1), *moved, ""]))
+    path.write_text(
+        "\n".join(
+            [head.replace("time_m", "time").replace("time", "time_ms", 1), *moved, ""]
+        )
+    )
     found = read_motion(path, SPEC)
     assert found.epoch_ns == 1_700_000_000 * 10**9
     assert found.trajectory.time[0] == pytest.approx(0)

@@ -22,7 +22,12 @@ def written(path, names, points, *, time=True, scale=1.0):
     if time:
         rows = np.column_stack([np.arange(len(points)) / RATE, rows])
     head = ",".join((["Time (s)"] if time else []) + columns)
-    path.write_text(head + "\n" + "\n".join(",".join(f"{v:.9g}" for v in row) for row in rows) + "\n")
+    path.write_text(
+        head
+        + "\n"
+        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in rows)
+        + "\n"
+    )
     return path
 
 
@@ -37,23 +42,42 @@ def test_markers_are_assigned_by_a_map(tmp_path):
     chosen = [0, 1, 2, 4, 5, 6, 7, 8, 9]  # without the first connector's successor
     names = ["front", "base", "m1", "m2", "k3", "m3", "k4", "m4", "tip"]
     lamp = np.full((len(every), 1, 2), 3.0)
-    path = written(tmp_path / "led.csv", [*names, "lamp"], np.concatenate(
-        [noisy(every[:, chosen]), lamp], axis=1), time=False, scale=1e3)  # fmt: skip
-    given = read_map({
-        "units": "mm", "rate_hz": RATE,
-        "markers": {
-            "front": {"connector": 1, "side": "ahead"}, "base": {"connector": 1}, "m1": {"middle": 1},
-            "m2": {"middle": 2}, "k3": {"connector": 3}, "m3": {"middle": 3}, "k4": {"connector": 4},
-            "m4": {"middle": 4}, "tip": {"connector": 5}, "lamp": "ignore",
-        },
-    })  # fmt: skip
+    path = written(
+        tmp_path / "led.csv",
+        [*names, "lamp"],
+        np.concatenate([noisy(every[:, chosen]), lamp], axis=1),
+        time=False,
+        scale=1e3,
+    )
+    given = read_map(
+        {
+            "units": "mm",
+            "rate_hz": RATE,
+            "markers": {
+                "front": {"connector": 1, "side": "ahead"},
+                "base": {"connector": 1},
+                "m1": {"middle": 1},
+                "m2": {"middle": 2},
+                "k3": {"connector": 3},
+                "m3": {"middle": 3},
+                "k4": {"connector": 4},
+                "m4": {"middle": 4},
+                "tip": {"connector": 5},
+                "lamp": "ignore",
+            },
+        }
+    )
     found = read_motion(path, SPEC, map=given)
-    error = found.trajectory.stack("bend") - true_at(found.trajectory, truth).stack("bend")
+    error = found.trajectory.stack("bend") - true_at(found.trajectory, truth).stack(
+        "bend"
+    )
     stated = found.trajectory.stack("bend_error")
     assert len(found.trajectory) == len(truth)
     assert np.sqrt((error**2).mean()) < 0.03
     assert 0.93 < (np.abs(error) < 1.96 * stated).mean() < 0.97
-    assert np.abs(found.trajectory.stack("length") - truth.stack("length")).mean() < 1e-3
+    assert (
+        np.abs(found.trajectory.stack("length") - truth.stack("length")).mean() < 1e-3
+    )
     assert any("segments stretch" in each for each in found.summary.corrections)
     assert "1 markers ignored according to the map" in found.summary.corrections
 
@@ -66,24 +90,35 @@ def test_segments_that_stretch_are_measured(tmp_path, layout, share):
     found = recorded(tmp_path, Take(layout=layout), truth)
     error = found.trajectory.stack("bend") - truth.stack("bend")
     assert found.summary.markers.layout == layout
-    assert 0.93 < (np.abs(error) < 1.96 * found.trajectory.stack("bend_error")).mean() < 0.975
+    assert (
+        0.93
+        < (np.abs(error) < 1.96 * found.trajectory.stack("bend_error")).mean()
+        < 0.975
+    )
     assert 0.9 < found.summary.markers.noise_m / 2e-4 < 1.1 or layout == "head"
 
 
 def test_one_marker_per_connector_is_refused_for_a_body_that_stretches(tmp_path):
-    with pytest.raises(InputError, match="lengths vary by .* put a second marker on the head"):
+    with pytest.raises(
+        InputError, match="lengths vary by .* put a second marker on the head"
+    ):
         recorded(tmp_path, Take(layout="single"), stretched(motion(), 0.25))
     recorded(tmp_path, Take(layout="head"), stretched(motion(), 0.25))
 
 
 @pytest.mark.parametrize(
-    ("segments", "layout"), [(1, "head"), (1, "middles"), (1, "pair"), (2, "middles"), (2, "head")]
+    ("segments", "layout"),
+    [(1, "head"), (1, "middles"), (1, "pair"), (2, "middles"), (2, "head")],
 )
 def test_bodies_of_one_and_two_segments_are_read(tmp_path, segments, layout):
     spec = chain((0.03,) * (segments + 1))
-    truth = rollout(AnalyticalSnake(spec, supply_pa=48e3), Gait(1.0, 0.1), 4.0, record_hz=RATE)
+    truth = rollout(
+        AnalyticalSnake(spec, supply_pa=48e3), Gait(1.0, 0.1), 4.0, record_hz=RATE
+    )
     names = [f"m{k}" for k in range(markers(truth, Take(layout=layout)).shape[1])]
-    path = written(tmp_path / "few.csv", names, noisy(markers(truth, Take(layout=layout))))
+    path = written(
+        tmp_path / "few.csv", names, noisy(markers(truth, Take(layout=layout)))
+    )
     found = read_motion(path, spec, layout=layout, head="m0").trajectory
     error = found.stack("bend") - truth.stack("bend")
     assert 0.92 < (np.abs(error) < 1.96 * found.stack("bend_error")).mean() < 0.98
@@ -96,22 +131,37 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
     some = {f"m{k}": {"connector": k} for k in (1, 2, 3, 5)}
     with pytest.raises(
         InputError,
-        match="do not determine the bends of 4 segments; use a marker at each connector and a second",
+        match=(
+            "do not determine the bends of 4 segments; use a marker at each connector"
+            " and a second"
+        ),
     ):
         read_motion(path, SPEC, map=read_map({"markers": some}))
     whole = some | {"m4": {"connector": 4}, "m0": {"connector": 1, "side": "ahead"}}
     read_motion(path, SPEC, map=read_map({"markers": whole}))
 
 
-@pytest.mark.parametrize(("data", "said"), [
-    ({"markers": {"m0": {"connector": 1, "middle": 1}}}, "markers.m0: give either connector or middle"),
-    ({"markers": {"m0": {}}}, "give either connector or middle"),
-    ({"markers": {"m0": {"connector": 0}}}, "markers.m0"),
-    ({"units": "inch"}, "units: must be one of m, cm, mm, in, ft, px, not text 'inch'"),
-    ({"log": {"valve_1": "a"}}, "log.valve_1: this is not a key of a log; allowed: time, carrier_hz"),
-    ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
-    ({"marker": {}}, "marker: unknown key; did you mean markers?"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (
+            {"markers": {"m0": {"connector": 1, "middle": 1}}},
+            "markers.m0: give either connector or middle",
+        ),
+        ({"markers": {"m0": {}}}, "give either connector or middle"),
+        ({"markers": {"m0": {"connector": 0}}}, "markers.m0"),
+        (
+            {"units": "inch"},
+            "units: must be one of m, cm, mm, in, ft, px, not text 'inch'",
+        ),
+        (
+            {"log": {"valve_1": "a"}},
+            "log.valve_1: this is not a key of a log; allowed: time, carrier_hz",
+        ),
+        ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
+        ({"marker": {}}, "marker: unknown key; did you mean markers?"),
+    ],
+)
 def test_errors_of_a_map_name_their_place(data, said):
     with pytest.raises(InputError) as caught:
         read_map(data)
@@ -128,19 +178,30 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
     path = tmp_path / "map.yaml"
     path.write_text("units: mm\nmarkers: {tip: {connector: 5}}\n")
     found = read_map(
-        given_map(str(path), {"units": "cm", "rate_hz": None}, ["base=connector 1 ahead", "lamp=ignore"])
+        given_map(
+            str(path),
+            {"units": "cm", "rate_hz": None},
+            ["base=connector 1 ahead", "lamp=ignore"],
+        )
     )
     assert found.units == "cm" and found.rate_hz is None
-    assert found.markers["base"].station == (0, "ahead") and found.markers["tip"].station == (8, "")
+    assert found.markers["base"].station == (0, "ahead") and found.markers[
+        "tip"
+    ].station == (8, "")
     assert found.markers["lamp"] == "ignore"
-    with pytest.raises(InputError, match="--marker: 'base:1' is not allowed; use NAME=connector 1"):
+    with pytest.raises(
+        InputError, match="--marker: 'base:1' is not allowed; use NAME=connector 1"
+    ):
         given_map(None, {}, ["base:1"])
     assert given_map(None, {"units": None}, []) == {}
 
 
 def log_file(path, columns, rows):
     path.write_text(
-        ",".join(columns) + "\n" + "\n".join(",".join(f"{v:g}" for v in row) for row in rows) + "\n"
+        ",".join(columns)
+        + "\n"
+        + "\n".join(",".join(f"{v:g}" for v in row) for row in rows)
+        + "\n"
     )
     return path
 
@@ -148,14 +209,18 @@ def log_file(path, columns, rows):
 def test_logs_with_other_column_names_are_read(tmp_path):
     names = [f"{kind}{j}" for j in range(4) for kind in ("p", "q")]
     rows = [[0.1 * k, *(10.0 * k + j for j in range(8))] for k in range(5)]
-    path = log_file(tmp_path / "x.csv", ["t_ms", *names], [[1e3 * r[0], *r[1:]] for r in rows])
+    path = log_file(
+        tmp_path / "x.csv", ["t_ms", *names], [[1e3 * r[0], *r[1:]] for r in rows]
+    )
     log = {
         f"setpoint_kpa_{side}_{j + 1}": f"{kind}{j}"
         for j in range(4)
         for side, kind in (("plus", "p"), ("minus", "q"))
     }
     found = read_valves(path, SPEC, RecordingMap(log=log))
-    assert found.kind == "pressure" and found.time == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
+    assert found.kind == "pressure" and found.time == pytest.approx(
+        [0, 0.1, 0.2, 0.3, 0.4]
+    )
     assert found.values[2, 1] == pytest.approx([22e3, 23e3])
     assert "set points are assumed to be the chamber pressures" in found.corrections
 
@@ -163,7 +228,11 @@ def test_logs_with_other_column_names_are_read(tmp_path):
 def test_duties_are_converted_to_valve_states(tmp_path):
     names = [f"duty_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
     duty = np.random.default_rng(1).uniform(0, 1, (11, 8)).round(3)
-    path = log_file(tmp_path / "x.csv", ["time", *names], np.column_stack([0.2 * np.arange(11), duty]))
+    path = log_file(
+        tmp_path / "x.csv",
+        ["time", *names],
+        np.column_stack([0.2 * np.arange(11), duty]),
+    )
     with pytest.raises(InputError, match="duties need their carrier frequency"):
         read_valves(path, SPEC)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
@@ -183,7 +252,9 @@ def test_a_rigid_body_gives_a_heading(tmp_path):
     half = angle / 2
     turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
     points = np.concatenate([truth.position, np.full((*half.shape, 1), 0.03)], axis=-1)
-    table = MarkerTable("x", "", "MCAP", truth.time, points, tuple("abcde"), (), rotations=turns)
+    table = MarkerTable(
+        "x", "", "MCAP", truth.time, points, tuple("abcde"), (), rotations=turns
+    )
     pairs = bodies_as_pairs(table)
     assert pairs.labels == tuple("aabbccddee") and pairs.rotations is None
     lines = pairs.points[:, ::2] - pairs.points[:, 1::2]

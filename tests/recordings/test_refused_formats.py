@@ -46,10 +46,19 @@ def parquet():
 
 
 REFUSED = {
-    "dlc.h5": (lambda: hdf5("df_with_missing/table"), r"a DeepLabCut file \(HDF5\).*save_as_csv=True"),
-    "sleap.h5": (lambda: hdf5("tracks", "track_occupancy"), r"a SLEAP file \(HDF5\).*time,NAME_x,NAME_y"),
+    "dlc.h5": (
+        lambda: hdf5("df_with_missing/table"),
+        r"a DeepLabCut file \(HDF5\).*save_as_csv=True",
+    ),
+    "sleap.h5": (
+        lambda: hdf5("tracks", "track_occupancy"),
+        r"a SLEAP file \(HDF5\).*time,NAME_x,NAME_y",
+    ),
     "other.h5": (lambda: hdf5("data"), "an HDF5 file.*time,NAME_x,NAME_y"),
-    "a.npz": (lambda: saved(np.savez, points=np.zeros(9)), r"a NumPy archive \(.npz\).*numpy.savetxt"),
+    "a.npz": (
+        lambda: saved(np.savez, points=np.zeros(9)),
+        r"a NumPy archive \(.npz\).*numpy.savetxt",
+    ),
     "packed.npz": (
         lambda: saved(np.savez_compressed, points=np.zeros(9)),
         r"a NumPy archive \(.npz\).*numpy.savetxt",
@@ -63,13 +72,22 @@ REFUSED = {
     "old.bag": (lambda: b"#ROSBAG V1.2\n" + bytes(99), "a bag of an older ROS"),
     "walk.db3.zstd": (lambda: b"\x28\xb5\x2f\xfd" + bytes(99), "a Zstandard archive"),
     "words.txt": (lambda: b"some,words\n1,2\n", "its first line is 'some,words'"),
-    "noise.bin": (lambda: bytes(range(0xEF, 0x100)) * 30 + bytes(9), "a binary file of an unknown kind"),
+    "noise.bin": (
+        lambda: bytes(range(0xEF, 0x100)) * 30 + bytes(9),
+        "a binary file of an unknown kind",
+    ),
     "empty.c3d": (lambda: b"", "empty; a recording has"),
-    "cut.mcap": (lambda: b"\x89MCAP0\r\n", "MCAP file is damaged|no topic with positions"),
+    "cut.mcap": (
+        lambda: b"\x89MCAP0\r\n",
+        "MCAP file is damaged|no topic with positions",
+    ),
     "cut.bag": (lambda: b"#ROSBAG V2.0\nabc", "the ROS 1 bag file is damaged"),
     "cut.db3": (lambda: b"SQLite format 3\0abc", "the ROS 2 bag file is damaged"),
     "cut.trc": (lambda: b"PathFileType\t4\n", "the header is cut"),
-    "cut.c3d": (lambda: b"\x02P" + bytes(600), "the C3D file is damaged|the C3D file has no points"),
+    "cut.c3d": (
+        lambda: b"\x02P" + bytes(600),
+        "the C3D file is damaged|the C3D file has no points",
+    ),
 }
 
 
@@ -82,7 +100,9 @@ def said(words, capsys):
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_inspect_and_replay_refuse_with_the_same_message(tmp_path, monkeypatch, capsys, name):
+def test_inspect_and_replay_refuse_with_the_same_message(
+    tmp_path, monkeypatch, capsys, name
+):
     monkeypatch.chdir(tmp_path)
     make, words = REFUSED[name]
     (tmp_path / name).write_bytes(make())
@@ -91,11 +111,15 @@ def test_inspect_and_replay_refuse_with_the_same_message(tmp_path, monkeypatch, 
     assert said(["replay", name, "--robot", "gen2"], capsys) == seen
 
 
-def test_a_missing_log_is_reported_for_a_valid_recording(tmp_path, monkeypatch, capsys, root):
+def test_a_missing_log_is_reported_for_a_valid_recording(
+    tmp_path, monkeypatch, capsys, root
+):
     monkeypatch.chdir(tmp_path)
     take = root / "calibration/examples/my_snake/walk_straight.csv"
     (tmp_path / "take.csv").write_bytes(take.read_bytes())
-    assert "take.valves.csv: no such file" in said(["replay", "take.csv", "--robot", "gen2"], capsys)
+    assert "take.valves.csv: no such file" in said(
+        ["replay", "take.csv", "--robot", "gen2"], capsys
+    )
 
 
 def test_errors_name_each_file(tmp_path, monkeypatch, capsys):
@@ -112,8 +136,18 @@ def test_errors_name_each_file(tmp_path, monkeypatch, capsys):
 
 def test_remedies_in_messages_are_options_or_keys_that_exist(root):
     """Text such as `give up=z` would not be an option of a command."""
-    options = {"--up", "--layout", "--head", "--longest-gap", "--offset", "--units", "--rate"}
+    options = {
+        "--up",
+        "--layout",
+        "--head",
+        "--longest-gap",
+        "--offset",
+        "--units",
+        "--rate",
+    }
     for path in (root / "srs_twin/recordings").rglob("*.py"):
         for found in re.finditer(r"[;(?] ?[Gg]ive (\S+)", path.read_text("utf-8")):
             word = found[1].strip('"),;.')
-            assert word in options or not re.fullmatch(r"\w+=\S*|\w+_\w+", word), f"{path.name}: {found[0]}"
+            assert word in options or not re.fullmatch(r"\w+=\S*|\w+_\w+", word), (
+                f"{path.name}: {found[0]}"
+            )

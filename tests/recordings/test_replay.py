@@ -11,7 +11,14 @@ from conftest import ROOT
 from recorded import SPEC
 from synthetic_takes import Take, write_motive
 
-from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, load_scenario, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    TwinSnake,
+    load_robot,
+    load_scenario,
+    rollout,
+)
 from srs_twin.cli import main
 from srs_twin.comparison.compare import MeasuredDifference
 from srs_twin.control.replay import Replay
@@ -32,7 +39,9 @@ def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressu
     """Return the bends for valve states, and chambers with the resulting pressures every `step` s."""
     valves = LagPneumatics(spec, supply_pa=SUPPLY)
     log = np.arange(0.0, schedule.span + step / 2, step)
-    logged = LagPneumatics(spec, supply_pa=SUPPLY).advance(schedule, np.minimum(log, schedule.span))
+    logged = LagPneumatics(spec, supply_pa=SUPPLY).advance(
+        schedule, np.minimum(log, schedule.span)
+    )
     bends = valves.advance(schedule, times).bend
     return bends, RecordedPressures(spec, log, logged.pressure, supply_pa=SUPPLY)
 
@@ -40,7 +49,12 @@ def recorded_of(spec, schedule, times, step) -> tuple[np.ndarray, RecordedPressu
 def test_recorded_pressures_give_the_bends_of_their_valves():
     """With recorded pressures only the lag τ₂ remains; the error decreases with the sample period."""
     spec = with_values(
-        SPEC, {"modules.gain_plus_2": 1.2, "modules.bias_rad_3": 0.1, "actuator.tau_mode_s": 0.02}
+        SPEC,
+        {
+            "modules.gain_plus_2": 1.2,
+            "modules.bias_rad_3": 0.1,
+            "actuator.tau_mode_s": 0.02,
+        },
     )
     gait = Gait(2.0, 0.1)
     gait.reset(spec, 0.02)
@@ -58,7 +72,10 @@ def test_recorded_pressures_give_the_bends_of_their_valves():
     assert first.bend[-1] == pytest.approx(second.bend[0], abs=1e-12)
     for name, rate in (("bend", "bend_rate"), ("bend_rate", "bend_acceleration")):
         slope = np.gradient(getattr(second, name), 1e-4, axis=0)[2:-2]
-        assert np.median(np.abs(slope - getattr(second, rate)[2:-2])) < 1e-3 * np.abs(slope).max()
+        assert (
+            np.median(np.abs(slope - getattr(second, rate)[2:-2]))
+            < 1e-3 * np.abs(slope).max()
+        )
     assert (first.air == 0).all()
 
 
@@ -66,7 +83,9 @@ def test_invalid_recorded_pressures_are_refused():
     time = np.array([0.0, 1.0])
     with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
-    with pytest.raises(InputError, match="must be finite, and their times must increase"):
+    with pytest.raises(
+        InputError, match="must be finite, and their times must increase"
+    ):
         RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
 
 
@@ -74,17 +93,38 @@ def test_both_plants_follow_recorded_pressures():
     """The run with valve states is recovered from its pressures alone, on either plant."""
     for plant in (AnalyticalSnake, TwinSnake):
         truth = rollout(
-            plant(SPEC, supply_pa=SUPPLY), Gait(2.0), 1.0, record_hz=500 if plant is AnalyticalSnake else 1000
+            plant(SPEC, supply_pa=SUPPLY),
+            Gait(2.0),
+            1.0,
+            record_hz=500 if plant is AnalyticalSnake else 1000,
         )
-        pressure = np.stack([truth[name] for name in PRESSURES], axis=1).reshape(-1, 4, 2)
+        pressure = np.stack([truth[name] for name in PRESSURES], axis=1).reshape(
+            -1, 4, 2
+        )
         chambers = RecordedPressures(SPEC, truth.time, pressure, supply_pa=SUPPLY)
-        vented = Replay(Schedule(1.0, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8)))
-        again = rollout(plant(SPEC, supply_pa=SUPPLY, pneumatics=chambers), vented, 1.0, record_hz=100)
+        vented = Replay(
+            Schedule(1.0, np.zeros(1), np.full((1, 4, 2), -1, dtype=np.int8))
+        )
+        again = rollout(
+            plant(SPEC, supply_pa=SUPPLY, pneumatics=chambers),
+            vented,
+            1.0,
+            record_hz=100,
+        )
         last = again.com[-1] - truth.com[-1]
-        assert np.hypot(*last) < 0.01 * np.hypot(*(truth.com[-1] - truth.com[0])), plant.name
-        assert again["pressure_plus_2"][-1] == pytest.approx(truth["pressure_plus_2"][-1])
-        assert truth.has("air") and not again.has("air"), "nobody knows what air the robot drew"
-        assert truth.metadata["valve_switches"] and again.metadata["valve_switches"] is None
+        assert np.hypot(*last) < 0.01 * np.hypot(*(truth.com[-1] - truth.com[0])), (
+            plant.name
+        )
+        assert again["pressure_plus_2"][-1] == pytest.approx(
+            truth["pressure_plus_2"][-1]
+        )
+        assert truth.has("air") and not again.has("air"), (
+            "nobody knows what air the robot drew"
+        )
+        assert (
+            truth.metadata["valve_switches"]
+            and again.metadata["valve_switches"] is None
+        )
 
 
 @pytest.fixture(scope="module")
@@ -96,10 +136,20 @@ def perfect(tmp_path_factory):
     gait = Gait(2.0, 0.1)
     gait.reset(SPEC, 0.02)
     whole = rest.followed_by(gait.script(2.6))
-    # Pressures are linear between the samples of a log, which at 100 Hz changes the distance by 2 %.
+    # Pressures are linear between the samples of a log, which at 100 Hz changes the
+    # distance by 2 %.
     truth = rollout(plant, Replay(whole), 3.0, pose=(1.0, -2.0, 2.5), record_hz=1000)
-    write_motive(truth, Take(layout="pair", noise=0.0, digits=4, rate_hz=100), folder / "take.csv")
-    head = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
+    write_motive(
+        truth,
+        Take(layout="pair", noise=0.0, digits=4, rate_hz=100),
+        folder / "take.csv",
+    )
+    head = ",".join(
+        [
+            "time",
+            *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")),
+        ]
+    )
     log = np.column_stack([whole.starts + 5.0, whole.states.reshape(-1, 8)])
     log = np.vstack([log, [8.0, *log[-1, 1:]]])
     (folder / "take.valves.csv").write_text(
@@ -107,17 +157,21 @@ def perfect(tmp_path_factory):
     )
     rows = np.column_stack([truth.time + 5.0, *(truth[name] for name in PRESSURES)])
     (folder / "pressures.csv").write_text(
-        ",".join(["time", *PRESSURES]) + "\n" + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in rows)
+        ",".join(["time", *PRESSURES])
+        + "\n"
+        + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in rows)
     )
     return folder
 
 
 def replayed(folder, **changes):
     document = {
-        "robot": "gen2", "duration_s": 2.9, "controller": {"kind": "replay"},
+        "robot": "gen2",
+        "duration_s": 2.9,
+        "controller": {"kind": "replay"},
         "recording": {"motion": str(folder / "take.csv"), "offset_s": -5.0},
         "plants": {"analytical": {"friction": "wheel"}},
-    }  # fmt: skip
+    }
     return parse_scenario(document | changes)
 
 
@@ -125,24 +179,35 @@ def replayed(folder, **changes):
 def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
     scenario = replayed(
         perfect,
-        recording={"motion": str(perfect / "take.csv"), "valves": str(perfect / log), "offset_s": -5.0},
+        recording={
+            "motion": str(perfect / "take.csv"),
+            "valves": str(perfect / log),
+            "offset_s": -5.0,
+        },
     )
     assert scenario.pose == pytest.approx((1.0, -2.0, 2.5), abs=1e-3)
     assert scenario.measured is not None and scenario.measured.time[0] == 0.0
     run = rollout(
-        scenario.build_plant("analytical"), scenario.build_controller(), 2.9, pose=scenario.pose,
+        scenario.build_plant("analytical"),
+        scenario.build_controller(),
+        2.9,
+        pose=scenario.pose,
         record_hz=scenario.record_hz,
-    )  # fmt: skip
+    )
     found = MeasuredDifference.between(scenario.measured, run)
     # The centre of mass moves 0.5 m, and sliding friction amplifies rounding errors.
     assert found.metrics["measured_path_rms_m"] < 2e-3
     assert found.metrics["measured_shape_rms_m"] < 1e-5
     assert found.metrics["measured_bend_rms_rad"] < 1e-4
     assert found.metrics["measured_heading_rms_rad"] < 0.02
-    heavier = scenario.build_plant("analytical", robot=with_values(SPEC, {"friction.mu_n": 0.3}))
+    heavier = scenario.build_plant(
+        "analytical", robot=with_values(SPEC, {"friction.mu_n": 0.3})
+    )
     other = rollout(heavier, scenario.build_controller(), 2.9, pose=scenario.pose)
     worse = MeasuredDifference.between(scenario.measured, other)
-    assert worse.metrics["measured_path_rms_m"] > 5 * found.metrics["measured_path_rms_m"]
+    assert (
+        worse.metrics["measured_path_rms_m"] > 5 * found.metrics["measured_path_rms_m"]
+    )
     told = found.document()
     assert told["rms"]["path_m"] == pytest.approx(found.metrics["measured_path_rms_m"])
     parts = np.array(told["over_time"]["path_m"])
@@ -154,11 +219,15 @@ def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
 def test_sweep_and_run_agree_on_recorded_pressures(perfect):
     """Rows contain the differences from the measured robot, but no costs, which are unknown."""
     recording = {
-        "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
+        "motion": str(perfect / "take.csv"),
+        "valves": str(perfect / "pressures.csv"),
+        "offset_s": -5.0,
         "gait_frequency_hz": 2.0,
-    }  # fmt: skip
+    }
     base = replayed(perfect, recording=recording).document
-    row = run_point(Experiment(base, ("analytical",)), Point("p", {"robot.friction.mu_n": 0.5}))
+    row = run_point(
+        Experiment(base, ("analytical",)), Point("p", {"robot.friction.mu_n": 0.5})
+    )
     assert row.status == "done", row.reason
     assert row.values["analytical.measured_path_rms_m"] > 0
     assert row.values["analytical.mechanical_power_w"] > 0
@@ -169,11 +238,20 @@ def test_sweep_and_run_agree_on_recorded_pressures(perfect):
     ("changes", "message"),
     [
         ({"recording": None}, "controller: kind: replay has nothing to replay"),
-        ({"controller": {"kind": "gait", "frequency_hz": 2.0}}, "recording: nobody replays it"),
+        (
+            {"controller": {"kind": "gait", "frequency_hz": 2.0}},
+            "recording: nobody replays it",
+        ),
         ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
-        ({"recording": {"motion": "none.csv"}}, r"recording.motion: none.csv: no such file"),
+        (
+            {"recording": {"motion": "none.csv"}},
+            r"recording.motion: none.csv: no such file",
+        ),
         ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
-        ({"bench": True, "plants": {"analytical": {}}}, "recording.motion: .*it must be clamped on a bench"),
+        (
+            {"bench": True, "plants": {"analytical": {}}},
+            "recording.motion: .*it must be clamped on a bench",
+        ),
         ({"valves": {"layout": "in_out"}}, None),
     ],
 )
@@ -184,7 +262,9 @@ def test_missing_sections_of_a_replay_are_reported(perfect, changes, message):
         return
     if "recording" not in changes and message.startswith("controller"):
         with pytest.raises(InputFileError, match=message):
-            parse_scenario({"robot": "gen2", "duration_s": 1.0, "controller": {"kind": "replay"}})
+            parse_scenario(
+                {"robot": "gen2", "duration_s": 1.0, "controller": {"kind": "replay"}}
+            )
         return
     with pytest.raises(InputFileError, match=message):
         replayed(perfect, **changes)
@@ -201,13 +281,23 @@ def test_missing_sections_of_a_replay_are_reported(perfect, changes, message):
 )
 def test_errors_of_a_recording_name_their_keys(perfect, tmp_path, line, place):
     take, log = perfect / "take.csv", perfect / "take.valves.csv"
-    lines = {"motion": f"  motion: {take}", "valves": f"  valves: {log}", "offset_s": "  offset_s: -5"}
+    lines = {
+        "motion": f"  motion: {take}",
+        "valves": f"  valves: {log}",
+        "offset_s": "  offset_s: -5",
+    }
     lines |= {"head": "  up: auto"}
     lines[line.partition(":")[0].strip()] = line
     path = tmp_path / "r.yaml"
     path.write_text(
         "\n".join(
-            ["robot: gen2", "duration_s: 2", "controller: {kind: replay}", "recording:", *lines.values()]
+            [
+                "robot: gen2",
+                "duration_s: 2",
+                "controller: {kind: replay}",
+                "recording:",
+                *lines.values(),
+            ]
         )
         + "\nplants: {analytical: {}}\n"
     )
@@ -218,84 +308,129 @@ def test_errors_of_a_recording_name_their_keys(perfect, tmp_path, line, place):
 
 def test_chamber_models_are_refused_with_recorded_pressures(perfect):
     recording = {
-        "motion": str(perfect / "take.csv"), "valves": str(perfect / "pressures.csv"), "offset_s": -5.0,
-    }  # fmt: skip
-    with pytest.raises(InputFileError, match="pneumatics: the recording holds pressures"):
+        "motion": str(perfect / "take.csv"),
+        "valves": str(perfect / "pressures.csv"),
+        "offset_s": -5.0,
+    }
+    with pytest.raises(
+        InputFileError, match="pneumatics: the recording holds pressures"
+    ):
         replayed(perfect, recording=recording, pneumatics={"leak_per_s": 1.0})
 
 
 def test_a_measured_metric_needs_a_recording():
     expect = [{"metric": "measured_shape_rms_m", "plant": "twin", "below": 0.01}]
     with pytest.raises(
-        InputFileError, match=r"expect\[0\].metric: measured_shape_rms_m needs the section recording"
+        InputFileError,
+        match=r"expect\[0\].metric: measured_shape_rms_m needs the section recording",
     ):
-        parse_scenario({
-            "robot": "gen2", "duration_s": 1.0, "controller": {"kind": "gait", "frequency_hz": 2.0},
-            "expect": expect,
-        })  # fmt: skip
+        parse_scenario(
+            {
+                "robot": "gen2",
+                "duration_s": 1.0,
+                "controller": {"kind": "gait", "frequency_hz": 2.0},
+                "expect": expect,
+            }
+        )
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("log", ["take.valves.csv", "pressures.csv"])
-def test_resolved_scenario_does_not_depend_on_the_folder(perfect, log, monkeypatch, tmp_path):
+def test_resolved_scenario_does_not_depend_on_the_folder(
+    perfect, log, monkeypatch, tmp_path
+):
     monkeypatch.chdir(perfect)
-    scenario = replayed(perfect, recording={"motion": "take.csv", "valves": log, "offset_s": -5.0})
+    scenario = replayed(
+        perfect, recording={"motion": "take.csv", "valves": log, "offset_s": -5.0}
+    )
     monkeypatch.chdir(tmp_path)
     again = parse_scenario(scenario.document, name=scenario.name)
     assert again == scenario and again.pose == scenario.pose
-    assert again.recording.valves.kind == ("valve" if log == "take.valves.csv" else "pressure")
+    assert again.recording.valves.kind == (
+        "valve" if log == "take.valves.csv" else "pressure"
+    )
     assert (again.measured["bend_1"] == scenario.measured["bend_1"]).all()
 
 
 @pytest.mark.slow
 def test_replay_command(tmp_path, srs_twin):
     expect = tmp_path / "expect.yaml"
-    text = "expect:\n  - {metric: measured_shape_rms_m, plant: analytical, below: LIMIT}\n"
+    text = (
+        "expect:\n  - {metric: measured_shape_rms_m, plant: analytical, below: LIMIT}\n"
+    )
     expect.write_text(text.replace("LIMIT", "0.02"))
     words = [
-        "replay", str(EXAMPLE / "walk_check.csv"), "-r", "gen2", "--plants", "analytical,twin", "--expect",
-        "expect.yaml", "--check", "--longest-gap", "0.3",
-    ]  # fmt: skip
+        "replay",
+        str(EXAMPLE / "walk_check.csv"),
+        "-r",
+        "gen2",
+        "--plants",
+        "analytical,twin",
+        "--expect",
+        "expect.yaml",
+        "--check",
+        "--longest-gap",
+        "0.3",
+    ]
     done = srs_twin(*words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     run = tmp_path / "runs/walk_check"
     metrics = json.loads((run / "metrics.json").read_text("utf-8"))
     assert list(metrics["plants"]) == ["analytical", "twin", "measured"]
-    assert metrics["plants"]["measured"]["com_speed_m_s"] == pytest.approx(0.166, abs=0.01)
+    assert metrics["plants"]["measured"]["com_speed_m_s"] == pytest.approx(
+        0.166, abs=0.01
+    )
     assert set(metrics["residuals"]) == {"analytical", "twin"}
     assert metrics["residuals"]["twin"]["rms"]["shape_m"] == pytest.approx(
         metrics["plants"]["twin"]["measured_shape_rms_m"]
     )
-    assert "measured shape RMS" in done.stdout and "met    analytical measured_shape_rms_m" in done.stdout
+    assert (
+        "measured shape RMS" in done.stdout
+        and "met    analytical measured_shape_rms_m" in done.stdout
+    )
     report = (run / "report.html").read_text("utf-8")
     assert "Difference of each plant from the measured robot" in report
     assert b"world/measured/connectors" in (run / "recording.rrd").read_bytes()
     assert "measured.parquet" in {path.name for path in run.iterdir()}
 
-    # The scenario in the folder is the same replay; a missed limit determines the exit code.
+    # The scenario in the folder is the same replay; a missed limit determines the exit
+    # code.
     resolved = run / "scenario.resolved.yaml"
     document = yaml.safe_load(resolved.read_text("utf-8"))
-    assert document["controller"] == {"kind": "replay"} and document["recording"]["longest_gap_s"] == 0.3
+    assert (
+        document["controller"] == {"kind": "replay"}
+        and document["recording"]["longest_gap_s"] == 0.3
+    )
     again = load_scenario(resolved)
     assert again.name == "walk_check" and again.robot == load_robot("gen2")
     resolved.write_text(resolved.read_text().replace("below: 0.02", "below: 0.0001"))
     missed = srs_twin("run", str(resolved), "--check", "--out", "x", "-q", cwd=tmp_path)
-    assert missed.returncode == 1 and "MISSED analytical measured_shape_rms_m" in missed.stderr
+    assert (
+        missed.returncode == 1
+        and "MISSED analytical measured_shape_rms_m" in missed.stderr
+    )
 
 
 @pytest.mark.slow
-def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_path, monkeypatch):
+def test_a_replay_of_pressures_can_be_repeated_from_another_folder(
+    perfect, tmp_path, monkeypatch
+):
     def ran(folder, *words):
         monkeypatch.chdir(folder)
         with pytest.raises(SystemExit) as end:
             main([*words, "-q", "--out", str(tmp_path / words[0])])
         assert end.value.code == 0
-        return json.loads((tmp_path / words[0] / "metrics.json").read_text("utf-8"))["plants"]["analytical"]
+        return json.loads((tmp_path / words[0] / "metrics.json").read_text("utf-8"))[
+            "plants"
+        ]["analytical"]
 
     words = ["-r", "gen2", "--plants", "analytical", "--offset=-5", "--frequency", "2"]
     first = ran(perfect, "replay", "take.csv", "--valves", "pressures.csv", *words)
     again = ran(tmp_path, "run", str(tmp_path / "replay/scenario.resolved.yaml"))
-    assert again["com_speed_m_s"] == first["com_speed_m_s"] and first["measured_path_rms_m"] < 2e-3
+    assert (
+        again["com_speed_m_s"] == first["com_speed_m_s"]
+        and first["measured_path_rms_m"] < 2e-3
+    )
     assert first["mechanical_power_w"] > 0
     assert first["pneumatic_power_w"] is None and first["valve_switches"] is None
 
@@ -306,9 +441,15 @@ def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_
     [
         (["none.csv"], "none.csv: no such file"),
         (["w.csv", "--valves", "none.csv"], "none.csv: no such file"),
-        (["w.csv", "--plants", "twn"], "--plants: 'twn' is unknown; allowed: analytical, twin"),
+        (
+            ["w.csv", "--plants", "twn"],
+            "--plants: 'twn' is unknown; allowed: analytical, twin",
+        ),
         (["w.csv", "--expect", "e.yaml"], "e.yaml:1:19: expect[0].metric"),
-        (["w.csv", "--check"], "--check: there are no expectations; give --expect FILE.yaml"),
+        (
+            ["w.csv", "--check"],
+            "--check: there are no expectations; give --expect FILE.yaml",
+        ),
         (["w.csv", "--fit", "none.yaml"], "none.yaml: no such file"),
         (["w.csv", "--offset", "1e6"], "frames in common"),
         (["w.csv", "--pressure", "-3"], "supply.pressure_kpa"),
@@ -317,8 +458,12 @@ def test_a_replay_of_pressures_can_be_repeated_from_another_folder(perfect, tmp_
 )
 def test_invalid_replays_are_refused(tmp_path, monkeypatch, capsys, words, message):
     for name in ("walk_check.csv", "walk_check.valves.csv"):
-        (tmp_path / name.replace("walk_check", "w")).write_bytes((EXAMPLE / name).read_bytes())
-    (tmp_path / "e.yaml").write_text("expect: [{metric: speed, plant: twin, below: 1}]\n")
+        (tmp_path / name.replace("walk_check", "w")).write_bytes(
+            (EXAMPLE / name).read_bytes()
+        )
+    (tmp_path / "e.yaml").write_text(
+        "expect: [{metric: speed, plant: twin, below: 1}]\n"
+    )
     monkeypatch.chdir(tmp_path)
     with pytest.raises(SystemExit) as end:
         main(["replay", *words, "-r", "gen2"])

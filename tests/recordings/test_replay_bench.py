@@ -32,23 +32,33 @@ def staircase() -> Schedule:
     """Return valve states of one module: at rest, bent to the left, held, bent to the right, vented."""
     states = [[-1, -1], [1, -1], [0, -1], [-1, 1], [-1, -1]]
     return Schedule(
-        SECONDS, np.array([0.0, 0.3, 0.42, 0.9, 1.4]), np.array(states, dtype=np.int8)[:, None, :]
+        SECONDS,
+        np.array([0.0, 0.3, 0.42, 0.9, 1.4]),
+        np.array(states, dtype=np.int8)[:, None, :],
     )
 
 
 def csv(columns: dict[str, np.ndarray]) -> str:
     rows = np.column_stack(list(columns.values()))
-    return "\n".join([",".join(columns), *(",".join(f"{v:.9g}" for v in row) for row in rows), ""])
+    return "\n".join(
+        [",".join(columns), *(",".join(f"{v:.9g}" for v in row) for row in rows), ""]
+    )
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
     """Return a folder with noise-free recordings of a module at another pose, and its logs."""
     folder = tmp_path_factory.mktemp("bench")
-    plant = AnalyticalSnake(MODULE, base="clamped", tick=0.001, layout="in_out", supply_pa=SUPPLY)
-    truth = rollout(plant, Replay(staircase()), SECONDS, pose=(0.3, -0.2, 2.1), record_hz=1000)
+    plant = AnalyticalSnake(
+        MODULE, base="clamped", tick=0.001, layout="in_out", supply_pa=SUPPLY
+    )
+    truth = rollout(
+        plant, Replay(staircase()), SECONDS, pose=(0.3, -0.2, 2.1), record_hz=1000
+    )
     time = truth.time
-    air = {f"pressure_{s}_1_kpa": truth[f"pressure_{s}_1"] / 1e3 for s in ("plus", "minus")}
+    air = {
+        f"pressure_{s}_1_kpa": truth[f"pressure_{s}_1"] / 1e3 for s in ("plus", "minus")
+    }
     bends = {"time_ms": 1e3 * time, "bend_1_deg": np.degrees(truth["bend_1"])}
     (folder / "sensor.csv").write_text(csv(bends))
     (folder / "logger.csv").write_text(csv(bends | air))
@@ -56,7 +66,11 @@ def bench(tmp_path_factory):
     schedule = staircase()
     starts = np.append(schedule.starts, SECONDS)
     states = np.vstack([schedule.states[:, 0], schedule.states[-1:, 0]])
-    valves = {"time": starts, "valve_plus_1": states[:, 0], "valve_minus_1": states[:, 1]}
+    valves = {
+        "time": starts,
+        "valve_plus_1": states[:, 0],
+        "valve_minus_1": states[:, 1],
+    }
     for name in ("sensor", "markers"):
         (folder / f"{name}.valves.csv").write_text(csv(valves))
     for name, layout in (("markers", "pair"), ("two", "head")):
@@ -70,17 +84,26 @@ def replayed(folder, motion="sensor.csv", valves="sensor.valves.csv", **changes)
     recording |= changes.pop("recording", {"offset_s": 0.0})
     return parse_scenario(
         {
-            "robot": "gen4_module", "bench": True, "duration_s": 1.9, "record_hz": 1000,
-            "controller": {"kind": "replay"}, "recording": recording,
+            "robot": "gen4_module",
+            "bench": True,
+            "duration_s": 1.9,
+            "record_hz": 1000,
+            "controller": {"kind": "replay"},
+            "recording": recording,
             "plants": {"analytical": {}, "twin": {}},
         }
         | changes
-    )  # fmt: skip
+    )
 
 
 def driven(scenario, kind, robot=None):
     plant = scenario.build_plant(kind, robot=robot)
-    run = rollout(plant, scenario.build_controller(), scenario.duration, record_hz=scenario.record_hz)
+    run = rollout(
+        plant,
+        scenario.build_controller(),
+        scenario.duration,
+        record_hz=scenario.record_hz,
+    )
     return MeasuredDifference.between(scenario.measured, run)
 
 
@@ -94,12 +117,15 @@ def driven(scenario, kind, robot=None):
         ("two.csv", "air.csv", {"offset_s": -7.0}),  # the second marker tells the head
     ],
 )
-def test_bench_replay_of_a_simulated_module_has_no_residual(bench, motion, valves, recording):
+def test_bench_replay_of_a_simulated_module_has_no_residual(
+    bench, motion, valves, recording
+):
     scenario = replayed(bench, motion, valves, recording=recording)
     found = {kind: driven(scenario, kind) for kind in ("analytical", "twin")}
     amplitude = np.ptp(scenario.measured["bend_1"])
     assert amplitude > 0.8
-    # The chord between two single markers determines the bend, with the error of five digits.
+    # The chord between two single markers determines the bend, with the error of five
+    # digits.
     assert found["analytical"].metrics["measured_bend_rms_rad"] < 1e-3 * amplitude
     assert found["twin"].metrics["measured_bend_rms_rad"] < 0.02 * amplitude
     stronger = with_values(MODULE, {"modules.gain_plus_1": 1.1})
@@ -107,14 +133,22 @@ def test_bench_replay_of_a_simulated_module_has_no_residual(bench, motion, valve
     assert worse > 20 * found["analytical"].metrics["measured_bend_rms_rad"]
     for each in found.values():
         told = each.metrics
-        assert told["measured_com_speed_rel"] is None and told["measured_yaw_rate_abs"] is None
+        assert (
+            told["measured_com_speed_rel"] is None
+            and told["measured_yaw_rate_abs"] is None
+        )
         if motion in ("sensor.csv", "logger.csv"):
             # The position of the body was not measured.
-            assert [name for name, value in told.items() if value is not None] == ["measured_bend_rms_rad"]
+            assert [name for name, value in told.items() if value is not None] == [
+                "measured_bend_rms_rad"
+            ]
             assert set(each.document()["rms"]) == {"bend_1_rad"}
         else:
             # Both are clamped at the same point, which is the origin.
-            assert told["measured_path_rms_m"] < 2e-3 and told["measured_shape_rms_m"] < 2e-3
+            assert (
+                told["measured_path_rms_m"] < 2e-3
+                and told["measured_shape_rms_m"] < 2e-3
+            )
     assert found["analytical"].comparison.metrics["path_rms_m"] < 1e-4
 
 
@@ -124,12 +158,20 @@ def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
     states = np.full((1, chain.segments, 2), -1, dtype=np.int8)
     states[0, :, 0] = [1, -1, 1, 1]
     plant = AnalyticalSnake(chain, base="clamped", tick=0.001)
-    truth = rollout(plant, Replay(Schedule(0.5, np.zeros(1), states)), 0.5, record_hz=100)
+    truth = rollout(
+        plant, Replay(Schedule(0.5, np.zeros(1), states)), 0.5, record_hz=100
+    )
     bends = {f"bend_{j}": truth[f"bend_{j}"] for j in range(1, 5)}
-    air = {f"valve_{s}_{j}": truth[f"valve_{s}_{j}"] for j in range(1, 5) for s in ("plus", "minus")}
+    air = {
+        f"valve_{s}_{j}": truth[f"valve_{s}_{j}"]
+        for j in range(1, 5)
+        for s in ("plus", "minus")
+    }
     path = tmp_path / "all.csv"
     path.write_text(csv({"time": truth.time} | bends | air))
-    found = on_bench(RecordingReader().take(str(path), str(path), chain), chain).trajectory
+    found = on_bench(
+        RecordingReader().take(str(path), str(path), chain), chain
+    ).trajectory
     assert np.abs(found.position - truth.position).max() < 1e-6
     assert np.abs(found.com - truth.com).max() < 1e-6
     assert np.abs(found.stack("theta") - truth.stack("theta")).max() < 1e-6
@@ -140,7 +182,9 @@ def test_a_bend_log_can_be_used_for_actuator_fits(bench):
     take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
     response = Response.from_recording(take, "sensor", SUPPLY)
     assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()
-    with pytest.raises(InputError, match="sensor: bends alone do not tell where a robot crawled"):
+    with pytest.raises(
+        InputError, match="sensor: bends alone do not tell where a robot crawled"
+    ):
         gait_run(take, "sensor", SUPPLY)
 
 
@@ -153,17 +197,27 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
     body = RecordingReader(longest_gap_s=0.1).body(str(path), MODULE)
     assert body.summary.samples_filled == 2 and "filled: 2 bends" in body.summary.text()
     assert body.trajectory.time[-1] == pytest.approx(1.698)
-    whole = RecordingReader().body(str(bench / "sensor.csv"), MODULE).trajectory["bend_1"]
-    assert np.abs(body.trajectory["bend_1"] - whole[: len(body.trajectory)]).max() < 2e-3
+    whole = (
+        RecordingReader().body(str(bench / "sensor.csv"), MODULE).trajectory["bend_1"]
+    )
+    assert (
+        np.abs(body.trajectory["bend_1"] - whole[: len(body.trajectory)]).max() < 2e-3
+    )
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("bend_1,air\n1,1\n", "x.csv:1: no column 'time'; a bend log has time,bend_1"),
-        ("time,bend_1,bend_2\n0,0,0\n", "x.csv:1:3: bend_2: gen4_module has 1 segments"),
+        (
+            "time,bend_1,bend_2\n0,0,0\n",
+            "x.csv:1:3: bend_2: gen4_module has 1 segments",
+        ),
         ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed: rad, deg"),
-        ("time,bend_1\n0,0\n0.1,47.9\n", r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg"),
+        (
+            "time,bend_1\n0,0\n0.1,47.9\n",
+            r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg",
+        ),
         ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: the row has no time"),
         ("time,bend_1\n0,0\n1,1\n", "x.csv: 2 frames"),
     ],
@@ -177,18 +231,31 @@ def test_invalid_bend_logs_are_refused(tmp_path, text, message):
 def test_a_moving_head_is_refused_on_a_bench(bench):
     """A module that is clamped at its other end, or free, is another experiment."""
     with pytest.raises(
-        InputFileError, match=r"recording.motion: .*markers.csv: the head moves by [\d.]+ mm and turns by 40°"
+        InputFileError,
+        match=(
+            r"recording.motion: .*markers.csv: the head moves by [\d.]+ mm and turns"
+            r" by 40°"
+        ),
     ):
-        replayed(bench, "markers.csv", "markers.valves.csv", recording={"offset_s": 0.0, "head": "snake:2a"})
+        replayed(
+            bench,
+            "markers.csv",
+            "markers.valves.csv",
+            recording={"offset_s": 0.0, "head": "snake:2a"},
+        )
     take = read_motion(bench / "markers.csv", MODULE, head=HEAD)
     columns = dict(take.trajectory.columns)
     columns["theta_1"] = columns["theta_1"] + 0.2 * np.sin(3 * columns["time"])
     with pytest.raises(InputError, match="moves by 0 mm and turns by 1[12]°"):
-        on_bench(replace(take, trajectory=replace(take.trajectory, columns=columns)), MODULE)
+        on_bench(
+            replace(take, trajectory=replace(take.trajectory, columns=columns)), MODULE
+        )
 
 
 def test_bench_velocities_are_the_slopes_of_the_positions(bench):
-    found = on_bench(read_motion(bench / "markers.csv", MODULE, head=HEAD), MODULE).trajectory
+    found = on_bench(
+        read_motion(bench / "markers.csv", MODULE, head=HEAD), MODULE
+    ).trajectory
     for axis in "xy":
         slope = np.gradient(found[f"com_{axis}"], found.time)
         speed = found[f"com_velocity_{axis}"]
@@ -200,12 +267,21 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"bench": False}, r"recording.motion: bends alone do not tell .*, or bench: true"),
+        (
+            {"bench": False},
+            r"recording.motion: bends alone do not tell .*, or bench: true",
+        ),
         ({"start": {"x_m": 1.0}}, "start: a module on a bench starts at its clamp"),
-        ({"plants": {"analytical": {"friction": "wheel"}}}, "there is no floor on a bench"),
+        (
+            {"plants": {"analytical": {"friction": "wheel"}}},
+            "there is no floor on a bench",
+        ),
         ({"motion": "none.csv"}, r"recording.motion: .*none.csv: no such file"),
         ({"valves": "sensor.csv"}, r"recording.valves: .*one of valve_plus_1,…"),
-        ({"recording": {"offset_s": 90.0}}, r"recording.offset_s: .*0 frames in common"),
+        (
+            {"recording": {"offset_s": 90.0}},
+            r"recording.offset_s: .*0 frames in common",
+        ),
         (
             {"motion": "markers.csv", "recording": {"head": "tip"}},
             r"recording.head: .*: unknown marker 'tip'",
@@ -221,13 +297,23 @@ def test_invalid_bench_replays_name_their_place(bench, changes, message):
 def test_bench_replay_command(bench, srs_twin, tmp_path):
     expect = tmp_path / "expect.yaml"
     expect.write_text(
-        "expect:\n  - {metric: measured_bend_rms_rad, plant: analytical, below: 0.001}\n"
-        "  - {metric: measured_bend_rms_rad, plant: twin, below: 0.02}\n"
+        "expect:\n  - {metric: measured_bend_rms_rad, plant: analytical, below:"
+        " 0.001}\n  - {metric: measured_bend_rms_rad, plant: twin, below: 0.02}\n"
     )
-    words = ["replay", str(bench / "logger.csv"), "--valves", str(bench / "logger.csv"), "-r", "gen4_module"]
+    words = [
+        "replay",
+        str(bench / "logger.csv"),
+        "--valves",
+        str(bench / "logger.csv"),
+        "-r",
+        "gen4_module",
+    ]
     done = srs_twin(*words, "--bench", "--expect", str(expect), "--check", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "measured bend RMS" in done.stdout and "met    twin measured_bend_rms_rad" in done.stdout
+    assert (
+        "measured bend RMS" in done.stdout
+        and "met    twin measured_bend_rms_rad" in done.stdout
+    )
     run = tmp_path / "runs/logger"
     metrics = json.loads((run / "metrics.json").read_text("utf-8"))
     assert metrics["residuals"]["twin"]["rms"].keys() == {"bend_1_rad"}
@@ -235,8 +321,19 @@ def test_bench_replay_command(bench, srs_twin, tmp_path):
     recording = (run / "recording.rrd").read_bytes()
     assert b"measured/bend/twin" in recording and b"measured/shape/" not in recording
     report = (run / "report.html").read_text("utf-8")
-    assert "Difference of each plant from the measured robot" in report and "measured bend RMS" in report
-    again = srs_twin("run", str(run / "scenario.resolved.yaml"), "--check", "--out", "x", "-q", cwd=tmp_path)
+    assert (
+        "Difference of each plant from the measured robot" in report
+        and "measured bend RMS" in report
+    )
+    again = srs_twin(
+        "run",
+        str(run / "scenario.resolved.yaml"),
+        "--check",
+        "--out",
+        "x",
+        "-q",
+        cwd=tmp_path,
+    )
     assert again.returncode == 0, again.stderr
     refused = srs_twin(*words, "--bench", "--law", "axis", cwd=tmp_path)
     assert (
@@ -251,7 +348,11 @@ def test_both_plants_are_clamped_at_the_same_point():
     """A recording is therefore transformed to the clamp of either plant."""
     chain = load_robot("gen2")
     heads = [
-        rollout(plant(chain, base="clamped"), Replay(Schedule(0.1, np.zeros(1), _vented(chain))), 0.1)
+        rollout(
+            plant(chain, base="clamped"),
+            Replay(Schedule(0.1, np.zeros(1), _vented(chain))),
+            0.1,
+        )
         for plant in (AnalyticalSnake, TwinSnake)
     ]
     assert heads[0].position[0, 0] == pytest.approx(heads[1].position[0, 0], abs=1e-6)

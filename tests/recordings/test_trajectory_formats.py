@@ -26,7 +26,9 @@ def walk(markers):
 
 
 def cells(values, decimals):
-    return ["" if np.isnan(value) else f"{value:.{decimals}f}" for value in np.ravel(values)]
+    return [
+        "" if np.isnan(value) else f"{value:.{decimals}f}" for value in np.ravel(values)
+    ]
 
 
 def trc(points, unit="mm", *, rate=RATE, blank=True, tab=False, first=1, decimals=5):
@@ -36,11 +38,19 @@ def trc(points, unit="mm", *, rate=RATE, blank=True, tab=False, first=1, decimal
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
         f"{rate:g}\t{rate:g}\t{FRAMES}\t{count}\t{unit}\t{rate:g}\t1\t{FRAMES}",
         "Frame#\tTime\t" + "\t\t\t".join(f"m{k}" for k in range(count)) + "\t\t\t",
-        "\t\t" + "\t".join(f"{axis}{k + 1}" for k in range(count) for axis in "XYZ") + "\t",
+        "\t\t"
+        + "\t".join(f"{axis}{k + 1}" for k in range(count) for axis in "XYZ")
+        + "\t",
         *([""] if blank else []),
     ]
     rows = [
-        "\t".join([f"{k + first}", f"{(k + first - 1) / rate:.3f}", *cells(row / UNITS[unit], decimals)])
+        "\t".join(
+            [
+                f"{k + first}",
+                f"{(k + first - 1) / rate:.3f}",
+                *cells(row / UNITS[unit], decimals),
+            ]
+        )
         for k, row in enumerate(points)
     ]
     return "\r\n".join([*head, *(row + "\t" * tab for row in rows)]) + "\r\n"
@@ -53,7 +63,11 @@ def test_trc_positions_are_read(tmp_path, unit, blank, tab):
     points = walk(4)
     (tmp_path / "run.txt").write_text(trc(points, unit, blank=blank, tab=tab))
     found = read_markers(tmp_path / "run.txt")
-    assert found.kind == "TRC" and found.labels == ("m0", "m1", "m2", "m3") and found.header_frames == FRAMES
+    assert (
+        found.kind == "TRC"
+        and found.labels == ("m0", "m1", "m2", "m3")
+        and found.header_frames == FRAMES
+    )
     assert (np.isnan(found.points) == np.isnan(points)).all()
     assert np.nanmax(np.abs(found.points - points)) <= 0.5e-5 * UNITS[unit] + 1e-9
     assert np.abs(found.time - np.arange(FRAMES) / RATE).max() < 1e-9
@@ -62,7 +76,10 @@ def test_trc_positions_are_read(tmp_path, unit, blank, tab):
 def test_trc_with_an_offset_start_and_a_rounded_rate(tmp_path):
     (tmp_path / "a.trc").write_text(trc(walk(3), rate=59.94, first=300))
     found = read_markers(tmp_path / "a.trc")
-    assert np.abs(np.diff(found.time) - 1 / 59.94).max() < 1e-9 and abs(found.time[0] - 4.988) < 1e-9
+    assert (
+        np.abs(np.diff(found.time) - 1 / 59.94).max() < 1e-9
+        and abs(found.time[0] - 4.988) < 1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -80,26 +97,42 @@ def test_damaged_trc_is_refused(tmp_path, old, new, words):
         read_markers(tmp_path / "a.trc")
 
 
-@pytest.mark.parametrize("head", ["# timestamp tx ty tz qx qy qz qw\n", "", "# by evo\n#\n"])
+@pytest.mark.parametrize(
+    "head", ["# timestamp tx ty tz qx qy qz qw\n", "", "# by evo\n#\n"]
+)
 @pytest.mark.parametrize("origin", [0.0, 12.5, 1_700_000_000.0])
 @pytest.mark.parametrize("space", [" ", "  ", "\t"])
 def test_tum_poses_are_read(tmp_path, head, origin, space):
-    points, turns = walk(1), Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat()
+    points, turns = (
+        walk(1),
+        Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat(),
+    )
     rows = np.column_stack([origin + np.arange(FRAMES) / RATE, points[:, 0], turns])
-    text = head + "".join(space.join(f"{value:.9f}" for value in row) + " \n" for row in rows)
+    text = head + "".join(
+        space.join(f"{value:.9f}" for value in row) + " \n" for row in rows
+    )
     (tmp_path / "head.tum").write_text(text)
     found = read_markers(tmp_path / "head.tum")
-    assert identify(tmp_path / "head.tum") == found.kind == "TUM trajectory" and found.labels == ("head",)
-    assert np.abs(found.points - points).max() < 1e-9 and np.abs(found.rotations[:, 0] - turns).max() < 1e-9
+    assert identify(
+        tmp_path / "head.tum"
+    ) == found.kind == "TUM trajectory" and found.labels == ("head",)
+    assert (
+        np.abs(found.points - points).max() < 1e-9
+        and np.abs(found.rotations[:, 0] - turns).max() < 1e-9
+    )
     assert np.abs(np.diff(found.time) - 1 / RATE).max() < 1e-6
     assert found.time[0] == (0.0 if origin > 1e8 else origin)
 
 
 def test_eight_numbers_without_a_unit_quaternion_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("0.1 1 2 3 4 5 6 7\n" * 5)
-    with pytest.raises(InputError, match="eight numbers per line are read as .* a quaternion"):
+    with pytest.raises(
+        InputError, match="eight numbers per line are read as .* a quaternion"
+    ):
         read_markers(tmp_path / "a.txt")
-    (tmp_path / "b.txt").write_text("0.1" + " " * 200_000 + "1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n")
+    (tmp_path / "b.txt").write_text(
+        "0.1" + " " * 200_000 + "1 2 3 0 0 0 1\n0.2 1 2 3 0 0 0 1\n"
+    )
     began = time.perf_counter()
     with pytest.raises(InputError):
         read_markers(tmp_path / "b.txt")
@@ -118,7 +151,11 @@ def tracker(points, turns, unit, angle):
     """Return a Tracker export; `angle` is rad or deg (rotation vectors), or a quaternion."""
     names, axes, units, rows = ["", ""], ["Frame", "Sub Frame"], ["", ""], []
     if angle == "quaternion":
-        rotation, own, said = turns.as_quat().reshape(FRAMES, -1, 4), ["RX", "RY", "RZ", "RW"], [""] * 4
+        rotation, own, said = (
+            turns.as_quat().reshape(FRAMES, -1, 4),
+            ["RX", "RY", "RZ", "RW"],
+            [""] * 4,
+        )
     else:
         rotation = turns.as_rotvec(degrees=angle == "deg").reshape(FRAMES, -1, 3)
         own, said = ["RX", "RY", "RZ"], [angle] * 3
@@ -132,21 +169,33 @@ def tracker(points, turns, unit, angle):
             row += [*cells(rotation[k, m] * (np.nan if np.isnan(place[0]) else 1), 9)]
             row += cells(place / UNITS[unit], 6)
         rows.append(",".join(row))
-    return "\n".join(["Objects", "100", ",".join(names), ",".join(axes), ",".join(units), *rows]) + "\n"
+    return (
+        "\n".join(
+            ["Objects", "100", ",".join(names), ",".join(axes), ",".join(units), *rows]
+        )
+        + "\n"
+    )
 
 
 @pytest.mark.parametrize("unit", ["mm", "m"])
 @pytest.mark.parametrize("angle", ["rad", "deg", "quaternion"])
 def test_vicon_tracker_objects_are_read(tmp_path, unit, angle):
     points = walk(3)
-    turns = Rotation.from_euler("xyz", np.random.default_rng(2).uniform(-1, 1, size=(FRAMES * 3, 3)))
+    turns = Rotation.from_euler(
+        "xyz", np.random.default_rng(2).uniform(-1, 1, size=(FRAMES * 3, 3))
+    )
     (tmp_path / "a.csv").write_text(tracker(points, turns, unit, angle))
     found = read_markers(tmp_path / "a.csv")
-    assert found.labels == ("snake:c0", "snake:c1", "snake:c2") and found.kind == "Vicon CSV"
+    assert (
+        found.labels == ("snake:c0", "snake:c1", "snake:c2")
+        and found.kind == "Vicon CSV"
+    )
     assert (np.isnan(found.points) == np.isnan(points)).all()
     assert np.nanmax(np.abs(found.points - points)) < 0.5e-6 * UNITS[unit] + 1e-9
     expected = turns.as_quat().reshape(FRAMES, 3, 4)
     seen = ~np.isnan(points[..., 0])
     assert (np.isfinite(found.rotations).all(axis=-1) == seen).all()
-    assert np.abs(np.abs((found.rotations * expected).sum(axis=-1)[seen]) - 1).max() < 1e-6
+    assert (
+        np.abs(np.abs((found.rotations * expected).sum(axis=-1)[seen]) - 1).max() < 1e-6
+    )
     assert np.abs(found.time - np.arange(FRAMES) / RATE).max() < 1e-9

@@ -19,8 +19,15 @@ from srs_twin.recordings.signals.logs import log_of_topics, read_valves
 
 pytestmark = pytest.mark.fast
 
-HEAD = ",".join(["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))])
-PSI = HEAD.replace("valve", "pressure").replace(",", "_psi,").replace("time_psi", "time_ms") + "_psi"
+HEAD = ",".join(
+    ["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))]
+)
+PSI = (
+    HEAD.replace("valve", "pressure")
+    .replace(",", "_psi,")
+    .replace("time_psi", "time_ms")
+    + "_psi"
+)
 
 
 def log(folder, text):
@@ -49,20 +56,37 @@ def test_offset_is_estimated_from_the_start_of_a_gait(tmp_path, captured, shift)
 def test_pressures_drive_the_bends_without_delay(tmp_path, captured):
     truth = motion()
     names = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
-    values = np.column_stack([1e3 * (truth.time + 7), *(truth[name] / 6894.757 for name in names)])
-    text = PSI + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in values)
+    values = np.column_stack(
+        [1e3 * (truth.time + 7), *(truth[name] / 6894.757 for name in names)]
+    )
+    text = (
+        PSI + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in values)
+    )
     joined = join(captured, log(tmp_path, text), SPEC)
-    assert joined.trajectory.metadata["valve_log"]["offset_s"] == pytest.approx(-7.0, abs=0.001)
+    assert joined.trajectory.metadata["valve_log"]["offset_s"] == pytest.approx(
+        -7.0, abs=0.001
+    )
     rows = np.rint(joined.trajectory.time * 100).astype(int)
-    assert np.abs(joined.trajectory["pressure_plus_2"] - truth["pressure_plus_2"][rows]).max() < 2e3
+    assert (
+        np.abs(
+            joined.trajectory["pressure_plus_2"] - truth["pressure_plus_2"][rows]
+        ).max()
+        < 2e3
+    )
 
 
 def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
-    middle = {name: column[100:300] for name, column in captured.trajectory.columns.items()}
+    middle = {
+        name: column[100:300] for name, column in captured.trajectory.columns.items()
+    }
     inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
     text = valve_csv(motion(), 0.8, 4.0, 0.0)
     with pytest.raises(
-        InputError, match=r"offset of its clock is ambiguous: \d+ offsets fit .* because the gait is periodic"
+        InputError,
+        match=(
+            r"offset of its clock is ambiguous: \d+ offsets fit .* because the gait is"
+            r" periodic"
+        ),
     ):
         join(inside, log(tmp_path, text), SPEC)
     given_one = join(inside, log(tmp_path, text), SPEC, offset=0.0)
@@ -73,17 +97,25 @@ def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
 def test_a_log_of_another_run_is_refused(tmp_path, captured):
     other = valve_csv(motion(4.0, 0.0, 1.3), 0.0, 4.0, 0.0)
     with pytest.raises(
-        InputError, match=r"valves.csv: (no offset explains|the offset of its clock is ambiguous)"
+        InputError,
+        match=r"valves.csv: (no offset explains|the offset of its clock is ambiguous)",
     ):
         join(captured, log(tmp_path, other), SPEC)
 
 
 def test_frames_outside_the_log_are_left_out_with_a_note(tmp_path, captured):
-    joined = join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0)
+    joined = join(
+        captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0
+    )
     assert (joined.trajectory.time[0], joined.trajectory.time[-1]) == (1.0, 2.0)
     assert any("frames outside the log" in each for each in joined.summary.corrections)
     with pytest.raises(InputError, match="0 frames in common"):
-        join(captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=100.0)
+        join(
+            captured,
+            log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)),
+            SPEC,
+            offset=100.0,
+        )
 
 
 @settings(max_examples=20)
@@ -107,7 +139,8 @@ def test_standard_error_equals_the_scatter_over_noise():
     """Errors of 200 offsets divided by their standard errors; the standard deviation of 200 values is known
     within 5 %.
 
-    Resampling at half of a frame's time smooths white noise, which makes the standard errors a little large.
+    Resampling at half of a frame's time smooths white noise, which makes the standard
+    errors a little large.
     """
     time, log_time = np.arange(0, 8, 0.02), np.arange(0, 8, 0.002)
 
@@ -137,12 +170,19 @@ def test_modelled_bends_begin_when_initial_pressures_have_settled(fill, vent):
     clock, bends = driven_bends(cut, spec)
     all_times, all_bends = driven_bends(whole, spec)
     assert all_times[0] == 0.0 and clock[-1] == pytest.approx(5.9)
-    same = np.stack([np.interp(clock, all_times, column) for column in all_bends.T], axis=1)
+    same = np.stack(
+        [np.interp(clock, all_times, column) for column in all_bends.T], axis=1
+    )
     assert np.abs(bends - same).max() < np.exp(-5) * np.abs(all_bends).max()
 
 
 def test_valve_states_hold_until_the_next_row(tmp_path):
-    rows = ["0.0" + ",-1" * 8, "0.5,1" + ",-1" * 7, "0.5,1,-1,1" + ",-1" * 5, "2.0" + ",-1" * 8]
+    rows = [
+        "0.0" + ",-1" * 8,
+        "0.5,1" + ",-1" * 7,
+        "0.5,1,-1,1" + ",-1" * 5,
+        "2.0" + ",-1" * 8,
+    ]
     found = log(tmp_path, "\n".join([HEAD, rows[3], *rows[:3], ""]))
     assert found.time.tolist() == [0.0, 0.5, 2.0]
     assert found.at(np.array([0.2, 0.5, 1.9, 5.0]))[:, 1, 0].tolist() == [-1, 1, 1, -1]
@@ -155,7 +195,9 @@ def test_valve_states_hold_until_the_next_row(tmp_path):
 @pytest.mark.parametrize("full", [1.0, 100.0], ids=["shares", "percent"])
 def test_valves_fill_for_the_duty_of_each_carrier_period(tmp_path, full):
     duty = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
-    rows = [",".join(f"{each:g}" for each in (time, *(full * duty))) for time in (0.0, 2.0)]
+    rows = [
+        ",".join(f"{each:g}" for each in (time, *(full * duty))) for time in (0.0, 2.0)
+    ]
     path = tmp_path / "duties.csv"
     path.write_text("\n".join([HEAD.replace("valve", "duty"), *rows, ""]), "utf-8")
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
@@ -174,19 +216,43 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("valve_plus_1", "valve_plus_9", "valves.csv:1: valve_plus_1 is missing; gen2 has 4 segments"),
-        ("valve_minus_4", "valve_minus_4,valve_plus_5", "valve_plus_5: gen2 has 4 segments"),
+        (
+            "valve_plus_1",
+            "valve_plus_9",
+            "valves.csv:1: valve_plus_1 is missing; gen2 has 4 segments",
+        ),
+        (
+            "valve_minus_4",
+            "valve_minus_4,valve_plus_5",
+            "valve_plus_5: gen2 has 4 segments",
+        ),
         ("time", "clock", "valves.csv:1: no column 'time'"),
-        ("valve_plus_2", "valve_plus_1", "valves.csv:1:4: valve_plus_1: the same as column"),
-        ("valve_plus_1", "valve_plus_1_kpa", "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known"),
-        ("valve_plus_1", "pressure_plus_1", "this file has pressure, valve; give other"),
+        (
+            "valve_plus_2",
+            "valve_plus_1",
+            "valves.csv:1:4: valve_plus_1: the same as column",
+        ),
+        (
+            "valve_plus_1",
+            "valve_plus_1_kpa",
+            "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known",
+        ),
+        (
+            "valve_plus_1",
+            "pressure_plus_1",
+            "this file has pressure, valve; give other",
+        ),
         ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
-        ("1.0,-1", "1.0,2", ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold)"),
+        (
+            "1.0,-1",
+            "1.0,2",
+            ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold)",
+        ),
         ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: the value is missing"),
         ("1.0,", ",", "valves.csv:3:1: the row has no time"),
         ("1.0,", "one,", "valves.csv:3:1: 'one' is not a number"),
     ],
-)  # fmt: skip
+)
 def test_errors_of_a_log_name_their_place(tmp_path, monkeypatch, old, new, says):
     monkeypatch.chdir(tmp_path)
     good = f"{HEAD}\n0.0{',-1' * 8}\n1.0{',-1' * 8}\n"
@@ -205,25 +271,45 @@ def test_set_points_hold_until_the_next_row(tmp_path):
     """A regulator holds its set point, while measured pressures are interpolated."""
     path = tmp_path / "air.csv"
     for kind, between in (("setpoint", 10e3), ("pressure", 15e3)):
-        head = HEAD.replace("valve", kind).replace(",", "_kpa,").replace("time_kpa", "time") + "_kpa"
+        head = (
+            HEAD.replace("valve", kind)
+            .replace(",", "_kpa,")
+            .replace("time_kpa", "time")
+            + "_kpa"
+        )
         rows = [[1.0, *[10.0] * 8], [2.0, *[20.0] * 8], [3.0, *[0.0] * 8]]
-        path.write_text("\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n")
+        path.write_text(
+            "\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n"
+        )
         found = read_valves(path, SPEC)
-        assert found.at(np.array([1.0, 1.5, 2.0, 3.0]))[:, 2, 1] == pytest.approx([10e3, between, 20e3, 0.0])
+        assert found.at(np.array([1.0, 1.5, 2.0, 3.0]))[:, 2, 1] == pytest.approx(
+            [10e3, between, 20e3, 0.0]
+        )
         time, values = found.breakpoints()
         assert (np.diff(time) > 0).all()
-        assert np.interp([1.5, 1.99999, 2.0, 2.5], time, values[:, 2, 1]) == pytest.approx(
-            [between, 10e3 if kind == "setpoint" else 19999.9, 20e3, 20e3 if kind == "setpoint" else 10e3]
+        assert np.interp(
+            [1.5, 1.99999, 2.0, 2.5], time, values[:, 2, 1]
+        ) == pytest.approx(
+            [
+                between,
+                10e3 if kind == "setpoint" else 19999.9,
+                20e3,
+                20e3 if kind == "setpoint" else 10e3,
+            ]
         )
 
 
 def test_set_points_of_signals_hold_until_their_next_message(tmp_path):
     signals = {}
-    for k, (side, j) in enumerate((side, j) for side in ("plus", "minus") for j in range(1, 5)):
+    for k, (side, j) in enumerate(
+        (side, j) for side in ("plus", "minus") for j in range(1, 5)
+    ):
         start = np.array([0.0, 1.0, 2.0]) + 0.1 * k
         signals[f"setpoint_kpa_{side}_{j}"] = (start, np.array([10.0, 20.0, 30.0]))
     topics = RecordedTopics("a.mcap", "", 0, None, signals, ())
-    found = log_of_topics(topics, SPEC, RecordingMap(log={name: name for name in signals}))
+    found = log_of_topics(
+        topics, SPEC, RecordingMap(log={name: name for name in signals})
+    )
     assert found.at(np.array([0.95, 1.45]))[:, 3, 0] == pytest.approx([10e3, 20e3])
     assert found.at(np.array([1.05]))[0, 0, 0] == pytest.approx(20e3)
     assert found.at(np.array([1.05]))[0, 3, 1] == pytest.approx(10e3)

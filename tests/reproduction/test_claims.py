@@ -19,26 +19,73 @@ CLAIMS = load_claims()
 
 # Original list of claims: claim → relative tolerance, if one was set.
 ORIGINAL = {
-    "act-step-gen4": 0.01, "friction-spring-car": 0.03, "gen1-forward": 0.3, "gen1-shape-rms": None,
-    "gen1-no-turn": None, "gen1-circles": None, "gen1-grid": None, "gen2-top-speed": 0.15,
-    "gen2-ten-times-gen1": None, "gen2-straight": None, "gen2-radius": None, "gen2-fig34": None,
-    "gen2-turn-rate": None, "gen3-speed": 0.3, "gen3-symmetry": None, "gen3-frequency-trend": None,
-    "gen3-speed-frequency": None, "gen3-yaw": None, "gen3-amplitude-order": None, "gen3-smoothing": None,
-    "gen3-sensors": None, "gen3-tail-lift": None, "sensor-linear": None, "sensor-injective": None,
-    "module-static": 0.1, "smc-direct-step": 0.25, "smc-iterative-step": 0.25, "smc-6hz-amplitude": None,
-    "smc-low-frequency": None, "smc-hold": None, "smc-valves-6hz": 0.3, "smc-valves-2hz": 0.3,
-    "smc-leak": None, "ilc-straight": None, "ilc-curve": None, "ilc-growth": None, "table8": 0.2,
-    "table9": None, "plan-example": None, "plan-success": None, "follow-sim": None, "experiments": None,
-    "follow-causes": None, "table10": None,
-}  # fmt: skip
+    "act-step-gen4": 0.01,
+    "friction-spring-car": 0.03,
+    "gen1-forward": 0.3,
+    "gen1-shape-rms": None,
+    "gen1-no-turn": None,
+    "gen1-circles": None,
+    "gen1-grid": None,
+    "gen2-top-speed": 0.15,
+    "gen2-ten-times-gen1": None,
+    "gen2-straight": None,
+    "gen2-radius": None,
+    "gen2-fig34": None,
+    "gen2-turn-rate": None,
+    "gen3-speed": 0.3,
+    "gen3-symmetry": None,
+    "gen3-frequency-trend": None,
+    "gen3-speed-frequency": None,
+    "gen3-yaw": None,
+    "gen3-amplitude-order": None,
+    "gen3-smoothing": None,
+    "gen3-sensors": None,
+    "gen3-tail-lift": None,
+    "sensor-linear": None,
+    "sensor-injective": None,
+    "module-static": 0.1,
+    "smc-direct-step": 0.25,
+    "smc-iterative-step": 0.25,
+    "smc-6hz-amplitude": None,
+    "smc-low-frequency": None,
+    "smc-hold": None,
+    "smc-valves-6hz": 0.3,
+    "smc-valves-2hz": 0.3,
+    "smc-leak": None,
+    "ilc-straight": None,
+    "ilc-curve": None,
+    "ilc-growth": None,
+    "table8": 0.2,
+    "table9": None,
+    "plan-example": None,
+    "plan-success": None,
+    "follow-sim": None,
+    "experiments": None,
+    "follow-causes": None,
+    "table10": None,
+}
 LAWS = {
-    "friction-spring-car", "gen1-no-turn", "gen2-straight", "gen3-symmetry", "gen3-frequency-trend", "table9",
+    "friction-spring-car",
+    "gen1-no-turn",
+    "gen2-straight",
+    "gen3-symmetry",
+    "gen3-frequency-trend",
+    "table9",
     "plan-example",
-}  # fmt: skip
+}
 HOLDOUTS = {
-    "gen1-forward", "gen1-shape-rms", "gen2-top-speed", "gen2-turn-rate", "gen3-speed", "smc-direct-step",
-    "smc-6hz-amplitude", "smc-valves-6hz", "ilc-straight", "follow-sim", "experiments",
-}  # fmt: skip
+    "gen1-forward",
+    "gen1-shape-rms",
+    "gen2-top-speed",
+    "gen2-turn-rate",
+    "gen3-speed",
+    "smc-direct-step",
+    "smc-6hz-amplitude",
+    "smc-valves-6hz",
+    "ilc-straight",
+    "follow-sim",
+    "experiments",
+}
 
 
 def rows_of(claim):
@@ -51,36 +98,58 @@ def test_every_original_claim_has_rows(claim):
     assert rows_of(claim)
 
 
-@pytest.mark.parametrize("claim", [claim for claim, tol in ORIGINAL.items() if tol is not None])
+@pytest.mark.parametrize(
+    "claim", [claim for claim, tol in ORIGINAL.items() if tol is not None]
+)
 def test_no_tolerance_is_wider_than_the_original_one(claim):
     checked = 0
     for row in rows_of(claim):
-        # Rows that we added to a claim: correlations and differences between the plants.
-        if not row.value or row.rule == "ordering" or row.unit.startswith("correlation"):
+        # Rows that we added to a claim: correlations and differences between the
+        # plants.
+        if (
+            not row.value
+            or row.rule == "ordering"
+            or row.unit.startswith("correlation")
+        ):
             continue
         for bound in (row.low, row.high):
             if math.isfinite(bound):
-                assert abs(bound - row.value) <= ORIGINAL[claim] * abs(row.value) * (1 + 1e-9), row.id
+                assert abs(bound - row.value) <= ORIGINAL[claim] * abs(row.value) * (
+                    1 + 1e-9
+                ), row.id
                 checked += 1
     assert checked
 
 
 def test_bounds_of_every_row_are_those_of_the_committed_table():
     """A changed bound must be changed in bounds.csv by hand, in the same commit."""
-    header, *expected = (ROOT / "tests/reproduction/bounds.csv").read_text("utf-8").splitlines()
+    header, *expected = (
+        (ROOT / "tests/reproduction/bounds.csv").read_text("utf-8").splitlines()
+    )
     assert header == "id,low,high"
     assert [f"{row.id},{row.low:.9g},{row.high:.9g}" for row in CLAIMS] == expected
 
 
 def test_uses_are_the_original_ones():
-    assert all(row.use == "law" for claim in LAWS for row in rows_of(claim) if row.id != "table9.larger")
-    assert all(row.use in ("holdout", "law", "shape") for claim in HOLDOUTS for row in rows_of(claim))
+    assert all(
+        row.use == "law"
+        for claim in LAWS
+        for row in rows_of(claim)
+        if row.id != "table9.larger"
+    )
+    assert all(
+        row.use in ("holdout", "law", "shape")
+        for claim in HOLDOUTS
+        for row in rows_of(claim)
+    )
     table = {row.id: row.use for row in rows_of("table8")}
     fitted = {name for name, use in table.items() if use == "fit"}
     columns = ("speed", "radius", "left", "right")
     repeated = {"table8.right.p01", "table8.right.p02", "table8.left.m02"}
     assert fitted == repeated | {
-        f"table8.{column}.{setting}" for column in columns for setting in ("0", "p03", "m03")
+        f"table8.{column}.{setting}"
+        for column in columns
+        for setting in ("0", "p03", "m03")
     }
     assert len(table) == 28
 
@@ -93,21 +162,32 @@ def test_there_are_at_least_fifty_rows_with_unique_names():
 def test_table_rows_have_the_sign_of_their_offset():
     rows = {row.id: row for row in CLAIMS}
     right = rows["table8.radius.m02"]
-    assert (right.value, right.all_measures[0].where) == (-0.8445, {"controller.offset": -0.2})
+    assert (right.value, right.all_measures[0].where) == (
+        -0.8445,
+        {"controller.offset": -0.2},
+    )
     assert (right.low, right.high) == pytest.approx((-1.2 * 0.8445, -0.8 * 0.8445))
 
 
 def slugs(page):
     """Return the anchors of a Markdown page as hosting sites make them."""
     headings = re.findall(r"^#+ (.*)$", (ROOT / page).read_text("utf-8"), re.M)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return {
+        re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+        for heading in headings
+    }
 
 
 def test_causes_name_existing_sections_and_switches():
-    switches = {switch.name for switch in PlantVariants(load_scenario("gen3_straight"))._all_switches()}
+    switches = {
+        switch.name
+        for switch in PlantVariants(load_scenario("gen3_straight"))._all_switches()
+    }
     causes = [cause for row in CLAIMS for cause in row.cause]
     # The supply flow is an assumption of both plants, so it is no switch between them.
-    assert {cause.switch for cause in causes if cause.switch} <= switches | {"supply flow"}
+    assert {cause.switch for cause in causes if cause.switch} <= switches | {
+        "supply flow"
+    }
     for docs in {cause.docs for cause in causes if cause.docs}:
         page, _, anchor = docs.partition("#")
         assert (ROOT / page).is_file(), docs
@@ -139,29 +219,70 @@ ROW = """\
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("use: holdout", "use: guess", "4:8: [0].use: must be one of fit, holdout, law, shape"),
+        (
+            "use: holdout",
+            "use: guess",
+            "4:8: [0].use: must be one of fit, holdout, law, shape",
+        ),
         ("  rule: near\n", "", "a rule is needed: near, below, above or ordering"),
         ("  tol: 0.1\n", "", "near needs either tol or abs"),
-        ("gen2_straight", "gen2_strait", "unknown scenario 'gen2_strait'; did you mean gen2_straight?"),
-        ("com_speed_m_s", "trace.tail_drif", "unknown trace 'tail_drif'; did you mean tail_drift?"),
+        (
+            "gen2_straight",
+            "gen2_strait",
+            "unknown scenario 'gen2_strait'; did you mean gen2_straight?",
+        ),
+        (
+            "com_speed_m_s",
+            "trace.tail_drif",
+            "unknown trace 'tail_drif'; did you mean tail_drift?",
+        ),
         ("  value: 0.2\n", "", "near needs a value"),
         ("  measure:", "  mesure:", "unknown key; did you mean measure?"),
-        ("scenario: gen2_straight", "scenario: x, law: y", "give exactly one of scenario, sweep and law"),
+        (
+            "scenario: gen2_straight",
+            "scenario: x, law: y",
+            "give exactly one of scenario, sweep and law",
+        ),
         ("value: 0.2", "value: .nan", "must be a number"),
         ("- id: one", f"{ROW}- id: one", "the row one is listed 2 times; list it once"),
         (ROW, "{}\n", "must be a list of claims"),
-        ('  could_fail: "Yes: a slower robot misses"\n', "", "could_fail is needed: 'Yes: …' or 'No: …'"),
-        ("Yes: a slower", "Perhaps a slower", "could_fail must start with 'Yes: ' or 'No: '"),
-        ("  tolerance: ours\n", "", "tolerance is needed for every holdout, and not allowed for other uses"),
-        ("use: holdout", "use: shape", "needed for every holdout, and not allowed for other uses"),
-        ("tolerance: ours", "tolerance: a guess", "must be one of dissertation, measurement, ours"),
-        ("use: holdout", "limitation: fitted_robot\n  use: law", "tolerance is needed for every holdout"),
         (
-            '"Yes: a slower robot misses"\n  tolerance: ours', '"No: by symmetry"\n  tolerance: measurement',
+            '  could_fail: "Yes: a slower robot misses"\n',
+            "",
+            "could_fail is needed: 'Yes: …' or 'No: …'",
+        ),
+        (
+            "Yes: a slower",
+            "Perhaps a slower",
+            "could_fail must start with 'Yes: ' or 'No: '",
+        ),
+        (
+            "  tolerance: ours\n",
+            "",
+            "tolerance is needed for every holdout, and not allowed for other uses",
+        ),
+        (
+            "use: holdout",
+            "use: shape",
+            "needed for every holdout, and not allowed for other uses",
+        ),
+        (
+            "tolerance: ours",
+            "tolerance: a guess",
+            "must be one of dissertation, measurement, ours",
+        ),
+        (
+            "use: holdout",
+            "limitation: fitted_robot\n  use: law",
+            "tolerance is needed for every holdout",
+        ),
+        (
+            '"Yes: a slower robot misses"\n  tolerance: ours',
+            '"No: by symmetry"\n  tolerance: measurement',
             "a headline prediction must be able to fail",
         ),
     ],
-)  # fmt: skip
+)
 def test_an_invalid_file_is_refused_with_a_message(old, new, message, tmp_path):
     path = tmp_path / "claims.yaml"
     path.write_text(ROW)

@@ -10,7 +10,12 @@ from srs_twin.reproduction.claims import load_claims, select_claims
 from srs_twin.reproduction.runs import open_store
 from srs_twin.reproduction.verdicts import judge
 
-ROWS = ("gen2-straight", "gen2-top-speed.middle", "gen3-symmetry.left", "act-step-gen4.tau1")
+ROWS = (
+    "gen2-straight",
+    "gen2-top-speed.middle",
+    "gen3-symmetry.left",
+    "act-step-gen4.tau1",
+)
 
 
 def swap_friction(robot, document):
@@ -55,7 +60,9 @@ def verdicts(fault, names, folder):
     with open_store(folder, change) as store:
         rows = judge(claims, store, workers=1)
     return {
-        (row.claim.id, column): outcome.verdict for row in rows for column, outcome in row.outcomes.items()
+        (row.claim.id, column): outcome.verdict
+        for row in rows
+        for column, outcome in row.outcomes.items()
     }
 
 

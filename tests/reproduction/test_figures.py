@@ -24,19 +24,30 @@ def test_sweeps_have_the_plots_that_figures_show():
             assert figure.metric in {plot.metric for plot in sweep_of(runs.name).plots}
 
 
-FIGURE = "- {figure: '38', caption: Speed, draw: sweep, metric: com_speed_m_s, of: [{sweep: fig38}]}\n"
+FIGURE = (
+    "- {figure: '38', caption: Speed, draw: sweep, metric: com_speed_m_s, of: [{sweep:"
+    " fig38}]}\n"
+)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("draw: sweep", "draw: swep", "[0].draw: unknown picture 'swep'; did you mean sweep?"),
+        (
+            "draw: sweep",
+            "draw: swep",
+            "[0].draw: unknown picture 'swep'; did you mean sweep?",
+        ),
         ("fig38}", "fig3}", "[0].of[0].sweep: unknown sweep 'fig3'; did you mean"),
-        ("{sweep: fig38}", "{law: turn_limt}", "unknown law 'turn_limt'; did you mean turn_limit?"),
+        (
+            "{sweep: fig38}",
+            "{law: turn_limt}",
+            "unknown law 'turn_limt'; did you mean turn_limit?",
+        ),
         ("caption", "captoin", "unknown key; did you mean caption?"),
         (FIGURE, "{}\n", "must be a list of figures"),
     ],
-)  # fmt: skip
+)
 def test_an_invalid_figures_file_is_refused_with_a_message(old, new, message, tmp_path):
     path = tmp_path / "figures.yaml"
     path.write_text(FIGURE)

@@ -45,7 +45,10 @@ def documents(claim):
 
 def test_groups_partition_the_holdouts():
     rows = by_category([JudgedClaim(claim) for claim in CLAIMS])
-    assert list(rows) == list(TITLES) == list(MEANINGS) and tuple(rows)[: len(GROUPS)] == GROUPS
+    assert (
+        list(rows) == list(TITLES) == list(MEANINGS)
+        and tuple(rows)[: len(GROUPS)] == GROUPS
+    )
     grouped = [row.claim.id for name in GROUPS for row in rows[name]]
     assert sorted(grouped) == sorted(claim.id for claim in HOLDOUTS)
     all_rows = [row.claim.id for group in rows.values() for row in group]
@@ -53,9 +56,13 @@ def test_groups_partition_the_holdouts():
     assert all(rows[name] for name in GROUPS)
 
 
-@pytest.mark.parametrize("claim", [claim for claim in HOLDOUTS if claim.group == "headline"], **NAMES)
+@pytest.mark.parametrize(
+    "claim", [claim for claim in HOLDOUTS if claim.group == "headline"], **NAMES
+)
 def test_headline_predictions_have_no_tolerance_of_ours(claim):
-    assert claim.tolerance in ("dissertation", "measurement") and claim.limitation is None
+    assert (
+        claim.tolerance in ("dissertation", "measurement") and claim.limitation is None
+    )
     assert claim.tol is None
     # A measurement error gives an interval around the value; a stated bound does not.
     assert (claim.tolerance == "measurement") == (claim.rule == "near")
@@ -73,13 +80,21 @@ def test_limitations_agree_with_the_runs(claim):
     is_fitted = any("calibration/fits/" in json.dumps(run["robot"]) for run in runs)
     assert is_fitted == (claim.group == "fitted_robot")
     # Its robot file says that the time constants were chosen with the speed in view.
-    is_chosen = claim.robot == "gen1" and not claim.all_measures[0].metric.startswith("comparison.")
+    is_chosen = claim.robot == "gen1" and not claim.all_measures[0].metric.startswith(
+        "comparison."
+    )
     assert is_chosen == (claim.group == "chosen_parameter")
-    has_obstacles = any(run.get("planner") or (run.get("world") or {}).get("obstacles") for run in runs)
+    has_obstacles = any(
+        run.get("planner") or (run.get("world") or {}).get("obstacles") for run in runs
+    )
     assert has_obstacles == (claim.group == "chosen_obstacles")
-    is_comparison = all(measure.metric.startswith("comparison.") for measure in claim.all_measures)
+    is_comparison = all(
+        measure.metric.startswith("comparison.") for measure in claim.all_measures
+    )
     assert is_comparison == (claim.group == "between_models")
-    is_tuned = any(run["controller"]["kind"] in ("direct_smc", "iterative_smc") for run in runs)
+    is_tuned = any(
+        run["controller"]["kind"] in ("direct_smc", "iterative_smc") for run in runs
+    )
     assert not (is_tuned and claim.group == "headline")
     assert is_tuned or claim.group != "tuned_controller"
 
@@ -94,7 +109,9 @@ def test_missed_rows_are_documented_as_falsifiable():
 def test_own_tolerances_are_stated():
     for claim in HOLDOUTS:
         if claim.tolerance == "ours":
-            assert re.search(r"\bours?\b|we assume|was a condition|were searched", claim.could_fail), claim.id
+            assert re.search(
+                r"\bours?\b|we assume|was a condition|were searched", claim.could_fail
+            ), claim.id
 
 
 def test_a_line_through_the_fitted_rows_of_table_8_meets_the_documented_rows():
@@ -107,22 +124,35 @@ def test_a_line_through_the_fitted_rows_of_table_8_meets_the_documented_rows():
 
     def met(value):
         measured = {offset: value(run) for offset, run in runs.items()}
-        line = {at: np.interp(at, fitted, [measured[key] for key in fitted]) for at in measured}
-        return [abs(line[at] / measured[at] - 1) <= 0.2 for at in runs if at not in fitted]
+        line = {
+            at: np.interp(at, fitted, [measured[key] for key in fitted])
+            for at in measured
+        }
+        return [
+            abs(line[at] / measured[at] - 1) <= 0.2 for at in runs if at not in fitted
+        ]
 
     assert all(met(lambda run: run.speed_m_s))
     assert all(met(lambda run: run.left_m)) and all(met(lambda run: run.right_m))
     # The curvature is interpolated; the error is that of the radius.
-    line = np.interp([-0.2, -0.1, 0.1, 0.2], fitted, [curvature(runs[at]) for at in fitted])
+    line = np.interp(
+        [-0.2, -0.1, 0.1, 0.2], fitted, [curvature(runs[at]) for at in fitted]
+    )
     radii = np.array([1 / curvature(runs[at]) for at in (-0.2, -0.1, 0.1, 0.2)])
     assert (np.abs(1 / line / radii - 1) <= 0.2).sum() == 3
 
 
 def test_rows_that_repeat_a_fitted_number_are_not_predictions():
     table = {claim.id: claim for claim in CLAIMS if claim.id.startswith("table8.")}
-    fitted = {(name.split(".")[1], abs(claim.value)) for name, claim in table.items() if claim.use == "fit"}
+    fitted = {
+        (name.split(".")[1], abs(claim.value))
+        for name, claim in table.items()
+        if claim.use == "fit"
+    }
     for name, claim in table.items():
-        assert ((name.split(".")[1], abs(claim.value)) in fitted) == (claim.use == "fit"), name
+        assert ((name.split(".")[1], abs(claim.value)) in fitted) == (
+            claim.use == "fit"
+        ), name
 
 
 def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
@@ -131,8 +161,14 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
     gaits = []
     for measure in claim.all_measures:
         document = load_scenario(measure.scenario).document["controller"]
-        settings = document | {key.removeprefix("controller."): value for key, value in measure.set.items()}
-        gait = Gait(settings["frequency_hz"], settings["offset"], phase=settings.get("phase_rad", 0.0))
+        settings = document | {
+            key.removeprefix("controller."): value for key, value in measure.set.items()
+        }
+        gait = Gait(
+            settings["frequency_hz"],
+            settings["offset"],
+            phase=settings.get("phase_rad", 0.0),
+        )
         gait.reset(spec, tick)
         gaits.append(gait)
     for time in np.arange(0, 2 / gaits[0].frequency, tick):
@@ -143,7 +179,9 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
 @pytest.mark.parametrize("title", TITLES.values())
 def test_page_counts_the_rows_of_the_claims_file(title):
     page = (ROOT / "docs/reproduction.md").read_text("utf-8")
-    (line,) = re.findall(rf"^\| \**{re.escape(title)}\** \| (.*?) \| (.*?) \|(.*)\|$", page, re.M)
+    (line,) = re.findall(
+        rf"^\| \**{re.escape(title)}\** \| (.*?) \| (.*?) \|(.*)\|$", page, re.M
+    )
     (category,) = (name for name, value in TITLES.items() if value == title)
     outcomes = load_baseline().outcomes
     for column, cell in zip(("twin", "analytical", "alone"), line, strict=True):
@@ -153,4 +191,6 @@ def test_page_counts_the_rows_of_the_claims_file(title):
             for claim in CLAIMS
             if claim.category == category and column in claim.columns
         ]
-        assert cell.strip() == (f"{verdicts.count(MET)} of {len(verdicts)}" if verdicts else "")
+        assert cell.strip() == (
+            f"{verdicts.count(MET)} of {len(verdicts)}" if verdicts else ""
+        )

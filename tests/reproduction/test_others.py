@@ -31,15 +31,23 @@ def folder(tmp_path, monkeypatch):
 def test_every_prediction_is_of_a_robot_whose_intervals_have_sources():
     rows = others.load_predicted_quantities()
     for name in {row.robot for row in rows}:
-        records = load_robot_file(data_root() / f"calibration/robots/others/{name}.yaml").records()
-        uncertain = [record for record in records.values() if record.uncertain is not None]
+        records = load_robot_file(
+            data_root() / f"calibration/robots/others/{name}.yaml"
+        ).records()
+        uncertain = [
+            record for record in records.values() if record.uncertain is not None
+        ]
         assert len(uncertain) >= 5 and all(record.source for record in records.values())
     assert all(row.interval_95[0] <= row.median <= row.interval_95[1] for row in rows)
 
 
-@pytest.mark.parametrize(("value", "inside"), [(0.05, True), (0.2, True), (0.049, False), (0.21, False)])
+@pytest.mark.parametrize(
+    ("value", "inside"), [(0.05, True), (0.2, True), (0.049, False), (0.21, False)]
+)
 def test_published_value_is_inside_the_interval_or_not(folder, value, inside):
-    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_m_s", value))
+    (folder / "published/others/snake.yaml").write_text(
+        PUBLISHED % ("speed_m_s", value)
+    )
     (row,) = others.load_predicted_quantities()
     assert row.inside is inside
     assert (row.prediction_commit, row.comparison_commit) == (None, None)
@@ -47,21 +55,35 @@ def test_published_value_is_inside_the_interval_or_not(folder, value, inside):
 
 @pytest.mark.parametrize(
     ("robots", "value", "verdict"),
-    [(145, 0.1, "undecided"), (146, 0.1, "within"), (146, 0.06, "undecided"), (146, 0.3, "outside")],
+    [
+        (145, 0.1, "undecided"),
+        (146, 0.1, "within"),
+        (146, 0.06, "undecided"),
+        (146, 0.3, "outside"),
+    ],
 )
-def test_verdict_is_undecided_with_few_robots_or_near_an_end(folder, robots, value, verdict):
+def test_verdict_is_undecided_with_few_robots_or_near_an_end(
+    folder, robots, value, verdict
+):
     path = folder / "predictions/recomputed/snake.yaml"
     path.parent.mkdir()
     path.write_text(
-        f"robots: {robots}\nquantities: {{speed_m_s: {{median: 0.1, interval_95: [0.05, 0.2], "
-        "interval_95_error: [0.01, 0.02]}}\n"
+        f"robots: {robots}\nquantities: {{speed_m_s: {{median: 0.1, interval_95: [0.05,"
+        " 0.2], interval_95_error: [0.01, 0.02]}}\n"
     )
-    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_m_s", value))
+    (folder / "published/others/snake.yaml").write_text(
+        PUBLISHED % ("speed_m_s", value)
+    )
     (row,) = others.load_predicted_quantities()
     document = row.document()
-    assert (document["verdict"], document["recomputed_verdict"]) == ("undecided", verdict)
+    assert (document["verdict"], document["recomputed_verdict"]) == (
+        "undecided",
+        verdict,
+    )
     assert document["recomputed"]["robots"] == robots and document["robots"] == 0
-    assert row.recomputed.cells(row.published)[-1].endswith(", undecided") == (verdict == "undecided")
+    assert row.recomputed.cells(row.published)[-1].endswith(", undecided") == (
+        verdict == "undecided"
+    )
 
 
 def test_prediction_without_published_values_has_no_result(folder):
@@ -77,7 +99,9 @@ def test_published_quantity_that_was_not_predicted_is_refused(folder):
 
 @pytest.mark.parametrize("value", [".nan", "1e9", "fast"])
 def test_published_value_must_be_a_plausible_number(folder, value):
-    (folder / "published/others/snake.yaml").write_text(PUBLISHED % ("speed_m_s", value))
+    (folder / "published/others/snake.yaml").write_text(
+        PUBLISHED % ("speed_m_s", value)
+    )
     with pytest.raises(InputError, match=r"snake.yaml:1:\d+.*value"):
         others.load_predicted_quantities()
 
@@ -86,8 +110,17 @@ def test_commits_show_that_predictions_came_first(folder):
     """In a separate repository: the first published values, and the last change of the prediction."""
 
     def git(*command):
-        who = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "commit.gpgsign=false")
-        subprocess.run(["git", *who, *command], cwd=folder, check=True, capture_output=True)
+        who = (
+            "-c",
+            "user.name=a",
+            "-c",
+            "user.email=a@b.c",
+            "-c",
+            "commit.gpgsign=false",
+        )
+        subprocess.run(
+            ["git", *who, *command], cwd=folder, check=True, capture_output=True
+        )
 
     git("init", "-q")
     published = folder / "published/others/snake.yaml"
@@ -101,7 +134,11 @@ def test_commits_show_that_predictions_came_first(folder):
         git("add", "-A")
         git("commit", "-q", "-m", "a change")
     log = subprocess.run(
-        ["git", "log", "--format=%h"], cwd=folder, capture_output=True, text=True, check=True
+        ["git", "log", "--format=%h"],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        check=True,
     ).stdout.split()
     (row,) = others.load_predicted_quantities()
     # A comment that was added later changes no number.
@@ -113,7 +150,13 @@ def test_shipped_predictions_were_committed_before_published_values():
     for row in others.load_predicted_quantities():
         if row.comparison_commit is None or row.prediction_commit is None:
             pytest.skip("needs the history of a checkout")
-        command = ["git", "merge-base", "--is-ancestor", row.prediction_commit, row.comparison_commit]
+        command = [
+            "git",
+            "merge-base",
+            "--is-ancestor",
+            row.prediction_commit,
+            row.comparison_commit,
+        ]
         assert row.prediction_commit != row.comparison_commit, row.robot
         assert subprocess.run(command, cwd=root, check=False).returncode == 0, row.robot
 

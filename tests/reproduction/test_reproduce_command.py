@@ -18,7 +18,16 @@ from srs_twin.reproduction.printing import _short_text
 from srs_twin.reproduction.report import TITLES, by_category, count_verdicts
 from srs_twin.reproduction.verdicts import MET, Outcome, load_baseline
 
-FEW = ("--only", "table9.limit", "--only", "eq33", "--only", "actuator-90", "--only", "act-step-gen4")
+FEW = (
+    "--only",
+    "table9.limit",
+    "--only",
+    "eq33",
+    "--only",
+    "actuator-90",
+    "--only",
+    "act-step-gen4",
+)
 OUT = "out/reproduce"
 
 
@@ -43,9 +52,17 @@ def test_rows_are_run_judged_stored_and_printed(srs_twin, tmp_path):
     folder = tmp_path / OUT
     document = json.loads((folder / "reproduce.json").read_text("utf-8"))
     rows = {row["id"]: row for row in document["rows"]}
-    assert rows["act-step-gen4.tau1"]["fitted"] and rows["eq33"]["outcomes"]["alone"]["verdict"] == MET
+    assert (
+        rows["act-step-gen4.tau1"]["fitted"]
+        and rows["eq33"]["outcomes"]["alone"]["verdict"] == MET
+    )
     assert document["changed_from_baseline"] == []
-    assert document["groups"]["alone"]["law"] == {"met": 2, "explained": 0, "missed": 0, "all": 2}
+    assert document["groups"]["alone"]["law"] == {
+        "met": 2,
+        "explained": 0,
+        "missed": 0,
+        "all": 2,
+    }
     assert {name: row["could_fail"] for name, row in rows.items()} == {
         claim.id: claim.could_fail for claim in CLAIMS if claim.id in rows
     }
@@ -53,23 +70,36 @@ def test_rows_are_run_judged_stored_and_printed(srs_twin, tmp_path):
         for column, outcome in row["outcomes"].items():
             baseline = BASELINE.outcomes[name][column]
             # The baseline has four digits; errors of computations are rounding errors.
-            assert outcome["values"] == pytest.approx(baseline.values, rel=6e-4, abs=1e-9), (name, column)
+            assert outcome["values"] == pytest.approx(
+                baseline.values, rel=6e-4, abs=1e-9
+            ), (name, column)
     page = (folder / "reproduce.html").read_text("utf-8")
     parser = ExternalReferences()
     parser.feed(page)
     assert parser.references == [] and "<script" not in page
-    assert "could it have failed?" in page and "No: the value is the ratio of two published values." in page
+    assert (
+        "could it have failed?" in page
+        and "No: the value is the ratio of two published values." in page
+    )
     assert "Fig. 20" in page and "Fig. 31" not in page
     suites = ElementTree.parse(folder / "reproduce.xml").getroot()
-    failed = {case.get("classname") for case in suites.iter("testcase") if case.find("failure") is not None}
+    failed = {
+        case.get("classname")
+        for case in suites.iter("testcase")
+        if case.find("failure") is not None
+    }
     assert failed == {"actuator-90.gen1", "actuator-90.gen4"}
     times = {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")}
     again = srs_twin("reproduce", *FEW, "--out", OUT, cwd=tmp_path)
     assert again.stdout == done.stdout
-    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")} == times
+    assert {
+        path: path.stat().st_mtime_ns for path in folder.rglob("*.parquet")
+    } == times
 
 
-@pytest.mark.parametrize(("values", "text"), [((0.25, 0.12), "0.25 > 0.12"), ((0.25, 0.123), "0.25…0.12")])
+@pytest.mark.parametrize(
+    ("values", "text"), [((0.25, 0.12), "0.25 > 0.12"), ((0.25, 0.123), "0.25…0.12")]
+)
 def test_an_ordering_is_shortened_only_if_wider_than_its_column(values, text):
     assert _short_text(Outcome(MET, values, math.nan, math.nan)) == text
 
@@ -78,23 +108,40 @@ def test_an_ordering_is_shortened_only_if_wider_than_its_column(values, text):
     ("options", "message"),
     [
         (("--only", "table88"), "unknown claim 'table88'; did you mean"),
-        (("--quick", "--write-baseline"), "--write-baseline needs all rows; remove --only and --quick"),
+        (
+            ("--quick", "--write-baseline"),
+            "--write-baseline needs all rows; remove --only and --quick",
+        ),
     ],
 )
 def test_invalid_options_exit_with_2(options, message, srs_twin, tmp_path):
     done = srs_twin("reproduce", *options, cwd=tmp_path)
-    assert done.returncode == 2 and message in done.stderr and "Traceback" not in done.stderr
+    assert (
+        done.returncode == 2
+        and message in done.stderr
+        and "Traceback" not in done.stderr
+    )
     assert not (tmp_path / "runs").exists()
 
 
-@pytest.mark.parametrize("before", ["met", pytest.param("missed", marks=pytest.mark.slow)])
-def test_changed_verdicts_exit_with_1_better_or_worse(before, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "before", ["met", pytest.param("missed", marks=pytest.mark.slow)]
+)
+def test_changed_verdicts_exit_with_1_better_or_worse(
+    before, tmp_path, monkeypatch, capsys
+):
     baseline = json.dumps(
         {
             "versions": {},
             "rows": {
                 "actuator-90.gen1": {
-                    "alone": {"verdict": before, "values": [], "value": 1, "error": 0, "why": ""}
+                    "alone": {
+                        "verdict": before,
+                        "values": [],
+                        "value": 1,
+                        "error": 0,
+                        "why": "",
+                    }
                 }
             },
         }
@@ -103,10 +150,22 @@ def test_changed_verdicts_exit_with_1_better_or_worse(before, tmp_path, monkeypa
     path.write_text(baseline)
     monkeypatch.setattr("srs_twin.reproduction.verdicts.baseline_file", lambda: path)
     with pytest.raises(SystemExit) as stopped:
-        main(["reproduce", "--only", "actuator-90.gen1", "--out", str(tmp_path / "out"), "--quiet"])
+        main(
+            [
+                "reproduce",
+                "--only",
+                "actuator-90.gen1",
+                "--out",
+                str(tmp_path / "out"),
+                "--quiet",
+            ]
+        )
     assert stopped.value.code == 1
     messages = capsys.readouterr().err
-    assert f"changed from the baseline: actuator-90.gen1, alone: explained, was {before}" in messages
+    assert (
+        f"changed from the baseline: actuator-90.gen1, alone: explained, was {before}"
+        in messages
+    )
     assert "--write-baseline" in messages
 
 
@@ -114,10 +173,14 @@ CLAIMS, BASELINE = load_claims(), load_baseline()
 ROWS = judged_claims(CLAIMS, BASELINE)
 
 
-@pytest.mark.parametrize(("part", "text"), [("counts", table), ("reproduction", markdown)])
+@pytest.mark.parametrize(
+    ("part", "text"), [("counts", table), ("reproduction", markdown)]
+)
 def test_page_shows_the_committed_baseline(part, text):
     current = (ROOT / "docs/reproduction.md").read_text("utf-8")
-    assert current == replace_between(current, part, text(ROWS)), "run docs/reproduction.py to write it"
+    assert current == replace_between(current, part, text(ROWS)), (
+        "run docs/reproduction.py to write it"
+    )
 
 
 def test_readme_counts_the_met_predictions_of_the_baseline():
@@ -127,21 +190,32 @@ def test_readme_counts_the_met_predictions_of_the_baseline():
         "other predictions met": tuple(TITLES)[1:6],
     }
     for title, groups in prediction_groups.items():
-        (line,) = re.findall(rf"^\| {re.escape(title)} \| (.*?) \| (.*?) \|", readme, re.M)
+        (line,) = re.findall(
+            rf"^\| {re.escape(title)} \| (.*?) \| (.*?) \|", readme, re.M
+        )
         for column, cell in zip(("analytical", "twin"), line, strict=True):
-            counts = [count_verdicts(by_category(ROWS)[name], column) for name in groups]
-            met, all_rows = sum(each[MET] for each in counts), sum(each["all"] for each in counts)
+            counts = [
+                count_verdicts(by_category(ROWS)[name], column) for name in groups
+            ]
+            met, all_rows = (
+                sum(each[MET] for each in counts),
+                sum(each["all"] for each in counts),
+            )
             assert cell == f"{met} of {all_rows}"
 
 
 def test_the_baseline_has_exactly_the_rows_of_the_claims():
     assert {(row.id, column) for row in CLAIMS for column in row.columns} == {
-        (name, column) for name, columns in BASELINE.outcomes.items() for column in columns
+        (name, column)
+        for name, columns in BASELINE.outcomes.items()
+        for column in columns
     }
 
 
 def test_ci_runs_every_row():
-    commands = re.findall(r"srs-twin reproduce(.*)", (ROOT / ".ci/run").read_text("utf-8"))
+    commands = re.findall(
+        r"srs-twin reproduce(.*)", (ROOT / ".ci/run").read_text("utf-8")
+    )
     assert commands == [' --out "$room"']
 
 

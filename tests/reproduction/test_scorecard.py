@@ -16,7 +16,11 @@ from srs_twin.reproduction.verdicts import Baseline, load_baseline
 def with_verdict(baseline, names, verdict):
     """Return a baseline with another verdict for the named rows."""
     outcomes = {
-        name: {k: replace(outcome, verdict=verdict) for k, outcome in row.items()} if name in names else row
+        name: (
+            {k: replace(outcome, verdict=verdict) for k, outcome in row.items()}
+            if name in names
+            else row
+        )
         for name, row in baseline.outcomes.items()
     }
     return Baseline(outcomes, baseline.versions)
@@ -25,7 +29,9 @@ def with_verdict(baseline, names, verdict):
 def test_every_claim_belongs_to_one_capability():
     for claim in load_claims():
         capabilities = [
-            name for name, prefixes in module._CAPABILITIES.items() if claim.id.startswith(prefixes)
+            name
+            for name, prefixes in module._CAPABILITIES.items()
+            if claim.id.startswith(prefixes)
         ]
         assert len(capabilities) == 1, claim.id
 
@@ -43,11 +49,15 @@ def test_a_missed_law_lowers_the_grade_of_the_verification():
     before = scorecard(claims, baseline)["crawling, generation 2"]
     assert (before["verification"].grade, before["validation"].grade) == (3, 1)
     laws = [claim.id for claim in claims if claim.use == "law"]
-    worse = scorecard(claims, with_verdict(baseline, laws, "missed"))["crawling, generation 2"]
+    worse = scorecard(claims, with_verdict(baseline, laws, "missed"))[
+        "crawling, generation 2"
+    ]
     assert (worse["verification"].grade, worse["validation"].grade) == (1, 1)
 
 
-@pytest.mark.parametrize(("verdict", "grade"), [("met", 2), ("explained", 0), ("missed", 0)])
+@pytest.mark.parametrize(
+    ("verdict", "grade"), [("met", 2), ("explained", 0), ("missed", 0)]
+)
 def test_validation_depends_only_on_headline_predictions(verdict, grade):
     claims, baseline = load_claims(), load_baseline()
     headline = [claim.id for claim in claims if claim.group == "headline"]
@@ -77,6 +87,9 @@ def test_the_command_prints_the_scorecard_without_a_run(srs_twin, tmp_path):
 @pytest.mark.parametrize(("u_num", "grade"), [(1e-4, 3), (1e-2, 2), (None, 2)])
 def test_a_small_time_step_error_raises_the_grade(u_num, grade):
     uncertainty = {"u_num": u_num, "u_input": 0.01}
-    document = {"plants": {"twin": {"m": uncertainty}}, "target": {"plant": "twin", "metric": "m"}}
+    document = {
+        "plants": {"twin": {"m": uncertainty}},
+        "target": {"plant": "twin", "metric": "m"},
+    }
     assert module._verification((3, 3), [document]).grade == grade
     assert module._verification((2, 3), [document]).grade == 1

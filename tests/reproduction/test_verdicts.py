@@ -34,9 +34,14 @@ def claim(rule="near", value=1.0, names=("a",), **fields):
     measures = [Measure(scenario=name, metric="m") for name in names]
     keys = {"measure": measures[0]} if len(measures) == 1 else {"measures": measures}
     keys |= {"abs": 0.1} if rule == "near" else {}
-    keys |= {"use": "shape", "could_fail": "Yes: a robot that stands still misses"} | fields
+    keys |= {
+        "use": "shape",
+        "could_fail": "Yes: a robot that stands still misses",
+    } | fields
     keys |= {"tolerance": "measurement"} if keys["use"] == "holdout" else {}
-    return Claim(id="row", source="Table 8", says="it moves", rule=rule, value=value, **keys)
+    return Claim(
+        id="row", source="Table 8", says="it moves", rule=rule, value=value, **keys
+    )
 
 
 class FakeStore:
@@ -53,7 +58,11 @@ class FakeStore:
 
     def row(self, key):
         values = self._values.get(key)
-        return None if values is None else Row(key, DONE, {"analytical.m": values[0], "twin.m": values[1]})
+        return (
+            None
+            if values is None
+            else Row(key, DONE, {"analytical.m": values[0], "twin.m": values[1]})
+        )
 
     def failure(self, key):
         return "" if key in self._values else "it diverged"
@@ -68,21 +77,32 @@ def judge_values(row, values):
 
 def test_plants_are_judged_separately_and_bounds_are_allowed():
     outcomes, _ = judge_values(claim(), {"a": (0.9, 0.89)})
-    assert (outcomes["analytical"].verdict, outcomes["twin"].verdict) == ("met", "missed")
+    assert (outcomes["analytical"].verdict, outcomes["twin"].verdict) == (
+        "met",
+        "missed",
+    )
     assert outcomes["twin"].error == pytest.approx(-0.11)
 
 
 def test_a_row_without_a_value_is_missed_with_the_reason():
     outcomes, _ = judge_values(claim(), {})
-    assert outcomes["twin"].verdict == "missed" and "it diverged" in outcomes["twin"].why
+    assert (
+        outcomes["twin"].verdict == "missed" and "it diverged" in outcomes["twin"].why
+    )
     outcomes, _ = judge_values(claim(), {"a": (None, 1.0)})
-    assert (outcomes["analytical"].verdict, outcomes["twin"].verdict) == ("missed", "met")
+    assert (outcomes["analytical"].verdict, outcomes["twin"].verdict) == (
+        "missed",
+        "met",
+    )
 
 
 def test_an_ordering_needs_strictly_decreasing_values():
     row = claim("ordering", None, names=("a", "b", "c"))
     outcomes, _ = judge_values(row, {"a": (3, 3), "b": (2, 2), "c": (1, 2)})
-    assert (outcomes["analytical"].verdict, outcomes["twin"].verdict) == ("met", "missed")
+    assert (outcomes["analytical"].verdict, outcomes["twin"].verdict) == (
+        "met",
+        "missed",
+    )
 
 
 SWITCH = Cause(says="an estimate", columns=["twin"], switch="compliance", set={"k": 1})
@@ -93,15 +113,26 @@ def test_a_switched_cause_explains_only_if_the_row_is_then_met():
     row = claim(cause=[SWITCH, DOCS])
     shown, ran = judge_values(row, {"a": (2, 2), "a ('k', 1)": (9, 1.05)})
     assert shown["twin"].verdict == "explained" and "compliance" in shown["twin"].why
-    assert shown["analytical"].verdict == "explained" and "docs/models.md" in shown["analytical"].why
+    assert (
+        shown["analytical"].verdict == "explained"
+        and "docs/models.md" in shown["analytical"].why
+    )
     assert ran == ["a", "a ('k', 1)"]
     not_shown, _ = judge_values(row, {"a": (2, 2), "a ('k', 1)": (9, 1.5)})
-    assert not_shown["twin"].verdict == "missed" and "not met either" in not_shown["twin"].why
+    assert (
+        not_shown["twin"].verdict == "missed"
+        and "not met either" in not_shown["twin"].why
+    )
 
 
 def test_a_presumed_cause_explains_nothing():
-    outcomes, ran = judge_values(claim(cause=[Cause(says="an estimate", columns=["twin"])]), {"a": (2, 2)})
-    assert outcomes["twin"].verdict == "missed" and outcomes["twin"].why == "presumed cause: an estimate"
+    outcomes, ran = judge_values(
+        claim(cause=[Cause(says="an estimate", columns=["twin"])]), {"a": (2, 2)}
+    )
+    assert (
+        outcomes["twin"].verdict == "missed"
+        and outcomes["twin"].why == "presumed cause: an estimate"
+    )
     assert (outcomes["analytical"].why, ran) == ("", ["a"])
 
 
@@ -125,21 +156,29 @@ def test_combinations(a, b):
 
 def test_aggregates_of_several_values():
     values = np.array([1.0, 2.0, 4.0])
-    assert [aggregate(name, values) for name in ("most", "least", "mean")] == [4, 1, pytest.approx(7 / 3)]
+    assert [aggregate(name, values) for name in ("most", "least", "mean")] == [
+        4,
+        1,
+        pytest.approx(7 / 3),
+    ]
     assert aggregate("spread", values) == pytest.approx(3 / (7 / 3))
     assert all(
-        math.isnan(aggregate(name, np.array([1.0, math.nan]))) for name in ("most", "least", "mean", "spread")
+        math.isnan(aggregate(name, np.array([1.0, math.nan])))
+        for name in ("most", "least", "mean", "spread")
     )
 
 
 def rows(**verdicts):
     outcomes = {
-        column: Outcome(verdict, (0.123456,), 0.123456, math.nan) for column, verdict in verdicts.items()
+        column: Outcome(verdict, (0.123456,), 0.123456, math.nan)
+        for column, verdict in verdicts.items()
     }
     return (JudgedClaim(claim(), outcomes),)
 
 
-@pytest.mark.parametrize(("before", "now"), list(product(("met", "explained", "missed"), repeat=2)))
+@pytest.mark.parametrize(
+    ("before", "now"), list(product(("met", "explained", "missed"), repeat=2))
+)
 def test_changed_verdicts_are_listed_better_or_worse(before, now, tmp_path):
     path = write_baseline(rows(twin=before), tmp_path / "baseline.json")
     changes = load_baseline(path).changes(rows(twin=now, analytical="missed"))
@@ -151,13 +190,17 @@ def test_a_new_row_is_not_a_change():
     assert Baseline({}, {}).changes(rows(twin="missed")) == []
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"rows": {"a": 1}, "versions": {}}', '{"rows": 3}'])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"rows": {"a": 1}, "versions": {}}', '{"rows": 3}']
+)
 def test_a_missing_or_invalid_baseline_is_refused(text, tmp_path):
     path = tmp_path / "baseline.json"
     with pytest.raises(InputError, match="no such file"):
         load_baseline(path)
     path.write_text(text)
-    with pytest.raises(InputError, match="not JSON|not a baseline; --write-baseline writes one"):
+    with pytest.raises(
+        InputError, match="not JSON|not a baseline; --write-baseline writes one"
+    ):
         load_baseline(path)
 
 
@@ -171,12 +214,24 @@ def test_fitted_rows_are_not_predictions():
         "all": 1,
     }
     line = summary_line([fitted, held])
-    assert "1 of 1 headline predictions" in line and "(separately: 1 of 1 rows for calibration)" in line
+    assert (
+        "1 of 1 headline predictions" in line
+        and "(separately: 1 of 1 rows for calibration)" in line
+    )
 
 
 def test_missing_numbers_are_null_in_the_baseline(tmp_path):
     path = write_baseline(
-        (JudgedClaim(claim(), {"twin": Outcome("missed", (math.nan,), math.nan, math.inf)}),), tmp_path / "b"
+        (
+            JudgedClaim(
+                claim(), {"twin": Outcome("missed", (math.nan,), math.nan, math.inf)}
+            ),
+        ),
+        tmp_path / "b",
     )
     outcome = json.loads(path.read_text("utf-8"))["rows"]["row"]["twin"]
-    assert (outcome["values"], outcome["value"], outcome["error"]) == ([None], None, None)
+    assert (outcome["values"], outcome["value"], outcome["error"]) == (
+        [None],
+        None,
+        None,
+    )

@@ -7,7 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, load_scenario, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    Gait,
+    InputError,
+    load_robot,
+    load_scenario,
+    rollout,
+)
 from srs_twin.identification.priors import Priors
 from srs_twin.plants.twin.mjcf.numerics import MAX_STEP_RATIO, stable_step
 from srs_twin.robot.file import load_robot_file
@@ -27,10 +34,16 @@ def test_without_lead_a_light_segment_follows_the_pressures_with_its_damping_tim
     own = load_scenario("gen2_straight", set=CHANGES).robot
     masses = {"connectors": tuple(1e-12 * m for m in own.mass.connectors), "wheel": 0.0}
     light = replace(own, mass=replace(own.mass, **masses))
-    run = rollout(AnalyticalSnake(light, model="compliant", supply_pa=48.3e3), Gait(1.0), 1.0, record_hz=500)
+    run = rollout(
+        AnalyticalSnake(light, model="compliant", supply_pa=48.3e3),
+        Gait(1.0),
+        1.0,
+        record_hz=500,
+    )
     pressure = run["pressure_plus_1"] - run["pressure_minus_1"]
     bend, drive = run["bend_1"], own.actuator.gain * pressure
-    # T q̇ + q = G (p⁺ − p⁻); differences over 4 ms, away from the switching of the valves.
+    # T q̇ + q = G (p⁺ − p⁻); differences over 4 ms, away from the switching of the
+    # valves.
     rate = np.gradient(bend, run.time)
     missed = np.abs(0.008 * rate + bend - drive)
     assert np.median(missed) < 2e-3
@@ -39,7 +52,9 @@ def test_without_lead_a_light_segment_follows_the_pressures_with_its_damping_tim
 @pytest.mark.parametrize("damping", [0.12, 1.0])
 def test_without_lead_the_chambers_need_time(damping):
     changes = CHANGES | {"robot.bending.damping_time_s": damping}
-    with pytest.raises(InputError, match="is not allowed with lead: false; it must be below 0.11284"):
+    with pytest.raises(
+        InputError, match="is not allowed with lead: false; it must be below 0.11284"
+    ):
         load_scenario("gen2_straight", set=changes)
 
 

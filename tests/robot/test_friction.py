@@ -30,11 +30,20 @@ def forces(law, v_t, v_n, mu_t, mu_n, slip=1e-3):
 def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
     # The wheel law has kinks at the transition from rolling to skidding and at v_t = 0.
     share = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
-    assume(law is not friction.wheel or (abs(share - mu_t) > 1e-3 and (share < mu_t or abs(v_t) > 1e-3)))
+    assume(
+        law is not friction.wheel
+        or (abs(share - mu_t) > 1e-3 and (share < mu_t or abs(v_t) > 1e-3))
+    )
     h = 1e-5 * slip
     slopes = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
-    ahead, behind = forces(law, v_t + h, v_n, mu_t, mu_n, slip), forces(law, v_t - h, v_n, mu_t, mu_n, slip)
-    left, right = forces(law, v_t, v_n + h, mu_t, mu_n, slip), forces(law, v_t, v_n - h, mu_t, mu_n, slip)
+    ahead, behind = (
+        forces(law, v_t + h, v_n, mu_t, mu_n, slip),
+        forces(law, v_t - h, v_n, mu_t, mu_n, slip),
+    )
+    left, right = (
+        forces(law, v_t, v_n + h, mu_t, mu_n, slip),
+        forces(law, v_t, v_n - h, mu_t, mu_n, slip),
+    )
     steepest = LOAD * max(mu_t, mu_n) / slip
     differences = [
         (ahead[0] - behind[0]) / (2 * h),
@@ -61,7 +70,9 @@ def test_reversed_motion_reverses_the_force(law, v_t, v_n, mu_t, mu_n):
 
 
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_axis_law_stays_in_its_box_and_wheel_law_in_its_cone(v_t, v_n, mu_t, mu_n, slip):
+def test_axis_law_stays_in_its_box_and_wheel_law_in_its_cone(
+    v_t, v_n, mu_t, mu_n, slip
+):
     f_t, f_n = forces(friction.axis, v_t, v_n, mu_t, mu_n, slip)
     assert abs(f_t) <= LOAD * mu_t * (1 + 1e-12)
     assert abs(f_n) <= LOAD * mu_n * (1 + 1e-12)
@@ -74,30 +85,41 @@ def test_axis_law_stays_in_its_box_and_wheel_law_in_its_cone(v_t, v_n, mu_t, mu_
 def test_wheel_with_a_locked_axle_slides_isotropically(v_t, v_n, mu_n, slip, excess):
     f_t, f_n = forces(friction.wheel, v_t, v_n, mu_n * excess, mu_n, slip)
     speed = math.sqrt(v_t**2 + v_n**2 + slip**2)
-    assert (f_t, f_n) == pytest.approx((-LOAD * mu_n * v_t / speed, -LOAD * mu_n * v_n / speed), abs=1e-12)
+    assert (f_t, f_n) == pytest.approx(
+        (-LOAD * mu_n * v_t / speed, -LOAD * mu_n * v_n / speed), abs=1e-12
+    )
 
 
 @given(st.floats(0.05, 1), MU)
 def test_straight_rolling_wheel_has_only_axle_drag(v_t, mu_n):
     mu_t = 0.5 * mu_n
-    assert forces(friction.wheel, v_t, 0.0, mu_t, mu_n) == pytest.approx((-LOAD * mu_t, 0))
-    assert forces(friction.wheel, 0.0, v_t, mu_t, mu_n, 1e-6) == pytest.approx((0, -LOAD * mu_n))
+    assert forces(friction.wheel, v_t, 0.0, mu_t, mu_n) == pytest.approx(
+        (-LOAD * mu_t, 0)
+    )
+    assert forces(friction.wheel, 0.0, v_t, mu_t, mu_n, 1e-6) == pytest.approx(
+        (0, -LOAD * mu_n)
+    )
 
 
 def test_wheel_law_is_continuous_where_rolling_begins():
     mu_t, mu_n, slip = 0.1, 0.6, 1e-3
     v_n = 0.2
     edge = mu_t * math.sqrt((v_n**2 + slip**2) / (mu_n**2 - mu_t**2))
-    below, above = (forces(friction.wheel, edge * k, v_n, mu_t, mu_n, slip) for k in (1 - 1e-9, 1 + 1e-9))
+    below, above = (
+        forces(friction.wheel, edge * k, v_n, mu_t, mu_n, slip)
+        for k in (1 - 1e-9, 1 + 1e-9)
+    )
     assert below == pytest.approx(above, rel=1e-7)
     assert below[0] == pytest.approx(-LOAD * mu_t, rel=1e-7)
 
 
-def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[float, float]:
+def spinning_wheel(
+    v_t: float, v_n: float, mu_t: float, mu_n: float
+) -> tuple[float, float]:
     """Return the steady floor force on a wheel towed at v_t along and v_n across, N.
 
-    The wheel spins with Coulomb friction in its axle, and its contact slides isotropically. The spin is
-    integrated from rest to its steady state.
+    The wheel spins with Coulomb friction in its axle, and its contact slides
+    isotropically. The spin is integrated from rest to its steady state.
     """
     radius, inertia, step, tiny = 0.01, 2e-7, 2e-5, 1e-3
     rim = 0.0  # ω R
@@ -105,7 +127,8 @@ def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[fl
         creep = v_t - rim
         slide = math.sqrt(creep**2 + v_n**2 + tiny**2)
         f_t, f_n = -mu_n * LOAD * creep / slide, -mu_n * LOAD * v_n / slide
-        # The floor force changes the spin; the axle friction opposes the spin or locks the wheel.
+        # The floor force changes the spin; the axle friction opposes the spin or locks
+        # the wheel.
         turning = rim - step * f_t * radius**2 / inertia
         drag = step * mu_t * LOAD * radius**2 / inertia
         after = math.copysign(max(abs(turning) - drag, 0.0), turning)
@@ -117,7 +140,16 @@ def spinning_wheel(v_t: float, v_n: float, mu_t: float, mu_n: float) -> tuple[fl
 
 @pytest.mark.parametrize("mu_t", [0.043, 0.3, 0.9])
 @pytest.mark.parametrize(
-    ("v_t", "v_n"), [(0.3, 0.0), (0.3, 0.1), (0.1, 0.3), (-0.1, 0.3), (0.01, 0.3), (0.05, -0.05), (0.2, 0.01)]
+    ("v_t", "v_n"),
+    [
+        (0.3, 0.0),
+        (0.3, 0.1),
+        (0.1, 0.3),
+        (-0.1, 0.3),
+        (0.01, 0.3),
+        (0.05, -0.05),
+        (0.2, 0.01),
+    ],
 )
 def test_wheel_law_equals_a_simulated_spinning_wheel(v_t, v_n, mu_t):
     mu_n = 0.57
@@ -133,7 +165,9 @@ def at_slip(law, degrees: float, mu_t: float, mu_n: float) -> tuple[float, float
 
 
 @given(SPEED, SPEED, st.floats(0.01, 1.2), st.floats(0.01, 1.2), SLIP)
-def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_boundary(v_t, v_n, mu_t, mu_n, slip):
+def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_boundary(
+    v_t, v_n, mu_t, mu_n, slip
+):
     def filled(v_t, v_n):
         f_t, f_n = forces(friction.ellipse, v_t, v_n, mu_t, mu_n, slip)
         return math.hypot(f_t / mu_t, f_n / mu_n) / LOAD
@@ -158,21 +192,30 @@ def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip
     lesser = share * greater
     for mu_t, mu_n in ((greater, lesser), (lesser, greater)):
         along, across = forces(friction.ellipse, v, 0.0, mu_t, mu_n, slip), (0.0, v)
-        # The slip speed applies to the larger coefficient; in the other direction v must be well above it.
+        # The slip speed applies to the larger coefficient; in the other direction v
+        # must be well above it.
         if mu_t == greater:
-            assert along == pytest.approx(forces(friction.axis, v, 0.0, mu_t, mu_n, slip), abs=1e-12)
+            assert along == pytest.approx(
+                forces(friction.axis, v, 0.0, mu_t, mu_n, slip), abs=1e-12
+            )
         else:
             force = forces(friction.ellipse, *across, mu_t, mu_n, slip)
-            assert force == pytest.approx(forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12)
+            assert force == pytest.approx(
+                forces(friction.axis, *across, mu_t, mu_n, slip), abs=1e-12
+            )
     assume(abs(v) > 0.1 and share > 0.1)
     force = forces(friction.ellipse, v, 0.0, lesser, greater, 1e-6)
-    assert force == pytest.approx(forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6)
+    assert force == pytest.approx(
+        forces(friction.axis, v, 0.0, lesser, greater, 1e-6), rel=1e-6
+    )
 
 
 def test_ellipse_law_with_equal_coefficients_is_the_isotropic_cone_of_a_locked_wheel():
     for degrees in (0, 15, 70, 200):
         cone = at_slip(friction.wheel, degrees, 0.5, 0.5)
-        assert at_slip(friction.ellipse, degrees, 0.5, 0.5) == pytest.approx(cone, rel=1e-6)
+        assert at_slip(friction.ellipse, degrees, 0.5, 0.5) == pytest.approx(
+            cone, rel=1e-6
+        )
 
 
 @pytest.mark.parametrize(
@@ -180,10 +223,16 @@ def test_ellipse_law_with_equal_coefficients_is_the_isotropic_cone_of_a_locked_w
     [(0.043, 0.57, 3.69), (0.0966, 0.68, 2.13)],
     ids=["gen2", "gen1, measured"],
 )
-def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(mu_t, mu_n, times):
-    axis, ellipse = (at_slip(law, 15, mu_t, mu_n) for law in (friction.axis, friction.ellipse))
+def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(
+    mu_t, mu_n, times
+):
+    axis, ellipse = (
+        at_slip(law, 15, mu_t, mu_n) for law in (friction.axis, friction.ellipse)
+    )
     assert axis[0] / ellipse[0] == pytest.approx(times, abs=0.01)
-    assert times == pytest.approx(math.hypot(1, mu_n / mu_t * math.tan(math.radians(15))), abs=0.01)
+    assert times == pytest.approx(
+        math.hypot(1, mu_n / mu_t * math.tan(math.radians(15))), abs=0.01
+    )
     assert axis[1] / ellipse[1] == pytest.approx(1, abs=0.15)
 
 
@@ -211,7 +260,9 @@ def test_laws_of_isotropic_skin_agree(v_t, v_n, mu, slip):
     )
 
 
-@given(angle=st.floats(0, 2 * math.pi), mu_t=st.floats(0.05, 1), mu_n=st.floats(0.05, 1))
+@given(
+    angle=st.floats(0, 2 * math.pi), mu_t=st.floats(0.05, 1), mu_n=st.floats(0.05, 1)
+)
 def test_sliding_skin_is_on_its_friction_ellipse(angle, mu_t, mu_n):
     for law in friction.SKIN_LAWS:
         f_t, f_n = forces(LAWS[law], math.cos(angle), math.sin(angle), mu_t, mu_n, 1e-9)
@@ -223,7 +274,9 @@ def test_compiled_scalars_equal_arrays(law):
     v_t, v_n = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
     whole, scalar = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2), njit(law)
     for k in range(20):
-        assert [part[k] for part in whole] == pytest.approx(scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2))
+        assert [part[k] for part in whole] == pytest.approx(
+            scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2)
+        )
 
 
 def test_two_point_laws_are_laws():

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.integrate import quad
 
-from srs_twin.robot.geometry import body_shape, chord, chord_derivatives, relative_headings
+from srs_twin.robot.geometry import (
+    body_shape,
+    chord,
+    chord_derivatives,
+    relative_headings,
+)
 
 pytestmark = pytest.mark.fast
 
@@ -29,7 +34,9 @@ def segment_end(bend: float, length: float, gap: float) -> complex:
 def test_chord_connects_the_ends_along_the_mean_heading(bend, length, gap):
     end = segment_end(bend, length, gap)
     # The chord is positive for bends within ±3 rad, even with long gaps.
-    assert end * np.exp(-1j * bend / 2) == pytest.approx(complex(chord(bend, length, gap), 0), abs=1e-12)
+    assert end * np.exp(-1j * bend / 2) == pytest.approx(
+        complex(chord(bend, length, gap), 0), abs=1e-12
+    )
 
 
 @given(BEND, LENGTH, GAP)
@@ -41,19 +48,35 @@ def test_first_derivative_of_the_chord_matches_finite_differences(bend, length, 
 
 @pytest.mark.parametrize("bend", [-2.0, -0.1001, -0.0999, -1e-3, 0.0, 0.05, 0.3, 6.0])
 def test_second_derivative_of_the_chord_matches_finite_differences(bend):
-    h, slopes = 1e-2, [chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)]
-    sixth_order = -slopes[0] + 9 * slopes[1] - 45 * slopes[2] + 45 * slopes[4] - 9 * slopes[5] + slopes[6]
-    assert chord_derivatives(bend, 0.04, 0.02)[2] == pytest.approx(sixth_order / (60 * h), abs=1e-12)
+    h, slopes = (
+        1e-2,
+        [chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)],
+    )
+    sixth_order = (
+        -slopes[0]
+        + 9 * slopes[1]
+        - 45 * slopes[2]
+        + 45 * slopes[4]
+        - 9 * slopes[5]
+        + slopes[6]
+    )
+    assert chord_derivatives(bend, 0.04, 0.02)[2] == pytest.approx(
+        sixth_order / (60 * h), abs=1e-12
+    )
 
 
-@pytest.mark.parametrize("bend", [0.0, 1e-300, 1e-9, -1e-6, 1e-3, 9.999e-3, 1.0001e-2, -2e-2, 0.0999])
+@pytest.mark.parametrize(
+    "bend", [0.0, 1e-300, 1e-9, -1e-6, 1e-3, 9.999e-3, 1.0001e-2, -2e-2, 0.0999]
+)
 def test_geometry_is_smooth_through_zero_bend(bend):
     """Compare with the series to eighth order, L = l (1 − q²/24 + q⁴/1920 − …)."""
     q, length = bend, 0.05
     series = 1 - q**2 / 24 + q**4 / 1920 - q**6 / 322560
     slope = -q / 12 + q**3 / 480 - q**5 / 53760 + q**7 / 11612160
     assert chord(q, length, 0.0) == pytest.approx(length * series, rel=1e-14)
-    assert chord_derivatives(q, length, 0.0)[1] == pytest.approx(length * slope, rel=1e-10, abs=1e-300)
+    assert chord_derivatives(q, length, 0.0)[1] == pytest.approx(
+        length * slope, rel=1e-10, abs=1e-300
+    )
 
 
 def test_chord_is_even_and_its_derivative_odd():
@@ -64,11 +87,15 @@ def test_chord_is_even_and_its_derivative_odd():
     )
 
 
-def integrated_body(bends: np.ndarray, length: float, gap: float) -> tuple[np.ndarray, np.ndarray]:
+def integrated_body(
+    bends: np.ndarray, length: float, gap: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors (x + iy) and headings, head first, of a body with its tail at 0 along x."""
     positions, headings = [0j], [0.0]
     for bend in bends[::-1]:
-        positions.append(positions[-1] + segment_end(bend, length, gap) * np.exp(1j * headings[-1]))
+        positions.append(
+            positions[-1] + segment_end(bend, length, gap) * np.exp(1j * headings[-1])
+        )
         headings.append(headings[-1] + bend)
     return np.array(positions[::-1]), np.array(headings[::-1])
 
@@ -80,8 +107,12 @@ def test_body_shape_is_the_integrated_centre_line(bends, seed):
     mean = headings.mean()
     expected = (positions - (mass @ positions) / mass.sum()) * np.exp(-1j * mean)
     position = body_shape(np.array(bends), mass, 0.037, 0.018)
-    assert position == pytest.approx(np.stack([expected.real, expected.imag], axis=-1), abs=1e-12)
-    assert relative_headings(np.array(bends)) == pytest.approx(headings - mean, abs=1e-12)
+    assert position == pytest.approx(
+        np.stack([expected.real, expected.imag], axis=-1), abs=1e-12
+    )
+    assert relative_headings(np.array(bends)) == pytest.approx(
+        headings - mean, abs=1e-12
+    )
     assert mass @ position == pytest.approx([0, 0], abs=1e-14)
     assert relative_headings(np.array(bends)).mean() == pytest.approx(0, abs=1e-14)
 
@@ -98,4 +129,6 @@ def test_body_shape_supports_leading_axes():
     whole = body_shape(bends, np.ones(6), 0.04, 0.01)
     assert whole.shape == (4, 3, 6, 2)
     for index in np.ndindex(4, 3):
-        assert whole[index] == pytest.approx(body_shape(bends[index], np.ones(6), 0.04, 0.01), abs=1e-15)
+        assert whole[index] == pytest.approx(
+            body_shape(bends[index], np.ones(6), 0.04, 0.01), abs=1e-15
+        )

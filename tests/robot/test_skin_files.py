@@ -33,16 +33,27 @@ def problems(tmp_path: Path):
 
 
 def number_line(text: str, start: str) -> int:
-    return next(k for k, line in enumerate(text.splitlines(), start=1) if line.startswith(start))
+    return next(
+        k for k, line in enumerate(text.splitlines(), start=1) if line.startswith(start)
+    )
 
 
 def test_numbers_of_a_skin_reach_the_robot():
     spec = load_robot("skin_example")
-    assert (spec.friction.mu_t, spec.friction.backward, spec.friction.mu_n) == (0.1, 0.14, 0.5)
+    assert (spec.friction.mu_t, spec.friction.backward, spec.friction.mu_n) == (
+        0.1,
+        0.14,
+        0.5,
+    )
     assert spec.skin is not None and (spec.skin.law, spec.skin.points) == ("cosine", 6)
     assert spec.mass.segments == (0.025,) * 8 and spec.mass.total == pytest.approx(0.2)
-    assert spec.mass.connectors[0] == 0.0125 and spec.mass.connectors[1] == 0.025 and spec.mass.wheel == 0.0
-    # Two points of a Gauss rule across the belly carry the moment of an evenly loaded width.
+    assert (
+        spec.mass.connectors[0] == 0.0125
+        and spec.mass.connectors[1] == 0.025
+        and spec.mass.wheel == 0.0
+    )
+    # Two points of a Gauss rule across the belly carry the moment of an evenly loaded
+    # width.
     assert 2 * spec.geometry.half_track == pytest.approx(0.05 / math.sqrt(3))
 
 
@@ -50,25 +61,37 @@ def test_missing_numbers_of_a_skin_are_named(problems):
     forward = next(line for line in TEXT.splitlines() if line.startswith("  forward"))
     (line,) = problems(TEXT.replace(forward + "\n", ""))
     assert "contact.forward: missing; a robot with contact skin needs it" in line
-    assert f":{number_line(TEXT, 'contact')}:" in line or f":{number_line(TEXT, 'contact') + 1}:" in line
+    assert (
+        f":{number_line(TEXT, 'contact')}:" in line
+        or f":{number_line(TEXT, 'contact') + 1}:" in line
+    )
 
 
 def test_keys_of_wheels_are_refused_for_a_skin(problems):
     added = "  half_track_m: {value: 0.01, unit: m, status: measured, source: ruler}\n"
     (line,) = problems(TEXT.replace("geometry:\n", f"geometry:\n{added}"))
-    assert line.endswith("geometry.half_track_m: a robot with contact skin has no half_track_m; remove it")
+    assert line.endswith(
+        "geometry.half_track_m: a robot with contact skin has no half_track_m;"
+        " remove it"
+    )
     assert f":{number_line(TEXT, 'geometry') + 1}:17: " in line
 
 
 def test_keys_of_a_skin_are_refused_for_wheels(problems):
     (line,) = problems(WHEELED + "contact: {kind: wheels, law: cosine}\n")
-    assert line.endswith("contact.law: a robot with contact wheels has no law; remove it")
+    assert line.endswith(
+        "contact.law: a robot with contact wheels has no law; remove it"
+    )
 
 
 def test_missing_keys_of_wheels_are_named(problems):
-    record = next(line for line in WHEELED.splitlines() if line.startswith("  wheel_radius_m"))
+    record = next(
+        line for line in WHEELED.splitlines() if line.startswith("  wheel_radius_m")
+    )
     (line,) = problems(WHEELED.replace(record + "\n", ""))
-    assert "geometry.wheel_radius_m: missing; a robot with contact wheels needs it" in line
+    assert (
+        "geometry.wheel_radius_m: missing; a robot with contact wheels needs it" in line
+    )
 
 
 def test_unknown_kinds_and_laws_are_refused(problems):
@@ -79,8 +102,13 @@ def test_unknown_kinds_and_laws_are_refused(problems):
 
 
 def test_wrong_number_of_masses_is_refused(problems):
-    (line,) = problems(TEXT.replace("segments_kg: {value: 0.025", "segments_kg: {value: [0.1, 0.2]"))
-    assert "mass.segments_kg.value: 2 masses for 8 segments; give 8, or one number for all" in line
+    (line,) = problems(
+        TEXT.replace("segments_kg: {value: 0.025", "segments_kg: {value: [0.1, 0.2]")
+    )
+    assert (
+        "mass.segments_kg.value: 2 masses for 8 segments; give 8, or one number for all"
+        in line
+    )
 
 
 def test_backward_friction_is_forward_by_default(tmp_path):
@@ -92,7 +120,8 @@ def test_backward_friction_is_forward_by_default(tmp_path):
 
 def test_overrides_change_the_skin():
     scenario = load_scenario(
-        "skin_straight", set={"robot.contact.law": "ellipse", "robot.contact.transverse": 0.8}
+        "skin_straight",
+        set={"robot.contact.law": "ellipse", "robot.contact.transverse": 0.8},
     )
     assert scenario.robot.skin is not None
     assert (scenario.robot.skin.law, scenario.robot.friction.mu_n) == ("ellipse", 0.8)
@@ -108,12 +137,27 @@ DATA = {
 @pytest.mark.parametrize(
     ("plants", "message"),
     [
-        ({"analytical": {"friction": "axis"}}, "plants.analytical.friction: skin_example has a skin"),
+        (
+            {"analytical": {"friction": "axis"}},
+            "plants.analytical.friction: skin_example has a skin",
+        ),
         ({"twin": {"wheels": "skid"}}, "plants.twin.wheels: skin_example has a skin"),
-        ({"twin": {"friction": "wheel"}}, "plants.twin.friction: skin_example has a skin"),
-        ({"twin": {"contact": "preloaded"}}, "plants.twin.contact: a robot with skin needs contact: loaded"),
-        ({"analytical": {"inertia": "lumped"}}, "plants.analytical.inertia: the mass of a body with skin"),
-        ({"analytical": {"model": "simplified"}}, "plants.analytical.model: a body with skin has no frozen"),
+        (
+            {"twin": {"friction": "wheel"}},
+            "plants.twin.friction: skin_example has a skin",
+        ),
+        (
+            {"twin": {"contact": "preloaded"}},
+            "plants.twin.contact: a robot with skin needs contact: loaded",
+        ),
+        (
+            {"analytical": {"inertia": "lumped"}},
+            "plants.analytical.inertia: the mass of a body with skin",
+        ),
+        (
+            {"analytical": {"model": "simplified"}},
+            "plants.analytical.model: a body with skin has no frozen",
+        ),
     ],
 )
 def test_options_of_wheels_are_refused_for_a_skin(plants, message):

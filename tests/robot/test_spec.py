@@ -62,7 +62,9 @@ def test_published_robots_load(name):
         ("gen4", 0.30, 8, 0.8366, 19),
     ],
 )
-def test_robots_have_the_published_dimensions_gains_and_limits(name, length, psi_for, bend, limit_psi):
+def test_robots_have_the_published_dimensions_gains_and_limits(
+    name, length, psi_for, bend, limit_psi
+):
     robot = load_robot(name)
     assert robot.geometry.body_length == pytest.approx(length)
     assert robot.actuator.gain * psi_for * PSI == pytest.approx(bend)
@@ -93,7 +95,13 @@ def test_stiffness_is_half_of_its_energy_bound(name, pressure, volume):
 
 
 def test_gen3_has_its_compressor_in_the_tail():
-    assert load_robot("gen3").mass.connectors == (0.0525, 0.0525, 0.0525, 0.0525, 0.2676)
+    assert load_robot("gen3").mass.connectors == (
+        0.0525,
+        0.0525,
+        0.0525,
+        0.0525,
+        0.2676,
+    )
 
 
 def test_phase_steps_differ_by_generation():
@@ -120,8 +128,12 @@ def test_written_robot_is_read_back_unchanged(name, tmp_path):
 
 
 def test_one_mass_applies_to_all_connectors(write):
-    record = load_robot_file("gen2").mass.connectors_kg.model_dump(exclude={"uncertain"})
-    assert load_robot(write({"mass.connectors_kg": record | {"value": [0.03] * 5}})) == load_robot("gen2")
+    record = load_robot_file("gen2").mass.connectors_kg.model_dump(
+        exclude={"uncertain"}
+    )
+    assert load_robot(
+        write({"mass.connectors_kg": record | {"value": [0.03] * 5}})
+    ) == load_robot("gen2")
 
 
 def test_unit_must_match_the_key(write):
@@ -143,9 +155,18 @@ def test_all_problems_of_a_robot_are_reported_at_once(write):
     words = [
         "geometry.connectors.value: must be a whole number from 2 to 64, not 5.5",
         "friction.mu_t.value: must be a number from 0 to 10, not -0.1",
-        "friction.mu_n.status: must be one of measured, calibrated, estimated, not text 'guessed'",
-        "bending.stiffness_nm_per_rad.source: missing; it must be text of 1 to 1000 characters",
-        "supply.nominal_kpa: must be a block of keys (value, unit, status, source, uncertain), not 48.3",
+        (
+            "friction.mu_n.status: must be one of measured, calibrated, estimated, not"
+            " text 'guessed'"
+        ),
+        (
+            "bending.stiffness_nm_per_rad.source: missing; it must be text of 1 to 1000"
+            " characters"
+        ),
+        (
+            "supply.nominal_kpa: must be a block of keys (value, unit, status, source,"
+            " uncertain), not 48.3"
+        ),
         "gait.phase_step_rad.value: must be a number from -6.3 to 6.3, not NaN",
     ]
     problems = refusal(path)
@@ -161,18 +182,27 @@ TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
     ("changes", "words"),
     [
         (
-            {"mass.connectors_kg.value": [0.1, 0.2], "mass.connectors_kg.uncertain": None},
+            {
+                "mass.connectors_kg.value": [0.1, 0.2],
+                "mass.connectors_kg.uncertain": None,
+            },
             "2 masses for 5 connectors; give 5, or one number for all",
         ),
         (
             {"mass.wheel_kg.value": 0.02},
-            "two wheels of 0.02 kg are too much for the lightest connector, 0.03 kg; 0.0135 kg each at most",
+            (
+                "two wheels of 0.02 kg are too much for the lightest connector, 0.03"
+                " kg; 0.0135 kg each at most"
+            ),
         ),
         (
             {"tail": {key: METRES | {"value": value} for key, value in TAIL.items()}},
             "0.07 m is behind the second axle at 0.06 m; the assembly would tip over",
         ),
-        ({"supply.nominal_kpa.value": 80.0}, "80 kPa is above pulsed_limit_kpa, 68.9476 kPa"),
+        (
+            {"supply.nominal_kpa.value": 80.0},
+            "80 kPa is above pulsed_limit_kpa, 68.9476 kPa",
+        ),
     ],
 )
 def test_contradicting_numbers_are_rejected(write, changes, words):
@@ -195,7 +225,11 @@ def test_number_of_connectors_is_free(write, count):
             {"segment_length": 0.0},
             "segment_length: 0.0 is not allowed; it must be finite and above 0",
         ),
-        ("friction", {"mu_n": -1.0}, "mu_n: -1.0 is not allowed; it must be finite and 0 or more"),
+        (
+            "friction",
+            {"mu_n": -1.0},
+            "mu_n: -1.0 is not allowed; it must be finite and 0 or more",
+        ),
         ("bending", {"stiffness": math.inf}, "it must be finite and above 0"),
         ("mass", {"wheel": 0.02}, "it must weigh at most 0.0135 kg"),
         (
@@ -209,7 +243,9 @@ def test_number_of_connectors_is_free(write, count):
 def test_invalid_parameters_of_a_spec_are_rejected(part, changes, words):
     robot = load_robot("gen2")
     with pytest.raises(InputError, match=words):
-        dataclasses.replace(robot, **{part: dataclasses.replace(getattr(robot, part), **changes)})
+        dataclasses.replace(
+            robot, **{part: dataclasses.replace(getattr(robot, part), **changes)}
+        )
 
 
 def test_derived_quantities():
@@ -217,19 +253,28 @@ def test_derived_quantities():
     assert (geometry.segments, geometry.pitch, geometry.body_length) == (2, 0.05, 0.1)
     robot: RobotSpec = load_robot("gen2")
     assert robot.mass.total == pytest.approx(0.15)
-    assert robot.bending.damping == pytest.approx(robot.bending.stiffness * robot.actuator.tau_mode)
+    assert robot.bending.damping == pytest.approx(
+        robot.bending.stiffness * robot.actuator.tau_mode
+    )
     assert robot.friction == Friction(mu_t=0.043, mu_n=0.57)
 
 
 def test_default_gyration_of_a_connector_is_that_of_a_block():
     spec = load_robot("gen2")
     g = spec.geometry
-    assert spec.connector_gyration == pytest.approx(math.sqrt((g.rigid_gap**2 + 4 * g.half_track**2) / 12))
-    measured = dataclasses.replace(spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005))
+    assert spec.connector_gyration == pytest.approx(
+        math.sqrt((g.rigid_gap**2 + 4 * g.half_track**2) / 12)
+    )
+    measured = dataclasses.replace(
+        spec, mass=dataclasses.replace(spec.mass, connector_gyration=0.005)
+    )
     assert measured.connector_gyration == 0.005
     assert (measured.yaw_inertia() < spec.yaw_inertia()).all()
 
 
 def test_robot_file_may_give_the_gyration_of_connectors(write):
     number = {"value": 0.007, "unit": "m", "status": "measured", "source": "a swing"}
-    assert load_robot(write({"mass.connector_gyration_m": number})).connector_gyration == 0.007
+    assert (
+        load_robot(write({"mass.connector_gyration_m": number})).connector_gyration
+        == 0.007
+    )

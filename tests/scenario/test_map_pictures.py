@@ -1,6 +1,7 @@
 """Pictures of occupancy maps: grey levels, transparency and modes as in ROS, and what is no map's picture.
 
-The expected cells follow nav2_map_server (as in Humble) pixel by pixel, in exact arithmetic.
+The expected cells follow nav2_map_server (as in Humble) pixel by pixel, in exact
+arithmetic.
 """
 
 from __future__ import annotations
@@ -54,24 +55,39 @@ def ros_cell(colours, alpha, white, mode, negate, free, occupied) -> int:
         return 100
     if occupancy < free:
         return 0
-    return -1 if mode == "trinary" else round((occupancy - free) / (occupied - free) * 100)
+    return (
+        -1 if mode == "trinary" else round((occupancy - free) / (occupied - free) * 100)
+    )
 
 
 def chunk(kind, data):
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    return (
+        struct.pack(">I", len(data))
+        + kind
+        + data
+        + struct.pack(">I", zlib.crc32(kind + data))
+    )
 
 
 def png(width, height, depth, kind, rows, more=b""):
     """Return a PNG file of rows of bytes."""
     header = struct.pack(">IIBBBBB", width, height, depth, kind, 0, 0, 0)
     pixels = zlib.compress(b"".join(b"\0" + row for row in rows))
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + more + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + chunk(b"IHDR", header)
+        + more
+        + chunk(b"IDAT", pixels)
+        + chunk(b"IEND", b"")
+    )
 
 
 def draw(rng, channels, white):
     """Return pixels, some of them close to the thresholds."""
     values = rng.integers(0, white + 1, (*SHAPE, channels))
-    near = np.rint(white * rng.choice([0, 0.196, 0.804, 0.65, 0.35, 0.9, 0.995, 1], SHAPE)).astype(int)
+    near = np.rint(
+        white * rng.choice([0, 0.196, 0.804, 0.65, 0.35, 0.9, 0.995, 1], SHAPE)
+    ).astype(int)
     near = np.clip(near + rng.integers(-1, 2, SHAPE), 0, white)
     values = np.where(rng.random(SHAPE)[..., None] < 0.6, near[..., None], values)
     if channels in (2, 4):
@@ -94,15 +110,28 @@ def by_pillow(mode, suffix):
             picture.putpalette(palette[:, :3].astype(np.uint8).tobytes())
             clear = mode != "P"
             picture.save(
-                path, **({"transparency": palette[:, 3].astype(np.uint8).tobytes()} if clear else {})
+                path,
+                **(
+                    {"transparency": palette[:, 3].astype(np.uint8).tobytes()}
+                    if clear
+                    else {}
+                ),
             )
-            return palette[index][..., :3], palette[index][..., 3] if clear else None, 255
+            return (
+                palette[index][..., :3],
+                palette[index][..., 3] if clear else None,
+                255,
+            )
         white = 65535 if mode == "I;16" else 255
         values = draw(rng, {"LA": 2, "RGB": 3, "RGBA": 4}.get(mode, 1), white)
         if mode == "1":
             values = np.where(values > 100, 255, 0)
         array = values.squeeze().astype(np.uint16 if white > 255 else np.uint8)
-        (Image.fromarray(array).convert("1") if mode == "1" else Image.fromarray(array)).save(path)
+        (
+            Image.fromarray(array).convert("1")
+            if mode == "1"
+            else Image.fromarray(array)
+        ).save(path)
         return pixels(values, white)
 
     write.suffix = suffix
@@ -113,7 +142,9 @@ def by_opencv(channels, white, suffix):
     def write(path, rng):
         values = draw(rng, channels, white)
         array = values.astype(np.uint16 if white > 255 else np.uint8)
-        cv2.imwrite(str(path), array[..., {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]])
+        cv2.imwrite(
+            str(path), array[..., {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]]
+        )
         return pixels(values, white)
 
     write.suffix = suffix
@@ -124,11 +155,19 @@ def pgm(white, *, text=False, comment=""):
     def write(path, rng):
         values = draw(rng, 1, white)
         header = (
-            f"P{2 if text else 5}\n{comment}13 {comment}9\n{comment}{white}{comment and '# end'}\n".encode()
+            f"P{2 if text else 5}\n{comment}13"
+            f" {comment}9\n{comment}{white}{comment and '# end'}\n".encode()
         )
-        numbers = "".join(f"{each}{comment and f' # {each}'}\n" for each in values.ravel()).encode()
+        numbers = "".join(
+            f"{each}{comment and f' # {each}'}\n" for each in values.ravel()
+        ).encode()
         path.write_bytes(
-            header + (numbers if text else values.astype(">u2" if white > 255 else "u1").tobytes())
+            header
+            + (
+                numbers
+                if text
+                else values.astype(">u2" if white > 255 else "u1").tobytes()
+            )
         )
         return pixels(values, white)
 
@@ -146,7 +185,16 @@ def raw_png(depth, kind, clear=False):
         else:
             rows = [each.astype(f">u{depth // 8}").tobytes() for each in values]
         key = values[4, 6]
-        path.write_bytes(png(13, 9, depth, kind, rows, chunk(b"tRNS", key.astype(">u2").tobytes()) * clear))
+        path.write_bytes(
+            png(
+                13,
+                9,
+                depth,
+                kind,
+                rows,
+                chunk(b"tRNS", key.astype(">u2").tobytes()) * clear,
+            )
+        )
         alpha = np.where((values == key).all(axis=2), 0, white) if clear else None
         return pixels(values * (white // full), white, alpha)
 
@@ -156,18 +204,38 @@ def raw_png(depth, kind, clear=False):
 
 COMMENT = "# 0.050 m/pix\n"
 WRITERS = {
-    "pillow": [by_pillow(m, ".png") for m in ("1", "L", "I;16", "P", "P transparent", "LA", "RGB", "RGBA")]
-    + [by_pillow("L", ".pgm"), by_pillow("I;16", ".pgm")],
-    "opencv": [by_opencv(channels, white, ".png") for channels in (1, 3, 4) for white in (255, 65535)]
-    + [by_opencv(1, white, ".pgm") for white in (255, 65535)],
-    "P5": [pgm(white) for white in (1, 2, 100, 200, 254, 255, 256, 1000, 4095, 65534, 65535)]
-    + [pgm(white, comment=COMMENT) for white in (255, 65535)],
-    "P2": [pgm(white, text=True) for white in (1, 7, 255, 1023, 65535)]
-    + [pgm(white, text=True, comment=COMMENT) for white in (200, 65535)],
-    "png": [raw_png(depth, 0) for depth in (1, 2, 4, 8, 16)]
-    + [raw_png(depth, 0, clear=True) for depth in (1, 2, 4, 8, 16)]
-    + [raw_png(depth, 2, clear=True) for depth in (8, 16)]
-    + [raw_png(depth, 4) for depth in (8, 16)],
+    "pillow": (
+        [
+            by_pillow(m, ".png")
+            for m in ("1", "L", "I;16", "P", "P transparent", "LA", "RGB", "RGBA")
+        ]
+        + [by_pillow("L", ".pgm"), by_pillow("I;16", ".pgm")]
+    ),
+    "opencv": (
+        [
+            by_opencv(channels, white, ".png")
+            for channels in (1, 3, 4)
+            for white in (255, 65535)
+        ]
+        + [by_opencv(1, white, ".pgm") for white in (255, 65535)]
+    ),
+    "P5": (
+        [
+            pgm(white)
+            for white in (1, 2, 100, 200, 254, 255, 256, 1000, 4095, 65534, 65535)
+        ]
+        + [pgm(white, comment=COMMENT) for white in (255, 65535)]
+    ),
+    "P2": (
+        [pgm(white, text=True) for white in (1, 7, 255, 1023, 65535)]
+        + [pgm(white, text=True, comment=COMMENT) for white in (200, 65535)]
+    ),
+    "png": (
+        [raw_png(depth, 0) for depth in (1, 2, 4, 8, 16)]
+        + [raw_png(depth, 0, clear=True) for depth in (1, 2, 4, 8, 16)]
+        + [raw_png(depth, 2, clear=True) for depth in (8, 16)]
+        + [raw_png(depth, 4) for depth in (8, 16)]
+    ),
 }
 
 
@@ -180,7 +248,9 @@ def test_cells_agree_with_ros(tmp_path, library):
             for negate in (False, True):
                 picture = tmp_path / f"{k}{write.suffix}"
                 colours, alpha, white = write(picture, rng)
-                free, occupied = ("0.196", "0.65") if rng.random() < 0.5 else ("0.1", "0.9")
+                free, occupied = (
+                    ("0.196", "0.65") if rng.random() < 0.5 else ("0.1", "0.9")
+                )
                 path = write_map(
                     picture,
                     free=free,
@@ -190,13 +260,23 @@ def test_cells_agree_with_ros(tmp_path, library):
                 rule = (white, mode, negate, Fraction(free), Fraction(occupied))
                 expected = [
                     [
-                        ros_cell(colours[row, column], None if alpha is None else alpha[row, column], *rule)
+                        ros_cell(
+                            colours[row, column],
+                            None if alpha is None else alpha[row, column],
+                            *rule,
+                        )
                         != 0
                         for column in range(SHAPE[1])
                     ]
                     for row in range(SHAPE[0])
                 ]
-                assert (covered(path, SHAPE) == np.array(expected)).all(), (library, k, mode, negate, free)
+                assert (covered(path, SHAPE) == np.array(expected)).all(), (
+                    library,
+                    k,
+                    mode,
+                    negate,
+                    free,
+                )
 
 
 def test_pixels_of_opencv_and_pillow_are_read_exactly(tmp_path):
@@ -204,9 +284,16 @@ def test_pixels_of_opencv_and_pillow_are_read_exactly(tmp_path):
     rng = np.random.default_rng(1)
     for channels in (1, 3, 4):
         values = rng.integers(0, 65536, (31, 17, channels)).astype(np.uint16)
-        cv2.imwrite(str(tmp_path / "a.png"), values[..., {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]])
+        cv2.imwrite(
+            str(tmp_path / "a.png"),
+            values[..., {1: [0], 3: [2, 1, 0], 4: [2, 1, 0, 3]}[channels]],
+        )
         colour, alpha, white = map_file._picture(tmp_path / "a.png")
-        colours = np.broadcast_to(values[..., :3], (31, 17, 3)) if channels == 1 else values[..., :3]
+        colours = (
+            np.broadcast_to(values[..., :3], (31, 17, 3))
+            if channels == 1
+            else values[..., :3]
+        )
         assert white == 65535 and (colour == colours.sum(axis=2, dtype=int)).all()
         assert (alpha is None) if channels < 4 else (alpha == values[..., 3]).all()
 
@@ -222,24 +309,43 @@ WALL[5:, 18:20] = 0
         ((12000, 65000), "mode: scale\n", 30),
         ((0, 65278), "", 30),
         ((0, 254), "mode: Trinary\n", 30),
-        *(((0, 254), f"negate: {no}\n", 30) for no in ("0", '"0"', "no", "No", "off", "OFF", "false", "n")),
-        *(((0, 254), f"negate: {yes}\n", 770) for yes in ("1", '"1"', "yes", "Yes", "on", "ON", "true", "y")),
+        *(
+            ((0, 254), f"negate: {no}\n", 30)
+            for no in ("0", '"0"', "no", "No", "off", "OFF", "false", "n")
+        ),
+        *(
+            ((0, 254), f"negate: {yes}\n", 770)
+            for yes in ("1", '"1"', "yes", "Yes", "on", "ON", "true", "y")
+        ),
     ],
 )
 @pytest.mark.parametrize("suffix", [".png", ".pgm"])
 def test_a_wall_is_thirty_cells(tmp_path, levels, more, cells, suffix):
     picture = tmp_path / f"wall{suffix}"
-    array = np.where(WALL > 0, levels[1], levels[0]).astype(np.uint16 if max(levels) > 255 else np.uint8)
+    array = np.where(WALL > 0, levels[1], levels[0]).astype(
+        np.uint16 if max(levels) > 255 else np.uint8
+    )
     Image.fromarray(array).save(picture)
     count = covered(write_map(picture, more=more), WALL.shape)
-    assert count.sum() == cells and ((count > 0) == ((WALL == 0) if cells == 30 else (WALL > 0))).all()
+    assert (
+        count.sum() == cells
+        and ((count > 0) == ((WALL == 0) if cells == 30 else (WALL > 0))).all()
+    )
 
 
 def test_transparent_cells_are_occupied(tmp_path):
-    rgba = np.dstack([np.full((*WALL.shape, 3), 254, np.uint8), np.where(WALL > 0, 255, 0).astype(np.uint8)])
+    rgba = np.dstack(
+        [
+            np.full((*WALL.shape, 3), 254, np.uint8),
+            np.where(WALL > 0, 255, 0).astype(np.uint8),
+        ]
+    )
     Image.fromarray(rgba).save(tmp_path / "clear.png")
     for more in ("mode: trinary\n", "mode: scale\n"):
-        assert ((covered(write_map(tmp_path / "clear.png", more=more), WALL.shape) > 0) == (WALL == 0)).all()
+        assert (
+            (covered(write_map(tmp_path / "clear.png", more=more), WALL.shape) > 0)
+            == (WALL == 0)
+        ).all()
 
 
 SCENARIO = """
@@ -264,10 +370,14 @@ def test_sixteen_bits_negate_no_and_free_thresh_zero_are_one_map(tmp_path):
         ((0, 254), {"more": "negate: no\n"}),
         ((0, 254), {"free": "0.0", "occupied": "1.0", "more": "mode: scale\n"}),
     ):
-        array = np.where(grey > 0, levels[1], levels[0]).astype(np.uint16 if levels[0] else np.uint8)
+        array = np.where(grey > 0, levels[1], levels[0]).astype(
+            np.uint16 if levels[0] else np.uint8
+        )
         Image.fromarray(array).save(tmp_path / "wall.png")
         path = write_map(tmp_path / "wall.png", **options)
-        path.write_text(path.read_text().replace("[-0.5, -0.5, 0.0]", "[-2.0, -3.0, 0.0]"))
+        path.write_text(
+            path.read_text().replace("[-0.5, -0.5, 0.0]", "[-2.0, -3.0, 0.0]")
+        )
         maps.append(read_map(path))
     assert maps[0] == maps[1] == maps[2] == maps[3] and len(maps[0]) == 5
 
@@ -277,7 +387,10 @@ def sparse(path, width, height):
 
 
 def two_headers(path):
-    data, second = png(4, 1, 8, 0, [b"\0" * 4]), struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0)
+    data, second = (
+        png(4, 1, 8, 0, [b"\0" * 4]),
+        struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0),
+    )
     path.write_bytes(data[:33] + chunk(b"IHDR", second) + data[33:])
 
 
@@ -289,22 +402,45 @@ HOSTILE = {
         lambda path: sparse(path, 13_400, 13_400),
         "13400 x 13400 pixels; 1 to 25,000,000 are allowed",
     ),
-    "gigapixels": (lambda path: sparse(path, 2**31 - 1, 2**31 - 1), "pixels; 1 to 25,000,000 are allowed"),
+    "gigapixels": (
+        lambda path: sparse(path, 2**31 - 1, 2**31 - 1),
+        "pixels; 1 to 25,000,000 are allowed",
+    ),
     "none": (lambda path: sparse(path, 0, 5), "0 x 5 pixels"),
-    "large pgm": (lambda path: path.write_bytes(b"P5 100000 100000 255\n"), "100000 x 100000 pixels"),
+    "large pgm": (
+        lambda path: path.write_bytes(b"P5 100000 100000 255\n"),
+        "100000 x 100000 pixels",
+    ),
     "two headers": (two_headers, "damaged ("),
     "empty": (lambda path: path.write_bytes(b""), "neither PNG nor PGM"),
     "signature": (lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n"), "0 x 0 pixels"),
     "cut": (
-        lambda path: path.write_bytes(png(40, 20, 8, 0, [bytes(range(41, 1, -1))] * 20)[:-24]),
+        lambda path: path.write_bytes(
+            png(40, 20, 8, 0, [bytes(range(41, 1, -1))] * 20)[:-24]
+        ),
         "damaged (",
     ),
-    "cut pgm": (lambda path: path.write_bytes(b"P5 40 20 255\n" + bytes(700)), "damaged ("),
+    "cut pgm": (
+        lambda path: path.write_bytes(b"P5 40 20 255\n" + bytes(700)),
+        "damaged (",
+    ),
     "cut text": (lambda path: path.write_bytes(b"P2 2 2 255\n0 0 0"), "damaged ("),
-    "words": (lambda path: path.write_bytes(b"P2 2 2 255\n0 0 x 0"), "damaged (not all pixels are numbers)"),
-    "maxval": (lambda path: path.write_bytes(b"P5 1 1 65536\n\0\0"), "maxval 65536; 1 to 65535 is allowed"),
-    "no maxval": (lambda path: path.write_bytes(b"P5 1 1 0\n\0"), "maxval 0; 1 to 65535 is allowed"),
-    "too bright": (lambda path: path.write_bytes(b"P2 1 1 9\n10"), "grey level 10 above maxval 9"),
+    "words": (
+        lambda path: path.write_bytes(b"P2 2 2 255\n0 0 x 0"),
+        "damaged (not all pixels are numbers)",
+    ),
+    "maxval": (
+        lambda path: path.write_bytes(b"P5 1 1 65536\n\0\0"),
+        "maxval 65536; 1 to 65535 is allowed",
+    ),
+    "no maxval": (
+        lambda path: path.write_bytes(b"P5 1 1 0\n\0"),
+        "maxval 0; 1 to 65535 is allowed",
+    ),
+    "too bright": (
+        lambda path: path.write_bytes(b"P2 1 1 9\n10"),
+        "grey level 10 above maxval 9",
+    ),
     "eps": (
         lambda path: path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n"),
         "EPS is not read; save it as PNG or PGM",
@@ -313,7 +449,10 @@ HOSTILE = {
     "ppm": (lambda path: path.write_bytes(b"P6 1 1 255\n\0\0\0"), "PPM is not read"),
     "pbm": (lambda path: path.write_bytes(b"P4 1 1\n\0"), "PBM is not read"),
     **{
-        kind.lower(): (lambda path, kind=kind: Image.new("L", (4, 4)).save(path, kind), f"{kind} is not read")
+        kind.lower(): (
+            lambda path, kind=kind: Image.new("L", (4, 4)).save(path, kind),
+            f"{kind} is not read",
+        )
         for kind in ("JPEG", "BMP", "GIF", "TIFF", "WebP")
     },
 }
@@ -347,7 +486,10 @@ def test_checkerboard_is_rejected_quickly(tmp_path, monkeypatch, capsys):
         main(["plan", "run.yaml", "--quiet"])
     assert end.value.code == 2 and time.process_time() - begin < 5.0
     said = capsys.readouterr().err
-    assert "wall.yaml:1:8: image: 500,000 rectangles" in said and "20,000 are allowed: remove specks" in said
+    assert (
+        "wall.yaml:1:8: image: 500,000 rectangles" in said
+        and "20,000 are allowed: remove specks" in said
+    )
 
 
 def test_stripes_of_twenty_thousand_rows_are_few_rectangles(tmp_path):
@@ -362,12 +504,18 @@ def test_other_spellings_of_a_map(tmp_path):
     Image.fromarray(WALL).save(tmp_path / "a.png")
     path = write_map(tmp_path / "a.png")
     text, plain = path.read_text(), read_map(path)
-    for new in (text.replace("0.05\n", "5e-2\n"), text[: text.index("occupied")], text + "frame: map\n"):
+    for new in (
+        text.replace("0.05\n", "5e-2\n"),
+        text[: text.index("occupied")],
+        text + "frame: map\n",
+    ):
         path.write_text(new)
         assert read_map(path) == plain
     path.write_text(text.replace("0.0]", "1.5707963267948966]"))
     corners = np.array(read_map(path)[0].corners)
-    assert np.allclose([corners.min(axis=0), corners.max(axis=0)], [[-1.25, 0.4], [-0.5, 0.5]])
+    assert np.allclose(
+        [corners.min(axis=0), corners.max(axis=0)], [[-1.25, 0.4], [-0.5, 0.5]]
+    )
     path.write_text(text.replace("a.png", "sub\\a.png"))
     with pytest.raises(InputError, match=r"a\.yaml:1:8: image: .*no such file"):
         read_map(path)

@@ -32,14 +32,19 @@ free_thresh: 0.196
 def drawn(tmp_path, grey, *, suffix="pgm", x=0.0, y=0.0, turn=0.0, negate=0):
     Image.fromarray(np.asarray(grey, dtype=np.uint8)).save(tmp_path / f"room.{suffix}")
     path = tmp_path / "room.yaml"
-    path.write_text(MAP.format(image=f"room.{suffix}", x=x, y=y, turn=turn, negate=negate))
+    path.write_text(
+        MAP.format(image=f"room.{suffix}", x=x, y=y, turn=turn, negate=negate)
+    )
     return path
 
 
 def cells(grey) -> set[tuple[int, int]]:
     """Return column and row, from the lower left, of cells that are not known to be free."""
     rows, columns = np.nonzero((255 - np.asarray(grey, dtype=float)) / 255 >= 0.196)
-    return {(int(column), len(grey) - 1 - int(row)) for row, column in zip(rows, columns, strict=True)}
+    return {
+        (int(column), len(grey) - 1 - int(row))
+        for row, column in zip(rows, columns, strict=True)
+    }
 
 
 @pytest.mark.parametrize("suffix", ["pgm", "png"])
@@ -47,9 +52,16 @@ def test_rectangles_cover_occupied_cells_once(tmp_path, suffix):
     grey = np.random.default_rng(0).choice(
         [0, 100, 205, 254, 255], p=[0.2, 0.05, 0.05, 0.4, 0.3], size=(23, 31)
     )
-    polygons = [shapely.Polygon(each.corners) for each in read_map(drawn(tmp_path, grey, suffix=suffix))]
+    polygons = [
+        shapely.Polygon(each.corners)
+        for each in read_map(drawn(tmp_path, grey, suffix=suffix))
+    ]
     whole = shapely.union_all(polygons)
-    assert whole.area == pytest.approx(0.01 * len(cells(grey))) == sum(each.area for each in polygons)
+    assert (
+        whole.area
+        == pytest.approx(0.01 * len(cells(grey)))
+        == sum(each.area for each in polygons)
+    )
     for column in range(31):
         for row in range(23):
             inside = shapely.contains_xy(whole, 0.1 * (column + 0.5), 0.1 * (row + 0.5))
@@ -66,13 +78,21 @@ def test_a_quoted_origin_is_read(tmp_path, quoted):
 
 
 def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
-    (tmp_path / "room.pgm").write_text("P2\n# another program's\n3 2\n255\n0 255 255\n255 255 255\n")
+    (tmp_path / "room.pgm").write_text(
+        "P2\n# another program's\n3 2\n255\n0 255 255\n255 255 255\n"
+    )
     path = tmp_path / "room.yaml"
     for negate, area in ((0, 0.01), (1, 0.05)):
         path.write_text(MAP.format(image="room.pgm", x=0, y=0, turn=0, negate=negate))
-        assert sum(shapely.Polygon(each.corners).area for each in read_map(path)) == pytest.approx(area)
-    (one,) = read_map(drawn(tmp_path, [[0, 255], [255, 255]], x=5.0, y=-1.0, turn=math.pi / 2))
-    assert shapely.Polygon(one.corners).centroid.coords[0] == pytest.approx((5.0 - 0.15, -1.0 + 0.05))
+        assert sum(
+            shapely.Polygon(each.corners).area for each in read_map(path)
+        ) == pytest.approx(area)
+    (one,) = read_map(
+        drawn(tmp_path, [[0, 255], [255, 255]], x=5.0, y=-1.0, turn=math.pi / 2)
+    )
+    assert shapely.Polygon(one.corners).centroid.coords[0] == pytest.approx(
+        (5.0 - 0.15, -1.0 + 0.05)
+    )
 
 
 @pytest.mark.parametrize(
@@ -83,7 +103,11 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
             "resolution: 0",
             "room.yaml:2:13: resolution: must be a number from 0.0001 to 100",
         ),
-        ("resolution: 0.1", "resolution: -0.1", "resolution: must be a number from 0.0001 to 100, not -0.1"),
+        (
+            "resolution: 0.1",
+            "resolution: -0.1",
+            "resolution: must be a number from 0.0001 to 100, not -0.1",
+        ),
         (
             "resolution: 0.1",
             "resolution: 1e-300",
@@ -94,8 +118,16 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
             "resolution: .inf",
             "resolution: must be a number from 0.0001 to 100, not infinity",
         ),
-        ("resolution: 0.1", "resolution: .nan", "resolution: must be a number from 0.0001 to 100, not NaN"),
-        ("resolution: 0.1", "resolution: true", "resolution: must be a number from 0.0001 to 100, not true"),
+        (
+            "resolution: 0.1",
+            "resolution: .nan",
+            "resolution: must be a number from 0.0001 to 100, not NaN",
+        ),
+        (
+            "resolution: 0.1",
+            "resolution: true",
+            "resolution: must be a number from 0.0001 to 100, not true",
+        ),
         ("resolution: 0.1", "resolution: fine", "from 0.0001 to 100, not text 'fine'"),
         ("origin: [0.0, 0.0, 0.0]", "origin: [0, 0]", "room.yaml:3:9: origin: "),
         ("origin: [0.0, 0.0, 0.0]", "origin: 5", "room.yaml:3:9: origin: "),
@@ -114,7 +146,11 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
             "free_thresh: 0.65",
             "room.yaml:6:14: free_thresh: must be below occupied_thresh",
         ),
-        ("free_thresh: 0.196", "free_thresh: -0.1", "free_thresh: must be a number from 0 to 1, not -0.1"),
+        (
+            "free_thresh: 0.196",
+            "free_thresh: -0.1",
+            "free_thresh: must be a number from 0 to 1, not -0.1",
+        ),
         (
             "occupied_thresh: 0.65",
             "occupied_thresh: 65",
@@ -122,9 +158,17 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
         ),
         ("room.pgm", "rom.pgm", "room.yaml:1:8: image: "),
         ("room.pgm", "rom.pgm", " and rom.pgm); did you mean room.pgm?"),
-        ("room.pgm", "[room.pgm]", "image: must be text of 1 to 1000 characters, not a list of 1"),
+        (
+            "room.pgm",
+            "[room.pgm]",
+            "image: must be text of 1 to 1000 characters, not a list of 1",
+        ),
         ("image: room.pgm\n", "", "image: missing"),
-        ("negate: 0", "mode: raw", "room.yaml:4:7: mode: must be one of trinary, scale, not text 'raw'"),
+        (
+            "negate: 0",
+            "mode: raw",
+            "room.yaml:4:7: mode: must be one of trinary, scale, not text 'raw'",
+        ),
         (
             "negate: 0",
             "negate: maybe",
@@ -149,10 +193,19 @@ def test_invalid_maps_are_rejected(tmp_path, old, new, words):
 def test_a_list_of_circles(tmp_path):
     path = tmp_path / "circles.csv"
     path.write_text("name,x_m,y_m,radius_m\npost,1,2,0.1\ntable,-1,0.5,0.4\n")
-    assert [(c.x, c.y, c.radius) for c in read_circles(path)] == [(1, 2, 0.1), (-1, 0.5, 0.4)]
+    assert [(c.x, c.y, c.radius) for c in read_circles(path)] == [
+        (1, 2, 0.1),
+        (-1, 0.5, 0.4),
+    ]
     for text, words in (
-        ("x_m,y_m\n1,2\n", ":1: columns x_m, y_m, radius_m are required; radius_m is missing"),
-        ("x_m,y_m,radius_m\n1,2,0\n", ":2: numbers must be finite and the radius above 0"),
+        (
+            "x_m,y_m\n1,2\n",
+            ":1: columns x_m, y_m, radius_m are required; radius_m is missing",
+        ),
+        (
+            "x_m,y_m,radius_m\n1,2,0\n",
+            ":2: numbers must be finite and the radius above 0",
+        ),
         ("x_m,y_m,radius_m\n1,2,wide\n", ":2: not three numbers"),
     ):
         path.write_text(text)
@@ -208,7 +261,16 @@ def test_plan_among_ten_thousand_cells(tmp_path):
     polygons = read_map(drawn(tmp_path, grey, y=-20.0))
     assert 1000 < len(polygons) < 2000 and (grey == 0).sum() > 10_000
     body = load_footprint("gen4_ilc").reduced(1.0, 0.05)
-    problem = Problem(Pose(2.5, 0.0, 0.0), Goal(57.0, 0.0, None, 0.2), World((), None, None, polygons), body)
+    problem = Problem(
+        Pose(2.5, 0.0, 0.0),
+        Goal(57.0, 0.0, None, 0.2),
+        World((), None, None, polygons),
+        body,
+    )
     answer = plan(problem)
     near = tuple(each for each in polygons if abs(each.corners[0][1]) < 4.0)
-    assert answer.found and deepest(answer, replace(problem, world=World((), None, None, near))) <= TOUCH
+    assert (
+        answer.found
+        and deepest(answer, replace(problem, world=World((), None, None, near)))
+        <= TOUCH
+    )

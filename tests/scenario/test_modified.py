@@ -43,25 +43,50 @@ def changed(scenario):
     ("fields", "listed"),
     [
         (SLOW, {"controller.frequency_hz": (2.0, 1.0)}),
-        ({"controller.offset": 0.3}, {"controller.offset": (0.0, 0.3)}),  # the file has 0.0, too
-        ({"controller": {"kind": "gait", "frequency_hz": 1.5}}, {"controller.frequency_hz": (2.0, 1.5)}),
-        ({"start.x_m": 1.0, "seed": 4}, {"start.x_m": (0.0, 1.0), "seed": (0, 4)}),  # the file has neither
+        (
+            {"controller.offset": 0.3},
+            {"controller.offset": (0.0, 0.3)},
+        ),  # the file has 0.0, too
+        (
+            {"controller": {"kind": "gait", "frequency_hz": 1.5}},
+            {"controller.frequency_hz": (2.0, 1.5)},
+        ),
+        (
+            {"start.x_m": 1.0, "seed": 4},
+            {"start.x_m": (0.0, 1.0), "seed": (0, 4)},
+        ),  # the file has neither
         ({"robot.friction.mu_t": 0.1}, {"robot.friction.mu_t": (0.043, 0.1)}),
-        ({"robot": {"base": "gen2", "friction": {"mu_t": 0.1}}}, {"robot.friction.mu_t": (0.043, 0.1)}),
+        (
+            {"robot": {"base": "gen2", "friction": {"mu_t": 0.1}}},
+            {"robot.friction.mu_t": (0.043, 0.1)},
+        ),
         ({"robot": "gen3"}, {"robot": ("gen2", "gen3")}),
         ({"robot.base": "gen3"}, {"robot": ("gen2", "gen3")}),
         ({"plants.twin.preset": "fast"}, {"plants.twin.preset": (None, "fast")}),
-        ({"plants": {"twin": {}}, "expect": []}, {"plants": (["analytical", "twin"], ["twin"])}),
+        (
+            {"plants": {"twin": {}}, "expect": []},
+            {"plants": (["analytical", "twin"], ["twin"])},
+        ),
         ({"world.obstacles": [PEG]}, {"world.obstacles": ([], [PEG])}),
         ({"expect[0].rel": 0.5}, {"expect[0].rel": (0.15, 0.5)}),
         # Nothing else is run than the file says.
-        ({"controller.frequency_hz": 2, "duration_s": 10, "robot": "gen2", "title": TITLE}, {}),
+        (
+            {
+                "controller.frequency_hz": 2,
+                "duration_s": 10,
+                "robot": "gen2",
+                "title": TITLE,
+            },
+            {},
+        ),
         ({"robot.friction.mu_t": 0.043, "valves.layout": "3/2", "start.x_m": 0}, {}),
     ],
 )
 def test_changed_fields_are_listed(fields, listed):
     found = gen2(**fields)
-    assert {field: pair for field, pair in changed(found).items() if field != "expect"} == listed
+    assert {
+        field: pair for field, pair in changed(found).items() if field != "expect"
+    } == listed
     assert ("modified" in found.title) == bool(found.changes)
 
 
@@ -69,21 +94,31 @@ def test_title_names_few_changes_and_counts_many():
     assert gen2(**SLOW).title == f"{TITLE} {SLOWER}"
     assert gen2(**SLOW).label == f"gen2_straight {SLOWER}"
     assert gen2().title == TITLE
-    many = {"controller.offset": 0.1, "seed": 3, "duration_s": 4, "robot.friction.mu_n": 0.5}
+    many = {
+        "controller.offset": 0.1,
+        "seed": 3,
+        "duration_s": 4,
+        "robot.friction.mu_n": 0.5,
+    }
     assert gen2(**many).title == f"{TITLE} (modified: 4 fields)"
     # A title has one line of a picture, however long values are.
     far = [PEG | {"x_m": float(k)} for k in range(400)]
     obstacles = gen2(**{"world.obstacles": far})
     assert obstacles.title == f"{TITLE} (modified: world.obstacles none → 1200 values)"
     assert gen2(**{"world.obstacles": far[1:] + far[:1]}).changes != obstacles.changes
-    assert marked("x", [{"field": "a" * 100, "from": 1, "to": 2}]) == f"x (modified: {'a' * 100})"
+    assert (
+        marked("x", [{"field": "a" * 100, "from": 1, "to": 2}])
+        == f"x (modified: {'a' * 100})"
+    )
 
 
 def test_changes_are_kept_until_a_value_is_restored():
     slow = gen2(**SLOW, seed=5)
     read = parse_yaml(dump_yaml(slow.document), "scenario.resolved.yaml").data
     assert parse_scenario(read, name="again") == slow
-    once_more = parse_scenario(read, set={"controller.frequency_hz": 3.0, "duration_s": 4.0})
+    once_more = parse_scenario(
+        read, set={"controller.frequency_hz": 3.0, "duration_s": 4.0}
+    )
     assert changed(once_more) == {
         "controller.frequency_hz": (2.0, 3.0),
         "seed": (0, 5),
@@ -96,14 +131,22 @@ def test_changes_are_kept_until_a_value_is_restored():
 
 def test_hand_edited_value_is_listed_with_its_present_value():
     document = gen2(**SLOW).document
-    document = {**document, "controller": {**document["controller"], "frequency_hz": 1.5}}
+    document = {
+        **document,
+        "controller": {**document["controller"], "frequency_hz": 1.5},
+    }
     assert changed(parse_scenario(document)) == {"controller.frequency_hz": (2.0, 1.5)}
 
 
 def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
-    data = parse_yaml((data_root() / "scenarios/gen2_straight.yaml").read_text("utf-8"), "x").data
+    data = parse_yaml(
+        (data_root() / "scenarios/gen2_straight.yaml").read_text("utf-8"), "x"
+    ).data
     data["controller"]["frequency_hz"] = 1.0
-    written, was_set = parse_scenario(data, name="other").document, gen2(**SLOW).document
+    written, was_set = (
+        parse_scenario(data, name="other").document,
+        gen2(**SLOW).document,
+    )
     assert "changes" in was_set and "changes" not in written
     assert run_key(was_set, ["twin"], RUNNER) == run_key(written, ["twin"], RUNNER)
     assert judged_digest(was_set) == judged_digest(written)
@@ -114,7 +157,10 @@ def test_reworded_source_keeps_an_interval_and_another_value_does_not():
     digest = judged_digest(document)
     friction = document["robot"]["friction"]["mu_n"]
     wider = {**friction["uncertain"], "high": 0.6}
-    assert judged_digest(_with_mu_n(document, source="reworded", status="estimated")) == digest
+    assert (
+        judged_digest(_with_mu_n(document, source="reworded", status="estimated"))
+        == digest
+    )
     for change in ({"value": friction["value"] + 0.01}, {"uncertain": wider}):
         assert judged_digest(_with_mu_n(document, **change)) != digest
 
@@ -160,14 +206,18 @@ def test_published_values_are_not_expected_under_other_conditions(fields, left_o
     assert {each.subject for each in gone} == left_out
     assert all(each.source or each.known for each in gone)
     assert not {(each.subject, each.metric) for each in gone} & set(OURS)
-    assert [(each["of"], each["metric"]) for each in found.left_out] == [(e.subject, e.metric) for e in gone]
+    assert [(each["of"], each["metric"]) for each in found.left_out] == [
+        (e.subject, e.metric) for e in gone
+    ]
     assert all(each["because"] == list(fields) for each in found.left_out)
 
 
 def test_duration_affects_totals_but_not_period_means():
     sine = load_scenario("module_square_2hz_direct", set={"duration_s": 4.0})
     assert {each["metric"] for each in sine.left_out} == {"inlet_openings"}
-    assert affects("duration_s", "inlet_openings", "twin") and affects("duration_s", "path_length_m", "twin")
+    assert affects("duration_s", "inlet_openings", "twin") and affects(
+        "duration_s", "path_length_m", "twin"
+    )
     assert not affects("duration_s", "com_speed_m_s", "twin")
     assert not affects("duration_s", "com_speed_rel", "comparison")
 
@@ -176,8 +226,17 @@ def test_duration_affects_totals_but_not_period_means():
 def slow_run(tmp_path_factory, srs_twin):
     """Run of the analytical model at another frequency."""
     folder = tmp_path_factory.mktemp("modified")
-    words = ["run", "gen2_straight", "--plants", "analytical", "--set", "controller.frequency_hz=1.0"]
-    done = srs_twin(*words, "--duration", "5", "--check", "--junit", "out.xml", cwd=folder)
+    words = [
+        "run",
+        "gen2_straight",
+        "--plants",
+        "analytical",
+        "--set",
+        "controller.frequency_hz=1.0",
+    ]
+    done = srs_twin(
+        *words, "--duration", "5", "--check", "--junit", "out.xml", cwd=folder
+    )
     assert done.returncode == 0, done.stderr
     return folder, done
 
@@ -189,7 +248,10 @@ def test_files_of_a_modified_run_are_marked(slow_run):
     folder, done = slow_run
     run = folder / "runs/gen2_straight"
     page = (run / "report.html").read_text("utf-8")
-    assert f"<h1>{TITLE} {ALL_THREE}</h1>" in page and f"<title>{TITLE} {ALL_THREE}</title>" in page
+    assert (
+        f"<h1>{TITLE} {ALL_THREE}</h1>" in page
+        and f"<title>{TITLE} {ALL_THREE}</title>" in page
+    )
     for field, was, now in (("controller.frequency_hz", 2, 1), ("duration_s", 10, 5)):
         assert f"<tr><td>{field}</td><td>{was}</td><td>{now}</td></tr>" in page
     assert f"gen2_straight {ALL_THREE}" in done.stdout
@@ -202,12 +264,16 @@ def test_files_of_a_modified_run_are_marked(slow_run):
     assert load_run(run).scenario.title == f"{TITLE} {ALL_THREE}"
     suites = ElementTree.parse(folder / "out.xml").getroot()
     assert [suite.get("name") for suite in suites] == [f"gen2_straight {ALL_THREE}"]
-    assert "analytical com_speed_m_s" not in {case.get("name") for case in suites.iter("testcase")}
+    assert "analytical com_speed_m_s" not in {
+        case.get("name") for case in suites.iter("testcase")
+    }
 
 
 def test_metrics_list_the_changed_fields_and_the_expectations_left_out(slow_run):
     folder, _ = slow_run
-    metrics = json.loads((folder / "runs/gen2_straight/metrics.json").read_text("utf-8"))
+    metrics = json.loads(
+        (folder / "runs/gen2_straight/metrics.json").read_text("utf-8")
+    )
     assert metrics["scenario"] == "gen2_straight"
     assert metrics["changes"] == [
         {"field": "controller.frequency_hz", "from": 2.0, "to": 1.0},
@@ -215,27 +281,47 @@ def test_metrics_list_the_changed_fields_and_the_expectations_left_out(slow_run)
         {"field": "plants", "from": ["analytical", "twin"], "to": ["analytical"]},
     ]
     assert {each["of"] for each in metrics["left_out"]} == {"analytical"}
-    assert all(each["because"] == ["controller.frequency_hz"] for each in metrics["left_out"])
+    assert all(
+        each["because"] == ["controller.frequency_hz"] for each in metrics["left_out"]
+    )
 
 
 def test_an_unmodified_run_lists_nothing(shipped_run):
-    metrics = json.loads((shipped_run("gen1_straight") / "metrics.json").read_text("utf-8"))
+    metrics = json.loads(
+        (shipped_run("gen1_straight") / "metrics.json").read_text("utf-8")
+    )
     assert metrics["changes"] == metrics["left_out"] == []
-    assert "modified" not in (shipped_run("gen1_straight") / "report.html").read_text("utf-8")
+    assert "modified" not in (shipped_run("gen1_straight") / "report.html").read_text(
+        "utf-8"
+    )
     assert "changes" not in load_run(shipped_run("gen1_straight")).scenario.document
 
 
 def test_comparison_from_python_names_the_changes():
-    found = srs.compare("gen1_straight", set={"controller.frequency_hz": 1.0, "duration_s": 0.2})
+    found = srs.compare(
+        "gen1_straight", set={"controller.frequency_hz": 1.0, "duration_s": 0.2}
+    )
     assert found.title.endswith("→ 0.2)") and found.title in found._repr_html_()
-    assert [each["field"] for each in found.results["changes"]] == ["controller.frequency_hz", "duration_s"]
+    assert [each["field"] for each in found.results["changes"]] == [
+        "controller.frequency_hz",
+        "duration_s",
+    ]
 
 
 def test_intervals_of_a_modified_scenario_are_stored_separately(srs_twin, tmp_path):
-    words = ["uncertainty", "gen2_straight", "--set", "controller.frequency_hz=1", "--write"]
+    words = [
+        "uncertainty",
+        "gen2_straight",
+        "--set",
+        "controller.frequency_hz=1",
+        "--write",
+    ]
     done = srs_twin(*words, cwd=tmp_path)
     assert done.returncode == 2
-    assert "intervals of unmodified scenarios, but controller.frequency_hz was changed" in done.stderr
+    assert (
+        "intervals of unmodified scenarios, but controller.frequency_hz was changed"
+        in done.stderr
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -252,18 +338,28 @@ def set_to(field, value):
 
 
 def test_modified_sweep_is_marked_and_not_compared_with_published_values():
-    plain, found = load_sweep("table8"), load_sweep("table8", set=set_to("robot.friction.mu_t", 0.2))
+    plain, found = (
+        load_sweep("table8"),
+        load_sweep("table8", set=set_to("robot.friction.mu_t", 0.2)),
+    )
     assert found.title == f"{plain.title} (modified: robot.friction.mu_t 0.0901 → 0.2)"
     assert plain.beside is not None and found.beside is None
     assert "because robot.friction.mu_t was changed" in found.warnings[-1]
     # The document is written as sweep.yaml.
     assert found.document["title"] == found.title and "beside" not in found.document
     again = load_sweep("table8", set=set_to("seed", 3), plants=["twin"])
-    assert again.beside == plain.beside and "modified: seed" in again.title and "plants" in again.title
+    assert (
+        again.beside == plain.beside
+        and "modified: seed" in again.title
+        and "plants" in again.title
+    )
 
 
 def test_the_scenario_of_a_sweep_names_its_fixed_fields(tmp_path):
-    sweep = "{scenario: gen2_straight, fixed: {controller.frequency_hz: 1.0}, vary: {seed: [0, 1]}}"
+    sweep = (
+        "{scenario: gen2_straight, fixed: {controller.frequency_hz: 1.0}, vary: {seed:"
+        " [0, 1]}}"
+    )
     (tmp_path / "x.yaml").write_text(sweep)
     found = load_sweep(tmp_path / "x.yaml")
     assert found.title == "x" and not found.changes
@@ -280,12 +376,16 @@ def test_a_modified_study_is_marked(tmp_path):
         f"{{{of}, variables: {{controller.offset: {{low: 0, high: 0.3}}}}, "
         "objectives: [{metric: com_speed_m_s, goal: maximize}]}"
     )
-    found = load_study(tmp_path / "x.yaml", set=[*set_to("duration_s", 4.0), *set_to("seed", 2)])
+    found = load_study(
+        tmp_path / "x.yaml", set=[*set_to("duration_s", 4.0), *set_to("seed", 2)]
+    )
     assert found.title == "x (modified: duration_s 3 → 4, seed 0 → 2)"
 
 
 def test_a_played_robot_shows_its_changed_fields():
-    lines = dict(LiveSnake(robot(), modified="robot.friction.mu_t 0.1 to 0.2").status_lines())
+    lines = dict(
+        LiveSnake(robot(), modified="robot.friction.mu_t 0.1 to 0.2").status_lines()
+    )
     assert lines["modified"] == "robot.friction.mu_t 0.1 to 0.2"
     assert "modified" not in dict(LiveSnake(robot()).status_lines())
 
@@ -293,7 +393,10 @@ def test_a_played_robot_shows_its_changed_fields():
 @pytest.mark.parametrize("name", ["gen2", "gen4"])
 def test_every_number_of_a_robot_has_its_unit(name):
     file = load_robot_file(name)
-    shown = {parameter: (unit, value) for parameter, unit, value in robot_table(file.spec()).rows}
+    shown = {
+        parameter: (unit, value)
+        for parameter, unit, value in robot_table(file.spec()).rows
+    }
     texts = {"name", "title", "supply.limit_source", "variation", "tail", "skin"}
     assert all(unit for parameter, (unit, _) in shown.items() if parameter not in texts)
     for key, unit in {
@@ -307,5 +410,9 @@ def test_every_number_of_a_robot_has_its_unit(name):
         assert shown[key][0] == unit
     # The unit belongs to the value: that of the file, converted.
     litres = file.chamber.dead_volume_ml.value / 1000
-    assert float(shown["chamber.dead_volume"][1]) == pytest.approx(litres / 1000, rel=1e-3)
-    assert float(shown["supply.nominal"][1]) == pytest.approx(1000 * file.supply.nominal_kpa.value, rel=1e-3)
+    assert float(shown["chamber.dead_volume"][1]) == pytest.approx(
+        litres / 1000, rel=1e-3
+    )
+    assert float(shown["supply.nominal"][1]) == pytest.approx(
+        1000 * file.supply.nominal_kpa.value, rel=1e-3
+    )

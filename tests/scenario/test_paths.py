@@ -17,8 +17,16 @@ from srs_twin.studies.optimization.loading import load_study
 from srs_twin.studies.sweep.loading import load_sweep
 
 GAIT = {"kind": "gait", "frequency_hz": 2.0}
-SCENARIO = {"robot": "gen2", "duration_s": 1.0, "controller": GAIT, "plants": {"analytical": {}}}
-FOLLOW = {"controller": {"kind": "follow", "gait": GAIT}, "world": {"goal": {"x_m": 1.0, "y_m": 0.0}}}
+SCENARIO = {
+    "robot": "gen2",
+    "duration_s": 1.0,
+    "controller": GAIT,
+    "plants": {"analytical": {}},
+}
+FOLLOW = {
+    "controller": {"kind": "follow", "gait": GAIT},
+    "world": {"goal": {"x_m": 1.0, "y_m": 0.0}},
+}
 REPLAY = {"controller": {"kind": "replay"}}
 SWEEP = {"vary": {"controller.frequency_hz": [1.0, 2.0]}}
 STUDY = {
@@ -26,14 +34,22 @@ STUDY = {
     "objectives": [{"metric": "com_speed_m_s", "goal": "maximize"}],
 }
 
-# Loader, keys of the file (PATH is the path), and the name of the other file. The other file is invalid, so
-# that a message about its content shows which one was read.
+# Loader, keys of the file (PATH is the path), and the name of the other file. The other
+# file is invalid, so that a message about its content shows which one was read.
 KINDS = {
     "robot": (load_scenario, SCENARIO | {"robot": "PATH"}, "r.yaml"),
     "robot.base": (load_scenario, SCENARIO | {"robot": {"base": "PATH"}}, "r.yaml"),
     "world.map": (load_scenario, SCENARIO | {"world": {"map": "PATH"}}, "m.yaml"),
-    "world.circles": (load_scenario, SCENARIO | {"world": {"circles": "PATH"}}, "c.csv"),
-    "start.from": (load_scenario, SCENARIO | {"start": {"from": "PATH", "time_s": 1.0}}, "a_run"),
+    "world.circles": (
+        load_scenario,
+        SCENARIO | {"world": {"circles": "PATH"}},
+        "c.csv",
+    ),
+    "start.from": (
+        load_scenario,
+        SCENARIO | {"start": {"from": "PATH", "time_s": 1.0}},
+        "a_run",
+    ),
     "planner": (
         load_scenario,
         SCENARIO | FOLLOW | {"planner": {"kind": "best_first", "footprint": "PATH"}},
@@ -50,8 +66,16 @@ KINDS = {
         "v.csv",
     ),
     "sweep": (load_sweep, SWEEP | {"scenario": "PATH"}, "s.yaml"),
-    "sweep.fixed": (load_sweep, SWEEP | {"scenario": "gen2_straight", "fixed": {"robot": "PATH"}}, "r.yaml"),
-    "sweep.vary": (load_sweep, {"scenario": "gen2_straight", "vary": {"robot": ["gen2", "PATH"]}}, "r.yaml"),
+    "sweep.fixed": (
+        load_sweep,
+        SWEEP | {"scenario": "gen2_straight", "fixed": {"robot": "PATH"}},
+        "r.yaml",
+    ),
+    "sweep.vary": (
+        load_sweep,
+        {"scenario": "gen2_straight", "vary": {"robot": ["gen2", "PATH"]}},
+        "r.yaml",
+    ),
     "study": (load_study, STUDY | {"scenario": "PATH"}, "s.yaml"),
     "study.fixed": (
         load_study,
@@ -95,7 +119,9 @@ def refusal(load, path: Path) -> str:
     [(["lab"], "lab/"), ([""], ""), (["lab", ""], "lab/")],
     ids=["beside", "current", "both"],
 )
-def test_path_is_relative_to_its_file_then_to_the_current_folder(lab, kind, places, expected):
+def test_path_is_relative_to_its_file_then_to_the_current_folder(
+    lab, kind, places, expected
+):
     load, data, name = KINDS[kind]
     for place in places:
         put(Path(place) / "deep" / name)
@@ -111,7 +137,10 @@ def test_message_about_a_missing_file_names_both_places(lab, kind):
     message = refusal(load, write(lab / "x.yaml", data, f"deep/{name}"))
     (line,) = (line for line in message.splitlines() if name in line)
     assert line.startswith("lab/x.yaml:"), line
-    assert f"deep/{name}: no such file (looked for lab/deep/{name} and deep/{name})" in line
+    assert (
+        f"deep/{name}: no such file (looked for lab/deep/{name} and deep/{name})"
+        in line
+    )
 
 
 def test_a_name_is_not_a_path_beside_the_file(lab):
@@ -131,7 +160,9 @@ def test_path_of_an_option_is_relative_to_the_current_folder(lab, srs_twin):
     scenario = load_scenario(path, set={"world.circles": "c.csv"})
     assert [circle.x for circle in scenario.world.obstacles] == [2.0]
     done = srs_twin("run", "lab/x.yaml", "--set", "world.map=gone.yaml", cwd=Path.cwd())
-    assert "--set world.map=gone.yaml: world.map: gone.yaml: no such file\n" in done.stderr
+    assert (
+        "--set world.map=gone.yaml: world.map: gone.yaml: no such file\n" in done.stderr
+    )
 
 
 def test_an_option_replaces_a_missing_file(lab):
@@ -140,8 +171,12 @@ def test_an_option_replaces_a_missing_file(lab):
     assert scenario.robot.name == "gen3"
     unchanged = SCENARIO | {"world": {"circles": "c.csv"}}
     (lab / "c.csv").write_text("x_m,y_m,radius_m\n1,0.5,0.03\n")
-    changed = load_scenario(write(lab / "y.yaml", unchanged, ""), set={"world.floor.tilt_deg": 0.0})
-    assert changed.document.get("changes") is None, "a found file is not a changed field"
+    changed = load_scenario(
+        write(lab / "y.yaml", unchanged, ""), set={"world.floor.tilt_deg": 0.0}
+    )
+    assert changed.document.get("changes") is None, (
+        "a found file is not a changed field"
+    )
 
 
 def test_resolved_paths_are_absolute_and_their_content_belongs_to_the_key(lab):
@@ -149,12 +184,24 @@ def test_resolved_paths_are_absolute_and_their_content_belongs_to_the_key(lab):
     (lab / "f.yaml").write_bytes(footprint.read_bytes())
     (lab / "maps").mkdir()
     (lab / "maps/picture.pgm").write_bytes(b"P5\n2 2\n255\n\xff\xff\xff\x00")
-    write(lab / "maps/m.yaml", {"image": "picture.pgm", "resolution": 0.1, "origin": [5.0, 5.0, 0.0]}, "")
+    write(
+        lab / "maps/m.yaml",
+        {"image": "picture.pgm", "resolution": 0.1, "origin": [5.0, 5.0, 0.0]},
+        "",
+    )
     world = FOLLOW["world"] | {"map": "maps/m.yaml"}
     planner = {"planner": {"kind": "best_first", "footprint": "f.yaml"}}
-    scenario = load_scenario(write(lab / "x.yaml", SCENARIO | FOLLOW | planner | {"world": world}, ""))
-    places = [scenario.document["planner"]["footprint"], scenario.document["world"]["map"]]
-    assert places == [str(Path("lab/f.yaml").resolve()), str(Path("lab/maps/m.yaml").resolve())]
+    scenario = load_scenario(
+        write(lab / "x.yaml", SCENARIO | FOLLOW | planner | {"world": world}, "")
+    )
+    places = [
+        scenario.document["planner"]["footprint"],
+        scenario.document["world"]["map"],
+    ]
+    assert places == [
+        str(Path("lab/f.yaml").resolve()),
+        str(Path("lab/maps/m.yaml").resolve()),
+    ]
     digests = file_digests(scenario.document)
     assert all(digests.values())
     assert {Path(path).name for path in digests} == {"f.yaml", "m.yaml", "picture.pgm"}
@@ -162,8 +209,14 @@ def test_resolved_paths_are_absolute_and_their_content_belongs_to_the_key(lab):
 
 def test_picture_of_a_map_is_beside_the_map_or_in_the_current_folder(lab):
     Path("picture.pgm").write_bytes(b"P5\n2 2\n255\n\xff\xff\xff\x00")
-    write(lab / "m.yaml", {"image": "picture.pgm", "resolution": 0.1, "origin": [5.0, 5.0, 0.0]}, "")
-    scenario = load_scenario(write(lab / "x.yaml", SCENARIO | {"world": {"map": "m.yaml"}}, ""))
+    write(
+        lab / "m.yaml",
+        {"image": "picture.pgm", "resolution": 0.1, "origin": [5.0, 5.0, 0.0]},
+        "",
+    )
+    scenario = load_scenario(
+        write(lab / "x.yaml", SCENARIO | {"world": {"map": "m.yaml"}}, "")
+    )
     assert len(scenario.world.polygons) == 1
 
 
@@ -178,5 +231,7 @@ def test_set_up_and_fit_name_files_beside_them(lab):
     assert load_setup(missing, {"robot"}).robot == "s.yaml", "an option replaces it"
     fit = (data_root() / "calibration/fits/gen4_table8_twin.yaml").read_text("utf-8")
     assert "\nrobot: gen4\n" in fit
-    (lab / "fit.yaml").write_text(fit.replace("\nrobot: gen4\n", "\nrobot: r.yaml\n"), "utf-8")
+    (lab / "fit.yaml").write_text(
+        fit.replace("\nrobot: gen4\n", "\nrobot: r.yaml\n"), "utf-8"
+    )
     assert load_fit(lab / "fit.yaml").robot == "lab/r.yaml"

@@ -13,7 +13,9 @@ PLANTS = {"analytical": {"model": "compliant", "touch": True}, "twin": {}}
 
 
 def pegs(plants=PLANTS, obstacle_friction=None, **changes):
-    friction = {} if obstacle_friction is None else {"obstacle_friction": obstacle_friction}
+    friction = (
+        {} if obstacle_friction is None else {"obstacle_friction": obstacle_friction}
+    )
     return parse_scenario(
         {
             "title": "Pegs",
@@ -28,7 +30,9 @@ def pegs(plants=PLANTS, obstacle_friction=None, **changes):
 
 
 def test_field_is_a_grid_about_the_line_of_the_start():
-    posts = np.array([(c.x, c.y, c.radius) for c in pegs().world.obstacles]).reshape(6, 4, 3)
+    posts = np.array([(c.x, c.y, c.radius) for c in pegs().world.obstacles]).reshape(
+        6, 4, 3
+    )
     assert posts[:, 0, 0] == pytest.approx(-0.2 + 0.13 * np.arange(6))
     assert posts[0, :, 1] == pytest.approx([-0.195, -0.065, 0.065, 0.195])
     assert (posts[..., 2] == 0.015).all()
@@ -64,7 +68,10 @@ def test_plants_touch_pegs_with_the_stated_friction():
         ({"y_m": 0.065}, "overlaps the body at the start by"),
         ({"rows": 100, "columns": 11}, "1100 pegs are too many"),
         ({"plants": {"analytical": {}}}, "set model: compliant and touch: true"),
-        ({"plants": {"analytical": {"touch": True}}}, "only compliant touches obstacles"),
+        (
+            {"plants": {"analytical": {"touch": True}}},
+            "only compliant touches obstacles",
+        ),
         ({"pitch": 0.1}, "did you mean pitch_m?"),
     ],
 )

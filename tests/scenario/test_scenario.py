@@ -22,12 +22,20 @@ from srs_twin.robot.file import load_robot
 from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
 from srs_twin.scenario.fields import Section
 from srs_twin.scenario.file import ScenarioFile
-from srs_twin.scenario.loading import load_scenario, parse_scenario, scenario_json_schema
+from srs_twin.scenario.loading import (
+    load_scenario,
+    parse_scenario,
+    scenario_json_schema,
+)
 from srs_twin.scenario.scenario import IGNORED_OBSTACLES
 
 pytestmark = pytest.mark.fast
 
-MINIMAL = {"robot": "gen2", "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 2.0}}
+MINIMAL = {
+    "robot": "gen2",
+    "duration_s": 1,
+    "controller": {"kind": "gait", "frequency_hz": 2.0},
+}
 
 
 def scenario(**changes):
@@ -64,19 +72,41 @@ def test_the_defaults():
 def test_units_are_converted_to_si():
     s = scenario(
         supply={"pressure_kpa": 50},
-        controller={"kind": "gait", "frequency_hz": 1, "offset": -0.2, "phase_rad": 1, "phase_step_rad": 2},
+        controller={
+            "kind": "gait",
+            "frequency_hz": 1,
+            "offset": -0.2,
+            "phase_rad": 1,
+            "phase_step_rad": 2,
+        },
         start={"x_m": 1, "y_m": -2, "heading_rad": 0.5},
         world={
             "obstacles": [{"x_m": 1, "y_m": 2, "radius_m": 0.1}],
             "bounds": {"x_m": [-1, 3], "y_m": [0, 1]},
             "goal": {"x_m": 2, "y_m": 1},
         },
-        plants={"analytical": {"gaps": False, "timestep_s": 0.002, "tick_s": 0.01, "slip_speed_m_s": 0.002}},
+        plants={
+            "analytical": {
+                "gaps": False,
+                "timestep_s": 0.002,
+                "tick_s": 0.01,
+                "slip_speed_m_s": 0.002,
+            }
+        },
     )
     assert s.supply_pa == 50_000 and s.pose == (1, -2, 0.5)
     gait = s.build_controller()
-    assert (gait.frequency, gait.offset, gait.phase, gait._phase_step) == (1, -0.2, 1, 2)
-    assert s.world.obstacles[0].radius == 0.1 and s.world.bounds and s.world.bounds.x == (-1, 3)
+    assert (gait.frequency, gait.offset, gait.phase, gait._phase_step) == (
+        1,
+        -0.2,
+        1,
+        2,
+    )
+    assert (
+        s.world.obstacles[0].radius == 0.1
+        and s.world.bounds
+        and s.world.bounds.x == (-1, 3)
+    )
     assert s.world.goal and (s.world.goal.heading, s.world.goal.radius) == (None, 0.05)
     idle, ignored = s.warnings
     assert "goal and bounds have no effect" in idle and ignored == IGNORED_OBSTACLES
@@ -90,8 +120,12 @@ def test_plants_and_controllers_are_new_each_time():
     assert s.build_controller() is not s.build_controller()
     twin = s.build_plant("twin")
     assert twin.name == "twin" and twin.describe()["hinges_per_segment"] == 2
-    assert s.build_plant("analytical").name == "analytical", "compare runs both, named or not"
-    with pytest.raises(UnknownNameError, match=r"unknown plant 'twinn'; did you mean twin\?"):
+    assert s.build_plant("analytical").name == "analytical", (
+        "compare runs both, named or not"
+    )
+    with pytest.raises(
+        UnknownNameError, match=r"unknown plant 'twinn'; did you mean twin\?"
+    ):
         s.build_plant("twinn")
 
 
@@ -107,13 +141,17 @@ def test_defaults_are_those_of_the_plants(kind):
 
 
 def test_skids_and_their_law_reach_the_plants():
-    s = scenario(plants={"analytical": {"friction": "ellipse"}, "twin": {"wheels": "skid"}})
+    s = scenario(
+        plants={"analytical": {"friction": "ellipse"}, "twin": {"wheels": "skid"}}
+    )
     assert s.build_plant("analytical").friction == "ellipse"
     assert s.build_plant("twin").contact == LoadedContact("ellipse")
 
 
 def test_gait_section_builds_a_gait():
-    gait = scenario(controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}).build_controller()
+    gait = scenario(
+        controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}
+    ).build_controller()
     assert (gait.kind, gait.frequency, gait.offset) == ("gait", 1.5, 0.3)
 
 
@@ -122,28 +160,43 @@ def test_gait_section_builds_a_gait():
 
 def test_plain_number_overrides_a_record_with_a_note():
     s = scenario(
-        robot={"base": "gen2", "bending": {"stiffness_nm_per_rad": 0.2}, "geometry": {"connectors": 7}}
+        robot={
+            "base": "gen2",
+            "bending": {"stiffness_nm_per_rad": 0.2},
+            "geometry": {"connectors": 7},
+        }
     )
     assert s.robot.bending.stiffness == 0.2 and s.robot.bending.damping_time == 0.00214
     assert len(s.robot.mass.connectors) == 7
     assert s.robot.title.endswith(", modified")
     record = s.document["robot"]["bending"]["stiffness_nm_per_rad"]
     assert record == {
-        "value": 0.2, "unit": "N*m/rad", "status": "estimated", "source": "set in scenario over gen2"
-    }  # fmt: skip
+        "value": 0.2,
+        "unit": "N*m/rad",
+        "status": "estimated",
+        "source": "set in scenario over gen2",
+    }
 
 
 def test_a_list_and_a_whole_record_override():
     masses = [0.03, 0.03, 0.03, 0.03, 0.1]
     record = {"value": 0.5, "unit": "1", "status": "measured", "source": "my floor"}
-    s = scenario(robot={"base": "gen2", "mass": {"connectors_kg": masses}, "friction": {"mu_n": record}})
+    s = scenario(
+        robot={
+            "base": "gen2",
+            "mass": {"connectors_kg": masses},
+            "friction": {"mu_n": record},
+        }
+    )
     assert s.robot.mass.connectors == tuple(masses) and s.robot.friction.mu_n == 0.5
     assert s.document["robot"]["friction"]["mu_n"] == record
 
 
 def test_a_robot_by_path(tmp_path, monkeypatch):
     text = (data_root() / "calibration/robots/gen2.yaml").read_text("utf-8")
-    (tmp_path / "mine.yaml").write_text(text.replace("name: gen2", "name: mine"), "utf-8")
+    (tmp_path / "mine.yaml").write_text(
+        text.replace("name: gen2", "name: mine"), "utf-8"
+    )
     monkeypatch.chdir(tmp_path)
     assert scenario(robot="mine.yaml").robot.name == "mine"
     assert scenario(robot={"base": "./mine.yaml", "name": "ours"}).robot.name == "ours"
@@ -154,7 +207,10 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
     [
         ("gen5", "robot: unknown robot 'gen5'; did you mean gen"),
         ({"base": "gen5"}, "robot.base: unknown robot 'gen5'"),
-        ({"base": 5}, "robot.base: must be a robot's name, a path, or a block of keys with base"),
+        (
+            {"base": 5},
+            "robot.base: must be a robot's name, a path, or a block of keys with base",
+        ),
         (5, "robot: must be a robot's name, a path, or a block of keys with base"),
         (None, "robot: must be a robot's name, a path"),
         ("no/such.yaml", "robot: no/such.yaml: no such file"),
@@ -197,8 +253,13 @@ def test_problems_of_a_robot_file_name_that_file(tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("name: mine\ntitel: x\n")
     found = refusal(robot=str(path), seed=-1)
-    assert found[0] == f"{path}:1:1: title: missing; it must be text of 1 to 200 characters"
-    assert found[1].startswith(f"{path}:1:1: geometry: missing; it must be a block of keys (connectors, ")
+    assert (
+        found[0]
+        == f"{path}:1:1: title: missing; it must be text of 1 to 200 characters"
+    )
+    assert found[1].startswith(
+        f"{path}:1:1: geometry: missing; it must be a block of keys (connectors, "
+    )
     assert f"{path}:2:1: titel: unknown key; did you mean title?" in found
     assert found[-1] == "seed: must be a whole number from 0 to 4294967295, not -1"
 
@@ -208,9 +269,17 @@ def test_problems_of_a_robot_file_name_that_file(tmp_path):
 
 def test_the_default_pneumatics_are_written_out():
     s = scenario()
-    assert s.document["pneumatics"] == {"kind": "lag", "leak_per_s": 0.0, "valve_delay_s": 0.0}
+    assert s.document["pneumatics"] == {
+        "kind": "lag",
+        "leak_per_s": 0.0,
+        "valve_delay_s": 0.0,
+    }
     chambers = s.build_plant("analytical").pneumatics
-    assert chambers.describe() == {"kind": "lag", "leak_per_s": 0.0, "valve_delay_s": 0.0}
+    assert chambers.describe() == {
+        "kind": "lag",
+        "leak_per_s": 0.0,
+        "valve_delay_s": 0.0,
+    }
 
 
 @pytest.mark.parametrize("plant", ["analytical", "twin"])
@@ -224,18 +293,29 @@ def test_the_default_pneumatics_are_written_out():
         (
             {"kind": "orifice", "flow_limit_l_per_min": 2.0, "valve_delay_s": 0.01},
             {
-                "kind": "orifice", "critical_ratio": 0.3, "flow_limit_l_per_min": 2.0, "line_volume_ml": 50.0,
-                "leak_per_s": 0.0, "valve_delay_s": 0.01,
+                "kind": "orifice",
+                "critical_ratio": 0.3,
+                "flow_limit_l_per_min": 2.0,
+                "line_volume_ml": 50.0,
+                "leak_per_s": 0.0,
+                "valve_delay_s": 0.01,
             },
         ),
         (
             {"kind": "orifice", "critical_ratio": 0.5, "leak_per_s": 0.1},
-            {"kind": "orifice", "critical_ratio": 0.5, "leak_per_s": 0.1, "valve_delay_s": 0.0},
+            {
+                "kind": "orifice",
+                "critical_ratio": 0.5,
+                "leak_per_s": 0.1,
+                "valve_delay_s": 0.0,
+            },
         ),
     ],
-)  # fmt: skip
+)
 def test_pneumatics_reach_both_plants(plant, given, described):
-    s = scenario(pneumatics=given, plants={"analytical": {}, "twin": {"timestep_s": 0.00025}})
+    s = scenario(
+        pneumatics=given, plants={"analytical": {}, "twin": {"timestep_s": 0.00025}}
+    )
     first, second = (s.build_plant(plant).pneumatics for _ in range(2))
     assert first is not second, "chambers have a state"
     told = first.describe()
@@ -249,8 +329,13 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
 
     parameters = inspect.signature(KINDS["orifice"]).parameters
     for chambers in ({"kind": "lag"}, {"kind": "orifice", "flow_limit_l_per_min": 600}):
-        settings = scenario(pneumatics=chambers, plants=plants()).file.pneumatics.arguments()
-        assert (settings.pop("kind"), settings.pop("flow_limit", 0.01)) == (chambers["kind"], 0.01)
+        settings = scenario(
+            pneumatics=chambers, plants=plants()
+        ).file.pneumatics.arguments()
+        assert (settings.pop("kind"), settings.pop("flow_limit", 0.01)) == (
+            chambers["kind"],
+            0.01,
+        )
         assert settings == {name: parameters[name].default for name in settings}
 
 
@@ -259,13 +344,25 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
     [
         (
             {"kind": "orifise"},
-            "pneumatics.kind: must be one of lag, orifice, not text 'orifise'; did you mean orifice?",
+            (
+                "pneumatics.kind: must be one of lag, orifice, not text 'orifise'; did"
+                " you mean orifice?"
+            ),
         ),
-        ({"leek_per_s": 1}, "pneumatics.leek_per_s: unknown key; did you mean leak_per_s?"),
-        ({"valve_delay_s": -1}, "pneumatics.valve_delay_s: must be a number from 0 to 1, not -1"),
+        (
+            {"leek_per_s": 1},
+            "pneumatics.leek_per_s: unknown key; did you mean leak_per_s?",
+        ),
+        (
+            {"valve_delay_s": -1},
+            "pneumatics.valve_delay_s: must be a number from 0 to 1, not -1",
+        ),
         (
             {"critical_ratio": 0.3},
-            "pneumatics: critical_ratio requires kind: orifice; set that, or remove critical_ratio",
+            (
+                "pneumatics: critical_ratio requires kind: orifice; set that, or remove"
+                " critical_ratio"
+            ),
         ),
         (
             {"kind": "orifice", "line_volume_ml": 5.0},
@@ -275,11 +372,19 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
             {"kind": "orifice", "flow_limit_l_per_min": 0},
             "flow_limit_l_per_min: must be a number from 0.01 to 10000",
         ),
-        ("lag", "pneumatics: must be a block of keys (kind, leak_per_s, valve_delay_s, critical_ratio, "),
+        (
+            "lag",
+            (
+                "pneumatics: must be a block of keys (kind, leak_per_s, valve_delay_s,"
+                " critical_ratio, "
+            ),
+        ),
     ],
 )
 def test_invalid_pneumatics_are_rejected(given, words):
-    assert any(words in line for line in refusal(pneumatics=given)), refusal(pneumatics=given)
+    assert any(words in line for line in refusal(pneumatics=given)), refusal(
+        pneumatics=given
+    )
 
 
 # Pressure
@@ -287,15 +392,20 @@ def test_invalid_pneumatics_are_rejected(given, words):
 
 def test_a_pressure_above_the_limit_is_refused_with_its_source():
     (line,) = refusal(supply={"pressure_kpa": 80})
-    assert line == (
-        "supply.pressure_kpa: 80 kPa is above the limit of gen2 in pulses of a gait, 68.9476 kPa "
-        "(Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below 10 psi'); "
-        "lower it, or set allow_overpressure: true"
+    assert (
+        line
+        == "supply.pressure_kpa: 80 kPa is above the limit of gen2 in pulses of a gait,"
+        " 68.9476 kPa (Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below"
+        " 10 psi'); lower it, or set allow_overpressure: true"
     )
 
 
 @pytest.mark.parametrize(
-    "allow", [{"allow_overpressure": True}, {"supply": {"pressure_kpa": 80, "allow_overpressure": True}}]
+    "allow",
+    [
+        {"allow_overpressure": True},
+        {"supply": {"pressure_kpa": 80, "allow_overpressure": True}},
+    ],
 )
 def test_an_allowed_overpressure_runs_with_a_warning(allow):
     s = scenario(**({"supply": {"pressure_kpa": 80}} | allow))
@@ -334,19 +444,31 @@ def test_the_limit_follows_an_override():
         ),
         (
             {"duration_s": 1.01},
-            "duration_s: duration 1.01 s is not a multiple of the analytical plant's tick",
+            (
+                "duration_s: duration 1.01 s is not a multiple of the analytical"
+                " plant's tick"
+            ),
         ),
         (
             {"record_hz": 60},
-            "record_hz: the analytical plant's tick 0.02 s is not a multiple of recording int",
+            (
+                "record_hz: the analytical plant's tick 0.02 s is not a multiple of"
+                " recording int"
+            ),
         ),
         (
             {"record_hz": 30},
-            "record_hz: recording interval 0.0333333 s is not a multiple of the analytical pl",
+            (
+                "record_hz: recording interval 0.0333333 s is not a multiple of the"
+                " analytical pl"
+            ),
         ),
         (
             {"plants": {"twin": {}}, "record_hz": 2500},
-            "record_hz: recording interval 0.0004 s is not a multiple of the twin's time step",
+            (
+                "record_hz: recording interval 0.0004 s is not a multiple of the twin's"
+                " time step"
+            ),
         ),
     ],
 )
@@ -355,14 +477,25 @@ def test_times_that_are_no_multiples_are_rejected(changes, words):
 
 
 @pytest.mark.parametrize("record_hz", [7.14286, 3.33333, 0.100001, 333.3, 9999.0])
-@pytest.mark.parametrize("ticks", [(0.02, 0.02, 0.001), (0.02, 0.03, 0.0005), (0.001, 0.02, 0.0005)])
+@pytest.mark.parametrize(
+    "ticks", [(0.02, 0.02, 0.001), (0.02, 0.03, 0.0005), (0.001, 0.02, 0.0005)]
+)
 def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
     analytical, twin, step = ticks
-    both = {"analytical": {"tick_s": analytical}, "twin": {"tick_s": twin, "timestep_s": step}}
+    both = {
+        "analytical": {"tick_s": analytical},
+        "twin": {"tick_s": twin, "timestep_s": step},
+    }
     lines = refusal(plants=both, record_hz=record_hz, duration_s=6)
-    proposed = {found[1] for line in lines if (found := re.search(r"record_hz: (\S+) is possible", line))}
+    proposed = {
+        found[1]
+        for line in lines
+        if (found := re.search(r"record_hz: (\S+) is possible", line))
+    }
     (rate,) = proposed
-    assert scenario(plants=both, record_hz=float(rate), duration_s=6).record_hz == float(rate)
+    assert scenario(
+        plants=both, record_hz=float(rate), duration_s=6
+    ).record_hz == float(rate)
 
 
 def test_no_recording_rate_is_proposed_for_incompatible_ticks():
@@ -378,7 +511,12 @@ def test_valid_recording_rates(record_hz):
     s = scenario(duration_s=0.2, record_hz=record_hz, plants=plants())
     if record_hz < 5:
         s = scenario(duration_s=2, record_hz=record_hz, plants=plants())
-    trajectory = rollout(s.build_plant("analytical"), s.build_controller(), s.duration, record_hz=record_hz)
+    trajectory = rollout(
+        s.build_plant("analytical"),
+        s.build_controller(),
+        s.duration,
+        record_hz=record_hz,
+    )
     assert len(trajectory) == round(s.duration * record_hz) + 1
 
 
@@ -386,7 +524,9 @@ def test_valid_recording_rates(record_hz):
 
 
 def expectation(**keys):
-    (each,) = scenario(expect=[{"metric": "com_speed_m_s", "plant": "twin"} | keys]).expect
+    (each,) = scenario(
+        expect=[{"metric": "com_speed_m_s", "plant": "twin"} | keys]
+    ).expect
     return each
 
 
@@ -405,7 +545,9 @@ def test_what_expectations_allow(keys, inside, outside, allowed):
     assert each.check({})["allowed"] == allowed
 
     def met(value):
-        return each.check({"plants": {"twin": {"com_speed_m_s": value}}, "comparison": {}})["met"]
+        return each.check(
+            {"plants": {"twin": {"com_speed_m_s": value}}, "comparison": {}}
+        )["met"]
 
     assert all(map(met, inside)) and not any(map(met, outside))
 
@@ -430,24 +572,45 @@ def test_row_contains_the_published_value():
         {"plants": {"twin": {"com_speed_m_s": 0.2}}}
     )
     assert outcome == {
-        "metric": "com_speed_m_s", "of": "twin", "value": 0.2, "allowed": "0.1819 to 0.2461", "met": True,
-        "state": "met", "reason": None, "near": 0.214, "source": "Table 10", "known": None,
-    }  # fmt: skip
+        "metric": "com_speed_m_s",
+        "of": "twin",
+        "value": 0.2,
+        "allowed": "0.1819 to 0.2461",
+        "met": True,
+        "state": "met",
+        "reason": None,
+        "near": 0.214,
+        "source": "Table 10",
+        "known": None,
+    }
 
 
 @pytest.mark.parametrize(
     ("known", "value", "expected"),
-    [(None, 0.2, "met"), (None, 0.3, "missed"), ("drag", 0.2, "holds"), ("drag", 0.3, "known")],
+    [
+        (None, 0.2, "met"),
+        (None, 0.3, "missed"),
+        ("drag", 0.2, "holds"),
+        ("drag", 0.3, "known"),
+    ],
 )
 def test_known_miss_of_an_expectation(known, value, expected):
     each = expectation(near=0.214, rel=0.15, **({"known": known} if known else {}))
     outcome = each.check({"plants": {"twin": {"com_speed_m_s": value}}})
-    assert (outcome["known"], verdict(outcome), outcome["met"]) == (known, expected, value == 0.2)
+    assert (outcome["known"], verdict(outcome), outcome["met"]) == (
+        known,
+        expected,
+        value == 0.2,
+    )
 
 
 def test_expectations_of_the_comparison():
-    (each,) = scenario(expect=[{"metric": "com_speed_rel", "of": "comparison", "near": 0, "abs": 0.1}]).expect
-    assert each == Expectation(metric="com_speed_rel", of="comparison", near=0.0, abs=0.1)
+    (each,) = scenario(
+        expect=[{"metric": "com_speed_rel", "of": "comparison", "near": 0, "abs": 0.1}]
+    ).expect
+    assert each == Expectation(
+        metric="com_speed_rel", of="comparison", near=0.0, abs=0.1
+    )
     assert (each.subject, each.allowed) == ("comparison", (-0.1, 0.1))
     assert each.check({"comparison": {"com_speed_rel": -0.05}})["met"]
 
@@ -457,21 +620,42 @@ def test_expectations_of_the_comparison():
     [
         (
             {"metric": "com_sped_m_s"},
-            "expect[0].metric: unknown metric 'com_sped_m_s'; did you mean com_speed_m_s?",
+            (
+                "expect[0].metric: unknown metric 'com_sped_m_s'; did you mean"
+                " com_speed_m_s?"
+            ),
         ),
         ({"metric": "com_speed_rel"}, "expect[0]: com_speed_rel needs of: comparison"),
         (
             {"plant": None, "of": "comparison"},
             "expect[0]: com_speed_m_s needs plant: analytical or plant: twin",
         ),
-        ({"of": "comparison"}, "expect[0]: give either plant (analytical or twin) or of: comparison"),
-        ({"plant": None}, "expect[0]: give either plant (analytical or twin) or of: comparison"),
-        ({"plant": "both"}, "expect[0].plant: must be one of analytical, twin, not text 'both'"),
-        ({"above": 0}, "expect[0]: give exactly one of near, below, above and published"),
-        ({"below": None}, "expect[0]: give exactly one of near, below, above and published"),
+        (
+            {"of": "comparison"},
+            "expect[0]: give either plant (analytical or twin) or of: comparison",
+        ),
+        (
+            {"plant": None},
+            "expect[0]: give either plant (analytical or twin) or of: comparison",
+        ),
+        (
+            {"plant": "both"},
+            "expect[0].plant: must be one of analytical, twin, not text 'both'",
+        ),
+        (
+            {"above": 0},
+            "expect[0]: give exactly one of near, below, above and published",
+        ),
+        (
+            {"below": None},
+            "expect[0]: give exactly one of near, below, above and published",
+        ),
         ({"abs": 1}, "expect[0]: near needs either rel or abs"),
         ({"below": None, "near": 1}, "expect[0]: near needs either rel or abs"),
-        ({"below": None, "near": 1, "rel": 0.1, "abs": 1}, "expect[0]: near needs either rel or abs"),
+        (
+            {"below": None, "near": 1, "rel": 0.1, "abs": 1},
+            "expect[0]: near needs either rel or abs",
+        ),
         (
             {"below": None, "near": 0, "rel": 0.1},
             "expect[0]: near: 0 needs an absolute tolerance; use abs instead of rel",
@@ -480,7 +664,9 @@ def test_expectations_of_the_comparison():
 )
 def test_invalid_expectations_are_rejected(keys, words):
     each = {"metric": "com_speed_m_s", "plant": "twin", "below": 1} | keys
-    (line,) = refusal(expect=[{key: value for key, value in each.items() if value is not None}])
+    (line,) = refusal(
+        expect=[{key: value for key, value in each.items() if value is not None}]
+    )
     assert line.startswith(words)
 
 
@@ -501,12 +687,23 @@ def test_expectations_need_their_plants_to_run():
 # Resolved documents
 
 numbers = st.floats(0.02, 0.9)
-printable = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]), min_size=1, max_size=50)
+printable = st.text(
+    st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]),
+    min_size=1,
+    max_size=50,
+)
 mappings = st.fixed_dictionaries
 scenarios = mappings(
     {
-        "robot": st.sampled_from(["gen1", "gen2", "gen3", "gen4"])
-        | mappings({"base": st.just("gen2"), "bending": mappings({"stiffness_nm_per_rad": numbers})}),
+        "robot": (
+            st.sampled_from(["gen1", "gen2", "gen3", "gen4"])
+            | mappings(
+                {
+                    "base": st.just("gen2"),
+                    "bending": mappings({"stiffness_nm_per_rad": numbers}),
+                }
+            )
+        ),
         "duration_s": st.integers(1, 100),
         "controller": mappings(
             {"kind": st.just("gait"), "frequency_hz": numbers},
@@ -519,7 +716,9 @@ scenarios = mappings(
         "supply": mappings({"pressure_kpa": st.floats(0.1, 30)}),
         "start": mappings({"x_m": numbers}),
         "world": mappings({"goal": mappings({"x_m": numbers, "y_m": numbers})}),
-        "plants": st.sampled_from([plants(), {"twin": {"gaps": False}}, {"analytical": {}, "twin": {}}]),
+        "plants": st.sampled_from(
+            [plants(), {"twin": {"gaps": False}}, {"analytical": {}, "twin": {}}]
+        ),
     },
 )
 
@@ -537,7 +736,10 @@ def test_a_resolved_document_loads_as_an_equal_scenario(data):
 
 TOGETHER = {
     "sensor": {"sensor": {"kind": "hall"}},
-    "pneumatics": {"pneumatics": {"kind": "orifice", "flow_limit_l_per_min": 100.0}, "plants": plants()},
+    "pneumatics": {
+        "pneumatics": {"kind": "orifice", "flow_limit_l_per_min": 100.0},
+        "plants": plants(),
+    },
     "comparison": {"plants": {"analytical": {"gaps": False}, "twin": {}}},
     "world": {"plants": {"twin": {"contact": "loaded"}}},
 }
@@ -552,36 +754,77 @@ SET = {
     ("sensor", "distance_mm"): 12.0,
     ("pneumatics", "line_begins_kpa"): 20.0,
     ("world", "obstacles"): [{"x_m": 3.0, "y_m": 2.0, "radius_m": 0.25}],
-    ("world", "circles"): str((data_root() / "calibration/examples/room/posts.csv").resolve()),
-    ("world", "map"): str((data_root() / "calibration/examples/room/room.yaml").resolve()),
+    ("world", "circles"): str(
+        (data_root() / "calibration/examples/room/posts.csv").resolve()
+    ),
+    ("world", "map"): str(
+        (data_root() / "calibration/examples/room/room.yaml").resolve()
+    ),
     ("world", "polygons"): [{"corners_m": [[3.0, 3.0], [4.0, 3.0], [4.0, 5.0]]}],
-    ("world", "random"): {"count": 2, "seed": 5, "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]}},
-    ("world", "pegs"): {"pitch_m": 0.2, "radius_m": 0.02, "rows": 2, "columns": 3, "x_m": 1.0},
+    ("world", "random"): {
+        "count": 2,
+        "seed": 5,
+        "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]},
+    },
+    ("world", "pegs"): {
+        "pitch_m": 0.2,
+        "radius_m": 0.02,
+        "rows": 2,
+        "columns": 3,
+        "x_m": 1.0,
+    },
     ("world", "floor"): {"tilt_deg": 3.0, "uphill_deg": 90.0},
     ("world", "steps"): [{"x_m": 0.5, "height_m": 0.002}],
     ("world", "objects"): [
-        {"kind": "cylinder", "radius_m": 0.04, "mass_kg": 0.1, "friction": 0.3, "x_m": 2.0, "y_m": 0.0}
+        {
+            "kind": "cylinder",
+            "radius_m": 0.04,
+            "mass_kg": 0.1,
+            "friction": 0.3,
+            "x_m": 2.0,
+            "y_m": 0.0,
+        }
     ],
     ("world", "bounds"): {"x_m": [-9.0, 9.0], "y_m": [-9.0, 9.0]},
     ("world", "goal"): {"x_m": 1.0, "y_m": 2.0, "heading_rad": 0.5},
-    ("plants", "analytical"): {"gaps": False, "model": "simplified", "friction_torque": False},
-    ("plants", "twin"): {"gaps": False, "timestep_s": 0.0005, "wheels": "skid", "hinges_per_segment": 3},
+    ("plants", "analytical"): {
+        "gaps": False,
+        "model": "simplified",
+        "friction_torque": False,
+    },
+    ("plants", "twin"): {
+        "gaps": False,
+        "timestep_s": 0.0005,
+        "wheels": "skid",
+        "hinges_per_segment": 3,
+    },
 }
 """Values of keys that cannot be chosen by their bounds."""
 OF_A_RUN = {("start", "run"), ("start", "time_s")}
 """They need a run: test_start.py."""
-SECTIONS = {key: f.default for key, f in ScenarioFile.model_fields.items() if isinstance(f.default, Section)}
+SECTIONS = {
+    key: f.default
+    for key, f in ScenarioFile.model_fields.items()
+    if isinstance(f.default, Section)
+}
 
 
 def other_than_default(field):
     """Return a value of a key other than its default: the last choice, or a low number."""
     kinds = field.annotation, *get_args(field.annotation)
     choices = [choice for kind in kinds for choice in get_args(kind)]
-    if texts := [choice for choice in choices if isinstance(choice, str) and choice != field.default]:
+    if texts := [
+        choice
+        for choice in choices
+        if isinstance(choice, str) and choice != field.default
+    ]:
         return texts[-1]
     if isinstance(field.default, bool):
         return not field.default
-    low, high = (next(getattr(m, end) for m in field.metadata if hasattr(m, end)) for end in ("ge", "le"))
+    low, high = (
+        next(getattr(m, end) for m in field.metadata if hasattr(m, end))
+        for end in ("ge", "le")
+    )
     number = low + (min(high, low + 1) - low) / 4
     return math.ceil(number + 1) if int in (field.annotation, *choices) else number
 
@@ -589,10 +832,12 @@ def other_than_default(field):
 @pytest.mark.parametrize(
     ("section", "key"),
     [
-        (name, key) for name, each in SECTIONS.items() for key in type(each).model_fields
+        (name, key)
+        for name, each in SECTIONS.items()
+        for key in type(each).model_fields
         if (name, key) not in OF_A_RUN
     ],
-)  # fmt: skip
+)
 def test_keys_of_sections_survive_resolution(section, key):
     field = type(SECTIONS[section]).model_fields[key]
     value = SET[section, key] if (section, key) in SET else other_than_default(field)
@@ -606,7 +851,9 @@ def test_keys_of_sections_survive_resolution(section, key):
     if isinstance(value, dict):
         kept, written = ({k: each[k] for k in value} for each in (kept, written))
     elif isinstance(value, list) and isinstance(value[0], dict):
-        kept, written = ([{k: each[0][k] for k in value[0]}] for each in (kept, written))
+        kept, written = (
+            [{k: each[0][k] for k in value[0]}] for each in (kept, written)
+        )
     assert kept == written == value != field.default
     assert parse_scenario(s.document) == s
 
@@ -647,7 +894,8 @@ def test_invalid_names_are_rejected_as_folders(tmp_path, file, name):
 @pytest.mark.parametrize("name", shipped_names("scenario"))
 def test_shipped_expectations_can_fail_and_cite_sources(name):
     s = load_scenario(name)
-    # Only a pressure above the limit, asked for knowingly, and a model without contacts are warned of.
+    # Only a pressure above the limit, asked for knowingly, and a model without contacts
+    # are warned of.
     others = [text for text in s.warnings if text != IGNORED_OBSTACLES]
     assert s.name == name and len(others) == s.file.allow_overpressure
     analytical = s.file.plants.analytical
@@ -657,16 +905,29 @@ def test_shipped_expectations_can_fail_and_cite_sources(name):
     plants = ["twin"] if s.world.objects else ["analytical", "twin"]
     assert list(s.plants) == plants or s.robot.is_spatial
     plants = list(s.plants)
-    assert {each.subject for each in s.expect} == {*plants, *(["comparison"] if len(plants) > 1 else [])}
+    assert {each.subject for each in s.expect} == {
+        *plants,
+        *(["comparison"] if len(plants) > 1 else []),
+    }
     assert all(not each.check({})["met"] for each in s.expect)
     assert any(each.source for each in s.expect)
 
 
 def test_shipped_scenarios_are_those_documented():
-    wanted = {f"gen{i}_{way}" for i in (2, 3, 4) for way in ("straight", "turn")} | {"gen1_straight"}
+    wanted = {f"gen{i}_{way}" for i in (2, 3, 4) for way in ("straight", "turn")} | {
+        "gen1_straight"
+    }
     wanted |= {
         f"module_{what}_{way}"
-        for what in ("step", "sine_025hz", "sine_1hz", "sine_4hz", "sine_6hz", "square_2hz", "hold_leak")
+        for what in (
+            "step",
+            "sine_025hz",
+            "sine_1hz",
+            "sine_4hz",
+            "sine_6hz",
+            "square_2hz",
+            "hold_leak",
+        )
         for way in ("direct", "iterative")
     }
     assert wanted <= set(shipped_names("scenario"))
@@ -684,16 +945,31 @@ def test_shipped_scenarios_are_those_documented():
     ],
 )
 def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
-    (row,) = [c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == claim]
-    found = [e for e in load_scenario(name).expect if e.metric == "com_speed_m_s" and e.plant == "twin"]
+    (row,) = [
+        c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == claim
+    ]
+    found = [
+        e
+        for e in load_scenario(name).expect
+        if e.metric == "com_speed_m_s" and e.plant == "twin"
+    ]
     by_interval, each = sorted(found, key=lambda e: e.published is None)
-    assert by_interval.published == each.near == row["value"] and by_interval.within == "interval_95"
+    assert (
+        by_interval.published == each.near == row["value"]
+        and by_interval.within == "interval_95"
+    )
     assert each.allowed[1] - each.near <= tol * row["value"] * (1 + 1e-9)
 
 
-@pytest.mark.parametrize(("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)])
+@pytest.mark.parametrize(
+    ("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)]
+)
 def test_generation_4_is_compared_with_table_8(name, offset):
-    (table,) = [c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == "table8"]
+    (table,) = [
+        c
+        for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data
+        if c["id"] == "table8"
+    ]
     (row,) = [r for r in table["rows"] if r["offset"] == offset]
     published = {"com_speed_m_s": row["speed"], "turning_radius_m": row["radius"]}
     found = [e for e in load_scenario(name).expect if e.metric in published]
@@ -717,16 +993,26 @@ def walk(node, schema):
 def test_the_schema_describes_every_key():
     schema = scenario_json_schema()
     json.dumps(schema)
-    parts = {"": schema} | {name: each for name, each in schema["$defs"].items() if "Record" not in name}
+    parts = {"": schema} | {
+        name: each for name, each in schema["$defs"].items() if "Record" not in name
+    }
     for part, each in parts.items():
         for path, prop in walk(part, each):
             assert prop.get("description") or "$ref" in prop, path
     assert schema["properties"]["duration_s"] == {
-        "title": "Simulated duration", "description": "Simulated duration in s, 0.001 to 3600.",
-        "type": "number", "minimum": 0.001, "maximum": 3600.0, "unit": "s",
-    }  # fmt: skip
-    named, from_outside = schema["$defs"]["Expectation"]["properties"]["metric"]["anyOf"]
-    assert named["enum"] == list(known_metrics()) and re.match(from_outside["pattern"], "my_module:metric")
+        "title": "Simulated duration",
+        "description": "Simulated duration in s, 0.001 to 3600.",
+        "type": "number",
+        "minimum": 0.001,
+        "maximum": 3600.0,
+        "unit": "s",
+    }
+    named, from_outside = schema["$defs"]["Expectation"]["properties"]["metric"][
+        "anyOf"
+    ]
+    assert named["enum"] == list(known_metrics()) and re.match(
+        from_outside["pattern"], "my_module:metric"
+    )
 
 
 def test_references_of_the_schema_resolve():

@@ -37,30 +37,45 @@ def test_shipped_scenarios_miss_only_known_expectations(name, shipped_run):
     folder = shipped_run(name)
     plants = load_scenario(name).plants
     assert {path.name for path in folder.iterdir()} == {
-        *(f"{plant}.parquet" for plant in plants), "scenario.resolved.yaml", "report.html", "recording.rrd",
+        *(f"{plant}.parquet" for plant in plants),
+        "scenario.resolved.yaml",
+        "report.html",
+        "recording.rrd",
         "metrics.json",
-    }  # fmt: skip
+    }
     metrics = json.loads((folder / "metrics.json").read_text("utf-8"))
     surprising = [
         each
         for each in metrics["expectations"]
         if verdict(each) not in ("met", "known") and each.get("verdict") != "undecided"
     ]
-    assert surprising == [], "missed, or marked `known` and met: change the mark on purpose"
+    assert surprising == [], (
+        "missed, or marked `known` and met: change the mark on purpose"
+    )
     assert "body_overlap_m" not in metrics, "the body passes through itself"
     as_documented(name, metrics["plants"])
     if len(plants) == 1:
         return
     both = load_run(folder).trajectories
-    if any(both["twin"].has(name) for name in ("reference", "duty_plus", "offset_commanded")):
+    if any(
+        both["twin"].has(name)
+        for name in ("reference", "duty_plus", "offset_commanded")
+    ):
         return  # feedback: the commands depend on the plant
     # Equal valve commands give equal pressures, regardless of the motion.
-    assert both["twin"].metadata["valve_switches"] == both["analytical"].metadata["valve_switches"]
+    assert (
+        both["twin"].metadata["valve_switches"]
+        == both["analytical"].metadata["valve_switches"]
+    )
     robot = load_scenario(name).robot
-    for chamber in range(1, robot.chambers + 1) if robot.is_spatial else ("plus", "minus"):
+    for chamber in (
+        range(1, robot.chambers + 1) if robot.is_spatial else ("plus", "minus")
+    ):
         valve, pressure = f"valve_{chamber}", f"pressure_{chamber}"
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
-        assert both["twin"].stack(pressure) == pytest.approx(both["analytical"].stack(pressure), abs=1e-6)
+        assert both["twin"].stack(pressure) == pytest.approx(
+            both["analytical"].stack(pressure), abs=1e-6
+        )
 
 
 def as_documented(name, plants):
@@ -72,14 +87,18 @@ def as_documented(name, plants):
         numbers = {
             metric: value
             for metric, value in metrics.items()
-            if isinstance(value, int | float) and metric not in ("wall_s", "realtime_factor")
+            if isinstance(value, int | float)
+            and metric not in ("wall_s", "realtime_factor")
         }
         assert numbers.keys() == documented[plant].keys()
         if "leak" not in name:
             again = "uv run python benchmarks/module_table.py writes them again"
-            assert numbers == pytest.approx(documented[plant], rel=0.02, abs=2e-4), again
+            assert numbers == pytest.approx(documented[plant], rel=0.02, abs=2e-4), (
+                again
+            )
             continue
-        # At the edge of the dead zone rounding acts like noise: compare with the documented distribution.
+        # At the edge of the dead zone rounding acts like noise: compare with the
+        # documented distribution.
         drawn = DOCUMENTED["leak"]["of"][name.rpartition("_")[2]][plant]
         for metric, unit in (("inlet_openings", 1), ("steady_rms_rad", 180 / math.pi)):
             mean, deviation = drawn[metric]["mean"], drawn[metric]["deviation"]
@@ -91,6 +110,8 @@ def test_generation_2_is_the_fastest(shipped_run):
     # Table 10 and Section 3.4.2, by the analytical model.
     speed = {}
     for generation in ("gen1", "gen2", "gen3", "gen4"):
-        metrics = json.loads((shipped_run(f"{generation}_straight") / "metrics.json").read_text("utf-8"))
+        metrics = json.loads(
+            (shipped_run(f"{generation}_straight") / "metrics.json").read_text("utf-8")
+        )
         speed[generation] = metrics["plants"]["analytical"]["com_speed_m_s"]
     assert speed["gen2"] > speed["gen4"] > speed["gen3"] > speed["gen1"]

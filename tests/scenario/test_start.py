@@ -17,17 +17,32 @@ from srs_twin.trajectory import Trajectory
 
 SEGMENTS = 4
 MOVING = {
-    "x_m": 0.5, "y_m": -0.2, "heading_rad": 0.3, "velocity_m_s": [0.1, 0.02], "yaw_rate_rad_s": 0.5,
-    "bend_rad": [0.3, 0.0, -0.2, 0.1], "bend_rate_rad_s": [0.0, 1.0, 0.0, 0.0],
+    "x_m": 0.5,
+    "y_m": -0.2,
+    "heading_rad": 0.3,
+    "velocity_m_s": [0.1, 0.02],
+    "yaw_rate_rad_s": 0.5,
+    "bend_rad": [0.3, 0.0, -0.2, 0.1],
+    "bend_rate_rad_s": [0.0, 1.0, 0.0, 0.0],
     "pressure_kpa": [[20.0, 0.0], [0.0, 0.0], [0.0, 10.0], [0.0, 0.0]],
-}  # fmt: skip
-PLANTS = {"analytical": {"model": "compliant", "friction": "wheel"}, "twin": {"contact": "loaded"}}
+}
+PLANTS = {
+    "analytical": {"model": "compliant", "friction": "wheel"},
+    "twin": {"contact": "loaded"},
+}
 
 
 def scenario(start: dict, **more: object) -> Scenario:
     gait = {"kind": "gait", "frequency_hz": 2.0}
     return parse_scenario(
-        {"robot": "gen2", "duration_s": 1.0, "start": start, "controller": gait, "plants": PLANTS} | more
+        {
+            "robot": "gen2",
+            "duration_s": 1.0,
+            "start": start,
+            "controller": gait,
+            "plants": PLANTS,
+        }
+        | more
     )
 
 
@@ -58,11 +73,15 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
     whole.to_parquet(tmp_path / f"{plant}.parquet")
     at = 1.3
     asked = scenario(
-        {"from": str(tmp_path), "time_s": at}, plants={plant: PLANTS[plant]}, duration_s=0.6,
+        {"from": str(tmp_path), "time_s": at},
+        plants={plant: PLANTS[plant]},
+        duration_s=0.6,
         controller={
-            "kind": "gait", "frequency_hz": 2.0, "phase_rad": math.remainder(4 * math.pi * at, 2 * math.pi),
+            "kind": "gait",
+            "frequency_hz": 2.0,
+            "phase_rad": math.remainder(4 * math.pi * at, 2 * math.pi),
         },
-    )  # fmt: skip
+    )
     found = run(asked, plant)
     begun = int(np.searchsorted(whole.time, at - 1e-9))
     later = slice(begun, begun + len(found.time))
@@ -74,12 +93,24 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
 @pytest.mark.parametrize(
     ("start", "told"),
     [
-        ({"bend_rad": [0.1]}, "start: bend_rad has 1 entries; the robot has 4 segments"),
-        ({"pressure_kpa": [[900.0, 0.0]] * SEGMENTS}, "start: pressure_kpa 900 is above the supply pressure"),
-        ({"from": "nowhere", "time_s": 1.0}, "start: nowhere has no trajectory of the analytical plant"),
+        (
+            {"bend_rad": [0.1]},
+            "start: bend_rad has 1 entries; the robot has 4 segments",
+        ),
+        (
+            {"pressure_kpa": [[900.0, 0.0]] * SEGMENTS},
+            "start: pressure_kpa 900 is above the supply pressure",
+        ),
+        (
+            {"from": "nowhere", "time_s": 1.0},
+            "start: nowhere has no trajectory of the analytical plant",
+        ),
         ({"from": "nowhere"}, "start.from: needs the time in that run; set time_s"),
         ({"time_s": 1.0}, "start.time_s: needs a run; set from"),
-        ({"from": "nowhere", "time_s": 1.0, "x_m": 0.0}, "start.x_m: is set by the run in from"),
+        (
+            {"from": "nowhere", "time_s": 1.0, "x_m": 0.0},
+            "start.x_m: is set by the run in from",
+        ),
         ({"velocity_m_s": [1.0]}, "start.velocity_m_s"),
         ({"yaw_rate_rad_s": math.inf}, "start.yaw_rate_rad_s"),
         ({"bends_rad": [0.1] * SEGMENTS}, "did you mean"),
@@ -94,7 +125,9 @@ def test_invalid_starts_are_rejected(start, told):
 def test_time_outside_the_trajectory_is_rejected(tmp_path):
     for plant in PLANTS:
         run(scenario({}), plant).to_parquet(tmp_path / f"{plant}.parquet")
-    with pytest.raises(InputError, match=r"time_s 3 is outside .*analytical.parquet, 0 to 1 s"):
+    with pytest.raises(
+        InputError, match=r"time_s 3 is outside .*analytical.parquet, 0 to 1 s"
+    ):
         scenario({"from": str(tmp_path), "time_s": 3.0})
 
 
@@ -104,7 +137,10 @@ def test_run_starts_from_the_first_and_last_sample_of_a_trajectory(tmp_path):
         record.to_parquet(tmp_path / f"{plant}.parquet")
     for row in (0, -1):
         time = float(records["analytical"].time[row])
-        way = run(scenario({"from": str(tmp_path), "time_s": time}, duration_s=0.02), "analytical")
+        way = run(
+            scenario({"from": str(tmp_path), "time_s": time}, duration_s=0.02),
+            "analytical",
+        )
         assert way.com[0] == pytest.approx(records["analytical"].com[row], abs=1e-9)
 
 
@@ -113,10 +149,18 @@ def test_a_run_from_a_run_by_the_command(srs_twin, tmp_path):
     asked = scenario(MOVING)
     (tmp_path / "first.yaml").write_text(json.dumps(dict(asked.document)), "utf-8")
     assert srs_twin("run", "first.yaml", "--out", "first", cwd=tmp_path).returncode == 0
-    second = dict(asked.document) | {"name": "second", "start": {"from": "first", "time_s": 0.5}}
+    second = dict(asked.document) | {
+        "name": "second",
+        "start": {"from": "first", "time_s": 0.5},
+    }
     (tmp_path / "second.yaml").write_text(json.dumps(second), "utf-8")
-    assert srs_twin("run", "second.yaml", "--out", "second", cwd=tmp_path).returncode == 0
+    assert (
+        srs_twin("run", "second.yaml", "--out", "second", cwd=tmp_path).returncode == 0
+    )
     kept = (tmp_path / "second/scenario.resolved.yaml").read_text("utf-8")
     assert f"from: {Path(tmp_path).resolve() / 'first'}" in kept
-    first, later = (Trajectory.from_parquet(tmp_path / name / "twin.parquet") for name in ("first", "second"))
+    first, later = (
+        Trajectory.from_parquet(tmp_path / name / "twin.parquet")
+        for name in ("first", "second")
+    )
     assert later.com[0] == pytest.approx(first.com[50], abs=1e-9)

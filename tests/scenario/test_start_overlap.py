@@ -23,10 +23,15 @@ BOTH = {"analytical": {}, "twin": {}}
 def scenario(world, *, start=None, plants=BOTH, snake="gen2", **more):
     return parse_scenario(
         {
-            "robot": snake, "duration_s": 1, "controller": {"kind": "gait", "frequency_hz": 2.0},
-            "world": world, "start": start or {}, "plants": plants,
-        } | more
-    )  # fmt: skip
+            "robot": snake,
+            "duration_s": 1,
+            "controller": {"kind": "gait", "frequency_hz": 2.0},
+            "world": world,
+            "start": start or {},
+            "plants": plants,
+        }
+        | more
+    )
 
 
 def circle(x, y=0.0, radius=0.05):
@@ -35,40 +40,58 @@ def circle(x, y=0.0, radius=0.05):
 
 def square(x, y, side):
     near, far, low, high = x - side / 2, x + side / 2, y - side / 2, y + side / 2
-    return {"polygons": [{"corners_m": [[near, low], [far, low], [far, high], [near, high]]}]}
+    return {
+        "polygons": [
+            {"corners_m": [[near, low], [far, low], [far, high], [near, high]]}
+        ]
+    }
 
 
 def ball(x, y=0.0, radius=0.03):
-    item = {"kind": "cylinder", "radius_m": radius, "mass_kg": 0.1, "friction": 0.3, "x_m": x, "y_m": y}
+    item = {
+        "kind": "cylinder",
+        "radius_m": radius,
+        "mass_kg": 0.1,
+        "friction": 0.3,
+        "x_m": x,
+        "y_m": y,
+    }
     return {"objects": [item]}
 
 
 @pytest.mark.parametrize(
-    "plants", [BOTH, {"analytical": {}}, {"twin": {}}, {"twin": {"contact": "preloaded"}}]
+    "plants",
+    [BOTH, {"analytical": {}}, {"twin": {}}, {"twin": {"contact": "preloaded"}}],
 )
 def test_overlap_is_stated_in_mm(plants):
     with pytest.raises(InputFileError) as caught:
         scenario(circle(NOSE + HALF + 0.05 - 0.023), plants=plants)
-    said = "world.obstacles[0]: overlaps the body at the start by 23 mm; move it or start elsewhere"
+    said = (
+        "world.obstacles[0]: overlaps the body at the start by 23 mm; move it or start"
+        " elsewhere"
+    )
     assert str(caught.value) == f"scenario: {said}"
 
 
 def test_message_has_the_line_of_each_obstacle(tmp_path, srs_twin):
     file = tmp_path / "mine.yaml"
     file.write_text(
-        "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 2.0}\nplants: {twin: {}}\n"
-        "world:\n  obstacles:\n    - {x_m: 1.0, y_m: 0, radius_m: 0.05}\n"
-        "    - {x_m: 0.0, y_m: 0.06, radius_m: 0.05}\n"
-        "  polygons:\n    - {corners_m: [[-1, -1], [1, -1], [1, 1]]}\n"
+        "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz:"
+        " 2.0}\nplants: {twin: {}}\nworld:\n  obstacles:\n    - {x_m: 1.0, y_m: 0,"
+        " radius_m: 0.05}\n    - {x_m: 0.0, y_m: 0.06, radius_m: 0.05}\n  polygons:\n  "
+        "  - {corners_m: [[-1, -1], [1, -1], [1, 1]]}\n"
     )
     done = srs_twin("run", "mine.yaml", cwd=tmp_path)
     assert done.returncode == 2
     first, second = done.stderr.splitlines()
-    assert first == (
-        "mine.yaml:8:7: world.obstacles[1]: overlaps the body at the start by 10 mm; move it or start "
-        "elsewhere"
+    assert (
+        first
+        == "mine.yaml:8:7: world.obstacles[1]: overlaps the body at the start by 10 mm;"
+        " move it or start elsewhere"
     )
-    assert second.startswith("mine.yaml:10:7: world.polygons[0]: overlaps the body at the start by ")
+    assert second.startswith(
+        "mine.yaml:10:7: world.polygons[0]: overlaps the body at the start by "
+    )
 
 
 @pytest.mark.parametrize(
@@ -78,17 +101,42 @@ def test_message_has_the_line_of_each_obstacle(tmp_path, srs_twin):
         (square(0.0, 0.06, 0.1), "polygons[0]", 0.001 + HALF - 0.01),
         (circle(0.0, 0.0, 3.0), "obstacles[0]", 3.0 + HALF),
         (circle(-NOSE - HALF - 0.04), "obstacles[0]", 0.01),
-        ({"pegs": {"pitch_m": 0.13, "radius_m": 0.02, "rows": 3, "columns": 3, "x_m": 0.0}},
-         "pegs", HALF + 0.02),
-        ({"random": {"kind": "strewn", "count": 1, "clear_m": 0.0, "radius_m": [0.5, 0.5],
-          "area": {"x_m": [0.52, 0.54], "y_m": [-0.01, 0.01]}}}, "random", None),
+        (
+            {
+                "pegs": {
+                    "pitch_m": 0.13,
+                    "radius_m": 0.02,
+                    "rows": 3,
+                    "columns": 3,
+                    "x_m": 0.0,
+                }
+            },
+            "pegs",
+            HALF + 0.02,
+        ),
+        (
+            {
+                "random": {
+                    "kind": "strewn",
+                    "count": 1,
+                    "clear_m": 0.0,
+                    "radius_m": [0.5, 0.5],
+                    "area": {"x_m": [0.52, 0.54], "y_m": [-0.01, 0.01]},
+                }
+            },
+            "random",
+            None,
+        ),
     ],
-)  # fmt: skip
+)
 def test_every_kind_of_obstacle_is_refused(world, key, overlap):
     with pytest.raises(InputFileError) as caught:
         scenario(world, plants={"twin": {}})
     said = str(caught.value)
-    assert said.startswith(f"scenario: world.{key}: ") and "overlaps the body at the start by " in said
+    assert (
+        said.startswith(f"scenario: world.{key}: ")
+        and "overlaps the body at the start by " in said
+    )
     if overlap is not None:
         found = float(said.split(" by ")[1].split(" mm")[0])
         assert found == pytest.approx(1e3 * overlap, rel=0.01)
@@ -97,7 +145,10 @@ def test_every_kind_of_obstacle_is_refused(world, key, overlap):
 def test_map_and_list_of_circles_are_refused(tmp_path):
     rows = "x_m,y_m,radius_m\n1.0,0,0.05\n0.02,0,0.05\n"
     (tmp_path / "circles.csv").write_text(rows)
-    with pytest.raises(InputFileError, match=r"world.circles: obstacle 2 at \(0.02, 0\) m overlaps the body"):
+    with pytest.raises(
+        InputFileError,
+        match=r"world.circles: obstacle 2 at \(0.02, 0\) m overlaps the body",
+    ):
         scenario({"circles": str(tmp_path / "circles.csv")}, plants={"twin": {}})
     row = " ".join("0" if 8 < column < 12 else "255" for column in range(20))
     picture = "\n".join(["P2", "20 20", "255", *[row] * 20])
@@ -106,7 +157,9 @@ def test_map_and_list_of_circles_are_refused(tmp_path):
         "image: map.pgm\nresolution: 0.05\norigin: [-0.5, -0.5, 0]\nnegate: 0\n"
         "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
-    with pytest.raises(InputFileError, match=r"world.map: polygon 1 overlaps the body at the start by"):
+    with pytest.raises(
+        InputFileError, match=r"world.map: polygon 1 overlaps the body at the start by"
+    ):
         scenario({"map": str(tmp_path / "map.yaml")}, plants={"twin": {}})
 
 
@@ -114,10 +167,20 @@ def test_map_and_list_of_circles_are_refused(tmp_path):
 def test_objects_are_refused(box):
     world = ball(0.0, 0.045)
     if box:
-        item = {"kind": "box", "length_m": 0.06, "width_m": 0.06, "mass_kg": 0.1, "friction": 0.3}
-        world = {"objects": [item | {"x_m": 0.0, "y_m": 0.045, "heading_rad": math.pi / 4}]}
+        item = {
+            "kind": "box",
+            "length_m": 0.06,
+            "width_m": 0.06,
+            "mass_kg": 0.1,
+            "friction": 0.3,
+        }
+        world = {
+            "objects": [item | {"x_m": 0.0, "y_m": 0.045, "heading_rad": math.pi / 4}]
+        }
     deep = HALF + (0.03 * math.sqrt(2) if box else 0.03) - 0.045
-    with pytest.raises(InputFileError, match=rf"world.objects\[0\]: .* by {1e3 * deep:.3g} mm"):
+    with pytest.raises(
+        InputFileError, match=rf"world.objects\[0\]: .* by {1e3 * deep:.3g} mm"
+    ):
         scenario(world, plants={"twin": {}})
 
 
@@ -129,11 +192,17 @@ def test_touching_is_allowed(gap, heading):
     start = {"x_m": 0.1, "y_m": -0.2, "heading_rad": heading}
     found = scenario(circle(x, y), start=start)
     for kind in BOTH:
-        run = rollout(found.build_plant(kind), found.build_controller(), 0.02, pose=found.pose)
+        run = rollout(
+            found.build_plant(kind), found.build_controller(), 0.02, pose=found.pose
+        )
         assert run["clearance"][0] == pytest.approx(gap, abs=1e-6)
     with pytest.raises(InputFileError, match=r"by 0\.1 mm"):
         scenario(
-            circle(x - (gap + 1e-4) * math.cos(heading), y - (gap + 1e-4) * math.sin(heading)), start=start
+            circle(
+                x - (gap + 1e-4) * math.cos(heading),
+                y - (gap + 1e-4) * math.sin(heading),
+            ),
+            start=start,
         )
 
 
@@ -155,10 +224,17 @@ def test_checked_start_is_that_of_the_plants(snake, kind):
     start["bend_rad"] = (bend * segments)[:segments]
     plants = {kind: {"model": "compliant"} if kind == "analytical" else {}}
     far = scenario(circle(0.1, 0.5, 0.02), start=start, plants=plants, snake=snake)
-    apart = rollout(far.build_plant(kind), far.build_controller(), 0.02, begin=far.begin)["clearance"][0]
+    apart = rollout(
+        far.build_plant(kind), far.build_controller(), 0.02, begin=far.begin
+    )["clearance"][0]
     deep = 0.01
     with pytest.raises(InputFileError) as caught:
-        scenario(circle(0.1, 0.5, 0.02 + apart + deep), start=start, plants=plants, snake=snake)
+        scenario(
+            circle(0.1, 0.5, 0.02 + apart + deep),
+            start=start,
+            plants=plants,
+            snake=snake,
+        )
     found = float(str(caught.value).split(" by ")[1].split(" mm")[0])
     # Hinges deviate slightly from arcs, and the mass of a skin is along the arcs.
     assert found == pytest.approx(10.0, abs=1.0 if snake == "skin_example" else 0.3)
@@ -168,21 +244,34 @@ def test_run_continues_from_a_contact(tmp_path, srs_twin):
     """Contacts sink in by less than a millimetre, so that another run can start there."""
     world = circle(0.25)
     found = scenario(world, plants={"twin": {}})
-    run = rollout(found.build_plant("twin"), found.build_controller(), 1.0, pose=found.pose)
+    run = rollout(
+        found.build_plant("twin"), found.build_controller(), 1.0, pose=found.pose
+    )
     rows = np.flatnonzero((run["clearance"] < -1e-5) & (run.time > 0.1))
     assert len(rows), "the run is in contact"
     run.to_parquet(tmp_path / "twin.parquet")
     start = {"from": str(tmp_path), "time_s": float(run.time[rows[0]])}
     again = scenario(world, start=start, plants={"twin": {}})
-    rollout(again.build_plant("twin"), again.build_controller(), 0.02, begin=again.begin)
+    rollout(
+        again.build_plant("twin"), again.build_controller(), 0.02, begin=again.begin
+    )
     with pytest.raises(InputFileError, match=r"world.obstacles\[0\]: overlaps"):
         scenario(circle(0.25, radius=0.06), start=start, plants={"twin": {}})
 
 
 SOLID = [
-    (World((Circle(0.0, 0.0, 0.05),)), r"obstacle 1 at \(0, 0\) m overlaps the body at the start by 70 mm"),
-    (World(polygons=(Polygon(((-1, -1), (1, -1), (0, 1))),)), "polygon 1 overlaps the body"),
-    (World(objects=(MovableObject((0.1,), 0.1, 0.3, 0.0, 0.0),)), "object 1 overlaps the body"),
+    (
+        World((Circle(0.0, 0.0, 0.05),)),
+        r"obstacle 1 at \(0, 0\) m overlaps the body at the start by 70 mm",
+    ),
+    (
+        World(polygons=(Polygon(((-1, -1), (1, -1), (0, 1))),)),
+        "polygon 1 overlaps the body",
+    ),
+    (
+        World(objects=(MovableObject((0.1,), 0.1, 0.3, 0.0, 0.0),)),
+        "object 1 overlaps the body",
+    ),
 ]
 
 
@@ -193,7 +282,12 @@ def test_python_refuses_a_start_in_an_obstacle(world, words):
         rollout(twin, gait, 0.1)
     assert rollout(twin, gait, 0.1, pose=(3.0, 3.0, 0.0))["clearance"].min() > 1.0
     with pytest.raises(InputError, match=words):
-        rollout(twin, gait, 0.1, begin=lambda plant, seed: plant.reset(pose=(0.02, 0.0, 0.0)))
+        rollout(
+            twin,
+            gait,
+            0.1,
+            begin=lambda plant, seed: plant.reset(pose=(0.02, 0.0, 0.0)),
+        )
     if not world.objects:
         with pytest.raises(InputError, match=words):
             rollout(AnalyticalSnake(robot("gen2"), world=world), gait, 0.1)
@@ -214,6 +308,13 @@ def test_warning_about_ignored_obstacles_is_given_once():
     assert both.run_on(["twin"]).warnings == ()
     assert both.run_on(["analytical", "twin"]).warnings == both.warnings
     only = scenario(world, plants={"twin": {}})
-    assert only.warnings == () and len(only.run_on(["analytical", "twin"]).warnings) == 1
-    assert scenario(world, plants={"analytical": {"model": "compliant", "touch": True}}).warnings == ()
+    assert (
+        only.warnings == () and len(only.run_on(["analytical", "twin"]).warnings) == 1
+    )
+    assert (
+        scenario(
+            world, plants={"analytical": {"model": "compliant", "touch": True}}
+        ).warnings
+        == ()
+    )
     assert load_scenario("gen2_straight").warnings == ()

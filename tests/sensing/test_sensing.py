@@ -15,7 +15,14 @@ from scipy import stats
 
 from srs_twin import AnalyticalSnake, Gait, TwinSnake, load_robot, rollout
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.sensing import CurvatureSensor, HallSensor, IdealSensor, Strip, calibrate, make_sensor
+from srs_twin.sensing import (
+    CurvatureSensor,
+    HallSensor,
+    IdealSensor,
+    Strip,
+    calibrate,
+    make_sensor,
+)
 from srs_twin.sensing.hall import (
     MOMENT,
     RAIL_SHARE,
@@ -48,7 +55,9 @@ SEED = st.integers(-(2**70), 2**70)
 
 
 def flat(orientation: str, height: float = 0.0) -> Strip:
-    return Strip(LENGTH, orientation=orientation, magnet_height=height, element_height=height)
+    return Strip(
+        LENGTH, orientation=orientation, magnet_height=height, element_height=height
+    )
 
 
 def potential(r: np.ndarray, moment: np.ndarray) -> float:
@@ -58,14 +67,19 @@ def potential(r: np.ndarray, moment: np.ndarray) -> float:
 
 def slope_along(r: np.ndarray, moment: np.ndarray, direction: np.ndarray) -> float:
     h = 1e-4 * np.linalg.norm(r)
-    ahead, behind = potential(r + h * direction, moment), potential(r - h * direction, moment)
+    ahead, behind = (
+        potential(r + h * direction, moment),
+        potential(r - h * direction, moment),
+    )
     return (ahead - behind) / (2 * h)
 
 
 # The field
 
 
-@given(angle=st.floats(0, 6.28), distance=st.floats(0.001, 0.02), tilt=st.floats(0, 6.28))
+@given(
+    angle=st.floats(0, 6.28), distance=st.floats(0.001, 0.02), tilt=st.floats(0, 6.28)
+)
 def test_dipole_is_the_gradient_of_its_potential(angle, distance, tilt):
     r = distance * np.array([math.cos(angle), math.sin(angle)])
     moment = MOMENT * np.array([math.cos(tilt), math.sin(tilt)])
@@ -83,11 +97,24 @@ def test_dipole_is_the_limit_of_a_small_current_loop():
     errors = []
     for radius in (4e-4, 2e-4, 1e-4):
         wire = radius * np.stack([np.sin(turn), 0 * turn, np.cos(turn)], axis=1)
-        piece = 2 * np.pi * radius / len(turn) * np.stack([np.cos(turn), 0 * turn, -np.sin(turn)], axis=1)
+        piece = (
+            2
+            * np.pi
+            * radius
+            / len(turn)
+            * np.stack([np.cos(turn), 0 * turn, -np.sin(turn)], axis=1)
+        )
         r = place - wire
         current = MOMENT / (np.pi * radius**2)
-        b = MU0_4PI * current * np.cross(piece, r) / np.linalg.norm(r, axis=1, keepdims=True) ** 3
-        errors.append(np.abs(b.sum(axis=0)[:2] - b_dipole).max() / np.abs(b_dipole).max())
+        b = (
+            MU0_4PI
+            * current
+            * np.cross(piece, r)
+            / np.linalg.norm(r, axis=1, keepdims=True) ** 3
+        )
+        errors.append(
+            np.abs(b.sum(axis=0)[:2] - b_dipole).max() / np.abs(b_dipole).max()
+        )
     assert errors[-1] < 2e-3
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
     assert errors[1] / errors[2] == pytest.approx(4, rel=0.05)
@@ -102,14 +129,19 @@ def test_element_place_is_the_integral_along_the_strip(strip, bend):
     normal = np.array([-math.sin(end), math.cos(end)])
     required = foot + strip.element_height * normal - [0.0, strip.magnet_height]
     x, y, theta = element_place(bend, strip)
-    assert (x, y) == (pytest.approx(required[0], abs=1e-9), pytest.approx(required[1], abs=1e-9))
+    assert (x, y) == (
+        pytest.approx(required[0], abs=1e-9),
+        pytest.approx(required[1], abs=1e-9),
+    )
     assert theta == pytest.approx(end, abs=1e-12)
 
 
 @given(strip=STRIPS, bend=BEND)
 def test_equation_1_is_the_field_component_normal_to_the_element(strip, bend):
     x, y, theta = (float(value) for value in element_place(bend, strip))
-    moment = strip.moment * np.array([0.0, 1.0] if strip.orientation == "up" else [1.0, 0.0])
+    moment = strip.moment * np.array(
+        [0.0, 1.0] if strip.orientation == "up" else [1.0, 0.0]
+    )
     normal = np.array([-math.sin(theta), math.cos(theta)])
     wanted = -slope_along(np.array([x, y]), moment, normal)
     scale = MU0_4PI * strip.moment / math.hypot(x, y) ** 3
@@ -120,7 +152,9 @@ def test_equation_1_is_the_field_component_normal_to_the_element(strip, bend):
 def test_straight_strip_has_the_equatorial_field_of_a_dipole(strip):
     rise = strip.element_height - strip.magnet_height
     square = strip.distance**2 + rise**2
-    along = 3 * rise**2 - square if strip.orientation == "up" else 3 * rise * strip.distance
+    along = (
+        3 * rise**2 - square if strip.orientation == "up" else 3 * rise * strip.distance
+    )
     wanted = MU0_4PI * strip.moment * along / square**2.5
     assert float(field(0.0, strip)) == pytest.approx(wanted, rel=1e-12, abs=1e-18)
 
@@ -128,17 +162,24 @@ def test_straight_strip_has_the_equatorial_field_of_a_dipole(strip):
 @given(strip=STRIPS, bend=BEND)
 def test_mirrored_strip_and_bend_give_the_mirrored_field(strip, bend):
     """With mirrored heights, `up` reads the same for −q, and `side` the opposite."""
-    mirrored = replace(strip, magnet_height=-strip.magnet_height, element_height=-strip.element_height)
+    mirrored = replace(
+        strip, magnet_height=-strip.magnet_height, element_height=-strip.element_height
+    )
     sign = 1 if strip.orientation == "up" else -1
     scale = MU0_4PI * strip.moment / strip.distance**3
-    assert field(-bend, mirrored) == pytest.approx(sign * field(bend, strip), abs=1e-12 * scale)
+    assert field(-bend, mirrored) == pytest.approx(
+        sign * field(bend, strip), abs=1e-12 * scale
+    )
 
 
 def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
     for orientation, sign in (("up", 1), ("side", -1)):
         b = field(BENDS, flat(orientation))
         assert b == pytest.approx(sign * b[::-1], abs=1e-18)
-    with pytest.raises(InputError, match=r"cannot be calibrated over ±1.5708 rad: a line explains 0\.0%"):
+    with pytest.raises(
+        InputError,
+        match=r"cannot be calibrated over ±1.5708 rad: a line explains 0\.0%",
+    ):
         calibrate(HallSensor.trimmed(flat("up")))
 
 
@@ -146,14 +187,26 @@ def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
 def test_slope_at_small_bends(height):
     """First order in θ = κL: −3 k h/L⁴ for `up`, −k/(2 L³) for `side`, k = μ₀ m/4π."""
     h, k = 1e-4, MU0_4PI * MOMENT
-    for orientation, slope in (("up", -3 * k * height / 0.0031**4), ("side", -k / (2 * 0.0031**3))):
+    for orientation, slope in (
+        ("up", -3 * k * height / 0.0031**4),
+        ("side", -k / (2 * 0.0031**3)),
+    ):
         b = field(np.array([-h, h]), flat(orientation, height))
-        assert (b[1] - b[0]) / (2 * h) * LENGTH / 0.0031 == pytest.approx(slope, rel=1e-6)
+        assert (b[1] - b[0]) / (2 * h) * LENGTH / 0.0031 == pytest.approx(
+            slope, rel=1e-6
+        )
 
 
 def test_field_scales_with_the_magnet_and_with_size():
     strip = Strip(LENGTH)
-    twice = Strip(2 * LENGTH, 0.0062, "up", 8 * MOMENT, 2 * strip.magnet_height, 2 * strip.element_height)
+    twice = Strip(
+        2 * LENGTH,
+        0.0062,
+        "up",
+        8 * MOMENT,
+        2 * strip.magnet_height,
+        2 * strip.element_height,
+    )
     assert field(BENDS, replace(strip, moment=3 * MOMENT)) == pytest.approx(
         3 * field(BENDS, strip), rel=1e-12
     )
@@ -172,12 +225,18 @@ def test_readings_are_quantised(bend, bits):
     smooth, stepped = plain(bits=None), plain(bits=bits)
     read = float(stepped.voltage(bend))
     assert stepped.step == 5 / 2**bits
-    assert read / stepped.step - 0.5 == pytest.approx(round(read / stepped.step - 0.5), abs=1e-9)
+    assert read / stepped.step - 0.5 == pytest.approx(
+        round(read / stepped.step - 0.5), abs=1e-9
+    )
     assert abs(read - float(smooth.voltage(bend))) <= stepped.step / 2 * (1 + 1e-9)
 
 
 def test_trimmed_amplifier_uses_its_rail_share():
-    for strip in (Strip(LENGTH), Strip(0.037, orientation="side"), Strip(LENGTH, chamber="rectangular")):
+    for strip in (
+        Strip(LENGTH),
+        Strip(0.037, orientation="side"),
+        Strip(LENGTH, chamber="rectangular"),
+    ):
         sensor = HallSensor.trimmed(strip, bits=None)
         volts = sensor.voltage(np.linspace(-SPAN, SPAN, 181))
         assert np.abs(volts - 2.5).max() == pytest.approx(RAIL_SHARE * 2.5, rel=1e-12)
@@ -189,7 +248,9 @@ def test_rails_and_converter_limit_the_reading():
     assert set(loud.voltage(np.array([-1.0, 1.0]))) == {0.3, 4.6}
     narrow = replace(loud, bits=8, converter_range=(1.0, 3.0))
     step = 2 / 256
-    assert narrow.voltage(np.array([-1.0, 1.0])) == pytest.approx([3 - step / 2, 1 + step / 2], abs=1e-12)
+    assert narrow.voltage(np.array([-1.0, 1.0])) == pytest.approx(
+        [3 - step / 2, 1 + step / 2], abs=1e-12
+    )
 
 
 @given(bias=st.floats(-0.2, 0.2), bend=BEND)
@@ -197,21 +258,28 @@ def test_bias_shifts_the_angle_by_the_calibration_slope(bias, bend):
     fresh = CurvatureSensor.calibrated(plain(bits=None, noise=0.0))
     drifted = CurvatureSensor.calibrated(plain(bits=None, noise=0.0, bias=bias))
     assert drifted.calibration == fresh.calibration
-    moved = drifted.read(np.array([bend]), 0.0, 0) - fresh.read(np.array([bend]), 0.0, 0)
+    moved = drifted.read(np.array([bend]), 0.0, 0) - fresh.read(
+        np.array([bend]), 0.0, 0
+    )
     assert moved == pytest.approx([fresh.calibration.slope * bias], abs=1e-12)
 
 
 def test_gain_error_scales_the_voltage_about_its_offset():
     fresh, drifted = plain(bits=None), plain(bits=None, gain_error=0.1)
     assert drifted.gain == fresh.gain
-    assert drifted.voltage(BENDS) - 2.5 == pytest.approx(1.1 * (fresh.voltage(BENDS) - 2.5), abs=1e-12)
+    assert drifted.voltage(BENDS) - 2.5 == pytest.approx(
+        1.1 * (fresh.voltage(BENDS) - 2.5), abs=1e-12
+    )
 
 
 def test_nan_bend_gives_nan_reading():
     sensor = make_sensor("hall", GEN4)
     bend = np.array([[0.3, np.nan, -0.2, np.inf], [1e9, 0.1, -np.inf, 0.0]])
     read = sensor.read(bend, np.array([0.1, 0.2]), 3)
-    assert np.isnan(read).tolist() == [[False, True, False, True], [True, False, True, False]]
+    assert np.isnan(read).tolist() == [
+        [False, True, False, True],
+        [True, False, True, False],
+    ]
     alone = sensor.read(np.array([[0.3, 0.0, -0.2, 0.0]]), np.array([0.1]), 3)
     assert read[0, [0, 2]].tolist() == alone[0, [0, 2]].tolist()
     assert math.isnan(IdealSensor().read(np.array([np.nan]), 0.0, 0)[0])
@@ -229,8 +297,11 @@ def test_reading_is_monotonic_with_semicircular_chambers_only(robot):
     assert good.calibration.monotonic
     assert not bad.calibration.monotonic
     turned = np.abs(BENDS[1:][np.diff(bad.hall.voltage(BENDS)) > 0])
-    # tanh'(q/q_c) = 1/2 at 0.88 q_c: there the reading turns; the field's own curvature moves it a little.
-    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * ROUNDING_BEND_RAD, abs=0.02)
+    # tanh'(q/q_c) = 1/2 at 0.88 q_c: there the reading turns; the field's own curvature
+    # moves it a little.
+    assert turned.max() == pytest.approx(
+        math.acosh(math.sqrt(2)) * ROUNDING_BEND_RAD, abs=0.02
+    )
     assert bad.calibration.r_squared < good.calibration.r_squared
     assert bad.calibration.worst_error > good.calibration.worst_error
 
@@ -247,7 +318,11 @@ def test_pressing_saturates_for_round_chambers():
 # The calibration
 
 
-@given(slope=st.floats(0.01, 100), sign=st.sampled_from([-1, 1]), intercept=st.floats(-3, 3))
+@given(
+    slope=st.floats(0.01, 100),
+    sign=st.sampled_from([-1, 1]),
+    intercept=st.floats(-3, 3),
+)
 def test_fit_recovers_a_line(slope, sign, intercept):
     angle = np.linspace(-1.2, 0.9, 40)
     voltage = (angle - intercept) / (sign * slope)
@@ -265,13 +340,21 @@ def test_fit_agrees_with_scipy():
     angle = np.linspace(-1, 1, 60)
     voltage = 2 - 0.4 * angle + 0.05 * rng.standard_normal(60)
     values, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
-    assert (values.slope, values.intercept) == pytest.approx((theirs.slope, theirs.intercept), rel=1e-9)
+    assert (values.slope, values.intercept) == pytest.approx(
+        (theirs.slope, theirs.intercept), rel=1e-9
+    )
     assert values.r_squared == pytest.approx(theirs.rvalue**2, rel=1e-9)
-    assert values.worst_error == pytest.approx(np.abs(values.angle(voltage) - angle).max(), rel=1e-9)
+    assert values.worst_error == pytest.approx(
+        np.abs(values.angle(voltage) - angle).max(), rel=1e-9
+    )
     assert not values.monotonic
 
 
-@given(share=st.floats(-1, 1), span=st.floats(0.2, 1.6), bits=st.sampled_from([None, 8, 10, 12]))
+@given(
+    share=st.floats(-1, 1),
+    span=st.floats(0.2, 1.6),
+    bits=st.sampled_from([None, 8, 10, 12]),
+)
 def test_reading_error_is_within_the_worst_error(share, span, bits):
     """A monotonic reading between two angles is between their readings, so that spacing limits the error."""
     sensor = make_sensor("hall", GEN4, span=span, bits=bits, noise=0.0)
@@ -357,28 +440,42 @@ def test_noise_is_standard_normal_and_white(seed):
     assert np.abs(across).max() < 5 / math.sqrt(n)
     for lag in (1, 2, 10, 100):
         assert np.abs((z[lag:] * z[:-lag]).mean(axis=0)).max() < 5 / math.sqrt(n)
-        assert np.abs((z[lag:, :3] * z[:-lag, 1:]).mean(axis=0)).max() < 5 / math.sqrt(n)
-        # Not merely uncorrelated: sizes do not depend on each other either. RMS of z² − 1 is √2.
+        assert np.abs((z[lag:, :3] * z[:-lag, 1:]).mean(axis=0)).max() < 5 / math.sqrt(
+            n
+        )
+        # Not merely uncorrelated: sizes do not depend on each other either. RMS of z² −
+        # 1 is √2.
         size = (z**2 - 1) / math.sqrt(2)
         for before, after in ((z, size), (size, z), (size, size)):
-            assert np.abs((after[lag:] * before[:-lag]).mean(axis=0)).max() < 5 / math.sqrt(n)
+            assert np.abs(
+                (after[lag:] * before[:-lag]).mean(axis=0)
+            ).max() < 5 / math.sqrt(n)
 
 
 def test_seeds_and_segments_are_independent():
     time = np.arange(20_000) * 1e-3
-    every = np.concatenate([standard_normal(seed, time, 3) for seed in range(6)], axis=1)
+    every = np.concatenate(
+        [standard_normal(seed, time, 3) for seed in range(6)], axis=1
+    )
     assert np.abs(np.corrcoef(every.T) - np.eye(18)).max() < 5 / math.sqrt(len(time))
     assert len(np.unique(every)) == every.size
 
 
-@given(seed=SEED, cuts=st.lists(st.integers(0, 60), max_size=4), order=st.permutations(range(12)))
+@given(
+    seed=SEED,
+    cuts=st.lists(st.integers(0, 60), max_size=4),
+    order=st.permutations(range(12)),
+)
 def test_noise_is_independent_of_the_order_of_reads(seed, cuts, order):
     time = np.arange(60) * 1e-3
     bend = np.sin(np.arange(60)[:, None] + np.arange(2))
     sensor = make_sensor("hall", GEN4)
     whole = sensor.read(bend, time, seed)
     edges = [0, *sorted(cuts), 60]
-    pieces = [sensor.read(bend[a:b], time[a:b], seed) for a, b in zip(edges, edges[1:], strict=False)]
+    pieces = [
+        sensor.read(bend[a:b], time[a:b], seed)
+        for a, b in zip(edges, edges[1:], strict=False)
+    ]
     assert np.concatenate(pieces).tolist() == whole.tolist()
     for k in order:
         assert sensor.read(bend[k], float(time[k]), seed).tolist() == whole[k].tolist()
@@ -399,7 +496,9 @@ def test_single_readings_equal_those_of_a_whole_run(seed, first, segments):
 
 def test_noise_is_constant_within_a_slot():
     ticks = np.arange(1, 5000)
-    summed = np.cumsum(np.full(4999, 1e-3))  # with rounding errors like the clock of a plant
+    summed = np.cumsum(
+        np.full(4999, 1e-3)
+    )  # with rounding errors like the clock of a plant
     assert (standard_normal(1, summed, 1) == standard_normal(1, ticks * 1e-3, 1)).all()
     assert standard_normal(1, 0.0001, 1) != standard_normal(1, 0.0002, 1)
     assert (standard_normal(2**64 + 7, ticks, 2) == standard_normal(7, ticks, 2)).all()
@@ -415,8 +514,12 @@ def test_noise_propagates_to_the_angle():
     wanted = abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
     assert read.std() == pytest.approx(wanted, rel=0.03)
     assert math.radians(0.5) < wanted < math.radians(0.8)
-    quiet = make_sensor("hall", GEN4, bits=None, noise=0.0).read(np.array([0.4]), 0.0, 5)
-    assert read.mean() == pytest.approx(float(quiet[0]), abs=5 * wanted / math.sqrt(len(time)))
+    quiet = make_sensor("hall", GEN4, bits=None, noise=0.0).read(
+        np.array([0.4]), 0.0, 5
+    )
+    assert read.mean() == pytest.approx(
+        float(quiet[0]), abs=5 * wanted / math.sqrt(len(time))
+    )
 
 
 @pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
@@ -432,17 +535,27 @@ def test_noise_differs_between_seeds_and_segments(plant):
     assert (first == again).all()
     noise = np.concatenate([first - other for other in others], axis=1)
     # The calibration is linear, so that noise does not depend on the bend.
-    wanted = math.sqrt(2) * abs(sensor.calibration.slope) * sensor.hall.gain * sensor.hall.noise
+    wanted = (
+        math.sqrt(2)
+        * abs(sensor.calibration.slope)
+        * sensor.hall.gain
+        * sensor.hall.noise
+    )
     assert noise.std(axis=0) == pytest.approx(wanted, rel=0.3)
     for half in np.split(noise, 2, axis=1):
-        assert np.abs(np.corrcoef(half.T) - np.eye(GEN4.segments)).max() < 5 / math.sqrt(len(first))
+        assert np.abs(
+            np.corrcoef(half.T) - np.eye(GEN4.segments)
+        ).max() < 5 / math.sqrt(len(first))
 
 
 # Sensors by name and invalid options
 
 
 def test_sensors_are_selected_by_name():
-    ideal, hall = make_sensor("ideal", GEN4), make_sensor("hall", GEN4, orientation="side", bits=12)
+    ideal, hall = (
+        make_sensor("ideal", GEN4),
+        make_sensor("hall", GEN4, orientation="side", bits=12),
+    )
     bend = np.array([[0.1, -0.2]])
     read = ideal.read(bend, 0.0, 1)
     read[0, 0] = 9
@@ -452,7 +565,10 @@ def test_sensors_are_selected_by_name():
     assert make_sensor(hall, GEN4) is hall
     assert make_sensor("hall", GEN4, gain=300.0).hall.gain == 300.0
     for sensor in (ideal, hall):
-        assert json.loads(json.dumps(sensor.describe(), allow_nan=False))["kind"] == sensor.kind
+        assert (
+            json.loads(json.dumps(sensor.describe(), allow_nan=False))["kind"]
+            == sensor.kind
+        )
     assert hall.describe()["calibration"]["r_squared"] > 0.99
 
 
@@ -465,26 +581,56 @@ def test_sensors_are_selected_by_name():
         ({"orientation": "upp"}, "unknown magnet orientation 'upp'; did you mean up?"),
         (
             {"chamber": "round"},
-            "unknown chamber cross-section 'round' (available: rectangular, semicircular)",
+            (
+                "unknown chamber cross-section 'round' (available: rectangular,"
+                " semicircular)"
+            ),
         ),
-        ({"distance": 0.0}, "distance 0.0 is not allowed; it must be finite and above 0"),
+        (
+            {"distance": 0.0},
+            "distance 0.0 is not allowed; it must be finite and above 0",
+        ),
         ({"moment": math.nan}, "moment nan is not allowed"),
-        ({"distance": 0.2}, "distance 0.2 m from magnet to element is not allowed; it must be at most"),
+        (
+            {"distance": 0.2},
+            "distance 0.2 m from magnet to element is not allowed; it must be at most",
+        ),
         (
             {"element_height": 0.001},
             "element_height 0.001 m is not allowed; at this distance it must be within",
         ),
         ({"magnet_height": math.nan}, "magnet_height nan m is not allowed"),
         ({"gain": 0.0}, "gain 0.0 is not allowed; it must be finite and above 0"),
-        ({"noise": -1e-6}, "noise -1e-06 is not allowed; it must be finite and 0 V or more"),
-        ({"gain_error": -1.0}, "gain_error -1.0 is not allowed; it must be finite and above -1"),
-        ({"bias": math.inf}, "bias inf is not allowed; it must be finite and a voltage"),
+        (
+            {"noise": -1e-6},
+            "noise -1e-06 is not allowed; it must be finite and 0 V or more",
+        ),
+        (
+            {"gain_error": -1.0},
+            "gain_error -1.0 is not allowed; it must be finite and above -1",
+        ),
+        (
+            {"bias": math.inf},
+            "bias inf is not allowed; it must be finite and a voltage",
+        ),
         ({"sensitivity": 0.0}, "sensitivity 0.0 is not allowed"),
         ({"bits": 0}, "bits 0 is not allowed; it must be 1 to 32, or none"),
-        ({"rails": (5.0, 0.0)}, "rails 5.0 to 0.0 V is not allowed; it must be a finite range"),
-        ({"offset": 5.0}, "offset 5.0 is not allowed; it must be finite and between the rails, 0 and 5 V"),
+        (
+            {"rails": (5.0, 0.0)},
+            "rails 5.0 to 0.0 V is not allowed; it must be a finite range",
+        ),
+        (
+            {"offset": 5.0},
+            (
+                "offset 5.0 is not allowed; it must be finite and between the rails, 0"
+                " and 5 V"
+            ),
+        ),
         ({"offset": 0.1}, "no gain suits this sensor: the element's output changes by"),
-        ({"gain": 1e-9, "offset": 2.501}, "voltages from 2.50244 to 2.50244 V do not give a line"),
+        (
+            {"gain": 1e-9, "offset": 2.501},
+            "voltages from 2.50244 to 2.50244 V do not give a line",
+        ),
         ({"span": -1.0, "gain": 500.0}, "calibration span -1.0 rad is not allowed"),
     ],
 )
@@ -502,7 +648,11 @@ def test_invalid_sensor_options_raise(options, words):
     [
         ([1.0, 2.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
         ([1.0, 2.0, 3.0], [0.0, 1.0], "a calibration needs 3 or more pairs"),
-        ([1.0, math.nan, 3.0], [0.0, 1.0, 2.0], "voltages and angles of a calibration must be finite"),
+        (
+            [1.0, math.nan, 3.0],
+            [0.0, 1.0, 2.0],
+            "voltages and angles of a calibration must be finite",
+        ),
         ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line"),
         ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles must ascend"),
     ],

@@ -29,10 +29,27 @@ SPEC = robot()
 SETTINGS: dict[str, dict[str, Any]] = {
     "tex": {"text.usetex": True},
     "font": {"font.family": "monospace", "font.size": 17, "mathtext.fontset": "stix"},
-    "colours": {"axes.prop_cycle": cycler(color="r"), "figure.facecolor": "k", "savefig.facecolor": "y"},
-    "size": {"savefig.bbox": "tight", "savefig.pad_inches": 1, "savefig.dpi": 30, "figure.dpi": 30},
-    "layout": {"figure.constrained_layout.use": True, "image.origin": "lower", "axes.xmargin": 0.4},
-    "axes": {"axes.spines.top": False, "axes.formatter.limits": (0, 1), "xtick.direction": "in"},
+    "colours": {
+        "axes.prop_cycle": cycler(color="r"),
+        "figure.facecolor": "k",
+        "savefig.facecolor": "y",
+    },
+    "size": {
+        "savefig.bbox": "tight",
+        "savefig.pad_inches": 1,
+        "savefig.dpi": 30,
+        "figure.dpi": 30,
+    },
+    "layout": {
+        "figure.constrained_layout.use": True,
+        "image.origin": "lower",
+        "axes.xmargin": 0.4,
+    },
+    "axes": {
+        "axes.spines.top": False,
+        "axes.formatter.limits": (0, 1),
+        "xtick.direction": "in",
+    },
     "svg": {"svg.fonttype": "path", "svg.hashsalt": "other", "path.simplify": False},
 }
 
@@ -46,9 +63,13 @@ def figures() -> dict[str, Callable[[], Figure]]:
         "bends": lambda: plots.bend_plot(pair),
         "pressures": lambda: plots.pressure_plot(pair),
         "speeds": lambda: plots.speed_plot(pair),
-        "difference": lambda: plots.error_plot(compare(pair["analytical"], pair["twin"]), SPEC),
+        "difference": lambda: plots.error_plot(
+            compare(pair["analytical"], pair["twin"]), SPEC
+        ),
         "above": lambda: plan_view(pair, SPEC),
-        "search": lambda: draw_convergence(values, values > 2, "cost", 1.0, maximize=False)[0],
+        "search": lambda: draw_convergence(
+            values, values > 2, "cost", 1.0, maximize=False
+        )[0],
     }
 
 
@@ -78,10 +99,20 @@ def test_every_public_function_that_returns_a_figure_draws_with_our_settings():
     missing = []
     for path in folder.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.FunctionDef) and node.returns and node.name not in exempt:
-                decorators = {ast.unparse(decorator) for decorator in node.decorator_list}
+            if (
+                isinstance(node, ast.FunctionDef)
+                and node.returns
+                and node.name not in exempt
+            ):
+                decorators = {
+                    ast.unparse(decorator) for decorator in node.decorator_list
+                }
                 returns_figure = "Figure" in ast.unparse(node.returns)
-                if returns_figure and not node.name.startswith("_") and "drawing" not in decorators:
+                if (
+                    returns_figure
+                    and not node.name.startswith("_")
+                    and "drawing" not in decorators
+                ):
                     missing.append(f"{path.relative_to(folder)}: {node.name}")
     assert sorted(name for name in missing if "reproduction" not in name) == []
 
@@ -94,18 +125,27 @@ controller: {kind: gait, frequency_hz: 2.0}
 """
 
 
-def compared(command: Any, folder: Path, settings: bytes, **env: str) -> subprocess.CompletedProcess[str]:
+def compared(
+    command: Any, folder: Path, settings: bytes, **env: str
+) -> subprocess.CompletedProcess[str]:
     folder.mkdir()
     (folder / "brief.yaml").write_text(BRIEF)
     (folder / "matplotlibrc").write_bytes(settings)
-    return command("compare", "brief.yaml", "--quiet", "--out", "run", cwd=folder, **env)
+    return command(
+        "compare", "brief.yaml", "--quiet", "--out", "run", cwd=folder, **env
+    )
 
 
 @pytest.mark.slow
-def test_command_draws_the_same_with_any_readable_matplotlibrc(tmp_path, srs_twin_process):
+def test_command_draws_the_same_with_any_readable_matplotlibrc(
+    tmp_path, srs_twin_process
+):
     files = {
         "none": b"",
-        "hostile": b"text.usetex: True\nbackend: TkAgg\nfont.family: none such\nsavefig.bbox: tight\n",
+        "hostile": (
+            b"text.usetex: True\nbackend: TkAgg\nfont.family: none such\nsavefig.bbox:"
+            b" tight\n"
+        ),
         "broken": b"no colon\nfont.size: huge\nunknown.key: 1\n",
     }
     images = {}
@@ -113,12 +153,21 @@ def test_command_draws_the_same_with_any_readable_matplotlibrc(tmp_path, srs_twi
         done = compared(srs_twin_process, tmp_path / name, settings, DISPLAY="")
         assert done.returncode == 0, done.stderr
         page = (tmp_path / name / "run" / "report.html").read_text("utf-8")
-        images[name] = [part.split('"')[0] for part in page.split("data:image/svg+xml;base64,")[1:]]
+        images[name] = [
+            part.split('"')[0] for part in page.split("data:image/svg+xml;base64,")[1:]
+        ]
     assert images["none"] and images["hostile"] == images["broken"] == images["none"]
 
 
-@pytest.mark.parametrize(("settings", "backend"), [(b"font.family: \xff", "agg"), (b"", "nonsense")])
-def test_settings_that_matplotlib_refuses_are_an_input_error(settings, backend, tmp_path, srs_twin_process):
+@pytest.mark.parametrize(
+    ("settings", "backend"), [(b"font.family: \xff", "agg"), (b"", "nonsense")]
+)
+def test_settings_that_matplotlib_refuses_are_an_input_error(
+    settings, backend, tmp_path, srs_twin_process
+):
     done = compared(srs_twin_process, tmp_path / "folder", settings, MPLBACKEND=backend)
     assert done.returncode == 2 and "matplotlib cannot start" in done.stderr
-    assert "matplotlibrc, and the environment variable MPLBACKEND" in done.stderr.replace("\n", " ")
+    assert (
+        "matplotlibrc, and the environment variable MPLBACKEND"
+        in done.stderr.replace("\n", " ")
+    )

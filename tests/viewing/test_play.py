@@ -21,7 +21,9 @@ SPEC = robot()
 class FakeWindow:
     """Fake window that is open for some ticks, presses keys and records the displayed states."""
 
-    def __init__(self, ticks: int, keys: dict[int, tuple[int, ...]] | None = None) -> None:
+    def __init__(
+        self, ticks: int, keys: dict[int, tuple[int, ...]] | None = None
+    ) -> None:
         self.ticks, self.keys, self.shown = ticks, keys or {}, []
         self.snake: LiveSnake | None = None
 
@@ -33,7 +35,9 @@ class FakeWindow:
 
     def show(self, snake: LiveSnake) -> None:
         self.snake = snake
-        self.shown.append((float(snake.state.time), snake.command, snake.status_lines()))
+        self.shown.append(
+            (float(snake.state.time), snake.command, snake.status_lines())
+        )
 
 
 class FakeTime:
@@ -60,11 +64,14 @@ def run(window: FakeWindow, time: FakeTime | None = None) -> LiveSnake:
 @pytest.mark.parametrize(
     ("key", "name", "step"),
     [
-        (live.LEFT, "offset", 0.05), (live.RIGHT, "offset", -0.05),
-        (live.UP, "frequency", 0.1), (live.DOWN, "frequency", -0.1),
-        (live.PAGE_UP, "pressure", 1035.0), (live.PAGE_DOWN, "pressure", -1035.0),
+        (live.LEFT, "offset", 0.05),
+        (live.RIGHT, "offset", -0.05),
+        (live.UP, "frequency", 0.1),
+        (live.DOWN, "frequency", -0.1),
+        (live.PAGE_UP, "pressure", 1035.0),
+        (live.PAGE_DOWN, "pressure", -1035.0),
     ],
-)  # fmt: skip
+)
 def test_key_changes_its_command_by_one_step_up_to_the_limit(key, name, step):
     snake = LiveSnake(SPEC)
     before = snake.command
@@ -72,7 +79,9 @@ def test_key_changes_its_command_by_one_step_up_to_the_limit(key, name, step):
     snake.advance()
     assert getattr(snake.command, name) - getattr(before, name) == pytest.approx(step)
     others = {"offset", "frequency", "pressure"} - {name}
-    assert all(getattr(snake.command, other) == getattr(before, other) for other in others)
+    assert all(
+        getattr(snake.command, other) == getattr(before, other) for other in others
+    )
     for _ in range(20):
         snake.press(key)
     snake.advance()
@@ -93,15 +102,22 @@ def test_without_keys_the_twin_follows_the_gait():
     middle = window.shown[0][1]
     twin = TwinSnake(SPEC, supply_pa=middle.pressure)
     alone = rollout(twin, Gait(middle.frequency), 2.0)
-    assert snake.state.com == pytest.approx([alone["com_x"][-1], alone["com_y"][-1]], abs=1e-6)
+    assert snake.state.com == pytest.approx(
+        [alone["com_x"][-1], alone["com_y"][-1]], abs=1e-6
+    )
 
 
 def test_space_pauses_and_backspace_restarts():
-    window = FakeWindow(12, {0: (live.UP,), 3: (live.SPACE,), 6: (live.SPACE,), 9: (live.BACKSPACE,)})
+    window = FakeWindow(
+        12, {0: (live.UP,), 3: (live.SPACE,), 6: (live.SPACE,), 9: (live.BACKSPACE,)}
+    )
     run(window)
     ticks = [round(time / 0.02) for time, _, _ in window.shown]
     assert ticks == [1, 2, 3, 3, 3, 3, 4, 5, 6, 1, 2, 3]
-    assert "paused" in window.shown[4][2][4][1] and "paused" not in window.shown[7][2][4][1]
+    assert (
+        "paused" in window.shown[4][2][4][1]
+        and "paused" not in window.shown[7][2][4][1]
+    )
     assert window.shown[8][1].frequency > window.shown[9][1].frequency
 
 
@@ -119,7 +135,8 @@ def test_lag_is_made_up_for_to_a_limit():
 
     time, window = FakeTime(), Slow(100)
     snake = run(window, time)
-    # Of the 5 s that one picture took, all but the quarter that is caught up is lost, on a raster of ticks.
+    # Of the 5 s that one picture took, all but the quarter that is caught up is lost,
+    # on a raster of ticks.
     passed, crawled = time.now - 100.0, float(snake.state.time)
     assert passed - crawled == pytest.approx(5.0 - live.MAX_LAG_S, abs=0.05)
     assert crawled == pytest.approx(2.0 + 0.1 + live.MAX_LAG_S, abs=0.05)
@@ -140,7 +157,8 @@ def test_slow_pictures_do_not_slow_the_snake():
 def test_status_lines_have_units():
     status = dict(LiveSnake(SPEC).status_lines())
     assert (
-        status["frequency (up, down)"] == "1.50 Hz" and status["pressure (page up, page down)"] == "48.3 kPa"
+        status["frequency (up, down)"] == "1.50 Hz"
+        and status["pressure (page up, page down)"] == "48.3 kPa"
     )
     assert status["offset (left, right)"] == "+0.00" and status["speed"] == "0.000 m/s"
 
@@ -149,21 +167,39 @@ def test_a_scenario_is_played_as_it_runs():
     scenario, window, time = load_scenario("gen2_turn"), FakeWindow(60), FakeTime()
     snake = LiveSnake(scenario=scenario)
     steer(snake, window, clock=time.clock, sleep=time.sleep)
-    ran = rollout(scenario.build_plant("twin"), scenario.build_controller(), 1.2, seed=scenario.seed)
-    assert snake.state.com == pytest.approx([ran["com_x"][-1], ran["com_y"][-1]], abs=1e-9)
+    ran = rollout(
+        scenario.build_plant("twin"),
+        scenario.build_controller(),
+        1.2,
+        seed=scenario.seed,
+    )
+    assert snake.state.com == pytest.approx(
+        [ran["com_x"][-1], ran["com_y"][-1]], abs=1e-9
+    )
     assert window.shown[-1][2][0] == ("controller", "gait")
 
 
 def test_first_steering_key_takes_over_until_a_restart():
-    keys = {5: (live.SPACE, live.SPACE), 10: (live.LEFT,), 20: (live.HOME,), 30: (live.BACKSPACE,)}
-    snake, window, time = LiveSnake(scenario=load_scenario("gen2_turn")), FakeWindow(40, keys), FakeTime()
+    keys = {
+        5: (live.SPACE, live.SPACE),
+        10: (live.LEFT,),
+        20: (live.HOME,),
+        30: (live.BACKSPACE,),
+    }
+    snake, window, time = (
+        LiveSnake(scenario=load_scenario("gen2_turn")),
+        FakeWindow(40, keys),
+        FakeTime(),
+    )
     window.snake = snake
     steer(snake, window, clock=time.clock, sleep=time.sleep)
     by_keys = [dict(lines).get("offset (left, right)") for _, _, lines in window.shown]
     assert by_keys == [None] * 10 + ["+0.05"] * 10 + ["+0.00"] * 10 + [None] * 10
     # The air supply of the scenario bounds the pressure.
     assert snake.limits.pressure[1] == snake.scenario.supply_pa
-    assert [round(shown[0] / 0.02) for shown in window.shown[-10:]] == list(range(1, 11))
+    assert [round(shown[0] / 0.02) for shown in window.shown[-10:]] == list(
+        range(1, 11)
+    )
 
 
 def test_controller_of_a_bench_cannot_be_replaced():
@@ -177,7 +213,11 @@ def test_controller_of_a_bench_cannot_be_replaced():
 def test_plan_and_goal_of_a_scenario_are_on_the_floor():
     snake = LiveSnake(scenario=load_scenario("follow_fig57"))
     path, edges, goal = snake.floor_lines
-    assert [line.name for line in snake.floor_lines] == ["plan/path", "plan/edges", "plan/goal"]
+    assert [line.name for line in snake.floor_lines] == [
+        "plan/path",
+        "plan/edges",
+        "plan/goal",
+    ]
     wanted, first = snake.scenario.world.goal, snake._controller.plan.segments[0]
     assert path.strips[0][0] == pytest.approx([first.start.x, first.start.y])
     assert np.hypot(*(path.strips[-1][-1] - [wanted.x, wanted.y])) <= wanted.radius
@@ -193,7 +233,9 @@ def test_a_new_plan_replaces_the_lines_of_the_old_one(monkeypatch):
     before, follower = snake.floor_lines, snake._controller
     shorter = replace(follower.plan, segments=follower.plan.segments[:1])
     follower.plans.append((0.02, shorter))
-    monkeypatch.setattr(follower, "events", lambda: [Event(0.02, "new_plan", "a new plan")])
+    monkeypatch.setattr(
+        follower, "events", lambda: [Event(0.02, "new_plan", "a new plan")]
+    )
     snake.advance()
     assert len(snake.floor_lines[0].strips) == 1 < len(before[0].strips)
 
@@ -201,7 +243,17 @@ def test_a_new_plan_replaces_the_lines_of_the_old_one(monkeypatch):
 def test_help_and_window_name_all_keys(srs_twin, tmp_path):
     text = " ".join(srs_twin("play", "--help", cwd=tmp_path).stdout.split())
     shown = " ".join(label for label, _ in LiveSnake(SPEC).status_lines())
-    for key in ("left", "right", "up", "down", "page up", "page down", "home", "space", "backspace"):
+    for key in (
+        "left",
+        "right",
+        "up",
+        "down",
+        "page up",
+        "page down",
+        "home",
+        "space",
+        "backspace",
+    ):
         assert key in text and key in shown, key
 
 
@@ -214,7 +266,9 @@ def test_help_and_window_name_all_keys(srs_twin, tmp_path):
     ],
 )
 def test_missing_display_is_reported(srs_twin_process, tmp_path, display, words):
-    done = srs_twin_process("play", "gen2", cwd=tmp_path, DISPLAY=display, WAYLAND_DISPLAY="")
+    done = srs_twin_process(
+        "play", "gen2", cwd=tmp_path, DISPLAY=display, WAYLAND_DISPLAY=""
+    )
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith(words) and done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
@@ -223,7 +277,10 @@ def test_missing_display_is_reported(srs_twin_process, tmp_path, display, words)
 @pytest.mark.slow
 def test_unknown_robot_is_reported_first(srs_twin_process, tmp_path):
     done = srs_twin_process("play", "gen5", cwd=tmp_path, DISPLAY="")
-    assert done.returncode == 2 and "unknown scenario or robot 'gen5'; did you mean gen" in done.stderr
+    assert (
+        done.returncode == 2
+        and "unknown scenario or robot 'gen5'; did you mean gen" in done.stderr
+    )
 
 
 def test_the_body_has_the_colours_of_its_pressures():
@@ -236,4 +293,7 @@ def test_the_body_has_the_colours_of_its_pressures():
     wanted = pressure_colors(difference, SPEC.supply.nominal) / 255
     for geoms, color in zip(skins.geoms, wanted, strict=True):
         assert geoms and np.allclose(physics.model.geom_rgba[geoms], color, atol=1e-6)
-    assert np.array_equal(pressure_colors(np.array([2.0, -3.0]), 2.0), pressure_colors(np.array([2.0, -2.0])))
+    assert np.array_equal(
+        pressure_colors(np.array([2.0, -3.0]), 2.0),
+        pressure_colors(np.array([2.0, -2.0])),
+    )

@@ -36,7 +36,11 @@ def opengl_here():
 
 
 def shortened(name, duration, **changes):
-    document = dict(load_scenario(name).document) | {"duration_s": duration, "expect": []} | changes
+    document = (
+        dict(load_scenario(name).document)
+        | {"duration_s": duration, "expect": []}
+        | changes
+    )
     return parse_scenario(document, name=name)
 
 
@@ -55,18 +59,31 @@ def runs(tmp_path_factory, opengl_here):
 
 def frames(path):
     with av.open(str(path)) as container:
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+        return np.stack(
+            [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
+        )
 
 
 def alike(picture, rgb):
     """The share of pixels that have a colour's hue, in light and shade."""
-    bright = picture[..., :3] / np.maximum(picture[..., :3].max(axis=-1, keepdims=True), 1)
+    bright = picture[..., :3] / np.maximum(
+        picture[..., :3].max(axis=-1, keepdims=True), 1
+    )
     return (np.abs(bright - np.array(rgb) / max(rgb)).max(axis=-1) < 0.12).mean()
 
 
 @pytest.mark.slow
 def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
-    words = ("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "128x72", "--fps", "5")
+    words = (
+        "render",
+        str(runs / "gen2_straight"),
+        "--video",
+        "out.mp4",
+        "--size",
+        "128x72",
+        "--fps",
+        "5",
+    )
     whole, part = ((), ("--from", "1", "--to", "2"))
     counts, firsts = [], []
     for options in (whole, part):
@@ -85,8 +102,14 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
             ("--strobe", "--from", "30"),
             "--from 30 --to 3 contains no part of the run, which lasts from 0 to 3 s",
         ),
-        (("--strobe", "--from", "2", "--to", "1"), "--from 2 --to 1 contains no part of the run"),
-        (("--image", "t=1", "--to", "1"), "--from and --to are for --video and --strobe"),
+        (
+            ("--strobe", "--from", "2", "--to", "1"),
+            "--from 2 --to 1 contains no part of the run",
+        ),
+        (
+            ("--image", "t=1", "--to", "1"),
+            "--from and --to are for --video and --strobe",
+        ),
     ],
 )
 def test_part_outside_the_run_is_refused(runs, srs_twin, tmp_path, options, words):
@@ -97,24 +120,47 @@ def test_part_outside_the_run_is_refused(runs, srs_twin, tmp_path, options, word
 @pytest.mark.slow
 def test_video_shows_a_moving_snake(runs, srs_twin, tmp_path):
     done = srs_twin(
-        *("render", str(runs / "gen2_straight"), "--video", "out.mp4", "--size", "320x180", "--fps", "5"),
+        *(
+            "render",
+            str(runs / "gen2_straight"),
+            "--video",
+            "out.mp4",
+            "--size",
+            "320x180",
+            "--fps",
+            "5",
+        ),
         cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.strip() == "out.mp4" and [p.name for p in tmp_path.iterdir()] == ["out.mp4"]
+    assert done.stdout.strip() == "out.mp4" and [
+        p.name for p in tmp_path.iterdir()
+    ] == ["out.mp4"]
     film_ = frames(tmp_path / "out.mp4")
     assert film_.shape == (16, 180, 320, 3), "3 s at 5 pictures a second, and the first"
     for rgb in (PLUS_RGB, MINUS_RGB):
         assert alike(film_[0], rgb) < 0.0002, "chambers are empty at the start"
         assert max(alike(each, rgb) for each in film_) > 0.002
-    changed = (np.abs(np.diff(film_.astype(int), axis=0)).max(axis=-1) > 40).mean(axis=(1, 2))
+    changed = (np.abs(np.diff(film_.astype(int), axis=0)).max(axis=-1) > 40).mean(
+        axis=(1, 2)
+    )
     assert (changed > 0.01).all(), "from each picture to the next the floor passes by"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["gen2_straight", "follow_gen4_a", "module_step_iterative"])
+@pytest.mark.parametrize(
+    "name", ["gen2_straight", "follow_gen4_a", "module_step_iterative"]
+)
 def test_images_of_every_kind_of_run(runs, srs_twin, tmp_path, name):
-    done = srs_twin("render", str(runs / name), "--image", "t=0.5", "--size", "320x180", cwd=tmp_path)
+    done = srs_twin(
+        "render",
+        str(runs / name),
+        "--image",
+        "t=0.5",
+        "--size",
+        "320x180",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     picture = imread(runs / name / f"{name}-0.5s.png")[..., :3] * 255
     assert picture.shape == (180, 320, 3)
@@ -135,13 +181,17 @@ def test_the_strobe_figure_shows_the_snake_where_it_was(runs, opengl_here):
     wide = 400
     tall = 2 * round(wide * size[1] / size[0] / 2)
     rows = [0, len(twin) - 1]
-    shown = _render_from_above(stage, rows, (low + high) / 2, float(size[1]), (wide, tall)).astype(int)
+    shown = _render_from_above(
+        stage, rows, (low + high) / 2, float(size[1]), (wide, tall)
+    ).astype(int)
     for row in rows:
         for x, y in (twin.position[row, 1:] + twin.position[row, :-1]) / 2:
             across = int((x - low[0]) / size[0] * wide)
             down = int((high[1] - y) / size[1] * tall)
             floor = shown[3, 3]
-            assert np.abs(shown[down, across] - floor).max() > 25, "the snake is drawn over the floor there"
+            assert np.abs(shown[down, across] - floor).max() > 25, (
+                "the snake is drawn over the floor there"
+            )
     beside = int((twin.position[0, 0, 0] - low[0]) / size[0] * wide), 3
     assert np.abs(shown[beside[1], beside[0]] - shown[3, 3]).max() < 40
 
@@ -152,10 +202,15 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
     row = len(stage.run) - 1
     circle = run.scenario.world.obstacles[0]
     place = np.array([circle.x, circle.y]) - stage.run.com[row]
-    camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(row)
+    camera = FollowCamera(
+        stage.run, run.scenario.robot.geometry.body_length, bench=False
+    ).at(row)
     # A low camera behind the obstacle, which is in line with the snake.
     camera.azimuth = np.degrees(np.arctan2(-place[1], -place[0]))
-    camera.elevation, camera.distance = -4.0, float(np.hypot(*place)) + 3 * circle.radius
+    camera.elevation, camera.distance = (
+        -4.0,
+        float(np.hypot(*place)) + 3 * circle.radius,
+    )
     obstacle = stage.model.geom("obstacle_1").id
     shown = {}
     with Canvas(stage.model, 320, 180) as canvas:
@@ -166,7 +221,9 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
                 for geoms in stage._skins.geoms:
                     stage.model.geom_rgba[geoms] = color
                 shown[alpha, color[0]] = canvas.draw(stage.data, camera).astype(int)
-    seen = {alpha: np.abs(shown[alpha, 0] - shown[alpha, 1]).sum() for alpha, _ in shown}
+    seen = {
+        alpha: np.abs(shown[alpha, 0] - shown[alpha, 1]).sum() for alpha, _ in shown
+    }
     assert seen.pop(1.0) == 0, "an opaque one does hide it"
     assert min(seen.values()) > 1000
 
@@ -186,7 +243,14 @@ def test_from_480_pixels_on_labels_are_drawn_side_by_side(opengl_here, width, sh
 
 
 def test_strobe_from_the_command_line(runs, srs_twin, tmp_path):
-    done = srs_twin("render", str(runs / "gen2_straight"), "--strobe", "--size", "800x600", cwd=tmp_path)
+    done = srs_twin(
+        "render",
+        str(runs / "gen2_straight"),
+        "--strobe",
+        "--size",
+        "800x600",
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     picture = imread(done.stdout.strip())[..., :3] * 255
     assert picture.shape[1] == 800
@@ -200,7 +264,9 @@ def test_several_runs_go_into_a_folder(runs, srs_twin, tmp_path):
     options = ("--size", "64x64", "--fps", "1", "-q")
     done = srs_twin("render", *folders, "--video", "films", *options, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    assert sorted(p.name for p in (tmp_path / "films").iterdir()) == [f"{name}.mp4" for name in names]
+    assert sorted(p.name for p in (tmp_path / "films").iterdir()) == [
+        f"{name}.mp4" for name in names
+    ]
 
 
 def test_camera_follows_smoothly(runs, opengl_here):
@@ -208,9 +274,17 @@ def test_camera_follows_smoothly(runs, opengl_here):
     twin = run.trajectories["twin"]
     camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False)
     at = np.array([camera.at(row).lookat.copy() for row in range(len(twin))])
-    late = (twin.time > 1.0) & (twin.time < 2.5)  # at least half a period from both ends
-    assert np.abs(np.diff(at[late, 1])).max() < 0.2 * np.abs(np.diff(twin["com_y"][late])).max()
-    assert np.hypot(*(at[:, :2] - twin.com).T).max() < 0.15 * run.scenario.robot.geometry.body_length
+    late = (twin.time > 1.0) & (
+        twin.time < 2.5
+    )  # at least half a period from both ends
+    assert (
+        np.abs(np.diff(at[late, 1])).max()
+        < 0.2 * np.abs(np.diff(twin["com_y"][late])).max()
+    )
+    assert (
+        np.hypot(*(at[:, :2] - twin.com).T).max()
+        < 0.15 * run.scenario.robot.geometry.body_length
+    )
 
 
 def test_stage_restores_recorded_positions(runs, opengl_here):
@@ -221,7 +295,9 @@ def test_stage_restores_recorded_positions(runs, opengl_here):
         stage.show(row)
         for i in (1, 5):
             x, y, _ = stage.data.body(f"connector_{i}").xpos
-            assert (x, y) == pytest.approx((twin[f"x_{i}"][row], twin[f"y_{i}"][row]), abs=1e-9)
+            assert (x, y) == pytest.approx(
+                (twin[f"x_{i}"][row], twin[f"y_{i}"][row]), abs=1e-9
+            )
 
 
 @pytest.mark.slow
@@ -252,41 +328,78 @@ def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, opengl_here, tmp_
     moved = {name: c + 0.25 * name.startswith("x_") for name, c in twin.columns.items()}
     ghost = Trajectory(moved | {"com_x": twin["com_x"] + 0.25}, metadata=twin.metadata)
     shown = {}
-    for name, size in (("wide", render.Size(640, 360)), ("narrow", render.Size(320, 180))):
+    for name, size in (
+        ("wide", render.Size(640, 360)),
+        ("narrow", render.Size(320, 180)),
+    ):
         for given in (None, ("analytical", ghost)):
             path = tmp_path / "a.png"
             render.write_image(path, run.scenario, twin, 2.0, size=size, ghost=given)
             picture = imread(path)[..., :3] * 255
-            shown[name, given is not None] = picture[: int(0.93 * len(picture))], picture[-8:]
-    orange = {key: alike(above, STYLES["analytical"].rgb) for key, (above, _) in shown.items()}
-    assert min(orange["wide", True], orange["narrow", True]) > 0.001 > 5 * orange["wide", False]
+            shown[name, given is not None] = (
+                picture[: int(0.93 * len(picture))],
+                picture[-8:],
+            )
+    orange = {
+        key: alike(above, STYLES["analytical"].rgb) for key, (above, _) in shown.items()
+    }
+    assert (
+        min(orange["wide", True], orange["narrow", True])
+        > 0.001
+        > 5 * orange["wide", False]
+    )
     assert alike(shown["wide", True][1], STYLES["analytical"].rgb) > 0.1
-    assert alike(shown["wide", False][1], PLUS_RGB) > 0.1 > alike(shown["narrow", False][1], PLUS_RGB)
-    camera = FollowCamera(twin, run.scenario.robot.geometry.body_length, bench=False, ghost=ghost).at(0)
+    assert (
+        alike(shown["wide", False][1], PLUS_RGB)
+        > 0.1
+        > alike(shown["narrow", False][1], PLUS_RGB)
+    )
+    camera = FollowCamera(
+        twin, run.scenario.robot.geometry.body_length, bench=False, ghost=ghost
+    ).at(0)
     assert camera.lookat[0] == pytest.approx(twin.com[0, 0] + 0.125, abs=0.02)
 
 
 def test_scale_bar_has_the_stated_length(runs, opengl_here):
     run = load_run(runs / "gen2_straight")
     stage = Stage(run.scenario, run.trajectories["twin"])
-    camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False).at(0)
+    camera = FollowCamera(
+        stage.run, run.scenario.robot.geometry.body_length, bench=False
+    ).at(0)
     scene = mujoco.MjvScene(stage.model, maxgeom=10)
     stage._add_scale_bar(scene, camera)
     (bar,) = scene.geoms[: scene.ngeom]
-    assert bar.label == "0.1 m" and 2 * (bar.size[0] - bar.size[1]) == pytest.approx(0.1)
+    assert bar.label == "0.1 m" and 2 * (bar.size[0] - bar.size[1]) == pytest.approx(
+        0.1
+    )
 
 
 REFUSED = {
     "ghost on a strobe": (("--strobe", "--ghost"), "--ghost needs --video or --image"),
-    "ghost of none": (("--image", "1", "--ghost"), "the run contains no analytical model; omit --ghost"),
-    "nothing asked": ((), "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"),
+    "ghost of none": (
+        ("--image", "1", "--ghost"),
+        "the run contains no analytical model; omit --ghost",
+    ),
+    "nothing asked": (
+        (),
+        "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe",
+    ),
     "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
     "out with a video": (("--video", "a.mp4", "--out", "b.png"), "--out is for images"),
-    "not a moment": (("--image", "t=two"), "--image t=two: not a time; give seconds, such as t=2.5"),
-    "moment beyond": (("--image", "t=20"), "t = 20 s is outside the run, which lasts from 0 to 3 s"),
+    "not a moment": (
+        ("--image", "t=two"),
+        "--image t=two: not a time; give seconds, such as t=2.5",
+    ),
+    "moment beyond": (
+        ("--image", "t=20"),
+        "t = 20 s is outside the run, which lasts from 0 to 3 s",
+    ),
     "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
     "odd size": (("--strobe", "--size", "321x180"), "both even and from 64 to 4096"),
-    "size of words": (("--strobe", "--size", "big"), "--size big: give width and height in pixels"),
+    "size of words": (
+        ("--strobe", "--size", "big"),
+        "--size big: give width and height in pixels",
+    ),
     "another suffix": (("--video", "a.avi"), "a.avi: the file must end in .mp4"),
     "no such size": (("--strobe", "--size", "9999x9999"), "from 64 to 4096"),
 }
@@ -309,14 +422,27 @@ def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     assert done.returncode == 2 and "alone: the run contains no twin" in done.stderr
     two = [str(runs / "gen2_straight"), str(runs / "follow_gen4_a")]
     done = srs_twin("render", *two, "--video", "a.mp4", cwd=tmp_path)
-    assert done.returncode == 2 and "a.mp4: 2 runs cannot share one file; give a folder" in done.stderr
+    assert (
+        done.returncode == 2
+        and "a.mp4: 2 runs cannot share one file; give a folder" in done.stderr
+    )
 
 
 def test_a_trajectory_of_another_robot_is_refused(runs):
-    run, other = load_run(runs / "gen2_straight"), load_run(runs / "module_step_iterative")
-    with pytest.raises(InputError, match=r"columns qpos_1…, but the twin of the scenario has \d+ positions"):
+    run, other = (
+        load_run(runs / "gen2_straight"),
+        load_run(runs / "module_step_iterative"),
+    )
+    with pytest.raises(
+        InputError,
+        match=r"columns qpos_1…, but the twin of the scenario has \d+ positions",
+    ):
         Stage(run.scenario, other.trajectories["twin"])
-    columns = {k: v for k, v in run.trajectories["twin"].columns.items() if not k.startswith("qpos")}
+    columns = {
+        k: v
+        for k, v in run.trajectories["twin"].columns.items()
+        if not k.startswith("qpos")
+    }
     with pytest.raises(InputError, match="nothing to draw"):
         Stage(run.scenario, Trajectory(columns))
 
@@ -325,7 +451,15 @@ def test_a_trajectory_of_another_robot_is_refused(runs):
 @pytest.mark.usefixtures("interruptible")
 def test_interrupt_leaves_no_files(runs, tmp_path):
     script = os.path.join(os.path.dirname(sys.executable), "srs-twin")
-    command = [script, "render", str(runs / "gen2_straight"), "--video", "out.mp4", "--fps", "120"]
+    command = [
+        script,
+        "render",
+        str(runs / "gen2_straight"),
+        "--video",
+        "out.mp4",
+        "--fps",
+        "120",
+    ]
     started = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 600
     while not list(tmp_path.glob(".out.*")) and time.monotonic() < deadline:
@@ -340,7 +474,10 @@ def test_interrupt_leaves_no_files(runs, tmp_path):
 def test_failed_video_keeps_the_existing_file(tmp_path):
     path = tmp_path / "a.mp4"
     path.write_bytes(b"earlier")
-    with pytest.raises(RuntimeError), render.video_writer(path, width=64, height=64, fps=1) as add:
+    with (
+        pytest.raises(RuntimeError),
+        render.video_writer(path, width=64, height=64, fps=1) as add,
+    ):
         add(np.zeros((64, 64, 3), dtype=np.uint8))
         raise RuntimeError
     assert path.read_bytes() == b"earlier" and list(tmp_path.iterdir()) == [path]
@@ -353,16 +490,25 @@ def test_failed_video_keeps_the_existing_file(tmp_path):
 
 def test_missing_encoder_names_its_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(InputError, match=r"the encoder PyAV.*uv sync --extra video.*srs-twin\[video\]"):
+    with pytest.raises(
+        InputError, match=r"the encoder PyAV.*uv sync --extra video.*srs-twin\[video\]"
+    ):
         render.encoder()
 
 
 def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     done = srs_twin_process(
-        "render", str(runs / "gen2_straight"), "--strobe", cwd=tmp_path, MUJOCO_GL="vulkan"
+        "render",
+        str(runs / "gen2_straight"),
+        "--strobe",
+        cwd=tmp_path,
+        MUJOCO_GL="vulkan",
     )
     assert done.returncode == 2
-    assert "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend" in done.stderr
+    assert (
+        "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend"
+        in done.stderr
+    )
 
 
 def test_without_opengl_the_error_names_packages(monkeypatch):
@@ -371,9 +517,11 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "disabled")
     with pytest.raises(InputError) as caught:
         opengl.usable_opengl.__wrapped__()
-    assert str(caught.value) == (
-        "no OpenGL backend renders off screen (egl: no libegl; osmesa: no libosmesa); on Debian and Ubuntu: "
-        "apt-get install libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
+    assert (
+        str(caught.value)
+        == "no OpenGL backend renders off screen (egl: no libegl; osmesa: no"
+        " libosmesa); on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri;"
+        " or apt-get install libosmesa6"
     )
 
 
@@ -384,19 +532,19 @@ def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
     if opengl._test(name):
         pytest.skip(f"{name} does not draw here")
     code = (
-        "import sys, numpy as np\n"
-        "from srs_twin.experiment import load_run\n"
-        "from srs_twin.viewing.mujoco.render import Size, write_image\n"
-        "run = load_run(sys.argv[1])\n"
-        "write_image(__import__('pathlib').Path('p.png'), run.scenario, run.trajectories['twin'], 2.0, "
-        "size=Size(160, 90))"
+        "import sys, numpy as np\nfrom srs_twin.experiment import load_run\nfrom"
+        " srs_twin.viewing.mujoco.render import Size, write_image\nrun ="
+        " load_run(sys.argv[1])\nwrite_image(__import__('pathlib').Path('p.png'),"
+        " run.scenario, run.trajectories['twin'], 2.0, size=Size(160, 90))"
     )
     environment = {**os.environ, "MUJOCO_GL": name}
     command = [sys.executable, "-c", code, str(runs / "gen2_straight")]
     subprocess.run(command, check=True, cwd=tmp_path, env=environment)
     run = load_run(runs / "gen2_straight")
     stage = Stage(run.scenario, run.trajectories["twin"])
-    camera = FollowCamera(stage.run, run.scenario.robot.geometry.body_length, bench=False)
+    camera = FollowCamera(
+        stage.run, run.scenario.robot.geometry.body_length, bench=False
+    )
     with Canvas(stage.model, 160, 90) as canvas:
         row = stage.row_at(2.0)
         ours = stage.render(canvas, camera.at(row), row).astype(int)
@@ -413,5 +561,7 @@ def test_unclosed_canvas_is_freed_silently_at_exit(opengl_here):
         f"canvas = Canvas(model, 32, 32, opengl={opengl_here!r})\n"
         "print(canvas.draw(mujoco.MjData(model), mujoco.MjvCamera()).shape)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=300
+    )
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "(32, 32, 3)\n", "")

@@ -42,7 +42,11 @@ from srs_twin.viewing.plots.signals import (
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
 from srs_twin.viewing.rerun import viewer
 from srs_twin.viewing.rerun.blueprint import Layout, scene_view
-from srs_twin.viewing.rerun.recording import subsample, write_recording, write_side_by_side
+from srs_twin.viewing.rerun.recording import (
+    subsample,
+    write_recording,
+    write_side_by_side,
+)
 from srs_twin.viewing.rerun.scene import line_height
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 
@@ -88,7 +92,9 @@ def test_centre_line_is_the_integral_of_its_tangent(spec, runs):
 
 def test_centre_line_ends_where_the_connectors_were_recorded(spec, runs):
     bent = runs["twin"]
-    shifted = with_columns(bent, x_3=bent["x_3"] + 1e-3)  # hinges do not quite make an arc
+    shifted = with_columns(
+        bent, x_3=bent["x_3"] + 1e-3
+    )  # hinges do not quite make an arc
     lines = centre_lines(shifted, spec.geometry)
     assert np.array_equal(lines[:, :, 0], shifted.position[:, :-1])
     assert np.allclose(lines[:, :, -1], shifted.position[:, 1:], atol=1e-15)
@@ -115,7 +121,9 @@ def test_wheels_are_perpendicular_to_the_heading(spec, runs):
 
 @pytest.mark.parametrize(("speed", "yaw_rate"), [(0.2, 0.0), (-0.05, 0.0), (0.2, 0.3)])
 def test_period_speed_is_the_prescribed_one(speed, yaw_rate):
-    snake = run("twin", Snake(speed=speed, yaw_rate=yaw_rate, sway=(0.0, 0.0), duration=4.0))
+    snake = run(
+        "twin", Snake(speed=speed, yaw_rate=yaw_rate, sway=(0.0, 0.0), duration=4.0)
+    )
     time_s, mean = period_speed(snake, 0.5)
     # A chord of half a second on this circle is 0.1 % shorter than its arc.
     assert np.allclose(mean, speed, rtol=2e-3)
@@ -129,10 +137,14 @@ def test_period_speed_needs_a_period():
 
 
 def test_pressure_colours_distinguish_the_chambers():
-    plus, none, minus, unknown = pressure_colors(np.array([5e4, 0.0, -5e4, np.nan])).astype(int)
+    plus, none, minus, unknown = pressure_colors(
+        np.array([5e4, 0.0, -5e4, np.nan])
+    ).astype(int)
     assert plus[0] > 150 > plus[1] and minus[1] > 150 > minus[0]
     assert np.array_equal(none, unknown) and none[:3].min() > 200
-    assert {tuple(style.rgb) for style in STYLES.values()}.isdisjoint({tuple(plus[:3]), tuple(minus[:3])})
+    assert {tuple(style.rgb) for style in STYLES.values()}.isdisjoint(
+        {tuple(plus[:3]), tuple(minus[:3])}
+    )
 
 
 def read_back(path):
@@ -143,9 +155,15 @@ def read_back(path):
     for chunk in RrdReader(path).stream().to_chunks():
         if not chunk.is_static:
             batch = chunk.to_record_batch()
-            seconds = batch.column("sim_time").to_numpy(zero_copy_only=False).astype(float) * 1e-9
+            seconds = (
+                batch.column("sim_time").to_numpy(zero_copy_only=False).astype(float)
+                * 1e-9
+            )
             for name in batch.schema.names[2:]:
-                found.setdefault(chunk.entity_path, {})[name] = (seconds, batch.column(name))
+                found.setdefault(chunk.entity_path, {})[name] = (
+                    seconds,
+                    batch.column(name),
+                )
     return found
 
 
@@ -159,7 +177,9 @@ def flat(column):
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory, spec, runs):
     path = tmp_path_factory.mktemp("recording") / "recording.rrd"
-    write_recording(path, RunContent(spec, runs, comparison=compare(*runs.values())), title="both")
+    write_recording(
+        path, RunContent(spec, runs, comparison=compare(*runs.values())), title="both"
+    )
     return path
 
 
@@ -176,8 +196,13 @@ def test_the_recording_holds_the_signals(recording, runs):
             assert np.allclose(seconds, snake.time, atol=1e-9)
             assert np.array_equal(flat(bends), snake[f"bend_{j}"])
             _, kilopascal = found[f"/module/{j}/pressure/{plant}"]["Scalars:scalars"]
-            assert np.allclose(1e3 * flat(kilopascal), pressure_difference(snake)[:, j - 1])
-        assert np.array_equal(flat(found[f"/body/heading/{plant}"]["Scalars:scalars"][1]), snake["heading"])
+            assert np.allclose(
+                1e3 * flat(kilopascal), pressure_difference(snake)[:, j - 1]
+            )
+        assert np.array_equal(
+            flat(found[f"/body/heading/{plant}"]["Scalars:scalars"][1]),
+            snake["heading"],
+        )
         _, mean = found[f"/body/speed/{plant}"]["Scalars:scalars"]
         assert np.array_equal(flat(mean), period_speed(snake, 0.5)[1])
     assert {"/comparison/shape", "/comparison/path"} <= found.keys()
@@ -190,26 +215,48 @@ def test_recording_contains_the_recorded_positions(recording, spec, runs):
     assert np.allclose(np.diff(seconds), 0.02)
     front = flat(places).reshape(len(twin), -1, 3)[:, 0, :2]
     assert np.allclose(front, twin.position[:, 1], atol=1e-6)
-    x, y, z, w = flat(found["/world/twin/body/segment_2"]["Capsules3D:quaternions"][1]).reshape(-1, 4).T
+    x, y, z, w = (
+        flat(found["/world/twin/body/segment_2"]["Capsules3D:quaternions"][1])
+        .reshape(-1, 4)
+        .T
+    )
     # The rotated axis +z of a capsule must end at the start of the next capsule.
-    axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], axis=-1).reshape(len(twin), -1, 2)
+    axis = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x)], axis=-1).reshape(
+        len(twin), -1, 2
+    )
     step = np.diff(flat(places).reshape(len(twin), -1, 3)[..., :2], axis=1)
-    assert np.allclose(axis[:, :-1], step / np.linalg.norm(step, axis=-1, keepdims=True), atol=1e-3)
+    assert np.allclose(
+        axis[:, :-1], step / np.linalg.norm(step, axis=-1, keepdims=True), atol=1e-3
+    )
 
     _, vertices = found["/world/analytical/body"]["Mesh3D:vertex_positions"]
     ghost = flat(vertices).reshape(len(twin), -1, 6, 3)
     middle = ghost.mean(axis=2)[..., :2]
-    assert np.allclose(middle, body_line(subsample(runs["analytical"], 50), spec.geometry, 6), atol=1e-6)
+    assert np.allclose(
+        middle,
+        body_line(subsample(runs["analytical"], 50), spec.geometry, 6),
+        atol=1e-6,
+    )
     _, com = found["/world/analytical/com"]["Points3D:positions"]
-    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], subsample(runs["analytical"], 50).com, atol=1e-6)
+    assert np.allclose(
+        flat(com).reshape(-1, 3)[:, :2],
+        subsample(runs["analytical"], 50).com,
+        atol=1e-6,
+    )
 
 
-def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(spec, runs, tmp_path):
+def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(
+    spec, runs, tmp_path
+):
     path = tmp_path / "far.rrd"
     ahead = with_columns(runs["twin"], com_x=runs["twin"]["com_x"] + 0.7)
-    write_recording(path, RunContent(spec, {"analytical": runs["analytical"], "twin": ahead}))
+    write_recording(
+        path, RunContent(spec, {"analytical": runs["analytical"], "twin": ahead})
+    )
     places = flat(read_back(path)["/world/eye"]["Points3D:positions"][1]).reshape(-1, 3)
-    assert np.allclose(places[:, :2], (runs["analytical"].com + ahead.com) / 2, atol=1e-6)
+    assert np.allclose(
+        places[:, :2], (runs["analytical"].com + ahead.com) / 2, atol=1e-6
+    )
     write_side_by_side(tmp_path / "two.rrd", {"a": path, "b": path})
     assert "/a/world/eye" in read_back(tmp_path / "two.rrd")
     # Of a viewer with 55° from top to bottom and a view wider than high.
@@ -217,14 +264,24 @@ def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_pictu
         layout = layout_of(spec, apart)
         eye = scene_view(layout).properties["EyeControls3D"]
         distance = np.linalg.norm(eye.position.as_arrow_array().to_pylist()[0])
-        assert distance * np.tan(np.radians(27.5)) > (apart + spec.geometry.body_length) / 2
+        assert (
+            distance * np.tan(np.radians(27.5))
+            > (apart + spec.geometry.body_length) / 2
+        )
 
 
 def layout_of(spec, apart):
     return Layout(
-        plants=["analytical", "twin"], camera_target="eye", segments=4, start=np.zeros(2), heading=0.0,
-        body_length=spec.geometry.body_length, separation=apart, period=0.5, compared=True,
-    )  # fmt: skip
+        plants=["analytical", "twin"],
+        camera_target="eye",
+        segments=4,
+        start=np.zeros(2),
+        heading=0.0,
+        body_length=spec.geometry.body_length,
+        separation=apart,
+        period=0.5,
+        compared=True,
+    )
 
 
 def test_recording_shows_contact_forces_during_contacts(tmp_path, spec):
@@ -233,9 +290,18 @@ def test_recording_shows_contact_forces_during_contacts(tmp_path, spec):
     force[:, 0, 50:53] = [[0.3], [-0.4]]
     force[0, 3, 52:60] = 2.0
     force[1, 4, 100] = -0.1
-    pushes = {f"obstacle_force_{axis}": pushed for axis, pushed in zip("xy", force, strict=True)}
-    columns = {f"{name}_{i + 1}": row for name, rows in pushes.items() for i, row in enumerate(rows)}
-    world = World((Circle(0.4, 0.1, 0.05),), polygons=(Polygon(((0, 1), (1, 1), (0.5, 2))),))
+    pushes = {
+        f"obstacle_force_{axis}": pushed
+        for axis, pushed in zip("xy", force, strict=True)
+    }
+    columns = {
+        f"{name}_{i + 1}": row
+        for name, rows in pushes.items()
+        for i, row in enumerate(rows)
+    }
+    world = World(
+        (Circle(0.4, 0.1, 0.05),), polygons=(Polygon(((0, 1), (1, 1), (0.5, 2))),)
+    )
     path = tmp_path / "touched.rrd"
     touched = with_columns(twin, **columns)
     write_recording(path, RunContent(spec, {"twin": touched}, world=world))
@@ -248,14 +314,18 @@ def test_recording_shows_contact_forces_during_contacts(tmp_path, spec):
         row = int(np.argmin(abs(twin.time - time_s)))
         pushed = force[:, :, row].T
         pushed = pushed[(pushed != 0).any(axis=1)]
-        assert np.allclose(arrows, np.column_stack([0.05 * pushed, np.zeros(len(pushed))]), atol=1e-7)
+        assert np.allclose(
+            arrows, np.column_stack([0.05 * pushed, np.zeros(len(pushed))]), atol=1e-7
+        )
     _, origins = read_back(path)["/world/twin/contact"]["Arrows3D:origins"]
     expected = twin.position[51, 0]
     assert np.allclose(np.array(origins[1].as_py())[0, :2], expected, atol=1e-6)
 
 
 def test_run_without_contacts_has_no_arrows(recording):
-    assert not [entity for entity in read_back(recording) if entity.endswith("/contact")]
+    assert not [
+        entity for entity in read_back(recording) if entity.endswith("/contact")
+    ]
 
 
 def without(trajectory, *prefixes):
@@ -267,10 +337,18 @@ ODD_RUNS = {
     "one plant": lambda: {"analytical": run("analytical", Snake(duration=2.0))},
     "no gait": lambda: {"twin": run("twin", Snake(duration=2.0, periodic=False))},
     "shorter than a period": lambda: pair(duration=0.2),
-    "one sample": lambda: {p: sampled(r, slice(1)) for p, r in pair(duration=0.2).items()},
-    "no pressures": lambda: {"twin": without(run("twin", Snake(duration=1.0)), "pressure", "valve")},
-    "at rest": lambda: pair(duration=1.0, speed=0.0, amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0),
-    "another plant": lambda: pair(duration=1.0) | {"lab": run("lab", Snake(duration=1.0))},
+    "one sample": lambda: {
+        p: sampled(r, slice(1)) for p, r in pair(duration=0.2).items()
+    },
+    "no pressures": lambda: {
+        "twin": without(run("twin", Snake(duration=1.0)), "pressure", "valve")
+    },
+    "at rest": lambda: pair(
+        duration=1.0, speed=0.0, amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0
+    ),
+    "another plant": lambda: (
+        pair(duration=1.0) | {"lab": run("lab", Snake(duration=1.0))}
+    ),
     "two connectors": lambda: pair(duration=1.0, connectors=2),
     "many connectors": lambda: pair(duration=1.0, connectors=13),
 }
@@ -280,21 +358,37 @@ ODD_RUNS = {
 @pytest.mark.parametrize(
     "name",
     [
-        name if name in ("one sample", "another plant") else pytest.param(name, marks=pytest.mark.slow)
+        (
+            name
+            if name in ("one sample", "another plant")
+            else pytest.param(name, marks=pytest.mark.slow)
+        )
         for name in ODD_RUNS
     ],
 )
 def test_unusual_runs_have_recording_and_report(tmp_path, name):
     runs = ODD_RUNS[name]()
     spec = robot(next(iter(runs.values())).position.shape[1])
-    both = compare(runs["analytical"], runs["twin"]) if {"analytical", "twin"} <= runs.keys() else None
+    both = (
+        compare(runs["analytical"], runs["twin"])
+        if {"analytical", "twin"} <= runs.keys()
+        else None
+    )
     write_recording(tmp_path / "r.rrd", RunContent(spec, runs, comparison=both))
     verify_recording(tmp_path / "r.rrd")
-    metrics = {"plants": {plant: plant_metrics(r) for plant, r in runs.items()}, "comparison": None}
+    metrics = {
+        "plants": {plant: plant_metrics(r) for plant, r in runs.items()},
+        "comparison": None,
+    }
     write_report(
-        tmp_path / "r.html", RunContent(spec, runs, comparison=both), scenario_title=name, metrics=metrics
+        tmp_path / "r.html",
+        RunContent(spec, runs, comparison=both),
+        scenario_title=name,
+        metrics=metrics,
     )
-    figures = (5 if both else 4) - (spec.segments == 1)  # a single module has no plan view
+    figures = (5 if both else 4) - (
+        spec.segments == 1
+    )  # a single module has no plan view
     assert (tmp_path / "r.html").read_text("utf-8").count("<figure>") == figures
     write_plan_animation(tmp_path / "plan.webp", runs, spec, seconds=0.1)
 
@@ -304,20 +398,28 @@ def test_report_lists_events_in_the_order_of_time(tmp_path, spec):
     run_ = replace(Snake().trajectory("twin"), events=events)
     metrics = {"plants": {"twin": plant_metrics(run_)}, "comparison": None}
     path = tmp_path / "r.html"
-    write_report(path, RunContent(spec, {"twin": run_}), scenario_title="", metrics=metrics)
+    write_report(
+        path, RunContent(spec, {"twin": run_}), scenario_title="", metrics=metrics
+    )
     text = path.read_text("utf-8")
     assert 0 < text.find("reading lost") < text.find("drag begins")
 
 
-@pytest.mark.parametrize("trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}])
+@pytest.mark.parametrize(
+    "trajectories", [{}, {"twin": sampled(Snake().trajectory("twin"), slice(0))}]
+)
 def test_missing_trajectories_are_refused(tmp_path, spec, trajectories):
-    with pytest.raises(InputError, match="nothing to draw: .*(there is no trajectory|has no samples)"):
+    with pytest.raises(
+        InputError, match="nothing to draw: .*(there is no trajectory|has no samples)"
+    ):
         write_recording(tmp_path / "r.rrd", RunContent(spec, trajectories))
     assert not list(tmp_path.iterdir())
 
 
 def lines_of(figure: Figure, label):
-    return [line for axes in figure.axes for line in axes.lines if line.get_label() == label]
+    return [
+        line for axes in figure.axes for line in axes.lines if line.get_label() == label
+    ]
 
 
 def test_bends_are_plotted_as_recorded_over_the_last_periods(runs):
@@ -328,7 +430,10 @@ def test_bends_are_plotted_as_recorded_over_the_last_periods(runs):
     for j, line in enumerate(shown, start=1):
         assert np.array_equal(line.get_ydata(), runs["twin"][f"bend_{j}"][seen])
     assert "last 4 gait periods" in figure.axes[0].get_title(loc="left")
-    assert figure.axes[-1].get_xlabel() == "time (s)" and "(rad)" in figure.axes[0].get_ylabel()
+    assert (
+        figure.axes[-1].get_xlabel() == "time (s)"
+        and "(rad)" in figure.axes[0].get_ylabel()
+    )
 
 
 def test_plants_differ_in_greyscale(runs):
@@ -342,7 +447,10 @@ def test_plot_of_long_body_names_the_number_of_plotted_segments():
     figure = pressure_plot(pair(duration=1.0, connectors=13))
     assert len(figure.axes) == 8
     assert "8 of 12 segments" in figure.axes[0].get_title(loc="left")
-    assert figure.axes[0].get_ylabel() == "segment 1" and figure.axes[-1].get_ylabel() == "segment 12"
+    assert (
+        figure.axes[0].get_ylabel() == "segment 1"
+        and figure.axes[-1].get_ylabel() == "segment 12"
+    )
 
 
 def test_speed_plot_shows_the_mean_of_a_period(runs):
@@ -380,14 +488,26 @@ def test_plan_view_keeps_the_scale(spec, runs):
 def test_plan_view_shows_obstacles_and_objects_where_they_are(spec):
     twin = run("twin", Snake(duration=2.0))
     path = np.linspace(0.3, 0.5, len(twin))
-    twin = with_columns(twin, object_x_1=path, object_y_1=0 * path, object_heading_1=0 * path)
+    twin = with_columns(
+        twin, object_x_1=path, object_y_1=0 * path, object_heading_1=0 * path
+    )
     item = MovableObject((0.08, 0.04), mass=0.1, friction=0.3, x=0.3, y=0.0)
     world = World((Circle(0.2, 0.1, 0.03), Circle(50.0, 0.0, 0.1)), objects=(item,))
     (axes,) = plan_view({"twin": twin}, spec, world).axes
-    boxes = [patch.get_xy()[:4] for patch in axes.patches if isinstance(patch, patches.Polygon)]
-    assert np.allclose(boxes[0].mean(axis=0), [0.3, 0.0]) and np.allclose(boxes[-1].mean(axis=0), [0.5, 0.0])
+    boxes = [
+        patch.get_xy()[:4]
+        for patch in axes.patches
+        if isinstance(patch, patches.Polygon)
+    ]
+    assert np.allclose(boxes[0].mean(axis=0), [0.3, 0.0]) and np.allclose(
+        boxes[-1].mean(axis=0), [0.5, 0.0]
+    )
     assert np.allclose(np.ptp(boxes[0], axis=0), item.size)
-    circles = [artist.center for artist in axes.get_children() if isinstance(artist, patches.Circle)]
+    circles = [
+        artist.center
+        for artist in axes.get_children()
+        if isinstance(artist, patches.Circle)
+    ]
     assert circles == [(0.2, 0.1), (50.0, 0.0)]
     assert axes.get_xlim()[1] < 2.0  # an obstacle far away does not shrink the picture
 
@@ -404,31 +524,57 @@ def report(tmp_path_factory, spec, runs):
         "comparison": both.metrics,
         "expectations": [
             {
-                "metric": "com_speed_m_s", "of": "twin", "value": 0.2, "near": 0.214, "met": True,
-                "allowed": "0.214 within 15 %", "source": "Table 10",
+                "metric": "com_speed_m_s",
+                "of": "twin",
+                "value": 0.2,
+                "near": 0.214,
+                "met": True,
+                "allowed": "0.214 within 15 %",
+                "source": "Table 10",
             },
             {
-                "metric": "com_speed_rel", "of": "comparison", "value": -0.09, "met": False,
+                "metric": "com_speed_rel",
+                "of": "comparison",
+                "value": -0.09,
+                "met": False,
                 "allowed": "above 0",
             },
             {
-                "metric": "yaw_rate_abs", "of": "comparison", "value": 0.3, "met": False,
-                "allowed": "below 0.2", "known": "soft bends",
+                "metric": "yaw_rate_abs",
+                "of": "comparison",
+                "value": 0.3,
+                "met": False,
+                "allowed": "below 0.2",
+                "known": "soft bends",
             },
             {
-                "metric": "path_rms_m", "of": "comparison", "value": 0.1, "met": True,
-                "allowed": "below 0.2", "known": "once it was",
+                "metric": "path_rms_m",
+                "of": "comparison",
+                "value": 0.1,
+                "met": True,
+                "allowed": "below 0.2",
+                "known": "once it was",
             },
             {
-                "metric": "rise_time_s", "of": "twin", "value": None, "met": False, "state": "not_judged",
-                "allowed": "at most 0.2", "reason": "the run is short",
+                "metric": "rise_time_s",
+                "of": "twin",
+                "value": None,
+                "met": False,
+                "state": "not_judged",
+                "allowed": "at most 0.2",
+                "reason": "the run is short",
             },
         ],
         "versions": {"mujoco": "3.17"},
-    }  # fmt: skip
+    }
     written = []
     for _ in range(2):
-        write_report(path, RunContent(spec, runs, comparison=both), scenario_title=TITLE, metrics=metrics)
+        write_report(
+            path,
+            RunContent(spec, runs, comparison=both),
+            scenario_title=TITLE,
+            metrics=metrics,
+        )
         written.append(path.read_bytes())
     assert written[0] == written[1], "the same run gives the same report"
     return path.read_text("utf-8")
@@ -470,7 +616,9 @@ def parsed(report):
 def test_bends_of_both_plants_are_shown_where_the_runs_differ_in_length(runs):
     long = runs["twin"]
     end = float(long.time[-1]) - 0.7
-    columns = {name: column[long.time <= end + 1e-9] for name, column in long.columns.items()}
+    columns = {
+        name: column[long.time <= end + 1e-9] for name, column in long.columns.items()
+    }
     short = replace(runs["analytical"], columns=columns)
     figure = bend_plot({"analytical": short, "twin": long})
     for axes in figure.axes:
@@ -485,8 +633,14 @@ def test_bends_of_both_plants_are_shown_where_the_runs_differ_in_length(runs):
 def test_report_is_one_small_file(report, parsed):
     assert len(report) < 2e6
     assert len(parsed.sources) == 5
-    assert all(source.startswith("data:image/svg+xml;base64,") for source in parsed.sources)
-    assert base64.b64decode(parsed.sources[0].partition(",")[2]).lstrip().startswith(b"<?xml")
+    assert all(
+        source.startswith("data:image/svg+xml;base64,") for source in parsed.sources
+    )
+    assert (
+        base64.b64decode(parsed.sources[0].partition(",")[2])
+        .lstrip()
+        .startswith(b"<?xml")
+    )
     assert "script" not in parsed.tags and "link" not in parsed.tags
     assert not re.search(r"https?://|@import|url\(", report)
 
@@ -498,12 +652,35 @@ def test_report_escapes_user_text(report):
 
 def test_report_contains_results_and_expectations(report, parsed):
     rows = {row[0]: row for row in parsed.rows if row}
-    assert rows["metric"] == ["metric", "unit", "analytical", "twin", "difference", "%", "published"]
-    assert rows["CoM speed"][1:] == ["m/s", "0.22", "0.2002", "-0.0198", "-9.0", "0.214 (Table 10)"]
+    assert rows["metric"] == [
+        "metric",
+        "unit",
+        "analytical",
+        "twin",
+        "difference",
+        "%",
+        "published",
+    ]
+    assert rows["CoM speed"][1:] == [
+        "m/s",
+        "0.22",
+        "0.2002",
+        "-0.0198",
+        "-9.0",
+        "0.214 (Table 10)",
+    ]
     assert rows["turning radius"][2] == "–"
     assert rows["bend amplitude"][2].startswith("1.2, 1.2")
     assert rows["shape RMS"][1] == "m" and float(rows["shape RMS"][4]) > 0
-    assert rows["met"][1:] == ["CoM speed", "twin", "0.2", "0.214 within 15 %", "Table 10", "", ""]
+    assert rows["met"][1:] == [
+        "CoM speed",
+        "twin",
+        "0.2",
+        "0.214 within 15 %",
+        "Table 10",
+        "",
+        "",
+    ]
     assert rows["missed"][1:3] == ["CoM speed, relative difference", "comparison"]
     assert rows["missed"][3:] == ["-0.09", "above 0", "", "", ""]
     assert rows["known"][1:] == [
@@ -515,9 +692,27 @@ def test_report_contains_results_and_expectations(report, parsed):
         "soft bends",
         "",
     ]
-    assert rows["holds"][1:] == ["path RMS", "comparison", "0.1", "below 0.2", "", "once it was", ""]
-    assert rows["not judged"][2:] == ["twin", "–", "at most 0.2", "", "", "the run is short"]
-    assert "Expectations: 1 met, 1 missed, 1 known to be missed, 1 met though known to be missed" in report
+    assert rows["holds"][1:] == [
+        "path RMS",
+        "comparison",
+        "0.1",
+        "below 0.2",
+        "",
+        "once it was",
+        "",
+    ]
+    assert rows["not judged"][2:] == [
+        "twin",
+        "–",
+        "at most 0.2",
+        "",
+        "",
+        "the run is short",
+    ]
+    assert (
+        "Expectations: 1 met, 1 missed, 1 known to be missed, 1 met though known to be"
+        " missed" in report
+    )
     assert "1 not judged" in report
     assert rows["geometry.segment_length"] == ["geometry.segment_length", "m", "0.037"]
     assert rows["mujoco"] == ["mujoco", "3.17"]
@@ -530,20 +725,29 @@ def test_twin_and_report_need_neither_rerun_nor_pyplot_nor_glfw(monkeypatch):
         "import sys, srs_twin.plants.twin.snake, srs_twin.viewing.html.report\n"
         "print({'rerun', 'matplotlib.pyplot', 'glfw'} & sys.modules.keys())"
     )
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    said = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert said.stdout.strip() == "set()"
 
 
 def test_viewer_errors_name_alternatives(tmp_path, recording, monkeypatch):
-    with pytest.raises(InputError, match="no such recording; `srs-twin run SCENARIO` writes one"):
+    with pytest.raises(
+        InputError, match="no such recording; `srs-twin run SCENARIO` writes one"
+    ):
         open_recording(tmp_path / "none.rrd")
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(InputError, match=r"no display .* open .*report\.html in a browser"):
+    with pytest.raises(
+        InputError, match=r"no display .* open .*report\.html in a browser"
+    ):
         open_recording(recording)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
-    with pytest.raises(InputError, match=r"rerun is missing; install it with: pip install 'rerun-sdk>=0\.41"):
+    with pytest.raises(
+        InputError,
+        match=r"rerun is missing; install it with: pip install 'rerun-sdk>=0\.41",
+    ):
         open_recording(recording)
 
 
@@ -562,7 +766,10 @@ def test_viewer_is_bound_to_this_machine(recording, monkeypatch):
 
 def test_a_broken_recording_is_not_verified(tmp_path, recording):
     (tmp_path / "junk.rrd").write_bytes(b"junk")
-    with pytest.raises(InputError, match=r"junk\.rrd: incomplete or damaged recording \(0 files verified"):
+    with pytest.raises(
+        InputError,
+        match=r"junk\.rrd: incomplete or damaged recording \(0 files verified",
+    ):
         verify_recording(tmp_path / "junk.rrd")
 
 
@@ -586,7 +793,9 @@ def test_viewer_shows_a_moving_snake(recording):
 def test_missing_vulkan_names_its_packages(recording, monkeypatch):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, "/nonexistent")
-    with pytest.raises(InputError, match="no Vulkan driver .* apt-get install mesa-vulkan-drivers"):
+    with pytest.raises(
+        InputError, match="no Vulkan driver .* apt-get install mesa-vulkan-drivers"
+    ):
         screenshots(recording, [1.0])
 
 

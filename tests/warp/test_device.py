@@ -25,10 +25,15 @@ from srs_twin.studies.sweep.loading import load_sweep
 wp = pytest.importorskip("warp", reason="the extra gpu is not installed")
 GEN2 = load_robot("gen2")
 ON = {"engine": "warp", "device": "cpu"}
-SOFT = replace(GEN2, bending=replace(GEN2.bending, stiffness=0.7 * GEN2.bending.stiffness))
+SOFT = replace(
+    GEN2, bending=replace(GEN2.bending, stiffness=0.7 * GEN2.bending.stiffness)
+)
 SLICK = replace(GEN2, friction=replace(GEN2.friction, mu_n=0.5 * GEN2.friction.mu_n))
 STRONG = replace(GEN2, actuator=replace(GEN2.actuator, gain=1.2 * GEN2.actuator.gain))
-HEAVY = replace(GEN2, mass=replace(GEN2.mass, connectors=tuple(1.3 * m for m in GEN2.mass.connectors)))
+HEAVY = replace(
+    GEN2,
+    mass=replace(GEN2.mass, connectors=tuple(1.3 * m for m in GEN2.mass.connectors)),
+)
 
 
 @pytest.fixture(params=["preloaded", "loaded"])
@@ -55,9 +60,17 @@ def test_friction_laws_agree_in_warp():
     def each(inputs: wp.array2d(dtype=float), out: wp.array2d(dtype=float)):
         i = wp.tid()
         a, b, c, d, e, f = wheel(
-            inputs[i, 0], inputs[i, 1], inputs[i, 2], inputs[i, 3], inputs[i, 4], 0.001, inputs[i, 5],
-            inputs[i, 6], inputs[i, 7], inputs[i, 8],
-        )  # fmt: skip
+            inputs[i, 0],
+            inputs[i, 1],
+            inputs[i, 2],
+            inputs[i, 3],
+            inputs[i, 4],
+            0.001,
+            inputs[i, 5],
+            inputs[i, 6],
+            inputs[i, 7],
+            inputs[i, 8],
+        )
         out[i, 0] = a
         out[i, 1] = b
         out[i, 2] = c
@@ -70,13 +83,27 @@ def test_friction_laws_agree_in_warp():
     mu = np.sort(rng.uniform(0.01, 0.5, size=(200, 2)), axis=1)
     push = rng.normal(scale=0.05, size=(200, 2))
     inputs = np.hstack(
-        [speed, load, mu, push, rng.normal(scale=0.1, size=(200, 1)), rng.uniform(0.1, 9, (200, 1))]
+        [
+            speed,
+            load,
+            mu,
+            push,
+            rng.normal(scale=0.1, size=(200, 1)),
+            rng.uniform(0.1, 9, (200, 1)),
+        ]
     )
     out = wp.zeros((200, 6), dtype=float, device="cpu")
-    wp.launch(each, dim=200, inputs=[wp.array(inputs, dtype=float, device="cpu"), out], device="cpu")
+    wp.launch(
+        each,
+        dim=200,
+        inputs=[wp.array(inputs, dtype=float, device="cpu"), out],
+        device="cpu",
+    )
     on_cpu = np.array([rolling_friction(*row[:5], 0.001, *row[5:]) for row in inputs])
     scale = np.abs(on_cpu).max(axis=0)
-    assert np.abs(out.numpy() - on_cpu).max(axis=0) == pytest.approx(0 * scale, abs=1e-3 * scale.max())
+    assert np.abs(out.numpy() - on_cpu).max(axis=0) == pytest.approx(
+        0 * scale, abs=1e-3 * scale.max()
+    )
     assert np.abs(out.numpy() - on_cpu)[:, :2].max() < 1e-5
 
 
@@ -95,21 +122,32 @@ def waves(gaits, slot, slots, steps):
     twin, empty = TwinSnake(GEN2), np.zeros((GEN2.segments, 2))
     whole = empty.astype(int)
     records = {
-        "relaxation": twin.pneumatics.relaxation(slot), "addresses": twin.physics.sensor_addresses,
+        "relaxation": twin.pneumatics.relaxation(slot),
+        "addresses": twin.physics.sensor_addresses,
         "chambers": ChamberState(empty, *[empty[:, 0]] * 3, whole, whole, empty[:, 0]),
         "accumulators": Accumulators(empty[0], *3 * [empty]),
-        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]), "bodies": BodyViews(*7 * [empty]),
-    }  # fmt: skip
+        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
+        "bodies": BodyViews(*7 * [empty]),
+    }
     ported = {name: warp_struct(entry) for name, entry in records.items()}
-    spec = StepSettings(h=slots * slot, slot=slot, slots=slots, tick=1, mean_control=False)
+    spec = StepSettings(
+        h=slots * slot, slot=slot, slots=slots, tick=1, mean_control=False
+    )
     kernel, actual = build_kernels(ported, spec).set_gait, []
     waves_on_device = stack_records(
-        ported["wave"], [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits], "cpu"
+        ported["wave"],
+        [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits],
+        "cpu",
     )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
     for step in range(steps):
         count = wp.full(1, step, dtype=int, device="cpu")
-        wp.launch(kernel, dim=(len(gaits), GEN2.segments), inputs=[count, waves_on_device, out], device="cpu")
+        wp.launch(
+            kernel,
+            dim=(len(gaits), GEN2.segments),
+            inputs=[count, waves_on_device, out],
+            device="cpu",
+        )
         actual.append(out.numpy().copy())
     return np.concatenate(actual, axis=1)
 
@@ -117,16 +155,24 @@ def waves(gaits, slot, slots, steps):
 def test_device_gait_switches_valves_at_the_schedule_slots():
     """No valve edge of these gaits is within single-precision rounding of the middle of a slot."""
     gaits = [
-        Gait(1.37, 0.11), Gait(2.9, -0.43, phase=0.7), Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
-        Gait(1.7, 0.09, rest_share=0.3), Gait(2.3, -0.31, phase_step=0.6, rest_share=0.1),
-    ]  # fmt: skip
+        Gait(1.37, 0.11),
+        Gait(2.9, -0.43, phase=0.7),
+        Gait(0.83, 0.27, phases=(0.1, 0.5, 0.2, 0.9)),
+        Gait(1.7, 0.09, rest_share=0.3),
+        Gait(2.3, -0.31, phase_step=0.6, rest_share=0.1),
+    ]
     for gait in gaits:
         gait.reset(GEN2, 0.02)
     slot, slots, steps = 1e-4, 2000, 6
     there = waves(gaits, slot, slots, steps)
     for gait, values in zip(gaits, there, strict=True):
         schedule = gait.script(slot * slots * steps)
-        at = np.searchsorted(schedule.starts, slot * (np.arange(slots * steps) + 0.5), side="right") - 1
+        at = (
+            np.searchsorted(
+                schedule.starts, slot * (np.arange(slots * steps) + 0.5), side="right"
+            )
+            - 1
+        )
         assert len(schedule.starts) > 8
         assert (values == schedule.states[at]).all()
 
@@ -149,20 +195,34 @@ def test_device_controls_equal_those_of_the_processor():
     twin, empty, h = TwinSnake(bent), np.zeros((bent.segments, 2)), 1e-4
     valves = np.array([[1, -1], [-1, 1], [1, 1], [-1, -1]])
     chambers = twin.pneumatics
-    chambers.advance(chambers.schedule(np.array([-valves, valves]), 0.2), np.array([0.2]))
-    pressure, linear, free = chambers.pressure.copy(), chambers._linear.copy(), chambers.bend.copy()
+    chambers.advance(
+        chambers.schedule(np.array([-valves, valves]), 0.2), np.array([0.2])
+    )
+    pressure, linear, free = (
+        chambers.pressure.copy(),
+        chambers._linear.copy(),
+        chambers.bend.copy(),
+    )
     trace = chambers.advance(chambers.schedule(valves, h), np.array([0.0, h]))
     whole = empty.astype(int)
-    air = ChamberState(pressure, linear, free, trace.bend_rate[0], whole, whole, empty[:, 0])
+    air = ChamberState(
+        pressure, linear, free, trace.bend_rate[0], whole, whole, empty[:, 0]
+    )
     records = {
-        "relaxation": chambers.relaxation(h), "addresses": twin.physics.sensor_addresses, "chambers": air,
-        "accumulators": Accumulators(empty[0], *3 * [empty]), "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
+        "relaxation": chambers.relaxation(h),
+        "addresses": twin.physics.sensor_addresses,
+        "chambers": air,
+        "accumulators": Accumulators(empty[0], *3 * [empty]),
+        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
         "bodies": BodyViews(*7 * [empty]),
-    }  # fmt: skip
+    }
     ported = {name: warp_struct(each) for name, each in records.items()}
     spec = StepSettings(h=h, slot=h, slots=1, tick=1, mean_control=True)
     ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
-    structs = [stack_records(ported[name], [records[name]], "cpu") for name in ("relaxation", "chambers")]
+    structs = [
+        stack_records(ported[name], [records[name]], "cpu")
+        for name in ("relaxation", "chambers")
+    ]
     states = wp.array(valves[None, None], dtype=int, device="cpu")
     wp.launch(
         build_kernels(ported, spec).advance_chambers,
@@ -176,13 +236,30 @@ def test_device_controls_equal_those_of_the_processor():
 
 @pytest.mark.slow
 def test_runs_agree_with_the_cpu_engine(contact):
-    points = list(product((1.0, 1.5, 2.0), (41e3, 48e3, 55e3), (0.0, 0.0085), (0.0, 0.2)))
-    specs = [replace(GEN2, geometry=replace(GEN2.geometry, rigid_gap=gap)) for _, _, gap, _ in points]
+    points = list(
+        product((1.0, 1.5, 2.0), (41e3, 48e3, 55e3), (0.0, 0.0085), (0.0, 0.2))
+    )
+    specs = [
+        replace(GEN2, geometry=replace(GEN2.geometry, rigid_gap=gap))
+        for _, _, gap, _ in points
+    ]
     gaits = [(f, offset) for f, _, _, offset in points]
-    here, there = both(specs, gaits, 0.3, contact=contact, supply_pa=[p for _, p, _, _ in points])
+    here, there = both(
+        specs, gaits, 0.3, contact=contact, supply_pa=[p for _, p, _, _ in points]
+    )
     for a, b in zip(here, there, strict=True):
-        assert max(np.abs(a[f"bend_{j}"] - b[f"bend_{j}"]).max() for j in range(1, 5)) < 1e-3
-        assert max(np.abs(a[f"{c}_{i}"] - b[f"{c}_{i}"]).max() for c in "xy" for i in range(1, 6)) < 5e-4
+        assert (
+            max(np.abs(a[f"bend_{j}"] - b[f"bend_{j}"]).max() for j in range(1, 5))
+            < 1e-3
+        )
+        assert (
+            max(
+                np.abs(a[f"{c}_{i}"] - b[f"{c}_{i}"]).max()
+                for c in "xy"
+                for i in range(1, 6)
+            )
+            < 5e-4
+        )
         assert np.abs(a["work"] - b["work"]).max() < 1e-4
         assert np.abs(a["internal_loss"] - b["internal_loss"]).max() < 1e-5
         assert b["air"] == pytest.approx(a["air"], rel=1e-3, abs=1e-3)
@@ -206,7 +283,9 @@ def test_skin_agrees_with_the_cpu_engine(law, capfd):
     spec = replace(base, skin=replace(base.skin, law=law))
     other = replace(spec, friction=replace(spec.friction, mu_back=0.2, mu_n=0.3))
     here, there = both([spec, other], [(1.0, 0.0), (1.0, 0.2)], 0.1)
-    assert "overflow" not in capfd.readouterr().out  # too little room for contacts loses forces
+    assert (
+        "overflow" not in capfd.readouterr().out
+    )  # too little room for contacts loses forces
     for a, b in zip(here, there, strict=True):
         assert a["work"][-1] > 0.005
         assert np.hypot(a["com_x"] - b["com_x"], a["com_y"] - b["com_y"]).max() < 1e-5
@@ -219,7 +298,8 @@ def test_obstacle_contact_agrees_with_the_cpu_engine():
     world = World((Circle(0.24, 0.03, 0.04),))
     here, there = both([GEN2], [(2.0, 0.0)], 0.8, contact="loaded", world=world)
     force = [
-        np.hypot(run[0]["obstacle_force_x_1"], run[0]["obstacle_force_y_1"]).max() for run in (here, there)
+        np.hypot(run[0]["obstacle_force_x_1"], run[0]["obstacle_force_y_1"]).max()
+        for run in (here, there)
     ]
     assert force[0] > 0.5 and force[1] == pytest.approx(force[0], rel=0.01)
 
@@ -229,7 +309,10 @@ def test_partial_reset_empties_the_chambers_of_chosen_worlds():
     batch = TwinBatch([GEN2] * 2, **ON)
     batch.arrays()["pressure"].fill_(48e3)
     batch.reset(worlds=[1])
-    assert batch.arrays()["pressure"].numpy().reshape(2, -1).max(axis=1).tolist() == [pytest.approx(48e3), 0]
+    assert batch.arrays()["pressure"].numpy().reshape(2, -1).max(axis=1).tolist() == [
+        pytest.approx(48e3),
+        0,
+    ]
     batch.reset()
     assert not batch.arrays()["pressure"].numpy().any() and not batch.openings().any()
 
@@ -239,7 +322,9 @@ def displaced(place, steps=60):
     batch = TwinBatch([GEN2] * 2, deterministic=True, **ON)
     batch.set_gaits([Gait(2.0, 0.4)] * 2)
     batch.reset(poses=[(*place, 0.3), (0.0, 0.0, 0.3)])
-    return [state.com - state.com[0] for state in batch.follow(steps * 1e-3 * 4, 4)], batch
+    return [
+        state.com - state.com[0] for state in batch.follow(steps * 1e-3 * 4, 4)
+    ], batch
 
 
 @pytest.mark.slow
@@ -256,9 +341,13 @@ def test_distant_start_moves_like_one_at_the_origin():
 
 
 def test_distant_start_with_obstacles_raises():
-    batch = TwinBatch([GEN2], world=World((Circle(1.0, 0.0, 0.1),)), contact="loaded", **ON)
+    batch = TwinBatch(
+        [GEN2], world=World((Circle(1.0, 0.0, 0.1),)), contact="loaded", **ON
+    )
     batch.reset(poses=[(15.9, 0.0, 0.0)])
-    with pytest.raises(InputError, match=r"run 0 starts at \(2000, 0\) m.* within 16 m of the origin"):
+    with pytest.raises(
+        InputError, match=r"run 0 starts at \(2000, 0\) m.* within 16 m of the origin"
+    ):
         batch.reset(poses=[(2000.0, 0.0, 0.0)])
 
 
@@ -267,7 +356,9 @@ def test_repeated_batch_is_equal_and_exposes_its_arrays(contact):
     batch = TwinBatch([GEN2] * 3, contact=contact, deterministic=True, **ON)
     batch.set_gaits([Gait(2.0), Gait(2.0), Gait(2.0, 0.6)])
     first = batch.follow(0.1, 10)
-    assert (first[0].qpos == first[1].qpos).all() and (first[0].qpos != first[2].qpos).any()
+    assert (first[0].qpos == first[1].qpos).all() and (
+        first[0].qpos != first[2].qpos
+    ).any()
     assert np.from_dlpack(batch.arrays()["qpos"]).shape == (3, first[0].qpos.shape[1])
     batch.reset(worlds=[1], poses=[(1.0, 2.0, 0.5)])
     assert batch.state.com[1] == pytest.approx((1.0, 2.0), abs=1e-6)
@@ -286,19 +377,28 @@ def test_repeated_batch_is_equal_and_exposes_its_arrays(contact):
 @pytest.mark.slow
 def test_environments_agree_with_the_cpu_engine():
     made = [
-        gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=2, limit_s=0.3, **more)
+        gymnasium.make_vec(
+            "srs_twin.envs:SRSTwin/GoTo-v0", num_envs=2, limit_s=0.3, **more
+        )
         for more in ({}, ON)
     ]
     seen = [env.reset(seed=3)[0] for env in made]
     assert (seen[0] == seen[1]).all()
     rng = np.random.default_rng(0)
     for _ in range(6):  # an episode, and the beginning of another
-        action = rng.uniform(made[0].action_space.low, made[0].action_space.high).astype(np.float32)
+        action = rng.uniform(
+            made[0].action_space.low, made[0].action_space.high
+        ).astype(np.float32)
         here, there = (env.step(action) for env in made)
-        assert np.abs(here[0] - there[0]).max() < 1e-3 and np.abs(here[1] - there[1]).max() < 1e-4
+        assert (
+            np.abs(here[0] - there[0]).max() < 1e-3
+            and np.abs(here[1] - there[1]).max() < 1e-4
+        )
         assert (here[3] == there[3]).all()
     with pytest.warns(EngineWarning, match="obstacles differ between episodes"):
-        gymnasium.make_vec("srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON).reset(seed=1)
+        gymnasium.make_vec(
+            "srs_twin.envs:SRSTwin/Obstacles-v0", num_envs=1, **ON
+        ).reset(seed=1)
 
 
 @pytest.mark.slow
@@ -316,7 +416,9 @@ def test_unobserved_steps_count_and_diverged_run_ends_alone():
     broken[1] = np.nan
     batch.arrays()["qvel"].assign(broken)
     sound, ended = batch.follow(0.02, 2)
-    assert ended is None and batch.errors[0] is None and "finite" in str(batch.errors[1])
+    assert (
+        ended is None and batch.errors[0] is None and "finite" in str(batch.errors[1])
+    )
     assert np.isfinite(batch.state.com).all() and np.isfinite(sound.com).all()
     with pytest.raises(InputError, match="1 were given for 2"):
         batch.set_gaits([Gait(2.0)])
@@ -335,11 +437,18 @@ def test_sweep_agrees_with_the_cpu_engine(tmp_path):
     (tmp_path / "s.yaml").write_text(SWEEP)
     found = load_sweep(tmp_path / "s.yaml")
     here = {row.number: row.result for row in local(1)(found.experiment, found.points)}
-    with pytest.warns(EngineWarning, match="2 of 4 points run on the processor: .*'orifice'"):
-        there = {row.number: row.result for row in on_device("cpu", 1)(found.experiment, found.points)}
+    with pytest.warns(
+        EngineWarning, match="2 of 4 points run on the processor: .*'orifice'"
+    ):
+        there = {
+            row.number: row.result
+            for row in on_device("cpu", 1)(found.experiment, found.points)
+        }
     for number, row in here.items():
         for name in ("com_speed_m_s", "mean_bend_amplitude_rad", "pneumatic_power_w"):
-            assert there[number].values[f"twin.{name}"] == pytest.approx(row.values[f"twin.{name}"], rel=5e-3)
+            assert there[number].values[f"twin.{name}"] == pytest.approx(
+                row.values[f"twin.{name}"], rel=5e-3
+            )
 
 
 @pytest.mark.parametrize(
@@ -363,27 +472,43 @@ def test_unsupported_settings_raise_by_name(settings, named):
 def test_copying_a_warp_batch_raises(copy_of):
     from srs_twin.warp.batch import WarpBatch
 
-    with pytest.raises(InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"):
+    with pytest.raises(
+        InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"
+    ):
         copy_of(object.__new__(WarpBatch))
 
 
 @pytest.mark.parametrize("batch_size", [2, 1024])
-def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch, batch_size):
+def test_unsupported_sweep_points_run_once_on_the_cpu(
+    tmp_path, monkeypatch, batch_size
+):
     def refuse(twin: TwinSnake) -> None:
         raise InputError("it cannot")
 
     def here(workers):
-        return lambda experiment, points: (TaskResult(k, each.changes, None) for k, each in enumerate(points))
+        return lambda experiment, points: (
+            TaskResult(k, each.changes, None) for k, each in enumerate(points)
+        )
 
     kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
-    for name, value in {"warp_batch": lambda: kind, "local": here, "BATCH_SIZE": batch_size}.items():
+    for name, value in {
+        "warp_batch": lambda: kind,
+        "local": here,
+        "BATCH_SIZE": batch_size,
+    }.items():
         monkeypatch.setattr(f"srs_twin.studies.sweep.execution.{name}", value)
-    (tmp_path / "s.yaml").write_text(SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]"))
+    (tmp_path / "s.yaml").write_text(
+        SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]")
+    )
     found = load_sweep(tmp_path / "s.yaml")
     points = [replace(found.points[0], changes={"seed": seed}) for seed in range(5)]
-    with pytest.warns(EngineWarning, match="5 of 5 points run on the processor: it cannot"):
+    with pytest.warns(
+        EngineWarning, match="5 of 5 points run on the processor: it cannot"
+    ):
         rows = list(on_device(None, 1)(found.experiment, points))
-    assert [(row.number, row.result) for row in rows] == [(k, {"seed": k}) for k in range(5)]
+    assert [(row.number, row.result) for row in rows] == [
+        (k, {"seed": k}) for k in range(5)
+    ]
 
 
 def test_sweep_without_gpu_warns_and_runs_on_the_cpu(monkeypatch):
@@ -406,12 +531,19 @@ def test_gpu_speed_agrees_with_the_cpu_engine(contact):
     if not wp.get_preferred_device().is_cuda:
         pytest.skip("there is no accelerator here")
     found = [
-        run_scripts(TwinBatch([GEN2] * 2, contact=contact, engine=engine), [Gait(2.0), Gait(2.0, 0.2)], 10.0)
+        run_scripts(
+            TwinBatch([GEN2] * 2, contact=contact, engine=engine),
+            [Gait(2.0), Gait(2.0, 0.2)],
+            10.0,
+        )
         for engine in ("cpu", "warp")
     ]
     for a, b in zip(*found, strict=True):
         distances = [
-            np.hypot(run["com_x"][-1] - run["com_x"][400], run["com_y"][-1] - run["com_y"][400])
+            np.hypot(
+                run["com_x"][-1] - run["com_x"][400],
+                run["com_y"][-1] - run["com_y"][400],
+            )
             for run in (a, b)
         ]
         assert distances[1] == pytest.approx(distances[0], rel=5e-3)

@@ -9,10 +9,18 @@ import pytest
 
 from srs_twin.plants.twin.friction_solve import _friction_law
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS
-from srs_twin.plants.twin.stick_slip import rolling_friction, skin_friction, stick_slip_friction
+from srs_twin.plants.twin.stick_slip import (
+    rolling_friction,
+    skin_friction,
+    stick_slip_friction,
+)
 
 wp = pytest.importorskip("warp", reason="the extra gpu is not installed")
-from srs_twin.warp.translation import as_warp_functions, stack_records, warp_struct  # noqa: E402
+from srs_twin.warp.translation import (  # noqa: E402
+    as_warp_functions,
+    stack_records,
+    warp_struct,
+)
 
 CONTACTS = 60
 
@@ -29,17 +37,28 @@ class Constants(NamedTuple):
 def evaluated():
     """Return a function that evaluates the law in Warp for constants, states and previous forces."""
     struct = warp_struct(Constants(1, 0, np.zeros(6)))
-    laws = as_warp_functions([stick_slip_friction, skin_friction, rolling_friction, _friction_law])
+    laws = as_warp_functions(
+        [stick_slip_friction, skin_friction, rolling_friction, _friction_law]
+    )
     law, All, select = laws["_friction_law"], struct.batched, struct.select
 
     @wp.kernel(enable_backward=False)
     def each(
-        constants: All, state: wp.array2d(dtype=float), force: wp.array2d(dtype=float),
+        constants: All,
+        state: wp.array2d(dtype=float),
+        force: wp.array2d(dtype=float),
         out: wp.array2d(dtype=float),
-    ):  # fmt: skip
+    ):
         i = wp.tid()
         f_t, f_n, tt, tn, nn, rim = law(
-            select(constants, i), 0, state[i, 0], state[i, 1], state[i, 2], force[i], state[i, 3], state[i, 4]
+            select(constants, i),
+            0,
+            state[i, 0],
+            state[i, 1],
+            state[i, 2],
+            force[i],
+            state[i, 3],
+            state[i, 4],
         )
         out[i, 0] = f_t
         out[i, 1] = f_n
@@ -50,7 +69,9 @@ def evaluated():
 
     def evaluate(constants, state, force):
         out = wp.zeros((len(state), 6), dtype=float, device="cpu")
-        given = [wp.array(values, dtype=float, device="cpu") for values in (state, force)]
+        given = [
+            wp.array(values, dtype=float, device="cpu") for values in (state, force)
+        ]
         inputs = [stack_records(struct, constants, "cpu"), *given, out]
         wp.launch(each, dim=len(state), inputs=inputs, device="cpu")
         return out.numpy()
@@ -58,18 +79,26 @@ def evaluated():
     return evaluate
 
 
-@pytest.mark.parametrize("skin", [False, True], ids=["same both ways", "differs backwards"])
+@pytest.mark.parametrize(
+    "skin", [False, True], ids=["same both ways", "differs backwards"]
+)
 @pytest.mark.parametrize("law", LAWS_ON_LOADS)
 def test_every_law_of_the_twin_agrees_in_warp(evaluated, law, skin):
     """A law that Warp cannot translate stops the engine for all laws."""
     rng = np.random.default_rng(5)
-    velocity = rng.choice([-1, 1], (CONTACTS, 3)) * 10 ** rng.uniform(-5, -1, (CONTACTS, 3))  # stick or slide
+    velocity = rng.choice([-1, 1], (CONTACTS, 3)) * 10 ** rng.uniform(
+        -5, -1, (CONTACTS, 3)
+    )  # stick or slide
     load, h = rng.uniform(0.1, 1, CONTACTS), rng.uniform(1e-3, 1e-2, CONTACTS)
     state = np.column_stack([velocity[:, :2], load, velocity[:, 2], h])
     force = rng.normal(scale=0.02, size=(CONTACTS, 3))
     mu = np.sort(rng.uniform(0.01, 0.5, size=(CONTACTS, 2)), axis=1)
     constants = [
-        Constants(1, LAWS_ON_LOADS.index(law), np.array([t, n, 1e-3, 1e-3, 1.5 * t if skin else t, 0.3]))
+        Constants(
+            1,
+            LAWS_ON_LOADS.index(law),
+            np.array([t, n, 1e-3, 1e-3, 1.5 * t if skin else t, 0.3]),
+        )
         for t, n in mu
     ]
     expected = np.array(
@@ -79,6 +108,8 @@ def test_every_law_of_the_twin_agrees_in_warp(evaluated, law, skin):
         ]
     )
     error = np.abs(evaluated(constants, state, force) - expected).max(axis=0)
-    assert (np.abs(expected[:, 2]) > 100).any() and (np.abs(expected[:, 2]) < 10).any()  # sticking; sliding
+    assert (np.abs(expected[:, 2]) > 100).any() and (
+        np.abs(expected[:, 2]) < 10
+    ).any()  # sticking; sliding
     steepest = np.abs(expected[:, 2:5]).max()
     assert (error <= np.array([1e-5, 1e-5, *3 * [1e-4 * steepest], 1e-6])).all(), error

@@ -1,7 +1,8 @@
 """`srs-twin doctor`: check of the installation and the machine, with remedies.
 
-`checks` contains what this process can find out itself. Tests that may crash, hang or leave files behind are
-probes (`probes`) and run in child processes; `examination` starts them and collects all checks.
+`checks` contains what this process can find out itself. Tests that may crash, hang or
+leave files behind are probes (`probes`) and run in child processes; `examination`
+starts them and collects all checks.
 """
 
 from __future__ import annotations
@@ -52,14 +53,18 @@ def doctor(
 
 def _show(checks: Sequence[Check]) -> None:
     """Print one line per check, grouped by topic, with its remedy on the next line."""
-    width = shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 10_000
+    width = (
+        shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 10_000
+    )
     name_width = max(len(check.name) for check in checks)
     for topic, group in groupby(checks, key=lambda check: check.topic):
         typer.echo(topic)
         for check in group:
             head = f"  {check.status:10}{check.name:{name_width}}  "
             indent = " " * len(head)
-            wrapper = textwrap.TextWrapper(width, initial_indent=head, subsequent_indent=indent)
+            wrapper = textwrap.TextWrapper(
+                width, initial_indent=head, subsequent_indent=indent
+            )
             wrapper.break_on_hyphens = wrapper.break_long_words = False
             typer.echo(wrapper.fill(as_started(check.detail)))
             if check.remedy:

@@ -35,8 +35,8 @@ class Check:
     Attributes:
         topic: group of the check.
         name: unique name of the check.
-        status: "ok"; "missing": absent or insufficient; "broken": present but not working; "undecided": no
-            result in time, or not tested.
+        status: "ok"; "missing": absent or insufficient; "broken": present but not
+            working; "undecided": no result in time, or not tested.
         detail: observation.
         remedy: command or sentence; empty if and only if the status is "ok".
         necessary: whether runs require it.
@@ -51,7 +51,10 @@ class Check:
 
     def __post_init__(self) -> None:
         if bool(self.remedy) == (self.status == "ok"):
-            raise ValueError(f"{self.name}: remedy {self.remedy!r} does not match status {self.status}")
+            raise ValueError(
+                f"{self.name}: remedy {self.remedy!r} does not match status"
+                f" {self.status}"
+            )
 
 
 @dataclass(frozen=True)
@@ -65,7 +68,10 @@ class ProbeResult:
 
 def result_of_exit(code: int) -> ProbeResult:
     """Return the result of a process that exited without reporting one; a negative code is a signal."""
-    if code in (-signal.SIGALRM, -signal.SIGKILL):  # SIGKILL: sent by the system if memory is short
+    if code in (
+        -signal.SIGALRM,
+        -signal.SIGKILL,
+    ):  # SIGKILL: sent by the system if memory is short
         remedy = "this machine is busy or very slow: run `srs-twin doctor` again later"
         return ProbeResult("undecided", "slow: no result in time", remedy)
     return ProbeResult("broken", describe_exit(code))
@@ -73,7 +79,11 @@ def result_of_exit(code: int) -> ProbeResult:
 
 def failed_checks(checks: Iterable[Check]) -> list[Check]:
     """Return the necessary checks that failed; undecided checks do not fail."""
-    return [check for check in checks if check.necessary and check.status in ("missing", "broken")]
+    return [
+        check
+        for check in checks
+        if check.necessary and check.status in ("missing", "broken")
+    ]
 
 
 DISTRIBUTION = "srs-twin"
@@ -90,11 +100,19 @@ PURPOSES = {
 }
 """Purpose of each extra in pyproject.toml."""
 
-_LISTED_PACKAGES = ("mujoco", "numpy", "scipy", "numba", "pyarrow", "matplotlib", "rerun-sdk")
+_LISTED_PACKAGES = (
+    "mujoco",
+    "numpy",
+    "scipy",
+    "numba",
+    "pyarrow",
+    "matplotlib",
+    "rerun-sdk",
+)
 """Packages whose versions are printed; they affect results most."""
 
-# Modules whose names differ from their package. Of rerun-sdk only the bindings are imported: its Python part
-# takes as long to import as all other packages together.
+# Modules whose names differ from their package. Of rerun-sdk only the bindings are
+# imported: its Python part takes as long to import as all other packages together.
 _MODULES = {
     "rerun-sdk": "rerun_bindings",
     "pyyaml": "yaml",
@@ -126,7 +144,11 @@ class RequiredPackage:
         """Problem with the installed version; empty if there is none."""
         if self.installed is None:
             return f"{self.name} is missing"
-        return "" if self.fits else f"{self.name} is {self.installed}, but {self.requirement} is required"
+        return (
+            ""
+            if self.fits
+            else f"{self.name} is {self.installed}, but {self.requirement} is required"
+        )
 
 
 def required_packages(requirements: Sequence[str]) -> list[RequiredPackage]:
@@ -138,15 +160,23 @@ def required_packages(requirements: Sequence[str]) -> list[RequiredPackage]:
         extra = _extra_of(str(requirement.marker or ""))
         if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
             installed = _installed(requirement.name)
-            fits = installed is not None and requirement.specifier.contains(installed, prereleases=True)
+            fits = installed is not None and requirement.specifier.contains(
+                installed, prereleases=True
+            )
             text = f"{requirement.name}{requirement.specifier}"
-            packages.append(RequiredPackage(requirement.name, text, installed, fits, extra))
+            packages.append(
+                RequiredPackage(requirement.name, text, installed, fits, extra)
+            )
     return packages
 
 
 def modules(packages: Sequence[RequiredPackage]) -> list[str]:
     """Return the modules of the installed packages that are always required."""
-    names = (package.name for package in packages if not package.extra and package.installed is not None)
+    names = (
+        package.name
+        for package in packages
+        if not package.extra and package.installed is not None
+    )
     return [_MODULES.get(name, name.replace("-", "_")) for name in names]
 
 
@@ -159,19 +189,32 @@ def python_check(version: str, allowed: str) -> Check:
     """
     from packaging.specifiers import SpecifierSet
 
-    detail = f"{version} ({platform.python_implementation()}, {platform.system()} {platform.machine()})"
+    detail = (
+        f"{version} ({platform.python_implementation()}, {platform.system()}"
+        f" {platform.machine()})"
+    )
     if SpecifierSet(allowed).contains(version, prereleases=True):
         return Check(INSTALLATION, "Python", "ok", detail, necessary=True)
     remedy = (
-        f"create the environment again with Python {allowed}, e.g. `uv venv --python 3.12`, and reinstall"
+        f"create the environment again with Python {allowed}, e.g. `uv venv --python"
+        " 3.12`, and reinstall"
     )
-    return Check(INSTALLATION, "Python", "broken", f"{detail}; {allowed} is required", remedy, necessary=True)
+    return Check(
+        INSTALLATION,
+        "Python",
+        "broken",
+        f"{detail}; {allowed} is required",
+        remedy,
+        necessary=True,
+    )
 
 
 def packages_check(packages: Sequence[RequiredPackage], *, checkout: bool) -> Check:
     """Check that every package that is always required is installed in a suitable version."""
     always = [package for package in packages if not package.extra]
-    versions = _versions(package for package in always if package.name in _LISTED_PACKAGES)
+    versions = _versions(
+        package for package in always if package.name in _LISTED_PACKAGES
+    )
     detail = f"all {len(always)} required packages; {versions}"
     command = "uv sync" if checkout else ""
     return _installed_check(INSTALLATION, "packages", always, detail, command)
@@ -185,7 +228,9 @@ def extra_checks(
         members = [package for package in packages if package.extra == extra]
         command = f"uv sync --extra {extra}" if checkout else ""
         prefix = f"{PURPOSES.get(extra, 'optional')}: "
-        yield _installed_check(EXTRAS, extra, members, _versions(members), command, prefix)
+        yield _installed_check(
+            EXTRAS, extra, members, _versions(members), command, prefix
+        )
 
 
 def _versions(packages: Iterable[RequiredPackage]) -> str:
@@ -193,14 +238,25 @@ def _versions(packages: Iterable[RequiredPackage]) -> str:
 
 
 def _installed_check(
-    topic: str, name: str, packages: Sequence[RequiredPackage], detail: str, command: str, prefix: str = ""
+    topic: str,
+    name: str,
+    packages: Sequence[RequiredPackage],
+    detail: str,
+    command: str,
+    prefix: str = "",
 ) -> Check:
     """Check packages; the remedy is `command`, or by default an installation with pip."""
     faulty = [package for package in packages if package.fault]
     if not faulty:
-        return Check(topic, name, "ok", prefix + detail, necessary=topic == INSTALLATION)
-    status: Status = "missing" if any(package.installed is None for package in faulty) else "broken"
-    remedy = command or shlex.join(["pip", "install", *(package.requirement for package in faulty)])
+        return Check(
+            topic, name, "ok", prefix + detail, necessary=topic == INSTALLATION
+        )
+    status: Status = (
+        "missing" if any(package.installed is None for package in faulty) else "broken"
+    )
+    remedy = command or shlex.join(
+        ["pip", "install", *(package.requirement for package in faulty)]
+    )
     detail = prefix + "; ".join(package.fault for package in faulty)
     return Check(topic, name, status, detail, remedy, topic == INSTALLATION)
 
@@ -254,7 +310,10 @@ def free_memory(cgroup: Path = _CGROUP, meminfo: Path = _MEMINFO) -> int | None:
         meminfo: memory table of the kernel.
     """
     limit, used = (_read(cgroup / name) for name in ("memory.max", "memory.current"))
-    free = [1024 * int(kib) for kib in re.findall(r"^MemAvailable:\s*(\d+)", _read(meminfo), re.M)]
+    free = [
+        1024 * int(kib)
+        for kib in re.findall(r"^MemAvailable:\s*(\d+)", _read(meminfo), re.M)
+    ]
     if limit.isdigit() and used.isdigit():
         free.append(int(limit) - int(used))
     return min(free, default=None)
@@ -281,8 +340,13 @@ def processors_check(usable: int, quota: float | None) -> Check:
 def memory_check(free: int | None) -> Check:
     """Check the free memory, bytes."""
     if free is None:
-        return Check(MACHINE, "memory", "ok", "this system does not report the free memory")
-    remedy = f"below {_size(MIN_MEMORY_BYTES)} the system may kill runs: close programs, or use --jobs 1"
+        return Check(
+            MACHINE, "memory", "ok", "this system does not report the free memory"
+        )
+    remedy = (
+        f"below {_size(MIN_MEMORY_BYTES)} the system may kill runs: close programs, or"
+        " use --jobs 1"
+    )
     return _space_check("memory", free, MIN_MEMORY_BYTES, remedy)
 
 
@@ -299,7 +363,13 @@ def output_check(folder: Path) -> Check:
     except InputError as error:
         reason, _, remedy = str(error).partition("; ")
         return Check(MACHINE, "results", "broken", reason, remedy, necessary=True)
-    return Check(MACHINE, "results", "ok", f"{display_path(folder)} can be written", necessary=True)
+    return Check(
+        MACHINE,
+        "results",
+        "ok",
+        f"{display_path(folder)} can be written",
+        necessary=True,
+    )
 
 
 def disk_check(folder: Path, free: int | None = None) -> Check:
@@ -309,13 +379,22 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
         folder: output folder; it need not exist.
         free: free space, bytes; default: that of the disk of `folder`.
     """
-    existing = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.isdir(path))
+    existing = next(
+        path
+        for path in (folder.absolute(), *folder.absolute().parents)
+        if os.path.isdir(path)
+    )
     free = shutil.disk_usage(existing).free if free is None else free
     remedy = (
-        f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use another disk with --out"
+        f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use"
+        " another disk with --out"
     )
     return _space_check("disk", free, MIN_DISK_BYTES, remedy)
 
 
 def _size(bytes_: int) -> str:
-    return f"{bytes_ / (1 << 30):.3g} GB" if bytes_ >= 1 << 30 else f"{bytes_ / (1 << 20):.3g} MB"
+    return (
+        f"{bytes_ / (1 << 30):.3g} GB"
+        if bytes_ >= 1 << 30
+        else f"{bytes_ / (1 << 20):.3g} MB"
+    )

@@ -26,13 +26,16 @@ VIEWERS = "Rerun viewer"
 RENDERING = "off-screen rendering by MuJoCo (one backend is enough)"
 _REINSTALL = "`uv sync --reinstall` in a checkout, else `pip install --force-reinstall`"
 _DRIVER = (
-    "install a driver: apt-get install libegl1 libgl1-mesa-dri (Debian, Ubuntu; software rendering); "
-    "for an NVIDIA GPU in a container, start the container with NVIDIA_DRIVER_CAPABILITIES=all"
+    "install a driver: apt-get install libegl1 libgl1-mesa-dri (Debian, Ubuntu;"
+    " software rendering); for an NVIDIA GPU in a container, start the container with"
+    " NVIDIA_DRIVER_CAPABILITIES=all"
 )
 REMEDIES = {
     checks.INSTALLATION: {
-        "imports": f"reinstall the package ({_REINSTALL}), or the system library that the error names; "
-        "for errors of OpenGL: `unset MUJOCO_GL`"
+        "imports": (
+            f"reinstall the package ({_REINSTALL}), or the system library that the"
+            " error names; for errors of OpenGL: `unset MUJOCO_GL`"
+        )
     },
     SIMULATION: {
         "shipped data": f"reinstall srs-twin: {_REINSTALL}",
@@ -42,15 +45,27 @@ REMEDIES = {
     RENDERING: {
         "egl": _DRIVER,
         "osmesa": "apt-get install --reinstall libosmesa6, or use egl",
-        "glfw": "needs a display; without one `export MUJOCO_GL=egl`, or run the command under `xvfb-run -a`",
+        "glfw": (
+            "needs a display; without one `export MUJOCO_GL=egl`, or run the command"
+            " under `xvfb-run -a`"
+        ),
     },
     VIEWERS: {
-        "rerun": "pip install --force-reinstall 'rerun-sdk>=0.41,<0.42', or `uv sync --reinstall`",
-        "in a window": "open report.html of a run in a browser, or serve the recording with "
-        "`srs-twin view RUN --web`",
-        "without a screen": "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), "
-        "or any other Vulkan driver",
-        "in a browser": "reinstall rerun-sdk; report.html of a run needs only a browser",
+        "rerun": (
+            "pip install --force-reinstall 'rerun-sdk>=0.41,<0.42', or `uv sync"
+            " --reinstall`"
+        ),
+        "in a window": (
+            "open report.html of a run in a browser, or serve the recording with "
+            "`srs-twin view RUN --web`"
+        ),
+        "without a screen": (
+            "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), "
+            "or any other Vulkan driver"
+        ),
+        "in a browser": (
+            "reinstall rerun-sdk; report.html of a run needs only a browser"
+        ),
     },
 }
 """Topic → probe → default remedy, in the order of the output."""
@@ -75,15 +90,29 @@ def run_checks(folder: Path, *, time_limit_s: float = PROBE_TIMEOUT_S) -> list[C
     probed = _run_all_probes(checks.modules(packages), time_limit_s)
     return [
         _installation_check(bool(metadata), checkout=checkout),
-        *([checks.python_check(platform.python_version(), metadata["Requires-Python"])] if metadata else []),
+        *(
+            [
+                checks.python_check(
+                    platform.python_version(), metadata["Requires-Python"]
+                )
+            ]
+            if metadata
+            else []
+        ),
         checks.packages_check(packages, checkout=checkout),
-        *(check for check in probed if check.topic in (checks.INSTALLATION, SIMULATION)),
+        *(
+            check
+            for check in probed
+            if check.topic in (checks.INSTALLATION, SIMULATION)
+        ),
         checks.output_check(folder),
         checks.disk_check(folder),
         checks.processors_check(processor_count(), checks.cpu_quota()),
         checks.memory_check(checks.free_memory()),
         *(check for check in probed if check.topic in (RENDERING, VIEWERS)),
-        *checks.extra_checks(metadata.get_all("Provides-Extra") or [], packages, checkout=checkout),
+        *checks.extra_checks(
+            metadata.get_all("Provides-Extra") or [], packages, checkout=checkout
+        ),
     ]
 
 
@@ -93,7 +122,9 @@ def _installation_check(installed: bool, *, checkout: bool) -> Check:
         return Check(checks.INSTALLATION, "srs_twin", "ok", detail, necessary=True)
     remedy = "uv sync" if checkout else "pip install the wheel again"
     detail += "; it is not installed, so its required packages are unknown"
-    return Check(checks.INSTALLATION, "srs_twin", "missing", detail, remedy, necessary=True)
+    return Check(
+        checks.INSTALLATION, "srs_twin", "missing", detail, remedy, necessary=True
+    )
 
 
 def _run_all_probes(modules: Sequence[str], time_limit_s: float) -> list[Check]:
@@ -125,28 +156,39 @@ def known_results(env: Mapping[str, str], platform: str) -> dict[str, ProbeResul
         if selected in (*LIBRARIES, "glfw") and selected != name:
             # PyOpenGL cannot change its backend within a process.
             remedy = "unset MUJOCO_GL to test it"
-            known[name] = ProbeResult("undecided", f"not tested: MUJOCO_GL is {selected}", remedy)
+            known[name] = ProbeResult(
+                "undecided", f"not tested: MUJOCO_GL is {selected}", remedy
+            )
         elif not platform.startswith("linux"):
             known[name] = ProbeResult("missing", "available only on Linux")
-    if platform.startswith("linux") and not (env.get("DISPLAY") or env.get("WAYLAND_DISPLAY")):
-        no_display = ProbeResult("missing", "no display: neither DISPLAY nor WAYLAND_DISPLAY is set")
+    if platform.startswith("linux") and not (
+        env.get("DISPLAY") or env.get("WAYLAND_DISPLAY")
+    ):
+        no_display = ProbeResult(
+            "missing", "no display: neither DISPLAY nor WAYLAND_DISPLAY is set"
+        )
         known |= {"glfw": no_display, "in a window": no_display}
     try:
         known["rerun"] = ProbeResult("ok", str(rerun_executable()))
     except InputError as error:
         missing = ProbeResult("missing", str(error))
-        known |= dict.fromkeys(("rerun", "in a window", "without a screen", "in a browser"), missing)
+        known |= dict.fromkeys(
+            ("rerun", "in a window", "without a screen", "in a browser"), missing
+        )
     return known
 
 
 def run_probes(
-    modules: Sequence[str], names: Sequence[str], *, time_limit_s: float = PROBE_TIMEOUT_S
+    modules: Sequence[str],
+    names: Sequence[str],
+    *,
+    time_limit_s: float = PROBE_TIMEOUT_S,
 ) -> dict[str, ProbeResult]:
     """Import modules, then run probes; return the results by name, including "imports".
 
-    One child process imports the modules and forks a process per probe, so the modules are imported only
-    once. A crash or timeout of a probe affects only its own result. All processes have ended on return, also
-    after Ctrl-C.
+    One child process imports the modules and forks a process per probe, so the modules
+    are imported only once. A crash or timeout of a probe affects only its own result.
+    All processes have ended on return, also after Ctrl-C.
 
     Args:
         modules: modules to import.
@@ -157,10 +199,14 @@ def run_probes(
         InputError: temporary files cannot be written.
     """
     try:
-        folder, output = tempfile.TemporaryDirectory(prefix="srs-twin-doctor-"), tempfile.TemporaryFile()
+        folder, output = (
+            tempfile.TemporaryDirectory(prefix="srs-twin-doctor-"),
+            tempfile.TemporaryFile(),
+        )
     except OSError as error:
         raise InputError(
-            f"cannot write temporary files ({error.strerror}); set TMPDIR to a writable folder"
+            f"cannot write temporary files ({error.strerror}); set TMPDIR to a writable"
+            " folder"
         ) from error
     with folder, output:
         sys.stdout.flush()
@@ -179,11 +225,14 @@ def run_probes(
             os.waitpid(pid, 0)
             raise
         finally:
-            # Kill all remaining processes. macOS raises PermissionError for processes that have just ended.
+            # Kill all remaining processes. macOS raises PermissionError for processes
+            # that have just ended.
             with suppress(ProcessLookupError, PermissionError):
                 os.killpg(pid, signal.SIGKILL)
         output.seek(0)
-        return _parse_output(output.read().decode("utf-8", "replace").splitlines(), code, names)
+        return _parse_output(
+            output.read().decode("utf-8", "replace").splitlines(), code, names
+        )
 
 
 def _prepare_child(folder: str, output: int) -> None:
@@ -198,7 +247,9 @@ def _prepare_child(folder: str, output: int) -> None:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # threads do not survive a fork
 
 
-def _parse_output(lines: Sequence[str], code: int, names: Sequence[str]) -> dict[str, ProbeResult]:
+def _parse_output(
+    lines: Sequence[str], code: int, names: Sequence[str]
+) -> dict[str, ProbeResult]:
     """Return the results in the output of a child process; lines of libraries are ignored.
 
     Args:
@@ -220,5 +271,7 @@ def _parse_output(lines: Sequence[str], code: int, names: Sequence[str]) -> dict
         exit_result = result_of_exit(code)
         reason = last_noise if code > 0 and last_noise else exit_result.detail
         results["imports"] = ProbeResult(exit_result.status, f"{importing}: {reason}")
-    not_run = ProbeResult("undecided", f"not tested: {results['imports'].detail}", "fix `imports` first")
+    not_run = ProbeResult(
+        "undecided", f"not tested: {results['imports'].detail}", "fix `imports` first"
+    )
     return {name: results.get(name, not_run) for name in ("imports", *names)}

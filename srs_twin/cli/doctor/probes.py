@@ -1,7 +1,8 @@
 """Probes: tests that run in child processes of `examination.run_probes`.
 
-A probe returns a description of the working component, returns a `ProbeResult` for a fault, or raises an
-exception. Each probe runs in a separate process, forked from the one that imported the modules.
+A probe returns a description of the working component, returns a `ProbeResult` for a
+fault, or raises an exception. Each probe runs in a separate process, forked from the
+one that imported the modules.
 """
 
 from __future__ import annotations
@@ -75,12 +76,17 @@ def data() -> str | ProbeResult:
     for name in robots:
         has_model = True
         try:
-            has_model = load_robot(name).skin is None  # robots with skin have no exported model
+            has_model = (
+                load_robot(name).skin is None
+            )  # robots with skin have no exported model
         except SrsError as error:
             faults.append(f"robot {name}: {str(error).splitlines()[0]}")
         if has_model and name not in scenes:
             faults.append(f"model {name}: {_scene(name)} is missing")
-    detail = f"{len(robots)} robots, {len(scenarios)} scenarios, {len(scenes)} models in {data_root()}"
+    detail = (
+        f"{len(robots)} robots, {len(scenarios)} scenarios, {len(scenes)} models in"
+        f" {data_root()}"
+    )
     if not (robots and scenarios):
         return ProbeResult("missing", detail)
     if faults:
@@ -93,15 +99,27 @@ def models() -> str | ProbeResult:
     from srs_twin.io.files import shipped_names
     from srs_twin.plants.twin.mjcf.check import examine_model
 
-    scenes = {name: _scene(name) for name in shipped_names("robot") if _scene(name).is_file()}
-    reports = {name: examine_model(scene, _MODELS_TIMEOUT_S, _SIMULATED_S) for name, scene in scenes.items()}
-    faults = [f"{name}: {fault}" for name, report in reports.items() for fault in report["faults"]]
+    scenes = {
+        name: _scene(name) for name in shipped_names("robot") if _scene(name).is_file()
+    }
+    reports = {
+        name: examine_model(scene, _MODELS_TIMEOUT_S, _SIMULATED_S)
+        for name, scene in scenes.items()
+    }
+    faults = [
+        f"{name}: {fault}"
+        for name, report in reports.items()
+        for fault in report["faults"]
+    ]
     if faults:
         remedy = "run `srs-twin models check` for details, or reinstall srs-twin"
         return ProbeResult("broken", "; ".join(faults), remedy)
     if not scenes:
         return ProbeResult("missing", "there are no models")
-    return f"compiles {', '.join(scenes)}, and simulates {_SIMULATED_S:g} s of each without warnings"
+    return (
+        f"compiles {', '.join(scenes)}, and simulates {_SIMULATED_S:g} s of each"
+        " without warnings"
+    )
 
 
 def _scene(robot: str) -> Path:
@@ -118,11 +136,16 @@ def kernels() -> str | ProbeResult:
     kernel: Any = flow
     arguments = (2e5, 1.5e5, 0.3)
     if not all(map(math.isclose, kernel(*arguments), kernel.py_func(*arguments))):
-        return ProbeResult("broken", "numba's machine code and Python give different results")
+        return ProbeResult(
+            "broken", "numba's machine code and Python give different results"
+        )
     cache = kernel.entry._cache.cache_path
     if cache is None:
         remedy = "export NUMBA_CACHE_DIR=/tmp/numba (any writable folder) avoids that"
-        return f"numba's machine code works, but is compiled again at every start; {remedy}"
+        return (
+            "numba's machine code works, but is compiled again at every start;"
+            f" {remedy}"
+        )
     return f"numba's machine code works, cached in {cache}"
 
 
@@ -140,9 +163,12 @@ def drawing(opengl: str) -> str | ProbeResult:
         except Exception:
             if not caught:
                 raise
-            # The warning of GLFW, "(65550) b'X11: …'", names the cause; the subsequent error only a
-            # consequence.
-            return ProbeResult("broken", re.sub(r"^\(\d+\) b(['\"])(.*)\1$", r"\2", str(caught[0].message)))
+            # The warning of GLFW, "(65550) b'X11: …'", names the cause; the subsequent
+            # error only a consequence.
+            return ProbeResult(
+                "broken",
+                re.sub(r"^\(\d+\) b(['\"])(.*)\1$", r"\2", str(caught[0].message)),
+            )
     return "works"
 
 
@@ -170,15 +196,19 @@ def web_viewer() -> str | ProbeResult:
     port = free_port()
     # Reset the handler: otherwise the child would inherit one that ignores interrupts.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    # Not `running_rerun`: in another process group Rerun would survive the kill of the probe's group.
+    # Not `running_rerun`: in another process group Rerun would survive the kill of the
+    # probe's group.
     command = [*_rerun_command(), "--serve-web", "--web-viewer-port", str(port)]
-    server = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    server = subprocess.Popen(
+        command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
     try:
         page = f"http://{HOST}:{port}/"
         if not is_served(server, [page, f"{page}re_viewer_bg.wasm"], _SERVER_TIMEOUT_S):
             return ProbeResult("broken", f"its page was not served on {HOST}")
     finally:
-        # `rerun` is a script that starts the actual program, and stops it when interrupted.
+        # `rerun` is a script that starts the actual program, and stops it when
+        # interrupted.
         server.send_signal(signal.SIGINT)
         server.wait()
     return "`srs-twin view RUN --web` serves it"
@@ -226,14 +256,19 @@ def main(modules: Sequence[str], names: Sequence[str], time_limit_s: float) -> N
             _send(name=name, **vars(result_of_exit(code)))
 
 
-def _run(name: str, probe: Callable[[], str | ProbeResult], time_limit_s: float) -> bool:
+def _run(
+    name: str, probe: Callable[[], str | ProbeResult], time_limit_s: float
+) -> bool:
     """Run a probe and send its result; return whether it passed."""
-    # The default action of SIGALRM ends the process even if a library hangs outside Python.
+    # The default action of SIGALRM ends the process even if a library hangs outside
+    # Python.
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, time_limit_s)
     try:
         outcome = probe()
-        result = outcome if isinstance(outcome, ProbeResult) else ProbeResult("ok", outcome)
+        result = (
+            outcome if isinstance(outcome, ProbeResult) else ProbeResult("ok", outcome)
+        )
     except Exception as error:  # a library may raise anything
         result = ProbeResult("broken", _error_text(error))
     _send(name=name, **vars(result))

@@ -1,7 +1,8 @@
 r"""AnalyticalSnake: the dissertation's planar model, and its variants, as a plant.
 
-The mechanics are those of a `Body`: `bodies` has those of planar snakes, `quasistatic` that of a snake whose
-segments bend in two directions. Planar bodies with skin are divided into `cells`.
+The mechanics are those of a `Body`: `bodies` has those of planar snakes, `quasistatic`
+that of a snake whose segments bend in two directions. Planar bodies with skin are
+divided into `cells`.
 """
 
 from __future__ import annotations
@@ -16,8 +17,19 @@ from srs_twin.errors import DivergedError, InputError, check_choice
 from srs_twin.io.arguments import checked
 from srs_twin.io.saved_state import short_digest
 from srs_twin.plants.analytical import kernels
-from srs_twin.plants.analytical.bodies import Body, ClampedBends, CompliantBends, Motion, PrescribedBends
-from srs_twin.plants.analytical.cells import Cells, Undivided, cells_of_skin, cells_of_wheels
+from srs_twin.plants.analytical.bodies import (
+    Body,
+    ClampedBends,
+    CompliantBends,
+    Motion,
+    PrescribedBends,
+)
+from srs_twin.plants.analytical.cells import (
+    Cells,
+    Undivided,
+    cells_of_skin,
+    cells_of_wheels,
+)
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.plants.analytical.obstacles import make_obstacles
@@ -50,7 +62,8 @@ def default_timestep(tick: float, scale: Scale) -> float:
 
     Args:
         tick: control tick, s.
-        scale: units of the robot. For those of the shipped robots the step does not depend on the tick.
+        scale: units of the robot. For those of the shipped robots the step does not
+            depend on the tick.
     """
     return TIMESTEP_S if scale == SHIPPED else divide(tick, TIMESTEP_S * scale.time)
 
@@ -64,8 +77,9 @@ TOLERANCE_M_S = 0.0002
 SLIP_SPEED_M_S = 0.00025
 """Default slip speed at a time unit of 1, m/s."""
 
-# Largest interval between exchanges of bends and pressures for point masses at a time unit of 1, s. With
-# 0.25 ms their pressures oscillate below ambient; half of this interval does not change the results.
+# Largest interval between exchanges of bends and pressures for point masses at a time
+# unit of 1, s. With 0.25 ms their pressures oscillate below ambient; half of this
+# interval does not change the results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
@@ -84,40 +98,54 @@ def _check_options(
     if model != "quasistatic":
         spec.require_planar(f"the analytical model {model!r}")
     elif not spec.is_spatial:
-        raise InputError(f"model 'quasistatic' needs a spatial robot; {spec.name} bends in one plane")
+        raise InputError(
+            f"model 'quasistatic' needs a spatial robot; {spec.name} bends in one plane"
+        )
     if spec.is_spatial and (world.uneven or world.is_solid):
-        raise InputError("model 'quasistatic' needs a level floor without obstacles; use the twin")
+        raise InputError(
+            "model 'quasistatic' needs a level floor without obstacles; use the twin"
+        )
     check_choice("friction law", friction, LAWS)
     check_choice("load", load, LOADS)
     check_choice("inertia", inertia, INERTIAS)
     if spec.skin is not None and (model == "simplified" or inertia == "lumped"):
-        raise InputError("a body with skin has neither model 'simplified' nor inertia 'lumped'")
+        raise InputError(
+            "a body with skin has neither model 'simplified' nor inertia 'lumped'"
+        )
     if load == "momentary" and friction not in TWO_POINT_LAWS:
         raise InputError(
-            f"friction '{friction}' has one contact per connector; momentary loads need two: use 'wheel' "
-            "or 'ellipse'"
+            f"friction '{friction}' has one contact per connector; momentary loads need"
+            " two: use 'wheel' or 'ellipse'"
         )
     if world.steps:
-        raise InputError("the floor of the analytical model is a plane; use the twin for steps")
+        raise InputError(
+            "the floor of the analytical model is a plane; use the twin for steps"
+        )
     if world.objects:
         raise InputError("the analytical model has no movable objects; use the twin")
     if spec.tail is not None:
         raise InputError(
-            "the analytical model has one axle per connector; use the twin for a tail on two axles"
+            "the analytical model has one axle per connector; use the twin for a tail"
+            " on two axles"
         )
     check_choice("base", base, BASES)
     if not friction_torque and model != "simplified":
-        raise InputError(f"model '{model}' has a friction torque; use 'simplified' to leave it out")
+        raise InputError(
+            f"model '{model}' has a friction torque; use 'simplified' to leave it out"
+        )
     if base == "clamped" and model == "compliant":
-        raise InputError("model 'compliant' needs base 'free'; use 'complete' or the twin when clamped")
+        raise InputError(
+            "model 'compliant' needs base 'free'; use 'complete' or the twin when"
+            " clamped"
+        )
 
 
 class AnalyticalSnake(PneumaticPlant):
     """Planar model of the dissertation (Section 3.1), whose bends follow Eq. 14, and its variants.
 
-    Masses on arcs of constant curvature move under the friction of the floor, by Eq. 11 summed over the body
-    (E22). `simplified` keeps the chords at their straight length; in `compliant`, load and inertia deflect
-    the bends.
+    Masses on arcs of constant curvature move under the friction of the floor, by Eq. 11
+    summed over the body (E22). `simplified` keeps the chords at their straight length;
+    in `compliant`, load and inertia deflect the bends.
 
     Attributes:
         timestep: longest step of the integrator, s; steps also end on valve events.
@@ -156,42 +184,54 @@ class AnalyticalSnake(PneumaticPlant):
 
         Args:
             spec: the robot.
-            model: "complete" (prescribed bends), "simplified" (prescribed bends, chords frozen at l + L_o) or
-                "compliant" (bends deflected by load and inertia); "quasistatic" (`quasistatic`) for a robot
-                whose segments bend in two directions, and only for it. A body with skin is not "simplified".
-            friction: law of a robot on wheels, "axis" (one contact per connector, the law of the
-                dissertation), "wheel" (two wheels at the track), "ellipse" or "cosine" (two skids at the
-                track) or "viscous" (for tests); a skin has its own law, along the whole body.
-            load: load of a wheel or skid, "static" (half of its connector's weight) or "momentary" (with the
-                load transfer by the lateral force, see `floor`).
-            friction_torque: whether the moment of friction about the centre of mass acts; False gives the
-                first model of the dissertation, with `simplified` only.
-            inertia: moment of inertia of each connector: "point" for none, "connector" for a compact body
-                with two wheels as in the twin, "lumped" for the dissertation's j(i) = Σ m L²/3, which counts
-                the masses of the segments twice (E19).
+            model: "complete" (prescribed bends), "simplified" (prescribed bends, chords
+                frozen at l + L_o) or "compliant" (bends deflected by load and inertia);
+                "quasistatic" (`quasistatic`) for a robot whose segments bend in two
+                directions, and only for it. A body with skin is not "simplified".
+            friction: law of a robot on wheels, "axis" (one contact per connector, the
+                law of the dissertation), "wheel" (two wheels at the track), "ellipse"
+                or "cosine" (two skids at the track) or "viscous" (for tests); a skin
+                has its own law, along the whole body.
+            load: load of a wheel or skid, "static" (half of its connector's weight) or
+                "momentary" (with the load transfer by the lateral force, see `floor`).
+            friction_torque: whether the moment of friction about the centre of mass
+                acts; False gives the first model of the dissertation, with `simplified`
+                only.
+            inertia: moment of inertia of each connector: "point" for none, "connector"
+                for a compact body with two wheels as in the twin, "lumped" for the
+                dissertation's j(i) = Σ m L²/3, which counts the masses of the segments
+                twice (E19).
             supply_pa: supply pressure, Pa; default the robot's nominal pressure.
-            tick: control tick, s; default `TICK_S` times the time unit of the robot (`robot.scale`).
-            timestep: longest time step, s; default `TIMESTEP_S` times the time unit, or a near part of the
-                tick (`robot.scale.divide`).
-            tolerance: largest error of a step where friction reverses, as a velocity, m/s; with prescribed
-                bends, steps are divided until they meet it, see `steps`; default `TOLERANCE_M_S` times the
-                time unit.
-            slip_speed: slip speed ε of the friction law, m/s; default `SLIP_SPEED_M_S` times the time unit.
+            tick: control tick, s; default `TICK_S` times the time unit of the robot
+                (`robot.scale`).
+            timestep: longest time step, s; default `TIMESTEP_S` times the time unit, or
+                a near part of the tick (`robot.scale.divide`).
+            tolerance: largest error of a step where friction reverses, as a velocity,
+                m/s; with prescribed bends, steps are divided until they meet it, see
+                `steps`; default `TOLERANCE_M_S` times the time unit.
+            slip_speed: slip speed ε of the friction law, m/s; default `SLIP_SPEED_M_S`
+                times the time unit.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
-            track: distance of the two contacts of a connector from the centre line, m; default the robot's
-                half track for a law at the wheels, and 0, one contact, for other laws.
-            base: "free", or "clamped": held at the head, in the air (not with "compliant").
-            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
-            world: slope of the floor, and obstacles. None for a level floor without obstacles.
-            touch: whether the body touches obstacles (`obstacles`), with "compliant" only; otherwise it
-                passes through them.
-            cells: approximate number of cells per segment of a robot on wheels that can touch obstacles.
+            track: distance of the two contacts of a connector from the centre line, m;
+                default the robot's half track for a law at the wheels, and 0, one
+                contact, for other laws.
+            base: "free", or "clamped": held at the head, in the air (not with
+                "compliant").
+            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor`
+                object.
+            world: slope of the floor, and obstacles. None for a level floor without
+                obstacles.
+            touch: whether the body touches obstacles (`obstacles`), with "compliant"
+                only; otherwise it passes through them.
+            cells: approximate number of cells per segment of a robot on wheels that can
+                touch obstacles.
 
         Raises:
-            InputError: unknown model, law, load, inertia or layout; a tick, time step or tolerance that is
-                not positive; no friction torque with another model; momentary loads with a law that does not
-                act at the wheels; a floor with steps; a tail on two axles; touch with another model; or a
+            InputError: unknown model, law, load, inertia or layout; a tick, time step
+                or tolerance that is not positive; no friction torque with another
+                model; momentary loads with a law that does not act at the wheels; a
+                floor with steps; a tail on two axles; touch with another model; or a
                 model that does not fit the segments of the robot.
         """
         world, unit = world or World(), spec.scale.time
@@ -200,22 +240,34 @@ class AnalyticalSnake(PneumaticPlant):
         tolerance = TOLERANCE_M_S * unit if tolerance is None else tolerance
         slip_speed = SLIP_SPEED_M_S * unit if slip_speed is None else slip_speed
         friction = spec.skin.law if spec.skin else friction
-        _check_options(spec, world, model, friction, load, friction_torque, inertia, base)
+        _check_options(
+            spec, world, model, friction, load, friction_torque, inertia, base
+        )
         if touch and model != "compliant":
             raise InputError(
-                f"model '{model}' has prescribed bends and touches no obstacles; use 'compliant'"
+                f"model '{model}' has prescribed bends and touches no obstacles; use"
+                " 'compliant'"
             )
         if cells < 1:
             raise InputError(f"cells {cells} is not allowed; a segment has 1 or more")
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
-        self.spec, self.tick, self.timestep, self.friction = spec, tick, timestep, friction
+        self.spec, self.tick, self.timestep, self.friction = (
+            spec,
+            tick,
+            timestep,
+            friction,
+        )
         self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self.touches = touch and world.has_obstacles
         self.world: World = world
         self._touch, self._cells = touch, cells
-        self._model, self._inertia, self._friction_torque = model, inertia, friction_torque
+        self._model, self._inertia, self._friction_torque = (
+            model,
+            inertia,
+            friction_torque,
+        )
         self.base = base
         if track is None:
             track = spec.geometry.half_track if friction in TWO_POINT_LAWS else 0.0
@@ -223,8 +275,12 @@ class AnalyticalSnake(PneumaticPlant):
         self._tolerance = tolerance
         self.load = load
         if load == "momentary" and track == 0.0:
-            raise InputError("momentary loads need two contacts side by side; track must be above 0")
-        load_transfer = spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
+            raise InputError(
+                "momentary loads need two contacts side by side; track must be above 0"
+            )
+        load_transfer = (
+            spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
+        )
         x, y, z = world.floor.down
         gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
         drag = mu.drag / spec.geometry.connectors
@@ -259,16 +315,23 @@ class AnalyticalSnake(PneumaticPlant):
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
 
-    def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
+    def place(
+        self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
+    ) -> SnakeState:
         """See `Plant.place`."""
         check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
         body, trace = self._body, self.pneumatics.current_trace()
-        bends = (snake.bend, snake.bend_rate) if body.compliant else (trace.bend[0], trace.bend_rate[0])
+        bends = (
+            (snake.bend, snake.bend_rate)
+            if body.compliant
+            else (trace.bend[0], trace.bend_rate[0])
+        )
         body.place(
-            np.array([*snake.com_velocity, yaw_rate]), *(np.array(values, dtype=float) for values in bends)
+            np.array([*snake.com_velocity, yaw_rate]),
+            *(np.array(values, dtype=float) for values in bends),
         )
         now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
@@ -277,37 +340,53 @@ class AnalyticalSnake(PneumaticPlant):
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """See `PneumaticPlant._simulate`."""
         begun = self._ticks * self.tick
-        check_before_step(self.name, begun + self.timestep, self._body.state, self._body.velocity)
+        check_before_step(
+            self.name, begun + self.timestep, self._body.state, self._body.velocity
+        )
         steps = self._steps(self.pneumatics.effective_schedule(schedule), samples)
         done, motion, trace = self._advance(schedule, steps)
         times = begun + schedule.span * np.arange(1, samples + 1) / samples
         history = self._observe(times[: len(motion.states)], motion, trace)
         if done < len(steps.ends):
             state = ", ".join(f"{value:.4g}" for value in self._body.state)
-            text = f"step {done + 1} of {len(steps.ends)} has no plausible solution, state {state}"
-            raise DivergedError(self.name, begun + steps.ends[done], text, history=history)
+            text = (
+                f"step {done + 1} of {len(steps.ends)} has no plausible solution, state"
+                f" {state}"
+            )
+            raise DivergedError(
+                self.name, begun + steps.ends[done], text, history=history
+            )
         self._ticks += ticks
         return check_plausible(self.name, history)
 
     def _advance(self, schedule: Schedule, steps: Steps) -> tuple[int, Motion, Trace]:
         """Advance chambers and body; return the number of completed steps, and the samples they reached.
 
-        Chambers whose pressures depend on compliant bends alternate with the body, every step or two.
+        Chambers whose pressures depend on compliant bends alternate with the body,
+        every step or two.
         """
         motions, traces, done = [], [], 0
         for chunk_schedule, chunk in self._chunks(schedule, steps):
             bend, rate = self._body.bends()
-            trace = self.pneumatics.advance(chunk_schedule, chunk.stage_times, bend=bend, bend_rate=rate)
-            completed, states, velocities = self._body.move(chunk.lengths, trace, chunk.sample_steps)
+            trace = self.pneumatics.advance(
+                chunk_schedule, chunk.stage_times, bend=bend, bend_rate=rate
+            )
+            completed, states, velocities = self._body.move(
+                chunk.lengths, trace, chunk.sample_steps
+            )
             reached = int(np.searchsorted(chunk.sample_steps, completed, side="right"))
             traces.append(trace.at(2 * chunk.sample_steps[:reached]))
-            motions.append(self._body.motion(states[:reached], velocities[:reached], traces[-1]))
+            motions.append(
+                self._body.motion(states[:reached], velocities[:reached], traces[-1])
+            )
             done += completed
             if completed < len(chunk.lengths):
                 break
         return done, concatenate_records(motions), concatenate_records(traces)
 
-    def _chunks(self, schedule: Schedule, steps: Steps) -> Iterator[tuple[Schedule, Steps]]:
+    def _chunks(
+        self, schedule: Schedule, steps: Steps
+    ) -> Iterator[tuple[Schedule, Steps]]:
         if not self._coupled:
             yield schedule, steps
             return
@@ -349,25 +428,41 @@ class AnalyticalSnake(PneumaticPlant):
         cells = self._divide()
         frozen = 1.0 if self._model == "simplified" else 0.0
         inertia = self._connector_inertia(cells.mass)
-        solid, floor = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen), self._floor
+        solid, floor = (
+            BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen),
+            self._floor,
+        )
         if isinstance(cells, Cells):
-            # The floor has the drag on one connector; along a divided body it acts in smaller parts.
+            # The floor has the drag on one connector; along a divided body it acts in
+            # smaller parts.
             drag = self._floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if self.base == "clamped":
             return ClampedBends(solid, floor, cells)
         if self._model != "compliant":
             return PrescribedBends(
-                solid, floor, cells, friction_torque=self._friction_torque, tolerance=self._tolerance
+                solid,
+                floor,
+                cells,
+                friction_torque=self._friction_torque,
+                tolerance=self._tolerance,
             )
-        obstacles = make_obstacles(self.world, self.spec, cells, self._floor.slip) if self.touches else None
+        obstacles = (
+            make_obstacles(self.world, self.spec, cells, self._floor.slip)
+            if self.touches
+            else None
+        )
         return CompliantBends(self.spec, solid, floor, cells, obstacles)
 
     def _divide(self) -> Undivided:
         """Return the division of the segments."""
         if self.spec.skin is not None:
             return cells_of_skin(self.spec)
-        return cells_of_wheels(self.spec, self._cells) if self.touches else Undivided(self.spec)
+        return (
+            cells_of_wheels(self.spec, self._cells)
+            if self.touches
+            else Undivided(self.spec)
+        )
 
     @property
     def _coupled(self) -> bool:
@@ -378,7 +473,10 @@ class AnalyticalSnake(PneumaticPlant):
         """Largest interval between exchanges of bends and pressures, s; point masses need a shorter one."""
         massless = not self._body.solid.inertia.all()
         return (
-            min(self.pneumatics.coupling_step_s, _POINT_MASS_COUPLING_STEP * self.spec.scale.time)
+            min(
+                self.pneumatics.coupling_step_s,
+                _POINT_MASS_COUPLING_STEP * self.spec.scale.time,
+            )
             if massless
             else self.pneumatics.coupling_step_s
         )
@@ -404,8 +502,16 @@ class AnalyticalSnake(PneumaticPlant):
 
     def _steps(self, schedule: Schedule, samples: int) -> Steps:
         """Return the integrator's steps for a schedule."""
-        longest = min(self.timestep, self._coupling_step) if self._coupled else self.timestep
-        return Steps.between(schedule.span, schedule.events, samples, longest=longest, same=1e-9 * self.tick)
+        longest = (
+            min(self.timestep, self._coupling_step) if self._coupled else self.timestep
+        )
+        return Steps.between(
+            schedule.span,
+            schedule.events,
+            samples,
+            longest=longest,
+            same=1e-9 * self.tick,
+        )
 
     def _observe(self, time: np.ndarray, motion: Motion, trace: Trace) -> SnakeState:
         """Return the history of a motion."""
@@ -419,13 +525,17 @@ class AnalyticalSnake(PneumaticPlant):
         divided, bend = isinstance(cells, Cells), cells.total(motion.bend)
         obstacles = np.zeros((count, self.spec.geometry.connectors, 2))
         if isinstance(cells, Cells) and self.touches:
-            obstacles = cells.obstacle_force(motion.states[:, kernels.STATES : -1].reshape(count, n, 2))
+            obstacles = cells.obstacle_force(
+                motion.states[:, kernels.STATES : -1].reshape(count, n, 2)
+            )
         theta = cells.at_connectors(seen.theta)
         return SnakeState(
             time=time,
             com=motion.states[:, kernels.STATE_X : kernels.STATE_Y + 1],
             com_velocity=motion.states[:, kernels.STATE_VX : kernels.STATE_VY + 1],
-            heading=theta.mean(axis=1) if divided else motion.states[:, kernels.HEADING],
+            heading=(
+                theta.mean(axis=1) if divided else motion.states[:, kernels.HEADING]
+            ),
             position=cells.at_connectors(seen.position),
             theta=theta,
             bend=bend,
@@ -437,7 +547,11 @@ class AnalyticalSnake(PneumaticPlant):
             obstacle_force=obstacles,
             torque=motion.torque,
             work=motion.states[:, kernels.ENERGY_LOSS]
-            + (0.0 if self.touches else seen.energy + self._body.stored(motion.bend, trace.bend)),
+            + (
+                0.0
+                if self.touches
+                else seen.energy + self._body.stored(motion.bend, trace.bend)
+            ),
             internal_loss=np.zeros(count),
             air=trace.air,
             qpos=np.empty((count, 0)),

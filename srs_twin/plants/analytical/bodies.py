@@ -1,16 +1,18 @@
 r"""Bodies of the planar analytical models: mechanics of connectors on segments of constant curvature.
 
-`PrescribedBends` follow the chambers regardless of load (models `complete` and `simplified`), `ClampedBends`
-are a chain that is held at its head, and `CompliantBends` have stiffness and damping (model `compliant`).
+`PrescribedBends` follow the chambers regardless of load (models `complete` and
+`simplified`), `ClampedBends` are a chain that is held at its head, and `CompliantBends`
+have stiffness and damping (model `compliant`).
 
-The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the clamp touches the
-chain, so its motion follows from the bends alone. The moments of its segments follow from the recursive
-Newton–Euler algorithm: accelerations from the head to the tail,
+The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the
+clamp touches the chain, so its motion follows from the bends alone. The moments of its
+segments follow from the recursive Newton–Euler algorithm: accelerations from the head
+to the tail,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
 
-with the direction ψ and the length L of chord j, and moments from the tail to the head: T_j is the
-generalised force of the bend q_j.
+with the direction ψ and the length L of chord j, and moments from the tail to the head:
+T_j is the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -28,7 +30,12 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.cells import Undivided
 from srs_twin.plants.analytical.floor import FloorFriction
 from srs_twin.plants.analytical.kernels import inverse_dynamics
-from srs_twin.plants.analytical.kinematics import ROWS, BodyParameters, chord_terms, pose_body
+from srs_twin.plants.analytical.kinematics import (
+    ROWS,
+    BodyParameters,
+    chord_terms,
+    pose_body,
+)
 from srs_twin.plants.analytical.obstacles import Obstacles
 from srs_twin.plants.analytical.steps import advance
 from srs_twin.plants.base import Pose
@@ -40,11 +47,14 @@ class Motion(NamedTuple):
     """Motion of a body at several times.
 
     Attributes:
-        states: indices as in `kernels`, shape (samples, STATES or more); in a world with obstacles followed
-            by their mean forces on each point since the previous sample.
-        velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw rate (rad/s) and, for
-            compliant bends, bend rates (rad/s), shape (samples, 3 or more).
-        bend: bends of the segments, or of the cells of a body with skin, shape (samples, cells), rad.
+        states: indices as in `kernels`, shape (samples, STATES or more); in a world
+            with obstacles followed by their mean forces on each point since the
+            previous sample.
+        velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
+            rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
+            or more).
+        bend: bends of the segments, or of the cells of a body with skin, shape
+            (samples, cells), rad.
         bend_rate: their rates, shape (samples, cells), rad/s.
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
@@ -60,7 +70,8 @@ class Body(Stateful, ABC):
     """Abstract mechanics of an analytical model, driven by the chambers.
 
     Attributes:
-        state: current state. `kernels` names its indices; compliant bends append further entries.
+        state: current state. `kernels` names its indices; compliant bends append
+            further entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: floor for the kernels.
@@ -77,7 +88,13 @@ class Body(Stateful, ABC):
     compliant = False
     """Whether the bends are degrees of freedom, instead of the free bends of the chambers."""
 
-    def __init__(self, solid: BodyParameters, floor: FloorFriction, cells: Undivided, bends: int = 0) -> None:
+    def __init__(
+        self,
+        solid: BodyParameters,
+        floor: FloorFriction,
+        cells: Undivided,
+        bends: int = 0,
+    ) -> None:
         """Set the constants; `bends` is the number of bends that are degrees of freedom."""
         self.solid, self.floor, self.cells = solid, floor, cells
         self._shapes = kernels.STATES + 2 * bends, 3 + bends
@@ -104,8 +121,8 @@ class Body(Stateful, ABC):
         """Set velocities, bends and bend rates after `reset`.
 
         Args:
-            velocity: velocity of the centre of mass in the world frame (m/s) and yaw rate (rad/s), shape
-                (3,).
+            velocity: velocity of the centre of mass in the world frame (m/s) and yaw
+                rate (rad/s), shape (3,).
             bend: shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
         """
@@ -116,7 +133,9 @@ class Body(Stateful, ABC):
         c, s = math.cos(heading), math.sin(heading)
         self.state[kernels.STATE_VX], self.state[kernels.STATE_VY] = x, y
         self.velocity[:3] = c * x + s * y, c * y - s * x, yaw
-        inertia, moment = pose_body(bend, rate, self.solid, np.empty((ROWS, len(self.solid.mass))))
+        inertia, moment = pose_body(
+            bend, rate, self.solid, np.empty((ROWS, len(self.solid.mass)))
+        )
         self.state[kernels.MOMENT] = inertia * yaw + moment
 
     def _allocate(self, samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -141,13 +160,15 @@ class Body(Stateful, ABC):
 
         Args:
             steps: lengths of the steps, shape (steps,), s.
-            trace: pressures and free bends of the chambers at the start and the two stages of each step, 1 +
-                2 steps rows.
-            sample_steps: number of steps before each sample, ascending, shape (samples,).
+            trace: pressures and free bends of the chambers at the start and the two
+                stages of each step, 1 + 2 steps rows.
+            sample_steps: number of steps before each sample, ascending, shape
+                (samples,).
 
         Returns:
-            The number of completed steps, smaller than requested after a failure; states and velocities as in
-            `Motion` at the samples, filled as far as they were reached.
+            The number of completed steps, smaller than requested after a failure;
+            states and velocities as in `Motion` at the samples, filled as far as they
+            were reached.
         """
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
@@ -160,7 +181,9 @@ class Body(Stateful, ABC):
         return 0.0
 
     @abstractmethod
-    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+    def motion(
+        self, states: np.ndarray, velocities: np.ndarray, trace: Trace
+    ) -> Motion:
         """Return the motion at times for which the trace has one row each."""
 
 
@@ -192,15 +215,21 @@ class PrescribedBends(Body):
         """See `Body.move`."""
         now = self.state, self._state_rate, self.velocity
         samples, trace = self._allocate(len(sample_steps)), self._split(trace)
-        done, _ = advance(now, steps, trace, sample_steps, self._model, self._tolerance, samples)
+        done, _ = advance(
+            now, steps, trace, sample_steps, self._model, self._tolerance, samples
+        )
         return done, *samples
 
-    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+    def motion(
+        self, states: np.ndarray, velocities: np.ndarray, trace: Trace
+    ) -> Motion:
         """See `Body.motion`."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         inverse_dynamics(velocities, trace, self._model, torque)
-        return Motion(states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque))
+        return Motion(
+            states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque)
+        )
 
 
 class ClampedBends(Body):
@@ -208,15 +237,21 @@ class ClampedBends(Body):
 
     state_attributes = ("_head_pose",)
 
-    def __init__(self, solid: BodyParameters, floor: FloorFriction, cells: Undivided) -> None:
+    def __init__(
+        self, solid: BodyParameters, floor: FloorFriction, cells: Undivided
+    ) -> None:
         # In the air: no friction.
-        super().__init__(solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells)
+        super().__init__(
+            solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells
+        )
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; the head stays at its initial pose."""
         super().reset(pose)
         (x, y, heading), ahead = pose, self.cells.com_behind_head
-        self._head_pose = np.array([x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading])
+        self._head_pose = np.array(
+            [x + ahead * math.cos(heading), y + ahead * math.sin(heading), heading]
+        )
 
     def place(self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
         """See `Body.place`; a clamped chain can only start at rest."""
@@ -228,12 +263,16 @@ class ClampedBends(Body):
         """See `Body.move`; `motion` computes the states."""
         return len(steps), *self._allocate(len(sample_steps))
 
-    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+    def motion(
+        self, states: np.ndarray, velocities: np.ndarray, trace: Trace
+    ) -> Motion:
         """See `Body.motion`; the bends determine the motion."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
-        return Motion(states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque))
+        return Motion(
+            states, velocities, trace.bend, trace.bend_rate, self.cells.moments(torque)
+        )
 
 
 @allocating
@@ -244,8 +283,10 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
         trace: trace of the chambers; their free bends are the bends of the chain.
         solid: the chain.
         head: pose of the head: x, y (m), heading (rad).
-        states: out, pose and velocity of the centre of mass in the world frame, indices as in `kernels`.
-        velocities: out, velocity in the mean-heading frame and mean spin, shape (samples, 3).
+        states: out, pose and velocity of the centre of mass in the world frame, indices
+            as in `kernels`.
+        velocities: out, velocity in the mean-heading frame and mean spin, shape
+            (samples, 3).
         torque: out, net moments of the segments, shape (samples, segments), N·m.
     """
     n, total = solid.mass.shape[0], solid.mass.sum()
@@ -257,7 +298,11 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
         position[0], acceleration[0] = 0.0, 0.0
         v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
         for j in range(n - 1):
-            q, dq, ddq = trace.bend[k, j], trace.bend_rate[k, j], trace.bend_acceleration[k, j]
+            q, dq, ddq = (
+                trace.bend[k, j],
+                trace.bend_rate[k, j],
+                trace.bend_acceleration[k, j],
+            )
             psi, chord_spin, chord_alpha = (
                 angle - q / 2,
                 spin - dq / 2,
@@ -265,36 +310,54 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
             )
             angle, spin, alpha[j + 1] = angle - q, spin - dq, alpha[j] - ddq
             _, _, span, slope, curvature = chord_terms(q, solid, j)
-            chord_rate, chord_acceleration = slope * dq, curvature * dq * dq + slope * ddq
+            chord_rate, chord_acceleration = (
+                slope * dq,
+                curvature * dq * dq + slope * ddq,
+            )
             inward, aside = (
                 chord_acceleration - span * chord_spin * chord_spin,
                 span * chord_alpha + 2 * chord_rate * chord_spin,
             )
             c, s = math.cos(psi), math.sin(psi)
-            position[j + 1, 0], position[j + 1, 1] = position[j, 0] - span * c, position[j, 1] - span * s
+            position[j + 1, 0], position[j + 1, 1] = (
+                position[j, 0] - span * c,
+                position[j, 1] - span * s,
+            )
             v_x, v_y = (
                 v_x - chord_rate * c + span * chord_spin * s,
                 v_y - chord_rate * s - span * chord_spin * c,
             )
             acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
             acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
-            # Velocity of all connectors behind segment j per bend rate: the chord shortens, and rotates by
-            # half of the bend.
-            lever[j, 0], lever[j, 1] = -slope * c - span / 2 * s, -slope * s + span / 2 * c
+            # Velocity of all connectors behind segment j per bend rate: the chord
+            # shortens, and rotates by half of the bend.
+            lever[j, 0], lever[j, 1] = (
+                -slope * c - span / 2 * s,
+                -slope * s + span / 2 * c,
+            )
             share = solid.mass[j + 1] / total
-            com_x, com_y = com_x + share * position[j + 1, 0], com_y + share * position[j + 1, 1]
+            com_x, com_y = (
+                com_x + share * position[j + 1, 0],
+                com_y + share * position[j + 1, 1],
+            )
             com_vx, com_vy = com_vx + share * v_x, com_vy + share * v_y
             mean, mean_spin = mean + (angle - head[2]) / n, mean_spin + spin / n
-        states[k, kernels.STATE_X], states[k, kernels.STATE_Y] = head[0] + com_x, head[1] + com_y
+        states[k, kernels.STATE_X], states[k, kernels.STATE_Y] = (
+            head[0] + com_x,
+            head[1] + com_y,
+        )
         states[k, kernels.HEADING] = mean
         states[k, kernels.STATE_VX], states[k, kernels.STATE_VY] = com_vx, com_vy
         c, s = math.cos(mean), math.sin(mean)
-        velocities[k, 0], velocities[k, 1] = com_vx * c + com_vy * s, com_vy * c - com_vx * s
+        velocities[k, 0], velocities[k, 1] = (
+            com_vx * c + com_vy * s,
+            com_vy * c - com_vx * s,
+        )
         velocities[k, 2] = mean_spin
         force_x = force_y = moment = 0.0
         for j in range(n - 2, -1, -1):
-            # Net force on all connectors behind segment j, and its moment about the connector at the rear
-            # end.
+            # Net force on all connectors behind segment j, and its moment about the
+            # connector at the rear end.
             if j < n - 2:
                 arm_x, arm_y = (
                     position[j + 2, 0] - position[j + 1, 0],
@@ -310,9 +373,10 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 class CompliantBends(Body):
     """Body of `compliant`: masses on springs with dampers.
 
-    The stiffness k and the damping c = k · damping_time of a segment act against deviations from its free
-    bend q_f: its moment is k (q_f − q) + c (q̇_f − q̇). A massless segment without load has its free bend,
-    which obeys Eq. 14; inertia and friction deflect it.
+    The stiffness k and the damping c = k · damping_time of a segment act against
+    deviations from its free bend q_f: its moment is k (q_f − q) + c (q̇_f − q̇). A
+    massless segment without load has its free bend, which obeys Eq. 14; inertia and
+    friction deflect it.
     """
 
     state_attributes = ("_sampled", "_contact_loads")
@@ -329,11 +393,17 @@ class CompliantBends(Body):
         self._bends = len(solid.mass) - 1
         super().__init__(solid, floor, cells, self._bends)
         bending = spec.bending
-        springs = bending.stiffness * cells.inverse_share, bending.damping * cells.inverse_share
+        springs = (
+            bending.stiffness * cells.inverse_share,
+            bending.damping * cells.inverse_share,
+        )
         self.obstacles = obstacles
-        self._model = compliant_kernels.CompliantModel.of(solid, *springs, floor, obstacles)
+        self._model = compliant_kernels.CompliantModel.of(
+            solid, *springs, floor, obstacles
+        )
         self._momenta = slice(
-            compliant_kernels.BENDS + self._bends, compliant_kernels.BENDS + 2 * self._bends
+            compliant_kernels.BENDS + self._bends,
+            compliant_kernels.BENDS + 2 * self._bends,
         )
         # Impulses of the obstacles on each point, and the time, follow the momenta.
         self._impulses = slice(self._momenta.stop, None)
@@ -356,17 +426,24 @@ class CompliantBends(Body):
         self.state[kernels.HEADING] -= self.cells.lead(self.cells.split(self._bias))
         super().place(velocity, bend, rate)
         bend, rate = self.cells.split(bend), self.cells.split(rate)
-        self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = bend, rate
+        self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = (
+            bend,
+            rate,
+        )
         model, work = self._model._replace(obstacles=None), self._work
         air = np.zeros(self._bends)
-        compliant_kernels.balance(bend, self.velocity, air, 0.0, model, model.floor, work)
+        compliant_kernels.balance(
+            bend, self.velocity, air, 0.0, model, model.floor, work
+        )
         self.state[self._momenta] = work.momentum[3:]
 
     @property
     def _contact_loads(self) -> np.ndarray:
         """Normal forces of the latest stage, from which the next one starts; empty without obstacles."""
         return (
-            np.empty(0) if self.obstacles is None else np.stack([self.obstacles.normal, self.obstacles.load])
+            np.empty(0)
+            if self.obstacles is None
+            else np.stack([self.obstacles.normal, self.obstacles.load])
         )
 
     @_contact_loads.setter
@@ -403,12 +480,19 @@ class CompliantBends(Body):
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
         """See `Body.stored`."""
-        energy: np.ndarray = (self._model.stiffness * (bend - self.cells.split(free)) ** 2).sum(axis=-1) / 2
+        energy: np.ndarray = (
+            self._model.stiffness * (bend - self.cells.split(free)) ** 2
+        ).sum(axis=-1) / 2
         return energy
 
-    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+    def motion(
+        self, states: np.ndarray, velocities: np.ndarray, trace: Trace
+    ) -> Motion:
         """See `Body.motion`."""
-        bend, rate = states[:, compliant_kernels.BENDS :][:, : self._bends], velocities[:, 3:]
+        bend, rate = (
+            states[:, compliant_kernels.BENDS :][:, : self._bends],
+            velocities[:, 3:],
+        )
         total, bending = self.cells.total, self._spec.bending
         torque = bending.moment(trace.bend - total(bend), trace.bend_rate - total(rate))
         columns = np.hstack([states[:, : kernels.STATES], states[:, self._impulses]])

@@ -1,16 +1,18 @@
 r"""Cells of a body with skin, or among obstacles, with which the analytical models compute as with segments.
 
-A segment of constant curvature with the bend q is a chain of cells, arcs with the bends s_c q, where s_c is
-the share of cell c. The masses and contact points of the body are at the ends of the cells: the
-trapezoidal rule along the arcs. The kernels then see a longer chain. Its mean heading, which is the mean over
-all contact points, differs from the mean over the connectors by a linear function of the bends.
+A segment of constant curvature with the bend q is a chain of cells, arcs with the bends
+s_c q, where s_c is the share of cell c. The masses and contact points of the body are
+at the ends of the cells: the trapezoidal rule along the arcs. The kernels then see a
+longer chain. Its mean heading, which is the mean over all contact points, differs from
+the mean over the connectors by a linear function of the bends.
 
-The moment T_j of a segment does the work T_j δq_j, so that with prescribed bends T_j = Σ s_c T_c. In the
-`compliant` model the bends of the cells are degrees of freedom, with the stiffness k/s_c and the damping
-c/s_c: in series those of the segment. Cells of the rigid gap have a stiffness far above that.
+The moment T_j of a segment does the work T_j δq_j, so that with prescribed bends T_j =
+Σ s_c T_c. In the `compliant` model the bends of the cells are degrees of freedom, with
+the stiffness k/s_c and the damping c/s_c: in series those of the segment. Cells of the
+rigid gap have a stiffness far above that.
 
-A body on wheels among obstacles is divided as well, because a load between two connectors bends a segment
-unevenly. Its masses and wheels stay at the connectors.
+A body on wheels among obstacles is divided as well, because a load between two
+connectors bends a segment unevenly. Its masses and wheels stay at the connectors.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ class Division(NamedTuple):
 
     Attributes:
         length: shape (cells,), head first, m.
-        share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid gap.
+        share: fraction of the bend of the segment, shape (cells,), 1; 0 in the rigid
+            gap.
     """
 
     length: Array
@@ -42,10 +45,18 @@ class Division(NamedTuple):
         """Return at least `points` cells of about equal length, whose ends include those of the arc."""
         half_gap, arc = geometry.rigid_gap / 2, geometry.segment_length
         pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
-        counts = [max(1, round(points * length / geometry.pitch)) for length, _ in pieces if length > 0.0]
+        counts = [
+            max(1, round(points * length / geometry.pitch))
+            for length, _ in pieces
+            if length > 0.0
+        ]
         pieces = [piece for piece in pieces if piece[0] > 0.0]
-        lengths = [length / count for (length, _), count in zip(pieces, counts, strict=True)]
-        shares = [share / count for (_, share), count in zip(pieces, counts, strict=True)]
+        lengths = [
+            length / count for (length, _), count in zip(pieces, counts, strict=True)
+        ]
+        shares = [
+            share / count for (_, share), count in zip(pieces, counts, strict=True)
+        ]
         return cls(np.repeat(lengths, counts), np.repeat(shares, counts))
 
 
@@ -57,7 +68,8 @@ class Undivided:
         mass: mass of each connector, or of each end of a cell, shape (points,), kg.
         length: length of the arc of a segment, m, or of each cell, shape (cells,).
         gap: length of the straight part, which belongs to each arc, m.
-        inverse_share: 1/s_c, shape (segments, cells per segment) for divided segments, 1.
+        inverse_share: 1/s_c, shape (segments, cells per segment) for divided segments,
+            1.
     """
 
     inverse_share: float | Array = 1.0
@@ -72,7 +84,11 @@ class Undivided:
     def com_behind_head(self) -> float:
         """Distance of the centre of mass behind the first connector of a straight body, m."""
         pitch = self.spec.geometry.pitch
-        return pitch * float(np.arange(len(self.mass)) @ self.mass) / float(self.mass.sum())
+        return (
+            pitch
+            * float(np.arange(len(self.mass)) @ self.mass)
+            / float(self.mass.sum())
+        )
 
     def split(self, bend: Array) -> Array:
         """Return the bends of all cells, shape (…, cells), from those of the segments, (…, segments)."""
@@ -139,12 +155,17 @@ class Cells(Undivided):
 
     def total(self, bend: Array) -> Array:
         """See `Undivided.total`."""
-        total: Array = bend.reshape(*bend.shape[:-1], self._segments, len(self._share)).sum(axis=-1)
+        total: Array = bend.reshape(
+            *bend.shape[:-1], self._segments, len(self._share)
+        ).sum(axis=-1)
         return total
 
     def moments(self, torque: Array) -> Array:
         """See `Undivided.moments`."""
-        return torque.reshape(*torque.shape[:-1], self._segments, len(self._share)) @ self._share
+        return (
+            torque.reshape(*torque.shape[:-1], self._segments, len(self._share))
+            @ self._share
+        )
 
     def lead(self, bend: Array) -> float:
         """See `Undivided.lead`."""

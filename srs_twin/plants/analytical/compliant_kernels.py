@@ -1,32 +1,36 @@
 r"""Compiled kernel of the `compliant` analytical model.
 
-**Equations.** Kinematics and floor are those of `complete` (`kernels`), but the bends q are unknown. The
-velocities are u = (v_c in the frame of the mean heading, θ̇, q̇). The velocity along and across and the yaw
-rate of each connector are linear in u, with three rows R_i(q). Lagrange's equations in Hamilton's variables
-are
+**Equations.** Kinematics and floor are those of `complete` (`kernels`), but the bends q
+are unknown. The velocities are u = (v_c in the frame of the mean heading, θ̇, q̇). The
+velocity along and across and the yaw rate of each connector are linear in u, with three
+rows R_i(q). Lagrange's equations in Hamilton's variables are
 
 $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
    \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i, $$
 
-with the kinetic energy T, the moment of the air τ = k G (p⁺ − p⁻), and the friction force and moment f_i of a
-connector. The first three momenta are M v_c and L, as in `complete`. Only the floor changes them, so that the
-scheme conserves them exactly without friction, and no acceleration appears.
+with the kinetic energy T, the moment of the air τ = k G (p⁺ − p⁻), and the friction
+force and moment f_i of a connector. The first three momenta are M v_c and L, as in
+`complete`. Only the floor changes them, so that the scheme conserves them exactly
+without friction, and no acceleration appears.
 
-**Integration.** SDIRK2 as in `kernels`. A stage is solved for u by Newton's method. Its matrix contains
-friction, stiffness, damping and, as an antisymmetric part, the gyroscopic forces. It neglects the changes of
-friction and M with q, which are of order γ² h². The antisymmetric part is necessary: at the straight shape,
-alternating rotations of connectors move no point mass, so that M is singular and only damping resists that
-motion. Friction has a convex potential, whose slope along a Newton step shows whether the step was too long.
+**Integration.** SDIRK2 as in `kernels`. A stage is solved for u by Newton's method. Its
+matrix contains friction, stiffness, damping and, as an antisymmetric part, the
+gyroscopic forces. It neglects the changes of friction and M with q, which are of order
+γ² h². The antisymmetric part is necessary: at the straight shape, alternating rotations
+of connectors move no point mass, so that M is singular and only damping resists that
+motion. Friction has a convex potential, whose slope along a Newton step shows whether
+the step was too long.
 
-**Linear cost.** z denotes the velocity of a connector, its spin, and the rate of its velocity at constant u,
-all relative to the mean-heading frame. A segment propagates
+**Linear cost.** z denotes the velocity of a connector, its spin, and the rate of its
+velocity at constant u, all relative to the mean-heading frame. A segment propagates
 
 $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
 
-and Newton's matrix is the sum of Zᵀ B Z over the connectors, where B contains mass, friction slopes and,
-between velocities and rates, ± a m. It is solved like an articulated body: from tail to head each bend is
-eliminated from the matrix of the body part behind it, and from head to tail the bends are substituted. The z
-of the head is then unknown. Rates must be relative to the centre of mass, Σ m ż = 0; the two Lagrange
+and Newton's matrix is the sum of Zᵀ B Z over the connectors, where B contains mass,
+friction slopes and, between velocities and rates, ± a m. It is solved like an
+articulated body: from tail to head each bend is eliminated from the matrix of the body
+part behind it, and from head to tail the bends are substituted. The z of the head is
+then unknown. Rates must be relative to the centre of mass, Σ m ż = 0; the two Lagrange
 multipliers of this constraint are propagated with z and turn out to be v_c.
 """
 
@@ -85,10 +89,14 @@ BENDS = STATES
 
 _NEWTON_STEPS = 1000  # largest number of iterations; many are needed at rest on a slope, at a kink of the law
 _NEWTON_TOLERANCE = 1e-9  # tolerance of the velocities at a time unit of 1, m/s
-_NEWTON_ARM = 0.1  # lever arm that turns rates into velocities, at a length unit of 1, m
+_NEWTON_ARM = (
+    0.1  # lever arm that turns rates into velocities, at a length unit of 1, m
+)
 _MOST_PASSES = 10  # largest number of updates of the normal forces that friction of obstacles depends on
 _LOAD_TOLERANCE = 1e-4  # tolerance of these normal forces over the weight, 1
-_MARGIN = SPEED_LIMIT / 10  # speed at which the search for near obstacles leaves room, m/s
+_MARGIN = (
+    SPEED_LIMIT / 10
+)  # speed at which the search for near obstacles leaves room, m/s
 _OVERSHOOT = 0.1  # ratio of the slopes after and before a Newton step above which the step was too long, 1
 
 
@@ -98,7 +106,8 @@ class CompliantModel(NamedTuple):
     Attributes:
         solid: body.
         segments: number of segments.
-        stiffness: k of each cell, shape (cells,), N·m/rad; an undivided segment is one cell.
+        stiffness: k of each cell, shape (cells,), N·m/rad; an undivided segment is one
+            cell.
         damping: c of each cell, shape (cells,), N·m·s/rad.
         floor: floor.
         obstacles: obstacles that the body can touch, or None.
@@ -123,7 +132,10 @@ class CompliantModel(NamedTuple):
         """Return the model; springs are numbers or have the shape (segments, cells per segment)."""
         cells = len(solid.mass) - 1
         segments = cells if np.ndim(stiffness) == 0 else np.shape(stiffness)[0]
-        k, c = (np.full(cells, np.ravel(value), dtype=float) for value in (stiffness, damping))
+        k, c = (
+            np.full(cells, np.ravel(value), dtype=float)
+            for value in (stiffness, damping)
+        )
         return cls(solid, segments, k, c, floor, obstacles)
 
 
@@ -136,8 +148,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         q: bends, shape (segments,), rad.
         u: velocities, shape (3 + segments,).
         solid: the body.
-        links: out, shape (segments, 8): τ for the velocity (2) and its rate (2), then t for both. The spin
-            has the coefficients 0 and −1.
+        links: out, shape (segments, 8): τ for the velocity (2) and its rate (2), then t
+            for both. The spin has the coefficients 0 and −1.
     """
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
@@ -146,10 +158,16 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
         chord_rate = slope * u[3 + j]
-        forth, aside = curvature * u[3 + j] + 0.5 * span * spin, slope * spin - 0.5 * chord_rate
+        forth, aside = (
+            curvature * u[3 + j] + 0.5 * span * spin,
+            slope * spin - 0.5 * chord_rate,
+        )
         link = links[j]
         link[0], link[1] = span * s, -span * c
-        link[2], link[3] = span * spin * c + chord_rate * s, span * spin * s - chord_rate * c
+        link[2], link[3] = (
+            span * spin * c + chord_rate * s,
+            span * spin * s - chord_rate * c,
+        )
         link[4], link[5] = -slope * c - 0.5 * span * s, 0.5 * span * c - slope * s
         link[6], link[7] = aside * s - forth * c, -forth * s - aside * c
 
@@ -164,27 +182,45 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
         a: γ h, s.
         solid: the body.
         floor: the floor.
-        loads: out, shape (N, 15): momentum relative to the centre of mass x, y and of the spin; friction x, y
-            and moment; mass minus a times the slope of friction, xx, xy, xm, yy, ym, mm, yx, mx, my.
+        loads: out, shape (N, 15): momentum relative to the centre of mass x, y and of
+            the spin; friction x, y and moment; mass minus a times the slope of
+            friction, xx, xy, xm, yy, ym, mm, yx, mx, my.
 
     Returns:
-        Force of the floor (x, y), its moment about the centre of mass, and the dissipated power, W.
+        Force of the floor (x, y), its moment about the centre of mass, and the
+        dissipated power, W.
     """
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
         mass, load = solid.mass[i], loads[i]
         c, s, x, y = body[COS, i], body[SIN, i], body[X, i], body[Y, i]
-        vx, vy, spin = body[VX, i] - u[2] * y, body[VY, i] + u[2] * x, u[2] + body[SPIN, i]
+        vx, vy, spin = (
+            body[VX, i] - u[2] * y,
+            body[VY, i] + u[2] * x,
+            u[2] + body[SPIN, i],
+        )
         load[0], load[1], load[2] = mass * vx, mass * vy, solid.inertia[i] * spin
-        along, across = (vx + u[0]) * c + (vy + u[1]) * s, (vy + u[1]) * c - (vx + u[0]) * s
+        along, across = (
+            (vx + u[0]) * c + (vy + u[1]) * s,
+            (vy + u[1]) * c - (vx + u[0]) * s,
+        )
         t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
             along, across, spin, mass * floor.gravity, floor
         )
         load[3], load[4], load[5] = t * c - n * s, t * s + n * c, m
         power -= t * along + n * across + m * spin
-        fx, fy, moment = fx + load[3], fy + load[4], moment + x * load[4] - y * load[3] + m
+        fx, fy, moment = (
+            fx + load[3],
+            fy + load[4],
+            moment + x * load[4] - y * load[3] + m,
+        )
         xx, xy, yx, yy = slopes_of_force(tt, tn, nt, nn, c, s)
-        load[6], load[7], load[12], load[9] = mass - a * xx, -a * xy, -a * yx, mass - a * yy
+        load[6], load[7], load[12], load[9] = (
+            mass - a * xx,
+            -a * xy,
+            -a * yx,
+            mass - a * yy,
+        )
         load[8], load[10], load[11] = (
             -a * (tm * c - nm * s),
             -a * (tm * s + nm * c),
@@ -216,9 +252,10 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
 
     Args:
         q: bends, shape (segments,), rad.
-        u: velocity of the centre of mass in that frame (m/s), yaw rate and bend rates (rad/s), shape
-            (3 + segments,).
-        moment: moment k q_f + c q̇_f of the free bend on each segment, shape (segments,), N·m.
+        u: velocity of the centre of mass in that frame (m/s), yaw rate and bend rates
+            (rad/s), shape (3 + segments,).
+        moment: moment k q_f + c q̇_f of the free bend on each segment, shape
+            (segments,), N·m.
         a: γ h for `solve`, s.
         model: a `CompliantModel`, its obstacles with the pose of the body.
         floor: the floor.
@@ -235,7 +272,11 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
     fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
     x, y, m, loss = add_contacts(model.obstacles, body, u, a, loads)
     fx, fy, floor_moment, power = fx + x, fy + y, floor_moment + m, power + loss
-    momentum[0], momentum[1], momentum[2] = weight * u[0], weight * u[1], inertia * u[2] + h
+    momentum[0], momentum[1], momentum[2] = (
+        weight * u[0],
+        weight * u[1],
+        inertia * u[2] + h,
+    )
     force[0], force[1], force[2] = fx, fy, floor_moment
     # Sums over all connectors behind a segment, about the connector at its front end.
     px = py = pm = x = y = m = 0.0
@@ -243,10 +284,23 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
         load, link, share = loads[j + 1], links[j], (n - 1 - j) / n
         mass_share = solid.mass[j + 1] / weight
         px, py, pm = px + load[0], py + load[1], pm + load[2]
-        x, y, m = x + load[3] - mass_share * fx, y + load[4] - mass_share * fy, m + load[5]
+        x, y, m = (
+            x + load[3] - mass_share * fx,
+            y + load[4] - mass_share * fy,
+            m + load[5],
+        )
         momentum[3 + j] = link[4] * px + link[5] * py - pm + share * momentum[2]
-        force[3 + j] = link[4] * x + link[5] * y - m + link[6] * px + link[7] * py + share * floor_moment
-        force[3 + j] += moment[j] - model.stiffness[j] * q[j] - model.damping[j] * u[3 + j]
+        force[3 + j] = (
+            link[4] * x
+            + link[5] * y
+            - m
+            + link[6] * px
+            + link[7] * py
+            + share * floor_moment
+        )
+        force[3 + j] += (
+            moment[j] - model.stiffness[j] * q[j] - model.damping[j] * u[3 + j]
+        )
         pm += link[0] * px + link[1] * py
         m += link[0] * x + link[1] * y + link[2] * px + link[3] * py
     return power
@@ -282,7 +336,13 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
         model: as in `balance`.
         work: as filled by `balance`, with the residual; its `step` is the solution.
     """
-    solid, links, loads, pivots, matrix = model.solid, work.links, work.loads, work.pivots, work.matrix
+    solid, links, loads, pivots, matrix = (
+        model.solid,
+        work.links,
+        work.loads,
+        work.pivots,
+        work.matrix,
+    )
     residual, step = work.residual, work.step
     n, weight = solid.mass.shape[0], solid.weight
     for i in range(7):
@@ -290,9 +350,11 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
             matrix[i, k] = 0.0
     for j in range(n - 2, -1, -1):
         link, pivot = links[j], pivots[j]
-        _add_connector(matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual)
-        # Eliminate the bend from the matrix of the body part behind it, then transform this matrix to the
-        # connector in front.
+        _add_connector(
+            matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual
+        )
+        # Eliminate the bend from the matrix of the body part behind it, then transform
+        # this matrix to the connector in front.
         for k in range(8):
             pivot[k] = link[4] * matrix[0, k] + link[5] * matrix[1, k] - matrix[2, k]
             pivot[k] += link[6] * matrix[3, k] + link[7] * matrix[4, k]
@@ -310,25 +372,52 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
             pivot[k] /= stiff
         for i in range(7):
             row = matrix[i]
-            factor = link[4] * row[0] + link[5] * row[1] - row[2] + link[6] * row[3] + link[7] * row[4]
+            factor = (
+                link[4] * row[0]
+                + link[5] * row[1]
+                - row[2]
+                + link[6] * row[3]
+                + link[7] * row[4]
+            )
             for k in range(8):
                 row[k] -= factor * pivot[k]
-            row[2] += link[0] * row[0] + link[1] * row[1] + link[2] * row[3] + link[3] * row[4]
+            row[2] += (
+                link[0] * row[0]
+                + link[1] * row[1]
+                + link[2] * row[3]
+                + link[3] * row[4]
+            )
         for k in range(8):
             matrix[2, k] += link[0] * matrix[0, k] + link[1] * matrix[1, k]
             matrix[2, k] += link[2] * matrix[3, k] + link[3] * matrix[4, k]
-        pivot[2] += link[0] * pivot[0] + link[1] * pivot[1] + link[2] * pivot[3] + link[3] * pivot[4]
+        pivot[2] += (
+            link[0] * pivot[0]
+            + link[1] * pivot[1]
+            + link[2] * pivot[3]
+            + link[3] * pivot[4]
+        )
     _add_connector(matrix, loads[0], solid.mass[0], weight, 1 / n, a, residual)
     x, y, m, ax, ay, vx, vy = _eliminate(matrix)
     step[0], step[1], step[2] = vx, vy, m
     for j in range(n - 1):
         link, pivot = links[j], pivots[j]
-        bend = pivot[7] - pivot[0] * x - pivot[1] * y - pivot[2] * m - pivot[3] * ax - pivot[4] * ay
+        bend = (
+            pivot[7]
+            - pivot[0] * x
+            - pivot[1] * y
+            - pivot[2] * m
+            - pivot[3] * ax
+            - pivot[4] * ay
+        )
         bend -= pivot[5] * vx + pivot[6] * vy
         step[3 + j] = bend
         step[2] -= (n - 1 - j) / n * bend
         x, y = x + link[0] * m + link[4] * bend, y + link[1] * m + link[5] * bend
-        ax, ay, m = ax + link[2] * m + link[6] * bend, ay + link[3] * m + link[7] * bend, m - bend
+        ax, ay, m = (
+            ax + link[2] * m + link[6] * bend,
+            ay + link[3] * m + link[7] * bend,
+            m - bend,
+        )
 
 
 @kernel_only
@@ -343,7 +432,15 @@ def _eliminate(matrix):  # type: ignore[no-untyped-def]
         for k in range(j + 1, 7):
             matrix[j, 7] -= matrix[j, k] * matrix[k, 7]
         matrix[j, 7] /= matrix[j, j]
-    return matrix[0, 7], matrix[1, 7], matrix[2, 7], matrix[3, 7], matrix[4, 7], matrix[5, 7], matrix[6, 7]
+    return (
+        matrix[0, 7],
+        matrix[1, 7],
+        matrix[2, 7],
+        matrix[3, 7],
+        matrix[4, 7],
+        matrix[5, 7],
+        matrix[6, 7],
+    )
 
 
 class WorkArrays(NamedTuple):
@@ -351,11 +448,15 @@ class WorkArrays(NamedTuple):
 
     Attributes:
         body: posed body, shape (ROWS, N).
-        links: coefficients of the propagation (`_fill_propagation`), shape (segments, 8).
-        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`), shape (N, 15).
-        pivots: eliminated rows of the bends, with the right side last, shape (segments, 8).
-        matrix: Newton's matrix of the body part behind a connector, for velocity (2), spin, rate of the
-            velocity (2) and the multipliers (2), with the right side last, shape (7, 8).
+        links: coefficients of the propagation (`_fill_propagation`), shape (segments,
+            8).
+        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`),
+            shape (N, 15).
+        pivots: eliminated rows of the bends, with the right side last, shape (segments,
+            8).
+        matrix: Newton's matrix of the body part behind a connector, for velocity (2),
+            spin, rate of the velocity (2) and the multipliers (2), with the right side
+            last, shape (7, 8).
         bend: bends at a stage, shape (segments,).
         moment: moments of the free bends at a stage, shape (segments,).
         momentum: p, shape (3 + segments,).
@@ -387,7 +488,13 @@ class WorkArrays(NamedTuple):
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
         """Return arrays for n connectors and a number of states (0 for `balance`)."""
-        shapes: list[tuple[int, ...]] = [(ROWS, n), (n - 1, 8), (n, 15), (n - 1, 8), (7, 8)]
+        shapes: list[tuple[int, ...]] = [
+            (ROWS, n),
+            (n - 1, 8),
+            (n, 15),
+            (n - 1, 8),
+            (7, 8),
+        ]
         shapes += [(n - 1,)] * 2
         return cls(*map(np.zeros, [*shapes, *[(n + 2,)] * 6, (states,), (states,)]))
 
@@ -422,10 +529,22 @@ def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
 def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore[no-untyped-def]
     """Solve one implicit stage Y = known + a f(Y) from the guess `u`; fill k = f(Y); return the success.
 
-    In place of the bends, Y contains their deviations from the free bends, which are known exactly.
+    In place of the bends, Y contains their deviations from the free bends, which are
+    known exactly.
     """
-    force, q, moment, residual, step = work.force, work.bend, work.moment, work.residual, work.step
-    segments, size, weight, obstacles = free.shape[0], u.shape[0], model.solid.weight, model.obstacles
+    force, q, moment, residual, step = (
+        work.force,
+        work.bend,
+        work.moment,
+        work.residual,
+        work.step,
+    )
+    segments, size, weight, obstacles = (
+        free.shape[0],
+        u.shape[0],
+        model.solid.weight,
+        model.obstacles,
+    )
     for j in range(segments):
         moment[j] = model.stiffness[j] * free[j] + model.damping[j] * free_rate[j]
     for j in range(size):
@@ -434,7 +553,10 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
     passes, power = 0, 0.0
-    tolerance, arm = _NEWTON_TOLERANCE * floor.unit, _NEWTON_ARM * floor.unit * floor.unit
+    tolerance, arm = (
+        _NEWTON_TOLERANCE * floor.unit,
+        _NEWTON_ARM * floor.unit * floor.unit,
+    )
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = free[j] + known[BENDS + j] + a * (u[3 + j] - free_rate[j])
@@ -445,8 +567,11 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
         for j in range(size):
             slope_after += residual[j] * step[j]
         if slope_after < -_OVERSHOOT * slope_before:
-            # The step overshot the minimum, across a kink of the friction law: shorten it.
-            back = step_share * min(max(slope_before / (slope_before - slope_after), 0.1), 0.7)
+            # The step overshot the minimum, across a kink of the friction law: shorten
+            # it.
+            back = step_share * min(
+                max(slope_before / (slope_before - slope_after), 0.1), 0.7
+            )
             for j in range(size):
                 u[j] += (step_share - back) * step[j]
             step_share = back
@@ -458,7 +583,9 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
             slope_before += residual[j] * step[j]
             longest = max(longest, abs(step[j]) * (1.0 if j < 2 else arm))
         if longest < tolerance:
-            if passes < _MOST_PASSES and update_loads(obstacles, _LOAD_TOLERANCE * weight * GRAVITY):
+            if passes < _MOST_PASSES and update_loads(
+                obstacles, _LOAD_TOLERANCE * weight * GRAVITY
+            ):
                 passes += 1
                 for j in range(size):
                     step[j] = 0.0
@@ -486,19 +613,26 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
     """Advance a body in place over given steps; return the number of completed steps.
 
     Args:
-        now: state, that of `kernels` followed by bends (rad), their momenta (kg·m²/s) and, with obstacles,
-            the impulses of the obstacles on each point (N·s) and the time (s); and velocities as in
-            `balance`, kept between calls as first guesses.
+        now: state, that of `kernels` followed by bends (rad), their momenta (kg·m²/s)
+            and, with obstacles, the impulses of the obstacles on each point (N·s) and
+            the time (s); and velocities as in `balance`, kept between calls as first
+            guesses.
         steps: lengths of the steps, shape (steps,), s.
-        free: free bends (rad) and their rates (rad/s) at the start and at the two stages of each step, shapes
-            (1 + 2 steps, segments).
+        free: free bends (rad) and their rates (rad/s) at the start and at the two
+            stages of each step, shapes (1 + 2 steps, segments).
         marks: number of steps before each sample, ascending, shape (samples,).
         model: a `CompliantModel`.
         samples: out, states and velocities at the samples, shapes (samples, …).
         work: a `WorkArrays`.
     """
     (state, u), (states, velocities), (bends, rates) = now, samples, free
-    solid, rate, known, last, drift = model.solid, work.rate, work.known, work.last, work.drift
+    solid, rate, known, last, drift = (
+        model.solid,
+        work.rate,
+        work.known,
+        work.last,
+        work.drift,
+    )
     reach, n, size = solid.pitch / 2, solid.mass.shape[0], u.shape[0]
     for j in range(size):
         drift[j] = 0.0
@@ -515,12 +649,15 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
             known[BENDS + j] -= bends[2 * i, j]
         for stage in range(2):
             row = 2 * i + 1 + stage
-            # Linear extrapolation of the velocities between stages saves half of the Newton iterations.
+            # Linear extrapolation of the velocities between stages saves half of the
+            # Newton iterations.
             lead, rest = (a, h - a) if stage == 0 else (h - a, a)
             for j in range(size):
                 last[j] = u[j]
                 u[j] += drift[j] * lead
-            fine &= _stage(known, a, bends[row], rates[row], model, floor, u, rate, work)
+            fine &= _stage(
+                known, a, bends[row], rates[row], model, floor, u, rate, work
+            )
             for j in range(state.shape[0]):
                 known[j] += rest * rate[j]
             for j in range(size):
@@ -529,7 +666,11 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
         for j in range(size - 3):
             state[BENDS + j] += bends[2 * i + 2, j]
         # A NaN fails every comparison.
-        if not (fine and abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT):
+        if not (
+            fine
+            and abs(state[STATE_VX]) < SPEED_LIMIT
+            and abs(state[STATE_VY]) < SPEED_LIMIT
+        ):
             return i
         while mark < marks.shape[0] and marks[mark] == i + 1:
             copy(state, states[mark])

@@ -1,28 +1,29 @@
 r"""Compiled friction on the connectors of a moving body, with its slopes.
 
-**Coasting.** A straight body that slides without rotation (`slide`) moves like a point with the same laws.
-All connectors move equally, so the mass cancels:
+**Coasting.** A straight body that slides without rotation (`slide`) moves like a point
+with the same laws. All connectors move equally, so the mass cancels:
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
 
-with the law f for a load of g per unit mass. s is the inertia of the spinning wheels; 0 without it. The spin
-of the wheels adds inertia along the heading, which lengthens the stopping distance by the factor 1 + s. No
-other force acts, so neither velocity component changes its sign: each is integrated by the midpoint rule
-until it is 0, and stays 0. Positions are smooth in the velocities and coefficients, as a fit requires.
+with the law f for a load of g per unit mass. s is the inertia of the spinning wheels; 0
+without it. The spin of the wheels adds inertia along the heading, which lengthens the
+stopping distance by the factor 1 + s. No other force acts, so neither velocity
+component changes its sign: each is integrated by the midpoint rule until it is 0, and
+stays 0. Positions are smooth in the velocities and coefficients, as a fit requires.
 
-**Momentary loads.** A connector has two wheels at ± a, and its centre of mass is at the height h. A lateral
-force increases the load of the outer wheel. The connector does not tip over, so that with the law's force φ
-per unit load, left and right,
+**Momentary loads.** A connector has two wheels at ± a, and its centre of mass is at the
+height h. A lateral force increases the load of the outer wheel. The connector does not
+tip over, so that with the law's force φ per unit load, left and right,
 
 $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
    = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}. $$
 
-Loads are not negative. Slopes are computed at constant loads, which keeps them symmetric. The solution is the
-same; Newton's method needs a few more iterations.
+Loads are not negative. Slopes are computed at constant loads, which keeps them
+symmetric. The solution is the same; Newton's method needs a few more iterations.
 
-**Skin** has another coefficient for slip towards the tail than towards the head. The law `cosine` has no
-potential, so that its slopes are not symmetric. Both are cases of their own, and the kernels of other floors
-do not depend on them.
+**Skin** has another coefficient for slip towards the tail than towards the head. The
+law `cosine` has no potential, so that its slopes are not symmetric. Both are cases of
+their own, and the kernels of other floors do not depend on them.
 """
 
 from __future__ import annotations
@@ -42,14 +43,17 @@ class FloorFriction(NamedTuple):
     """Friction parameters and slope of the floor, for the kernels.
 
     Attributes:
-        case: tuple of None whose length is the index into `_CASES`. The length is part of the type in numba,
-            so that a kernel is compiled for the contacts and the law of its floor only.
-        track: distance of the two contacts of a connector from the centre line, m; 0 for one contact.
+        case: tuple of None whose length is the index into `_CASES`. The length is part
+            of the type in numba, so that a kernel is compiled for the contacts and the
+            law of its floor only.
+        track: distance of the two contacts of a connector from the centre line, m; 0
+            for one contact.
         mu_t: friction coefficient along the heading, 1.
         mu_n: friction coefficient across the heading, 1.
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
-        load_transfer: k, load transferred between the wheels per lateral force, 1; 0 for static loads.
+        load_transfer: k, load transferred between the wheels per lateral force, 1; 0
+            for static loads.
         mu_back: friction coefficient along the heading for slip towards the tail, 1.
         gravity: component of gravity normal to the floor, m/s².
         pull_x: component of gravity along the floor in world x, m/s².
@@ -82,8 +86,12 @@ def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-un
 def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contacts at the track with static loads."""
     mu_t, mu_n, slip, arm = floor.mu_t, floor.mu_n, floor.slip, floor.track
-    a_t, a_n, a_tt, a_tn, _, a_nn = law(along - spin * arm, across, weight / 2, mu_t, mu_n, slip)
-    b_t, b_n, b_tt, b_tn, _, b_nn = law(along + spin * arm, across, weight / 2, mu_t, mu_n, slip)
+    a_t, a_n, a_tt, a_tn, _, a_nn = law(
+        along - spin * arm, across, weight / 2, mu_t, mu_n, slip
+    )
+    b_t, b_n, b_tt, b_tn, _, b_nn = law(
+        along + spin * arm, across, weight / 2, mu_t, mu_n, slip
+    )
     return (
         *(a_t + b_t, a_n + b_n, arm * (b_t - a_t)),
         *(a_tt + b_tt, a_tn + b_tn, arm * (b_tt - a_tt)),
@@ -96,8 +104,12 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
 def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contacts at the track with momentary loads."""
     mu_t, mu_n, slip, arm = floor.mu_t, floor.mu_n, floor.slip, floor.track
-    a_t, a_n, a_tt, a_tn, _, a_nn = law(along - spin * arm, across, 1.0, mu_t, mu_n, slip)
-    b_t, b_n, b_tt, b_tn, _, b_nn = law(along + spin * arm, across, 1.0, mu_t, mu_n, slip)
+    a_t, a_n, a_tt, a_tn, _, a_nn = law(
+        along - spin * arm, across, 1.0, mu_t, mu_n, slip
+    )
+    b_t, b_n, b_tt, b_tn, _, b_nn = law(
+        along + spin * arm, across, 1.0, mu_t, mu_n, slip
+    )
     lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
     # Loads of the left and the right wheel.
     a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
@@ -105,7 +117,11 @@ def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: igno
     return (
         *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
         *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
-        *(a * a_nn + b * b_nn, arm * (b * b_tn - a * a_tn), arm * arm * (a * a_tt + b * b_tt)),
+        *(
+            a * a_nn + b * b_nn,
+            arm * (b * b_tn - a * a_tn),
+            arm * arm * (a * a_tt + b * b_tt),
+        ),
         *(a * a_tn + b * b_tn, arm * (b * b_tn - a * a_tn)),
     )
 
@@ -126,7 +142,11 @@ def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-d
     return (
         *(a * a_t + b * b_t, a * a_n + b * b_n, arm * (b * b_t - a * a_t)),
         *(a * a_tt + b * b_tt, a * a_tn + b * b_tn, arm * (b * b_tt - a * a_tt)),
-        *(a * a_nn + b * b_nn, arm * (b * b_nt - a * a_nt), arm * arm * (a * a_tt + b * b_tt)),
+        *(
+            a * a_nn + b * b_nn,
+            arm * (b * b_nt - a * a_nt),
+            arm * arm * (a * a_tt + b * b_tt),
+        ),
         *(a * a_nt + b * b_nt, arm * (b * b_tn - a * a_tn)),
     )
 
@@ -177,7 +197,18 @@ def floor_friction(
     pull_x, pull_y, pull_z = gravity
     back = mu_t if mu_back is None else mu_back
     return FloorFriction(
-        (None,) * case, track, mu_t, mu_n, slip, drag, load_transfer, back, -pull_z, pull_x, pull_y, unit
+        (None,) * case,
+        track,
+        mu_t,
+        mu_n,
+        slip,
+        drag,
+        load_transfer,
+        back,
+        -pull_z,
+        pull_x,
+        pull_y,
+        unit,
     )
 
 
@@ -185,8 +216,8 @@ def floor_friction(
 def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
-    A regularised law yields at any force. On a slope the slip speed therefore decreases with the speed of the
-    body.
+    A regularised law yields at any force. On a slope the slip speed therefore decreases
+    with the speed of the body.
 
     Args:
         floor: a level floor is returned unchanged.
@@ -214,7 +245,8 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
 def connector_friction(along, across, spin, weight, floor) -> Any:  # type: ignore[no-untyped-def]
     """Return force and moment of a connector's contacts, and their slopes.
 
-    Friction is the gradient of a potential, so that the slopes are symmetric, except under the law `cosine`.
+    Friction is the gradient of a potential, so that the slopes are symmetric, except
+    under the law `cosine`.
 
     Args:
         along: velocity of the connector along its heading, m/s.
@@ -224,8 +256,9 @@ def connector_friction(along, across, spin, weight, floor) -> Any:  # type: igno
         floor: the floor.
 
     Returns:
-        Force along t and across n (N), moment m (N·m), and the slopes tt, tn, tm, nn, nm, mm, nt, mn: tn is
-        the derivative of t by the velocity across. mt is always tm.
+        Force along t and across n (N), moment m (N·m), and the slopes tt, tn, tm, nn,
+        nm, mm, nt, mn: tn is the derivative of t by the velocity across. mt is always
+        tm.
     """
     contacts, law = _CASES[len(floor.case)]
     return _add_drag(contacts(law, along, across, spin, weight, floor), along, floor)
@@ -251,7 +284,12 @@ def has_no_potential(floor):  # type: ignore[no-untyped-def]
 @kernel_only
 def slopes_of_force(tt, tn, nt, nn, c, s):  # type: ignore[no-untyped-def]
     """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
-    t_x, n_x, t_y, n_y = tt * c - tn * s, nt * c - nn * s, tt * s + tn * c, nt * s + nn * c
+    t_x, n_x, t_y, n_y = (
+        tt * c - tn * s,
+        nt * c - nn * s,
+        tt * s + tn * c,
+        nt * s + nn * c,
+    )
     return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
 
 
@@ -270,14 +308,17 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
 
     Args:
         body: posed body, shape (ROWS, N).
-        mass: shape (N,), kg; connector i carries the load m_i g, with gravity normal to the floor.
+        mass: shape (N,), kg; connector i carries the load m_i g, with gravity normal to
+            the floor.
         forth, aside: velocity of the centre of mass in the body frame, m/s.
         yaw: yaw rate, rad/s.
         floor: the floor.
 
     Returns:
-        Net force (x, y) and moment about the centre of mass (z) in the body frame; their symmetric slopes
-        with respect to the three velocities: xx, xy, xz, yy, yz, zz; the dissipated power, W.
+        Net force (x, y) and moment about the centre of mass (z) in the body frame;
+        their symmetric slopes
+        with respect to the three velocities: xx, xy, xz, yy, yz, zz; the dissipated
+            power, W.
     """
     cosine, sine, spins = body[COS], body[SIN], body[SPIN]
     place_x, place_y, rate_x, rate_y = body[X], body[Y], body[VX], body[VY]
@@ -291,7 +332,8 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         t, n, m, tt, tn, tm, nn, nm, mm, _, _ = connector_friction(
             along, across, spin, mass[i] * floor.gravity, floor
         )
-        # Derivatives of the velocities along and across by the yaw rate: the lever arms of the forces.
+        # Derivatives of the velocities along and across by the yaw rate: the lever arms
+        # of the forces.
         t_arm, n_arm = px * s - py * c, px * c + py * s
         fx += t * c - n * s
         fy += t * s + n * c
@@ -316,7 +358,13 @@ def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[n
     fx = fy = moment = power = 0.0
     xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
     for i in range(mass.shape[0]):
-        c, s, px, py, spin = body[COS, i], body[SIN, i], body[X, i], body[Y, i], yaw + body[SPIN, i]
+        c, s, px, py, spin = (
+            body[COS, i],
+            body[SIN, i],
+            body[X, i],
+            body[Y, i],
+            yaw + body[SPIN, i],
+        )
         vx, vy = forth - yaw * py + body[VX, i], aside + yaw * px + body[VY, i]
         along, across = vx * c + vy * s, vy * c - vx * s
         t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
@@ -327,10 +375,17 @@ def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[n
         spin_x, spin_y = tm * c - nm * s, tm * s + nm * c
         moment_x, moment_y = tm * c - mn * s, tm * s + mn * c
         force_x, force_y = t * c - n * s, t * s + n * c
-        fx, fy, moment = fx + force_x, fy + force_y, moment + px * force_y - py * force_x + m
+        fx, fy, moment = (
+            fx + force_x,
+            fy + force_y,
+            moment + px * force_y - py * force_x + m,
+        )
         power -= t * along + n * across + m * spin
         xx, xy, yx, yy = xx + d_xx, xy + d_xy, yx + d_yx, yy + d_yy
-        by_yaw_x, by_yaw_y = px * d_xy - py * d_xx + spin_x, px * d_yy - py * d_yx + spin_y
+        by_yaw_x, by_yaw_y = (
+            px * d_xy - py * d_xx + spin_x,
+            px * d_yy - py * d_yx + spin_y,
+        )
         xz, yz = xz + by_yaw_x, yz + by_yaw_y
         zx += px * d_yx - py * d_xx + moment_x
         zy += px * d_yy - py * d_xy + moment_y
@@ -341,7 +396,9 @@ def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[n
 @compiled
 def _symmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
     """Evaluate `forces_and_slopes` under a law with a potential."""
-    force, (xx, xy, xz, yy, yz, zz), power = floor_forces(body, mass, forth, aside, yaw, floor)
+    force, (xx, xy, xz, yy, yz, zz), power = floor_forces(
+        body, mass, forth, aside, yaw, floor
+    )
     return force, (xx, xy, xz, yy, yz, zz, xy, xz, yz), power
 
 
@@ -356,7 +413,9 @@ def _compile_forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: i
     """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
     case = floor.types[floor.fields.index("case")].count
     function = _unsymmetric_forces if case % _COUNT == _COSINE else _symmetric_forces
-    return lambda body, mass, forth, aside, yaw, floor: function(body, mass, forth, aside, yaw, floor)
+    return lambda body, mass, forth, aside, yaw, floor: function(
+        body, mass, forth, aside, yaw, floor
+    )
 
 
 @compiled
@@ -366,25 +425,31 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
     Args:
         body: posed body, shape (ROWS, N).
         mass: shape (N,), kg.
-        u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s), shape (3 or more,).
+        u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s),
+            shape (3 or more,).
         floor: the floor.
         force: out.
     """
     for i in range(mass.shape[0]):
         c, s = body[COS, i], body[SIN, i]
-        vx, vy = u[0] - u[2] * body[Y, i] + body[VX, i], u[1] + u[2] * body[X, i] + body[VY, i]
+        vx, vy = (
+            u[0] - u[2] * body[Y, i] + body[VX, i],
+            u[1] + u[2] * body[X, i] + body[VY, i],
+        )
         along, across, spin = vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i]
         terms = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
         force[i, 0], force[i, 1], force[i, 2] = terms[0], terms[1], terms[2]
 
 
-# Ratio of speed to slip speed at which a law has reached its full force within 1e-4, also for an ellipse of
-# 1:14, 1.
+# Ratio of speed to slip speed at which a law has reached its full force within 1e-4,
+# also for an ellipse of 1:14, 1.
 _SLIDING_RATIO = 1000.0
 
 _MIN_SLIP_SPEED = 1e-7  # on a slope at a time unit of 1, m/s
 _COASTING_STEP = 5e-4  # longest time step of `slide`, s
-_COASTING_SLIP_SPEED = 1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0
+_COASTING_SLIP_SPEED = (
+    1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0
+)
 
 
 def spin_share(spec: RobotSpec) -> float:
@@ -417,7 +482,11 @@ def slide(
     floor = floor_friction(law, 0.0, mu_t / (1 + share), mu_n, _COASTING_SLIP_SPEED)
     position = np.empty((len(times), 2))
     _fill_positions(
-        float(velocity[0]), float(velocity[1]), np.ascontiguousarray(times, dtype=float), floor, position
+        float(velocity[0]),
+        float(velocity[1]),
+        np.ascontiguousarray(times, dtype=float),
+        floor,
+        position,
     )
     return position
 
@@ -431,10 +500,15 @@ def _fill_positions(along, across, times, floor, position):  # type: ignore[no-u
         for _ in range(steps):
             h = (times[k] - now) / steps
             a_t, a_n = _deceleration(along, across, floor)
-            a_t, a_n = _deceleration(_mean_velocity(along, h * a_t), _mean_velocity(across, h * a_n), floor)
+            a_t, a_n = _deceleration(
+                _mean_velocity(along, h * a_t), _mean_velocity(across, h * a_n), floor
+            )
             x += _distance(along, a_t, h)
             y += _distance(across, a_n, h)
-            along, across = _stop_at_zero(along, h * a_t), _stop_at_zero(across, h * a_n)
+            along, across = (
+                _stop_at_zero(along, h * a_t),
+                _stop_at_zero(across, h * a_n),
+            )
         now = times[k]
         position[k, 0], position[k, 1] = x, y
 

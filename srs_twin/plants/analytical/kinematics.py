@@ -1,7 +1,7 @@
 """Compiled kinematics of the analytical models: positions and velocities of connectors.
 
-Both are in the frame of the mean heading, relative to the centre of mass. All analytical models share this
-module.
+Both are in the frame of the mean heading, relative to the centre of mass. All
+analytical models share this module.
 """
 
 from __future__ import annotations
@@ -33,11 +33,12 @@ class BodyParameters(NamedTuple):
 
     Attributes:
         mass: masses of the connectors, shape (N,), kg.
-        inertia: moments of inertia of the connectors about their centres, shape (N,), kg·m²; 0 for point
-            masses.
+        inertia: moments of inertia of the connectors about their centres, shape (N,),
+            kg·m²; 0 for point masses.
         length: l of each segment, shape (segments,), m.
         gap: L_o, m.
-        frozen: 1 keeps all chords at l + L_o (model `simplified`), 0 shortens them with the bend.
+        frozen: 1 keeps all chords at l + L_o (model `simplified`), 0 shortens them with
+            the bend.
         weight: M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """
@@ -61,7 +62,15 @@ class BodyParameters(NamedTuple):
     ) -> BodyParameters:
         """Return the constants; `length` may be one number for all segments."""
         lengths = np.full(len(mass) - 1, length)
-        return cls(mass, inertia, lengths, gap, frozen, float(mass.sum()), float(lengths.mean()) + gap)
+        return cls(
+            mass,
+            inertia,
+            lengths,
+            gap,
+            frozen,
+            float(mass.sum()),
+            float(lengths.mean()) + gap,
+        )
 
 
 @kernel_only
@@ -100,9 +109,15 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     cosine, sine, chord, chord_rate = out[COS], out[SIN], out[X], out[VX]
     lead = lead_rate = 0.0  # heading of the head relative to the mean heading
     for j in range(n - 1):
-        # Terms of single segments first, so that the loop can be vectorised; `out` serves as a buffer.
+        # Terms of single segments first, so that the loop can be vectorised; `out`
+        # serves as a buffer.
         half_c, half_s, span, slope, _ = chord_terms(q[j], solid, j)
-        cosine[j + 1], sine[j + 1], chord[j + 1], chord_rate[j + 1] = half_c, half_s, span, slope * rate[j]
+        cosine[j + 1], sine[j + 1], chord[j + 1], chord_rate[j + 1] = (
+            half_c,
+            half_s,
+            span,
+            slope * rate[j],
+        )
         share = (n - 1 - j) / n
         lead += share * q[j]
         lead_rate += share * rate[j]
@@ -113,17 +128,31 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     for i in range(n):
         if i > 0:
             # The direction of a chord is half a bend from the heading of either end.
-            half_c, half_s, span, span_rate = cosine[i], sine[i], chord[i], chord_rate[i]
+            half_c, half_s, span, span_rate = (
+                cosine[i],
+                sine[i],
+                chord[i],
+                chord_rate[i],
+            )
             chord_spin = spin - rate[i - 1] / 2
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
             x, y = x - span * c, y - span * s
-            vx, vy = vx - span_rate * c + span * chord_spin * s, vy - span_rate * s - span * chord_spin * c
+            vx, vy = (
+                vx - span_rate * c + span * chord_spin * s,
+                vy - span_rate * s - span * chord_spin * c,
+            )
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
             spin -= rate[i - 1]
         out[COS, i], out[SIN, i], out[SPIN, i] = c, s, spin
         out[X, i], out[Y, i], out[VX, i], out[VY, i] = x, y, vx, vy
         m = mass[i]
-        total, cx, cy, cvx, cvy = total + m, cx + m * x, cy + m * y, cvx + m * vx, cvy + m * vy
+        total, cx, cy, cvx, cvy = (
+            total + m,
+            cx + m * x,
+            cy + m * y,
+            cvx + m * vx,
+            cvy + m * vy,
+        )
     cx, cy, cvx, cvy = cx / total, cy / total, cvx / total, cvy / total
     return _transform_to_mean(out, solid, (cx, cy, cvx, cvy), lead, lead_rate)
 
@@ -135,7 +164,8 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     Args:
         out: posed body, in place, shape (ROWS, N).
         solid: the body.
-        centre: position (m) and velocity (m/s) of the centre of mass in the frame of the head.
+        centre: position (m) and velocity (m/s) of the centre of mass in the frame of
+            the head.
         lead: heading of the head relative to the mean heading, rad.
         lead_rate: its rate, rad/s.
 
@@ -146,7 +176,10 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     cosine, sine, spinning = out[COS], out[SIN], out[SPIN]
     place_x, place_y, rate_x, rate_y = out[X], out[Y], out[VX], out[VY]
     cx, cy, cvx, cvy = centre
-    a, b = math.cos(lead), math.sin(lead)  # may exceed a full turn in a long coil: no series expansion
+    a, b = (
+        math.cos(lead),
+        math.sin(lead),
+    )  # may exceed a full turn in a long coil: no series expansion
     inertia = moment = 0.0
     for i in range(mass.shape[0]):
         c, s, spin = cosine[i], sine[i], spinning[i] + lead_rate

@@ -1,28 +1,32 @@
 r"""Contact of the `compliant` model with obstacles: unilateral normal forces with Coulomb friction.
 
-**Shapes.** The body at each point of the chain (`cells`) is a straight stretch along the heading, which
-reaches half way to the neighbouring points, with round ends and the half width w. Obstacles are line segments
-with a radius: circles and the sides of polygons. The contact is at the closest points of the two. Its force
-acts on the stretch, and thus changes force and moment at one point only.
+**Shapes.** The body at each point of the chain (`cells`) is a straight stretch along
+the heading, which reaches half way to the neighbouring points, with round ends and the
+half width w. Obstacles are line segments with a radius: circles and the sides of
+polygons. The contact is at the closest points of the two. Its force acts on the
+stretch, and thus changes force and moment at one point only.
 
-**Law.** With the overlap δ and the normal velocity v_n of the body at the contact, positive when it leaves,
+**Law.** With the overlap δ and the normal velocity v_n of the body at the contact,
+positive when it leaves,
 
 $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
-N never pulls. The factor with χ dissipates energy (Hunt and Crossley, 1975). The stiffness is
-k = m/T², on which the robot with its mass m would oscillate with the time constant T = `CONTACT_TIME_S`;
-T → 0 is rigid contact.
-Both are evaluated at the end of each implicit stage, where δ moves by −a v_n with a = γ h, so that
+N never pulls. The factor with χ dissipates energy (Hunt and Crossley, 1975). The
+stiffness is k = m/T², on which the robot with its mass m would oscillate with the time
+constant T = `CONTACT_TIME_S`; T → 0 is rigid contact. Both are evaluated at the end of
+each implicit stage, where δ moves by −a v_n with a = γ h, so that
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
 
-enters Newton's matrix, and stiff contacts do not limit the time step. Changes of the normal during a step are
-neglected in the matrix, not in the force. Friction with a constant N has a convex potential, on which
-Newton's method relies. A stage is therefore solved a few times, each with the normal forces of the previous
-solution in the friction.
+enters Newton's matrix, and stiff contacts do not limit the time step. Changes of the
+normal during a step are neglected in the matrix, not in the force. Friction with a
+constant N has a convex potential, on which Newton's method relies. A stage is therefore
+solved a few times, each with the normal forces of the previous solution in the
+friction.
 
-The twin shares none of this: it has rods between hinges, other shapes, and MuJoCo's constraint forces.
+The twin shares none of this: it has rods between hinges, other shapes, and MuJoCo's
+constraint forces.
 """
 
 from __future__ import annotations
@@ -43,15 +47,17 @@ from srs_twin.robot.world import WALL_M, World
 CONTACT_TIME_S = 0.001
 """T, time constant of a contact at a time unit of 1 (`robot.scale`), s; a numerical setting."""
 
-_LOSS_S_PER_M = 20.0  # χ at a speed unit of 1, s/m: bodies leave an obstacle slower than 1/χ
+_LOSS_S_PER_M = (
+    20.0  # χ at a speed unit of 1, s/m: bodies leave an obstacle slower than 1/χ
+)
 
 
 class Obstacles(NamedTuple):
     """Obstacles and the work arrays of their contacts, for the kernels.
 
     Attributes:
-        shape: ends x, y, x, y of a line segment and its radius, shape (obstacles, 5), m; the ends of a circle
-            are equal.
+        shape: ends x, y, x, y of a line segment and its radius, shape (obstacles, 5),
+            m; the ends of a circle are equal.
         stretch: reach of the body ahead of and behind each point, shape (points, 2), m.
         half_width: w, m.
         stiffness: k, N/m.
@@ -59,9 +65,10 @@ class Obstacles(NamedTuple):
         friction: μ, 1.
         slip: ε, m/s.
         pose: work array: centre of mass x, y (m), cosine and sine of the mean heading.
-        near: work array: number of obstacles within reach of the body, and their indices.
-        force: force of the obstacles on each point at the latest evaluation, world frame, shape
-            (points, 2), N.
+        near: work array: number of obstacles within reach of the body, and their
+            indices.
+        force: force of the obstacles on each point at the latest evaluation, world
+            frame, shape (points, 2), N.
         normal: normal forces at the latest evaluation, shape (obstacles, points), N.
         load: normal forces that friction is proportional to, same shape, N.
     """
@@ -80,7 +87,9 @@ class Obstacles(NamedTuple):
     load: np.ndarray
 
 
-def make_obstacles(world: World, spec: RobotSpec, cells: Undivided, slip: float) -> Obstacles:
+def make_obstacles(
+    world: World, spec: RobotSpec, cells: Undivided, slip: float
+) -> Obstacles:
     """Return the obstacles of a world.
 
     Args:
@@ -90,7 +99,9 @@ def make_obstacles(world: World, spec: RobotSpec, cells: Undivided, slip: float)
         slip: slip speed, m/s.
     """
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, 5)
-    half = np.broadcast_to((np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1)
+    half = np.broadcast_to(
+        (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1
+    )
     stretch = np.stack([np.append(0.0, half), np.append(half, 0.0)], axis=1)
     scale = spec.scale
     return Obstacles(
@@ -128,7 +139,11 @@ def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
         bx, by = shape[k, 2] - shape[k, 0], shape[k, 3] - shape[k, 1]
         size = bx * bx + by * by
         along = min(max(-(ax * bx + ay * by) / size, 0.0), 1.0) if size > 0.0 else 0.0
-        x, y, limit = ax + along * bx, ay + along * by, reach + shape[k, 4] + obstacles.half_width
+        x, y, limit = (
+            ax + along * bx,
+            ay + along * by,
+            reach + shape[k, 4] + obstacles.half_width,
+        )
         if x * x + y * y < limit * limit:
             near[0] += 1
             near[near[0]] = k
@@ -140,7 +155,10 @@ def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
     heading = known[2] + a * u[2]
     c, s = math.cos(heading), math.sin(heading)
     pose = obstacles.pose
-    pose[0], pose[1] = known[0] + a * (u[0] * c - u[1] * s), known[1] + a * (u[0] * s + u[1] * c)
+    pose[0], pose[1] = (
+        known[0] + a * (u[0] * c - u[1] * s),
+        known[1] + a * (u[0] * s + u[1] * c),
+    )
     pose[2], pose[3] = c, s
 
 
@@ -185,8 +203,8 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
         loads: in place, see `compliant_kernels._fill_loads`.
 
     Returns:
-        Force (x, y) and moment about the centre of mass in the frame of the mean heading, and the power that
-        the contacts take from the body, W.
+        Force (x, y) and moment about the centre of mass in the frame of the mean
+        heading, and the power that the contacts take from the body, W.
     """
     o = obstacles
     cos, sin = o.pose[2], o.pose[3]
@@ -197,16 +215,25 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
         shape = o.shape[o.near[index]]
         ax, ay = shape[0] - o.pose[0], shape[1] - o.pose[1]
         bx, by = shape[2] - shape[0], shape[3] - shape[1]
-        ax, ay, bx, by = ax * cos + ay * sin, ay * cos - ax * sin, bx * cos + by * sin, by * cos - bx * sin
+        ax, ay, bx, by = (
+            ax * cos + ay * sin,
+            ay * cos - ax * sin,
+            bx * cos + by * sin,
+            by * cos - bx * sin,
+        )
         contact_distance = shape[4] + o.half_width
         for i in range(o.force.shape[0]):
             o.normal[o.near[index], i] = 0.0
             x, y, c, s = body[X, i], body[Y, i], body[COS, i], body[SIN, i]
-            place, along = _closest(x, y, c, s, -o.stretch[i, 1], o.stretch[i, 0], ax, ay, bx, by)
+            place, along = _closest(
+                x, y, c, s, -o.stretch[i, 1], o.stretch[i, 0], ax, ay, bx, by
+            )
             nx, ny = x + place * c - ax - along * bx, y + place * s - ay - along * by
             square = nx * nx + ny * ny
             load = o.load[o.near[index], i]
-            if square == 0.0 or (square >= contact_distance * contact_distance and load == 0.0):
+            if square == 0.0 or (
+                square >= contact_distance * contact_distance and load == 0.0
+            ):
                 continue
             distance = math.sqrt(square)
             nx, ny = nx / distance, ny / distance
@@ -225,7 +252,10 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
             tangential, t_t = -grip * v_t * r, -grip * r * (o.slip * r) ** 2
             o.normal[o.near[index], i] = normal
             _add_load(loads[i], nx, ny, lx, ly, a, normal, tangential, n_n, t_t)
-            force_x, force_y = normal * nx - tangential * ny, normal * ny + tangential * nx
+            force_x, force_y = (
+                normal * nx - tangential * ny,
+                normal * ny + tangential * nx,
+            )
             o.force[i, 0] += force_x * cos - force_y * sin
             o.force[i, 1] += force_x * sin + force_y * cos
             fx, fy = fx + force_x, fy + force_y
@@ -242,8 +272,19 @@ def _add_load(load, nx, ny, lx, ly, a, normal, tangential, n_n, t_t):  # type: i
     load[4] += normal * ny + tangential * nx
     load[5] += normal * n_m + tangential * t_m
     # Derivatives of normal and tangential force by the velocity (x, y) and the spin.
-    n_x, n_y, n_s, t_x, t_y, t_s = n_n * nx, n_n * ny, n_n * n_m, -t_t * ny, t_t * nx, t_t * t_m
-    xy, xm, ym = a * (n_y * nx - t_y * ny), a * (n_s * nx - t_s * ny), a * (n_s * ny + t_s * nx)
+    n_x, n_y, n_s, t_x, t_y, t_s = (
+        n_n * nx,
+        n_n * ny,
+        n_n * n_m,
+        -t_t * ny,
+        t_t * nx,
+        t_t * t_m,
+    )
+    xy, xm, ym = (
+        a * (n_y * nx - t_y * ny),
+        a * (n_s * nx - t_s * ny),
+        a * (n_s * ny + t_s * nx),
+    )
     load[6] -= a * (n_x * nx - t_x * ny)
     load[9] -= a * (n_y * ny + t_y * nx)
     load[11] -= a * (n_s * n_m + t_s * t_m)
@@ -268,10 +309,11 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-def]
     r"""Fill the rates of the impulses on each point and of the time, and replace that of the energy column.
 
-    The work of the torques is the energy of the body plus the integral of the losses. During impacts, this
-    integral misses what the implicit method dissipates: it evaluates the stiff normal forces at the end of a
-    stage, when the body has almost stopped. The torques are smooth, so the power of the air, Σ T_j q̇_f,j with
-    T = k (q_f − q) + c (q̇_f − q̇) of a whole segment, is integrated instead.
+    The work of the torques is the energy of the body plus the integral of the losses.
+    During impacts, this integral misses what the implicit method dissipates: it
+    evaluates the stiff normal forces at the end of a stage, when the body has almost
+    stopped. The torques are smooth, so the power of the air, Σ T_j q̇_f,j with T = k
+    (q_f − q) + c (q̇_f − q̇) of a whole segment, is integrated instead.
 
     Args:
         obstacles: with the forces of the stage.
@@ -284,7 +326,10 @@ def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-
     count = obstacles.force.shape[0]
     first = k.shape[0] - 1 - 2 * count
     for i in range(count):
-        k[first + 2 * i], k[first + 2 * i + 1] = obstacles.force[i, 0], obstacles.force[i, 1]
+        k[first + 2 * i], k[first + 2 * i + 1] = (
+            obstacles.force[i, 0],
+            obstacles.force[i, 1],
+        )
     k[k.shape[0] - 1] = 1.0
     cells = q.shape[0] // model.segments
     power = 0.0

@@ -1,35 +1,40 @@
 r"""Spatial body without inertia, model `quasistatic`: an arc per segment that rests on the floor and slides.
 
-A segment is an arc of constant curvature and twist, with the rotation vector w from its rear connector to the
-front one: the bends to the left and upwards and the twist are the components z, −y and x of w. The
-coordinates are the pose of the head connector and the bends q and twists of all segments. Weight and
-contacts are at points along the axis, a radius r above the lowest point of the body.
+A segment is an arc of constant curvature and twist, with the rotation vector w from its
+rear connector to the front one: the bends to the left and upwards and the twist are the
+components z, −y and x of w. The coordinates are the pose of the head connector and the
+bends q and twists of all segments. Weight and contacts are at points along the axis, a
+radius r above the lowest point of the body.
 
-**Equilibrium.** Without inertia, the forces of every moment balance. With the free bends q̂ of the chambers,
-stiffness k, damping c, the heights z_i, masses m_i and loads N_i of the points, and the velocity u of all
-coordinates, a step of length h minimises
+**Equilibrium.** Without inertia, the forces of every moment balance. With the free
+bends q̂ of the chambers, stiffness k, damping c, the heights z_i, masses m_i and loads
+N_i of the points, and the velocity u of all coordinates, a step of length h minimises
 
 $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
-   + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2
-   + h \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
+   + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2 + h
+   \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
 
-divided by h. The terms are the elastic energy, the dissipation of the segments, the weight, a floor with the
-stiffness κ_i = m_i g/δ, in which a resting point sinks by δ, and the dissipation potential D of a friction
-law for the slip s_i, the velocity of the material vertically below the axis. So the pose at rest has the
-least potential energy, and the body moves along the floor with the least dissipated power. Friction bends the
+divided by h. The terms are the elastic energy, the dissipation of the segments, the
+weight, a floor with the stiffness κ_i = m_i g/δ, in which a resting point sinks by δ,
+and the dissipation potential D of a friction law for the slip s_i, the velocity of the
+material vertically below the axis. So the pose at rest has the least potential energy,
+and the body moves along the floor with the least dissipated power. Friction bends the
 segments as well.
 
-The loads in front of D are those of the solution: the step is solved up to four times, each time with the
-loads of the last solution. A friction law without a potential, such as `cosine`, has no such minimum.
+The loads in front of D are those of the solution: the step is solved up to four times,
+each time with the loads of the last solution. A friction law without a potential, such
+as `cosine`, has no such minimum.
 
-**Jumps.** The resting pose can become unstable; the body then topples within a time that its inertia would
-determine. The drag of vertical motion and of rolling (surface velocity ρ̇) with the time τ takes the place of
-the inertia. It changes loads by the fraction ż/(g τ) in between, which is below 0.01. A step in which a point
-moves too far is divided. A jump is counted where a point becomes faster than √(g r)/4.
+**Jumps.** The resting pose can become unstable; the body then topples within a time
+that its inertia would determine. The drag of vertical motion and of rolling (surface
+velocity ρ̇) with the time τ takes the place of the inertia. It changes loads by the
+fraction ż/(g τ) in between, which is below 0.01. A step in which a point moves too far
+is divided. A jump is counted where a point becomes faster than √(g r)/4.
 
-**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small, with the amplitude A of
-the lateral motion. The sag number m g λ²/(k p), with the wavelength λ along the body, the mass m in it and
-the pitch p, shows how far the weight bends the body between its supports.
+**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,
+with the amplitude A of the lateral motion. The sag number m g λ²/(k p), with the
+wavelength λ along the body, the mass m in it and the pitch p, shows how far the weight
+bends the body between its supports.
 """
 
 from __future__ import annotations
@@ -57,7 +62,9 @@ _JUMP_RATIO = 0.25
 """Speed of a point in a jump over √(g r), 1."""
 
 
-def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kinematics.QuasistaticBody:
+def make_constants(
+    spec: RobotSpec, slip_speed: float, base: str
+) -> kinematics.QuasistaticBody:
     """Return the constants of a robot on a level floor, or of one that is held at its head.
 
     Args:
@@ -69,17 +76,27 @@ def make_constants(spec: RobotSpec, slip_speed: float, base: str) -> kinematics.
         InputError: the friction law has no potential, or segments lengthen.
     """
     g, bending, mu, skin = spec.geometry, spec.bending, spec.friction, spec.skin
-    assert skin is not None and spec.mass.segments is not None, "spatial robots have a skin"
+    assert skin is not None and spec.mass.segments is not None, (
+        "spatial robots have a skin"
+    )
     if skin.law != "ellipse":
         raise InputError(
-            f"model 'quasistatic' needs a friction law with a potential, 'ellipse', not {skin.law!r}"
+            "model 'quasistatic' needs a friction law with a potential, 'ellipse', not"
+            f" {skin.law!r}"
         )
     if spec.actuator.extension:
-        raise InputError("model 'quasistatic' has segments of constant length; remove actuator.extension")
+        raise InputError(
+            "model 'quasistatic' has segments of constant length; remove"
+            " actuator.extension"
+        )
     place = (np.arange(skin.points) + 0.5) / skin.points * g.pitch
     half_gap, radius = g.rigid_gap / 2, g.com_height
-    stiffness = np.array([bending.stiffness, bending.pitch_stiffness, bending.roll_stiffness])
-    times = np.array([bending.damping_time, bending.damping_time, bending.out_of_plane_damping_time])
+    stiffness = np.array(
+        [bending.stiffness, bending.pitch_stiffness, bending.roll_stiffness]
+    )
+    times = np.array(
+        [bending.damping_time, bending.damping_time, bending.out_of_plane_damping_time]
+    )
     return kinematics.QuasistaticBody(
         share=np.clip((place - half_gap) / g.segment_length, 0.0, 1.0),
         front=np.minimum(place, half_gap),
@@ -110,7 +127,8 @@ class QuasistaticArcs(Body):
         points = len(self._constants.mass)
         self._work = kinematics.work_arrays(spec.segments, points // spec.segments)
         self._impulses = slice(
-            kinematics.BENDS + 3 * spec.segments, kinematics.BENDS + 3 * (spec.segments + points)
+            kinematics.BENDS + 3 * spec.segments,
+            kinematics.BENDS + 3 * (spec.segments + points),
         )
         self._shapes = self._impulses.stop + points, 6 + 3 * spec.segments
         stations = (np.arange(points) + 0.5) * spec.geometry.body_length / points
@@ -148,19 +166,27 @@ class QuasistaticArcs(Body):
         """See `Body.move`."""
         samples, now = self._allocate(len(sample_steps)), (self.state, self.velocity)
         free = np.ascontiguousarray(trace.bend[::2])
-        done: int = advance(now, steps, free, sample_steps, self._constants, self._work, samples)
+        done: int = advance(
+            now, steps, free, sample_steps, self._constants, self._work, samples
+        )
         return done, *samples
 
-    def motion(self, states: np.ndarray, velocities: np.ndarray, trace: Trace) -> Motion:
+    def motion(
+        self, states: np.ndarray, velocities: np.ndarray, trace: Trace
+    ) -> Motion:
         """See `Body.motion`; bends, rates and torques have the shape (samples, segments, 2)."""
         shape = len(states), self._spec.segments, 3
-        bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[..., :2]
+        bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[
+            ..., :2
+        ]
         rate = velocities[:, 6:].reshape(shape)[..., :2]
         stiffness, damping = self._constants.stiffness[:2], self._constants.damping[:2]
         torque = stiffness * (trace.bend - bend) + damping * (trace.bend_rate - rate)
         return Motion(states, velocities, bend, rate, torque)
 
-    def observe(self, time: np.ndarray, motion: Motion, trace: Trace, sensed: np.ndarray) -> SpatialState:
+    def observe(
+        self, time: np.ndarray, motion: Motion, trace: Trace, sensed: np.ndarray
+    ) -> SpatialState:
         """Return the history of a motion.
 
         Args:
@@ -171,10 +197,18 @@ class QuasistaticArcs(Body):
         """
         count, n = len(time), self._spec.geometry.connectors
         com, velocity = np.empty((count, 3)), np.empty((count, 3))
-        position, frame, theta = np.empty((count, n, 3)), np.empty((count, n, 3, 3)), np.empty((count, n))
+        position, frame, theta = (
+            np.empty((count, n, 3)),
+            np.empty((count, n, 3, 3)),
+            np.empty((count, n)),
+        )
         for k, state in enumerate(motion.states):
             self._pose(state)
-            position[k], frame[k], theta[k] = self._work.position, self._work.frame, self._headings()
+            position[k], frame[k], theta[k] = (
+                self._work.position,
+                self._work.frame,
+                self._headings(),
+            )
             com[k] = self._com()
             velocity[k] = self._mean(self._work.motion[:, :3] @ motion.velocities[k])
         theta = np.unwrap(np.concatenate([self._theta[None], theta]), axis=0)[1:]
@@ -232,7 +266,9 @@ class QuasistaticArcs(Body):
 
     def _exchanged(self, states: np.ndarray) -> np.ndarray:
         """Return the impulses of the floor and the time of states, shape (samples, 3 points + 1)."""
-        return np.hstack([states[:, self._impulses], states[:, kinematics.CLOCK :][:, :1]])
+        return np.hstack(
+            [states[:, self._impulses], states[:, kinematics.CLOCK :][:, :1]]
+        )
 
 
 def quaternions(frames: np.ndarray) -> np.ndarray:

@@ -38,7 +38,8 @@ _MAX_SLOPE_RATIO = 0.5
 """A line search ends where the slope is below this fraction of the first one, 1."""
 _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
-"""Residual power over the power of friction at the slip speed at which a solve ends, 1."""
+"""Residual power over the power of friction at the slip speed at which a solve ends, 1.
+"""
 _LOAD_TOLERANCE = 1e-4
 """Change of a load over the weight of the body at which no further sweep is made, 1."""
 _ellipse = compiled(friction.ellipse)
@@ -98,7 +99,9 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
         mu = mu_ahead if along >= 0.0 else mu_back
-        f_t, f_n, tt, tn, _, nn = _ellipse(along, across, work.law_load[p], mu, mu_n, slip)
+        f_t, f_n, tt, tn, _, nn = _ellipse(
+            along, across, work.law_load[p], mu, mu_n, slip
+        )
         work.force[p, 0], work.force[p, 1] = f_t, f_n
         slope = h * spring if load > 0.0 else 0.0
         for i in range(used):
@@ -107,7 +110,9 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
             if with_matrix:
                 g_t, g_n, g_z = tt * a + tn * b, tn * a + nn * b, slope * z
                 for k in range(i + 1):
-                    matrix[i, k] += g_z * rows[UP, k] - g_t * rows[ALONG, k] - g_n * rows[ACROSS, k]
+                    matrix[i, k] += (
+                        g_z * rows[UP, k] - g_t * rows[ALONG, k] - g_n * rows[ACROSS, k]
+                    )
     if body.free == 0.0:
         _hold_head(out, matrix, with_matrix)
 
@@ -132,7 +137,9 @@ def _solve(matrix, vector):  # type: ignore[no-untyped-def]
             total = matrix[i, k]
             for m in range(k):
                 total -= matrix[i, m] * matrix[k, m]
-            matrix[i, k] = math.sqrt(max(total, 1e-300)) if i == k else total / matrix[k, k]
+            matrix[i, k] = (
+                math.sqrt(max(total, 1e-300)) if i == k else total / matrix[k, k]
+            )
     for i in range(size):
         total = vector[i]
         for k in range(i):
@@ -181,7 +188,9 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
                     break  # accept a full step
             else:
                 high, slope_high = t, slope
-            t = low + (high - low) * min(max(slope_low / (slope_low - slope_high), 0.1), 0.9)
+            t = low + (high - low) * min(
+                max(slope_low / (slope_low - slope_high), 0.1), 0.9
+            )
         for i in range(size):
             velocity[i] += t * d[i]
     return False
@@ -197,11 +206,14 @@ def _solve_step(velocity, state, body, work, h, weight):  # type: ignore[no-unty
         tolerance = _TOLERANCE * weight * slip
         converged = _minimise(velocity, body, work, h, slip, tolerance)
         if not converged:
-            # Newton's method overshoots where sticking points are far from it: begin with smoother friction.
+            # Newton's method overshoots where sticking points are far from it: begin
+            # with smoother friction.
             for i in range(velocity.shape[0]):
                 velocity[i] = 0.0
             for factor in _SOFTER:
-                converged = _minimise(velocity, body, work, h, factor * slip, factor * tolerance)
+                converged = _minimise(
+                    velocity, body, work, h, factor * slip, factor * tolerance
+                )
         _residual(velocity, body, work, h, slip, work.residual, False)
         largest = 0.0
         for p in range(work.load.shape[0]):
@@ -218,7 +230,11 @@ def _move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-u
     segments = work.bend.shape[0]
     for j in range(segments):
         for i in range(3):
-            row, rate, free_rate = BENDS + 3 * j + i, velocity[6 + 3 * j + i], work.bend_rate[j, i]
+            row, rate, free_rate = (
+                BENDS + 3 * j + i,
+                velocity[6 + 3 * j + i],
+                work.bend_rate[j, i],
+            )
             state[row] += h * rate
             k, c = body.stiffness[i], body.damping[i]
             torque = k * (work.bend[j, i] - state[row]) + c * (free_rate - rate)
@@ -248,7 +264,9 @@ def _move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-u
     rotate((h * velocity[3], h * velocity[4], h * velocity[5]), turn)
     for i in range(3):
         for k in range(3):
-            total = turn[i, 0] * old[k] + turn[i, 1] * old[3 + k] + turn[i, 2] * old[6 + k]
+            total = (
+                turn[i, 0] * old[k] + turn[i, 1] * old[3 + k] + turn[i, 2] * old[6 + k]
+            )
             state[ROTATION + 3 * i + k] = total
     state[CLOCK] += h
 
@@ -313,7 +331,10 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
     state, velocity = now
     turn, old, start = np.empty((3, 3)), np.empty(9), np.empty_like(velocity)
     points = body.mass.shape[0]
-    weight, loads = body.mass.sum() * GRAVITY, BENDS + 3 * work.bend.shape[0] + 3 * points
+    weight, loads = (
+        body.mass.sum() * GRAVITY,
+        BENDS + 3 * work.bend.shape[0] + 3 * points,
+    )
     for p in range(points):
         work.law_load[p] = state[loads + p]
     sample = _record(now, sample_steps, 0, 0, samples)
@@ -324,9 +345,15 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
             copy(velocity, start)
             fastest = np.inf
             for _ in range(_MAX_HALVINGS):
-                _set_bends(free, step, min(1.0, (done + h) / steps[step]), steps[step], work)
+                _set_bends(
+                    free, step, min(1.0, (done + h) / steps[step]), steps[step], work
+                )
                 converged = _solve_step(velocity, state, body, work, h, weight)
-                fastest = _fastest_point(velocity, work, body.share.shape[0]) if converged else np.inf
+                fastest = (
+                    _fastest_point(velocity, work, body.share.shape[0])
+                    if converged
+                    else np.inf
+                )
                 if h * fastest <= body.longest_move:
                     break
                 # Rejected: solve a shorter step from the same velocity.

@@ -1,7 +1,8 @@
 """Compiled kinematics of a spatial body: arcs of constant curvature and twist (`quasistatic`).
 
-Velocities are ordered as the position and the rotation of the head connector in the world frame, then the
-rates of the bends to the left and upwards and of the twist of each segment, head first.
+Velocities are ordered as the position and the rotation of the head connector in the
+world frame, then the rates of the bends to the left and upwards and of the twist of
+each segment, head first.
 """
 
 from __future__ import annotations
@@ -13,8 +14,9 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled
 
-# Layout of a state: position and rotation matrix (by rows) of the head connector, accumulated quantities,
-# then the bends. The impulses of the floor on all points, shape (points, 3), and their loads follow.
+# Layout of a state: position and rotation matrix (by rows) of the head connector,
+# accumulated quantities, then the bends. The impulses of the floor on all points, shape
+# (points, 3), and their loads follow.
 ROTATION = 3
 WORK = 12  # work of the air, J
 FRICTION_LOSS = 13  # energy that the floor dissipates, J
@@ -43,7 +45,8 @@ class QuasistaticBody(NamedTuple):
         damping: same order, shape (3,), N·m·s/rad.
         radius: m.
         depth: depth of the resting points in the floor, m.
-        friction: coefficients forwards, backwards and across, 1, and the slip speed, m/s.
+        friction: coefficients forwards, backwards and across, 1, and the slip speed,
+            m/s.
         drag_time: mass over the drag of vertical and rolling motion, s.
         longest_move: longest motion of a point in a substep, m.
         jump_speed: speed of a point in a jump, m/s.
@@ -74,8 +77,10 @@ class Work(NamedTuple):
         position: of the connectors, shape (S + 1, 3), m.
         frame: rotation matrices of the connectors, shape (S + 1, 3, 3).
         point: shape (S P, 3), m.
-        heading: cosine and sine of the horizontal direction of the body at each point, shape (S P, 2).
-        motion: velocity of each point and its angular velocity per velocity, shape (S P, 6, velocities).
+        heading: cosine and sine of the horizontal direction of the body at each point,
+            shape (S P, 2).
+        motion: velocity of each point and its angular velocity per velocity, shape (S
+            P, 6, velocities).
         rows: see `ROWS`, shape (S P, ROWS, velocities).
         load: normal force on each point, shape (S P,), N.
         law_load: normal force in the friction law, shape (S P,), N.
@@ -88,7 +93,8 @@ class Work(NamedTuple):
         trial: shape (velocities,).
         bend: free bends and twist (0), shape (S, 3), rad.
         bend_rate: their rates, shape (S, 3), rad/s.
-        base: spatial velocity of the rear connector of each segment per rate of bends, shape (S, 6, 3).
+        base: spatial velocity of the rear connector of each segment per rate of bends,
+            shape (S, 6, 3).
     """
 
     position: np.ndarray
@@ -114,9 +120,26 @@ class Work(NamedTuple):
 def work_arrays(segments: int, points: int) -> Work:
     """Return arrays for a body with a number of segments and points per segment."""
     n, count, velocities = segments + 1, segments * points, 6 + 3 * segments
-    shapes = [(n, 3), (n, 3, 3), (count, 3), (count, 2), (count, 6, velocities), (count, ROWS, velocities)]
+    shapes = [
+        (n, 3),
+        (n, 3, 3),
+        (count, 3),
+        (count, 2),
+        (count, 6, velocities),
+        (count, ROWS, velocities),
+    ]
     square, vector = (velocities, velocities), (velocities,)
-    shapes += [(count,), (count,), (count, 2), square, vector, square, vector, vector, vector]
+    shapes += [
+        (count,),
+        (count,),
+        (count, 2),
+        square,
+        vector,
+        square,
+        vector,
+        vector,
+        vector,
+    ]
     shapes += [(segments, 3), (segments, 3), (segments, 6, 3)]
     return Work(*map(np.zeros, shapes))
 
@@ -131,9 +154,21 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
         a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
     else:
         a, b = 1.0 - square / 6.0, 0.5 - square / 24.0
-    out[0, 0], out[0, 1], out[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
-    out[1, 0], out[1, 1], out[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
-    out[2, 0], out[2, 1], out[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+    out[0, 0], out[0, 1], out[0, 2] = (
+        1.0 - b * (y * y + z * z),
+        b * x * y - a * z,
+        b * x * z + a * y,
+    )
+    out[1, 0], out[1, 1], out[1, 2] = (
+        b * x * y + a * z,
+        1.0 - b * (x * x + z * z),
+        b * y * z - a * x,
+    )
+    out[2, 0], out[2, 1], out[2, 2] = (
+        b * x * z - a * y,
+        b * y * z + a * x,
+        1.0 - b * (x * x + y * y),
+    )
 
 
 @compiled
@@ -143,7 +178,10 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle > 1e-3:
-        b, c = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
+        b, c = (
+            (1.0 - math.cos(angle)) / square,
+            (angle - math.sin(angle)) / (square * angle),
+        )
     else:
         b, c = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     part = (x, y, z)[axis]
@@ -163,17 +201,20 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     Args:
         w: rotation vector of the front connector relative to the rear one, rad.
         u: fraction of the arc, 1.
-        lengths: straight length ahead of the arc, length of the arc, and straight length behind, m.
+        lengths: straight length ahead of the arc, length of the arc, and straight
+            length behind, m.
         offset: out, shape (3,), m.
         turn: out, rotation matrix, shape (3, 3).
-        slopes: out, velocity and angular velocity per rate of each component of w, shape (6, 3).
+        slopes: out, velocity and angular velocity per rate of each component of w,
+            shape (6, 3).
     """
     front, length, rear = lengths
     x, y, z = w
     half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
     rotate(half, turn)
     m_x, m_y, m_z = turn[0, 0], turn[1, 0], turn[2, 0]
-    # The chord of an arc with the bend b is sin(b/2)/(b/2) of its length, along the middle of the arc.
+    # The chord of an arc with the bend b is sin(b/2)/(b/2) of its length, along the
+    # middle of the arc.
     bend = math.sqrt(y * y + z * z)
     a = u * bend / 2
     if a > 1e-3:
@@ -225,7 +266,11 @@ def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def
         slopes: as in `_arc`.
     """
     x, y, z = place[0], place[1], place[2]
-    r_x, r_y, r_z = x - work.position[0, 0], y - work.position[0, 1], z - work.position[0, 2]
+    r_x, r_y, r_z = (
+        x - work.position[0, 0],
+        y - work.position[0, 1],
+        z - work.position[0, 2],
+    )
     for i in range(3):
         for row in range(6):
             motion[row, i] = motion[row, 3 + i] = 0.0
@@ -275,9 +320,20 @@ def pose(state, body, work):  # type: ignore[no-untyped-def]
         w = (state[BENDS + 3 * j + 2], -state[BENDS + 3 * j + 1], state[BENDS + 3 * j])
         for m in range(count):
             p = j * count + m
-            _arc(w, body.share[m], (body.front[m], body.length, body.rear[m]), offset, turn, slopes)
+            _arc(
+                w,
+                body.share[m],
+                (body.front[m], body.length, body.rear[m]),
+                offset,
+                turn,
+                slopes,
+            )
             x, y, z = _turned(frame, offset[0], offset[1], offset[2])
-            work.point[p, 0], work.point[p, 1], work.point[p, 2] = here[0] + x, here[1] + y, here[2] + z
+            work.point[p, 0], work.point[p, 1], work.point[p, 2] = (
+                here[0] + x,
+                here[1] + y,
+                here[2] + z,
+            )
             t_x, t_y, t_z = _turned(frame, turn[0, 0], turn[1, 0], turn[2, 0])
             flat = max(math.sqrt(t_x * t_x + t_y * t_y), 1e-12)
             c, s = t_x / flat, t_y / flat
@@ -285,12 +341,15 @@ def pose(state, body, work):  # type: ignore[no-untyped-def]
             motion, rows = work.motion[p], work.rows[p]
             _fill_motion(motion, work.point[p], j, work, slopes)
             for i in range(9 + 3 * j):
-                # Velocity of the material vertically below the axis, and rolling velocity of the surface.
+                # Velocity of the material vertically below the axis, and rolling
+                # velocity of the surface.
                 v_x = motion[0, i] - body.radius * motion[4, i]
                 v_y = motion[1, i] + body.radius * motion[3, i]
                 rows[ALONG, i], rows[ACROSS, i] = c * v_x + s * v_y, c * v_y - s * v_x
                 rows[UP, i] = motion[2, i]
-                rows[ROLL, i] = body.radius * (t_x * motion[3, i] + t_y * motion[4, i] + t_z * motion[5, i])
+                rows[ROLL, i] = body.radius * (
+                    t_x * motion[3, i] + t_y * motion[4, i] + t_z * motion[5, i]
+                )
         _arc(w, 1.0, (body.gap, body.length, body.gap), offset, turn, slopes)
         x, y, z = _turned(frame, offset[0], offset[1], offset[2])
         there, base = work.position[j + 1], work.base[j]
@@ -299,5 +358,7 @@ def pose(state, body, work):  # type: ignore[no-untyped-def]
         for i in range(3):
             for row in range(3):
                 work.frame[j + 1, row, i] = (
-                    frame[row, 0] * turn[0, i] + frame[row, 1] * turn[1, i] + frame[row, 2] * turn[2, i]
+                    frame[row, 0] * turn[0, i]
+                    + frame[row, 1] * turn[1, i]
+                    + frame[row, 2] * turn[2, i]
                 )

@@ -1,20 +1,22 @@
 r"""Time steps of the analytical models, and the adaptive substeps of `complete` and `simplified`.
 
-Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its friction reverses
-within a few times the slip speed ε, in a time mostly far shorter than a step. A step that misses the time of
-such a reversal makes the error of a whole impulse. `complete` and `simplified` divide steps where friction
-reverses.
+Steps end on valve events (`Steps`). Where the slip of a connector changes its sign, its
+friction reverses within a few times the slip speed ε, in a time mostly far shorter than
+a step. A step that misses the time of such a reversal makes the error of a whole
+impulse. `complete` and `simplified` divide steps where friction reverses.
 
-**Error estimate.** A step knows three rates of momentum: k₀ at its start, which is the last stage of the
-previous step, and k₁ and k₂ at its stages. If they change linearly, k₁ is on the line between the other two.
-Its deviation, as a velocity change over the step,
+**Error estimate.** A step knows three rates of momentum: k₀ at its start, which is the
+last stage of the previous step, and k₁ and k₂ at its stages. If they change linearly,
+k₁ is on the line between the other two. Its deviation, as a velocity change over the
+step,
 
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
 
-is at least 0.7 times the error of a reversal anywhere in the step, and of third order in h where friction is
-smooth. The rate of the angular momentum is divided by the radius of gyration of the straight body. A step
-with η above the tolerance is repeated in halves, which may be divided again; substeps well below the
-tolerance are doubled. Bends within a step are cubic Hermite polynomials through the bends and rates that the
+is at least 0.7 times the error of a reversal anywhere in the step, and of third order
+in h where friction is smooth. The rate of the angular momentum is divided by the radius
+of gyration of the straight body. A step with η above the tolerance is repeated in
+halves, which may be divided again; substeps well below the tolerance are doubled. Bends
+within a step are cubic Hermite polynomials through the bends and rates that the
 chambers give at its stages.
 """
 
@@ -49,7 +51,8 @@ class Steps:
     """Time steps of a schedule; equal schedules without valve events share an object, so do not modify it.
 
     Attributes:
-        ends: end of each step, ascending, from the start of the schedule, shape (steps,), s.
+        ends: end of each step, ascending, from the start of the schedule, shape
+            (steps,), s.
         sample_steps: number of steps before each sample, ascending, shape (samples,).
     """
 
@@ -57,7 +60,15 @@ class Steps:
     sample_steps: np.ndarray
 
     @classmethod
-    def between(cls, span: float, events: np.ndarray, samples: int, *, longest: float, same: float) -> Steps:
+    def between(
+        cls,
+        span: float,
+        events: np.ndarray,
+        samples: int,
+        *,
+        longest: float,
+        same: float,
+    ) -> Steps:
         """Return steps on an even grid that contains the samples, and on the valve events.
 
         Args:
@@ -65,7 +76,8 @@ class Steps:
             events: times of valve events, ascending, s.
             samples: number of equally spaced samples, the last one at the end.
             longest: longest step, s.
-            same: events that are closer to the end of another step, or to each other, do not end a step, s.
+            same: events that are closer to the end of another step, or to each other,
+                do not end a step, s.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -76,7 +88,9 @@ class Steps:
         # On either side of a grid point, because of rounding.
         events = events[np.abs(steps - np.round(steps)) * grid > same]
         events = events[np.diff(events, prepend=-1.0) > same]
-        sample_steps = even.sample_steps + np.searchsorted(events, even.ends[even.sample_steps - 1])
+        sample_steps = even.sample_steps + np.searchsorted(
+            events, even.ends[even.sample_steps - 1]
+        )
         return cls(np.sort(np.concatenate([even.ends, events])), sample_steps)
 
     @cached_property
@@ -89,16 +103,30 @@ class Steps:
     def stage_times(self) -> np.ndarray:
         """Start of the schedule and the two stages of each step, shape (1 + 2 · steps,), s."""
         times = np.zeros(1 + 2 * len(self.ends))
-        times[1::2], times[2::2] = self._starts + GAMMA * self.lengths, self._starts + self.lengths
+        times[1::2], times[2::2] = (
+            self._starts + GAMMA * self.lengths,
+            self._starts + self.lengths,
+        )
         return times
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, Steps]]:
         """Yield begin, end and steps of chunks with about the given length (s), at least one step each."""
-        firsts = np.unique(np.floor(self.ends / length * (1 - 1e-9)), return_index=True)[1]
+        firsts = np.unique(
+            np.floor(self.ends / length * (1 - 1e-9)), return_index=True
+        )[1]
         for first, last in zip(firsts, [*firsts[1:], len(self.ends)], strict=True):
             begun = float(self.ends[first - 1]) if first else 0.0
-            inside = self.sample_steps[(self.sample_steps > first) & (self.sample_steps <= last)] - first
-            yield begun, float(self.ends[last - 1]), Steps(self.ends[first:last] - begun, inside)
+            inside = (
+                self.sample_steps[
+                    (self.sample_steps > first) & (self.sample_steps <= last)
+                ]
+                - first
+            )
+            yield (
+                begun,
+                float(self.ends[last - 1]),
+                Steps(self.ends[first:last] - begun, inside),
+            )
 
     @property
     def _starts(self) -> np.ndarray:
@@ -116,8 +144,8 @@ def _even(span: float, samples: int, per_sample: int) -> Steps:
 MAX_SUBSTEPS = 64
 """Largest number of substeps of a step, a power of 2."""
 
-# Ratios of error to tolerance, 1. Above the first one a step is quartered, because halves would fail again;
-# below the second one the next substep is doubled.
+# Ratios of error to tolerance, 1. Above the first one a step is quartered, because
+# halves would fail again; below the second one the next substep is doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
 
@@ -135,8 +163,16 @@ def _cubic(at, span, q0, q1, r0, r1, q, r):  # type: ignore[no-untyped-def]  # n
         r: out, bend rates.
     """
     rest = 1 - at
-    rise, begins, ends = at * at * (3 - 2 * at), at * rest * rest * span, at * at * rest * span
-    rising, beginning, ending = 6 * at * rest / span, rest * (1 - 3 * at), at * (3 * at - 2)
+    rise, begins, ends = (
+        at * at * (3 - 2 * at),
+        at * rest * rest * span,
+        at * at * rest * span,
+    )
+    rising, beginning, ending = (
+        6 * at * rest / span,
+        rest * (1 - 3 * at),
+        at * (3 * at - 2),
+    )
     for j in range(q.shape[0]):
         change = q1[j] - q0[j]
         q[j] = q0[j] + rise * change + begins * r0[j] - ends * r1[j]
@@ -158,7 +194,16 @@ def bend_within(at, h, bends, rates, q, r):  # type: ignore[no-untyped-def]
     if at < GAMMA:
         _cubic(at / GAMMA, GAMMA * h, bends[0], bends[1], rates[0], rates[1], q, r)
     else:
-        _cubic((at - GAMMA) / (1 - GAMMA), (1 - GAMMA) * h, bends[1], bends[2], rates[1], rates[2], q, r)
+        _cubic(
+            (at - GAMMA) / (1 - GAMMA),
+            (1 - GAMMA) * h,
+            bends[1],
+            bends[2],
+            rates[1],
+            rates[2],
+            q,
+            r,
+        )
 
 
 @kernel_only
@@ -166,7 +211,9 @@ def _step_error(h, k0, k1, k2, weight, arm):  # type: ignore[no-untyped-def]
     """Return η of a step (module docstring), m/s."""
     x = k1[STATE_VX] - (1 - GAMMA) * k0[STATE_VX] - GAMMA * k2[STATE_VX]
     y = k1[STATE_VY] - (1 - GAMMA) * k0[STATE_VY] - GAMMA * k2[STATE_VY]
-    moment = (k1[MOMENT] - (1 - GAMMA) * k0[MOMENT] - GAMMA * k2[MOMENT]) / (weight * arm)
+    moment = (k1[MOMENT] - (1 - GAMMA) * k0[MOMENT] - GAMMA * k2[MOMENT]) / (
+        weight * arm
+    )
     return h * math.sqrt(x * x + y * y + moment * moment)
 
 
@@ -177,7 +224,8 @@ class StepArrays(NamedTuple):
         body: posed body, shape (ROWS, N).
         rates: rates of the state at the stages, shape (2, STATES).
         after: state after a substep, shape (STATES,).
-        drift: rates of change of the velocities, and those after a substep, shape (2, 3).
+        drift: rates of change of the velocities, and those after a substep, shape (2,
+            3).
         guess: velocities after a substep, shape (3,).
         bends: bends and bend rates at the stages of a substep, shape (2, 2, segments).
     """
@@ -208,18 +256,21 @@ def advance(
     """Advance a body in place over given steps.
 
     Args:
-        now: state (indices in `kernels`) and its rates, shape (STATES,) each; velocity in the body frame and
-            yaw rate, shape (3,). The latter two are kept between calls as first guesses.
+        now: state (indices in `kernels`) and its rates, shape (STATES,) each; velocity
+            in the body frame and yaw rate, shape (3,). The latter two are kept between
+            calls as first guesses.
         steps: lengths of the steps, shape (steps,), s.
-        trace: trace of the chambers at the start and the two stages of each step, 1 + 2 steps rows.
+        trace: trace of the chambers at the start and the two stages of each step, 1 + 2
+            steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
         model: body, floor, and whether the friction moment acts.
         tolerance: largest allowed η, m/s.
-        samples: out, states and velocities at the samples, shapes (samples, STATES) and (samples, 3).
+        samples: out, states and velocities at the samples, shapes (samples, STATES) and
+            (samples, 3).
 
     Returns:
-        The number of completed steps, which is smaller than requested after a failure, and the number of
-        substeps including repeated ones.
+        The number of completed steps, which is smaller than requested after a failure,
+        and the number of substeps including repeated ones.
     """
     bends, work = (trace.bend, trace.bend_rate), StepArrays.of(len(model[0].mass))
     done, substeps = _advance(now, steps, bends, marks, model, tolerance, samples, work)
@@ -232,7 +283,12 @@ def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type:
     (state, slope, u), (states, velocities) = now, samples
     (solid, floor, friction_moment), (bends, rates) = model, free
     body, k, after, guess = work.body, work.rates, work.after, work.guess
-    drift, pace, mid_bends, mid_rates = work.drift[0], work.drift[1], work.bends[0], work.bends[1]
+    drift, pace, mid_bends, mid_rates = (
+        work.drift[0],
+        work.drift[1],
+        work.bends[0],
+        work.bends[1],
+    )
     reach, n = solid.pitch / 2, solid.mass.shape[0]
     arm = solid.pitch * math.sqrt((n * n - 1) / 12)
     mark = substeps = 0
@@ -252,23 +308,40 @@ def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type:
             else:
                 for stage in range(2):
                     at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
-                    bend_within(at, steps[i], step_bends, step_rates, mid_bends[stage], mid_rates[stage])
+                    bend_within(
+                        at,
+                        steps[i],
+                        step_bends,
+                        step_rates,
+                        mid_bends[stage],
+                        mid_rates[stage],
+                    )
                 stage_bends, stage_rates = mid_bends, mid_rates
-            solved = step(state, h, stage_bends, stage_rates, model, guess, pace, k, after, body)
+            solved = step(
+                state, h, stage_bends, stage_rates, model, guess, pace, k, after, body
+            )
             substeps += 1
             eta = _step_error(h, slope, k[0], k[1], solid.weight, arm)
             if size > 1 and not (solved and eta < tolerance):
                 size = max(size // (2 if eta < _QUARTER_ABOVE * tolerance else 4), 1)
                 continue
             # A NaN fails every comparison.
-            if not (solved and abs(after[STATE_VX]) < SPEED_LIMIT and abs(after[STATE_VY]) < SPEED_LIMIT):
+            if not (
+                solved
+                and abs(after[STATE_VX]) < SPEED_LIMIT
+                and abs(after[STATE_VY]) < SPEED_LIMIT
+            ):
                 return i, substeps
             copy(after, state)
             copy(k[1], slope)
             copy(guess, u)
             copy(pace, drift)
             done += size
-            if size < MAX_SUBSTEPS and eta < _DOUBLE_BELOW * tolerance and done % (2 * size) == 0:
+            if (
+                size < MAX_SUBSTEPS
+                and eta < _DOUBLE_BELOW * tolerance
+                and done % (2 * size) == 0
+            ):
                 size *= 2
         while mark < marks.shape[0] and marks[mark] == i + 1:
             copy(state, states[mark])

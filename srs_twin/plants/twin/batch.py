@@ -1,18 +1,19 @@
 """TwinBatch: many twins with individual parameters, stepped in parallel by threads.
 
-Each run is a `TwinSnake` of its spec, so that a batch gives the same bits as that twin alone, and no formula
-of the model is repeated here. Each distinct spec is compiled once (24 ms for gen2; a copy takes 2 ms).
+Each run is a `TwinSnake` of its spec, so that a batch gives the same bits as that twin
+alone, and no formula of the model is repeated here. Each distinct spec is compiled once
+(24 ms for gen2; a copy takes 2 ms).
 
-Threads process whole twins, including chambers and observation, and every engine call releases the global
-interpreter lock. Alternatives that were considered:
+Threads process whole twins, including chambers and observation, and every engine call
+releases the global interpreter lock. Alternatives that were considered:
 
-- `mujoco.batch.Batch` makes the steps of all runs in one call. It is as fast in the engine and gives the same
-  bits, but its threads wait while Python runs: 5 % of the time if runs are played, a third if they are
-  commanded tick by tick.
-- `mujoco.rollout.Rollout` with threads does not return the warm start, so that a run in chunks has other
-  bits.
-- Setting parameters in a compiled model would save the 24 ms, compared with one second for ten simulated
-  seconds, but would repeat every formula of the model.
+- `mujoco.batch.Batch` makes the steps of all runs in one call. It is as fast in the
+  engine and gives the same bits, but its threads wait while Python runs: 5 % of the
+  time if runs are played, a third if they are commanded tick by tick.
+- `mujoco.rollout.Rollout` with threads does not return the warm start, so that a run in
+  chunks has other bits.
+- Setting parameters in a compiled model would save the 24 ms, compared with one second
+  for ten simulated seconds, but would repeat every formula of the model.
 
 >>> from dataclasses import replace
 >>> from srs_twin import Gait, Job, TwinBatch, load_robot, run_many
@@ -52,30 +53,42 @@ class TwinBatch(Claimable):
     Attributes:
         twins: the runs; each is a `TwinSnake` that can also be used alone.
         tick: control tick, s.
-        state: the latest state of every run, with a leading axis of runs on every field; for a run that
-            diverged, its last plausible state.
-        errors: None or the error that ended it, for each run; runs that have ended stop until `reset`.
+        state: the latest state of every run, with a leading axis of runs on every
+            field; for a run that diverged, its last plausible state.
+        errors: None or the error that ended it, for each run; runs that have ended stop
+            until `reset`.
     """
 
     twins: tuple[TwinSnake, ...]
     state: SnakeState
     errors: list[DivergedError | None]
 
-    def __new__(cls, *arguments: Any, engine: str = "cpu", device: str | None = None, **settings: Any) -> Any:
+    def __new__(
+        cls,
+        *arguments: Any,
+        engine: str = "cpu",
+        device: str | None = None,
+        **settings: Any,
+    ) -> Any:
         """Return a batch, or that of the engine "warp".
 
         Args:
             *arguments: see `__init__`.
             engine: "cpu", or "warp" for MuJoCo Warp.
             device: device of Warp, such as "cuda:0" or "cpu"; None for Warp's default.
-            **settings: see `__init__`; with `deterministic=True` Warp sums in a fixed order.
+            **settings: see `__init__`; with `deterministic=True` Warp sums in a fixed
+                order.
 
         Raises:
             InputError: MuJoCo Warp is not installed, or does not support the settings.
             UnknownNameError: the engine is unknown.
         """
         check_choice("engine", engine, ENGINES)
-        return super().__new__(cls) if engine == "cpu" else on_warp(*arguments, device=device, **settings)
+        return (
+            super().__new__(cls)
+            if engine == "cpu"
+            else on_warp(*arguments, device=device, **settings)
+        )
 
     @checked
     def __init__(
@@ -90,16 +103,18 @@ class TwinBatch(Claimable):
         """Build the twins.
 
         Args:
-            specs: the robot of each run; friction, stiffness, damping, masses and lengths may all differ.
-            supply_pa: supply pressure of all runs or of each run, Pa; default the nominal pressure of each
-                robot.
+            specs: the robot of each run; friction, stiffness, damping, masses and
+                lengths may all differ.
+            supply_pa: supply pressure of all runs or of each run, Pa; default the
+                nominal pressure of each robot.
             threads: number of threads; default one per processor.
             engine: see `__new__`.
             **settings: further arguments of `TwinSnake`, for all runs.
 
         Raises:
-            InputError: no run, robots with different numbers of connectors, a wrong number of pressures,
-                chambers given as an object, or as raised by `TwinSnake`.
+            InputError: no run, robots with different numbers of connectors, a wrong
+                number of pressures, chambers given as an object, or as raised by
+                `TwinSnake`.
         """
         self._workers = Workers(threads)
         self.twins = _twins(self._workers, specs, supply_pa, settings)
@@ -110,11 +125,14 @@ class TwinBatch(Claimable):
         """Return the number of runs."""
         return len(self.twins)
 
-    def reset(self, *, poses: Sequence[Pose] | None = None, seed: int = 0) -> SnakeState:
+    def reset(
+        self, *, poses: Sequence[Pose] | None = None, seed: int = 0
+    ) -> SnakeState:
         """Lay all snakes straight and at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run; default the origin.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run; default
+                the origin.
             seed: random seed of the twins.
 
         Returns:
@@ -125,9 +143,14 @@ class TwinBatch(Claimable):
         """
         places = [(0.0, 0.0, 0.0)] * len(self) if poses is None else list(poses)
         if len(places) != len(self):
-            raise InputError(f"poses: {len(places)} were given for {len(self)} runs; give one per run")
+            raise InputError(
+                f"poses: {len(places)} were given for {len(self)} runs; give one"
+                " per run"
+            )
         self.errors = [None] * len(self)
-        resting = self._workers.run(len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed))
+        resting = self._workers.run(
+            len(self), lambda k, _: self.twins[k].reset(pose=places[k], seed=seed)
+        )
         self.state = SnakeState.history(resting)
         return self.state
 
@@ -135,10 +158,12 @@ class TwinBatch(Claimable):
         """Advance all runs by one tick and return `state`.
 
         Args:
-            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), otherwise as in `Plant.step`.
+            valves: shape (runs, segments, 2) or (runs, slots, segments, 2), otherwise
+                as in `Plant.step`.
 
         Raises:
-            InputError: wrong shape, or a state that the valves do not have; no run has moved then.
+            InputError: wrong shape, or a state that the valves do not have; no run has
+                moved then.
         """
         self.advance(valves, 1)
         return self.state
@@ -148,7 +173,8 @@ class TwinBatch(Claimable):
 
         Args:
             valves: see `step`.
-            samples: number of equally spaced samples, the last one at the end of the tick.
+            samples: number of equally spaced samples, the last one at the end of the
+                tick.
 
         Returns:
             The history of each run, as in `play`.
@@ -157,8 +183,14 @@ class TwinBatch(Claimable):
             InputError: as in `step`.
         """
         if len(valves) != len(self):
-            raise InputError(f"valves: {len(valves)} were given for {len(self)} runs; give one array per run")
-        errors = [self.errors[k] or self._command_error(k, commands) for k, commands in enumerate(valves)]
+            raise InputError(
+                f"valves: {len(valves)} were given for {len(self)} runs; give one array"
+                " per run"
+            )
+        errors = [
+            self.errors[k] or self._command_error(k, commands)
+            for k, commands in enumerate(valves)
+        ]
         schedules = [
             None if error else twin.pneumatics.schedule(commands, self.tick)
             for twin, commands, error in zip(self.twins, valves, errors, strict=True)
@@ -166,24 +198,36 @@ class TwinBatch(Claimable):
         self.errors = errors
         return self.play(schedules, samples)
 
-    def play(self, schedules: Sequence[Schedule | None], samples: int) -> list[SnakeState | None]:
+    def play(
+        self, schedules: Sequence[Schedule | None], samples: int
+    ) -> list[SnakeState | None]:
         """Follow schedules without feedback.
 
         Args:
-            schedules: schedule of each run, over a whole number of ticks; None for a run that has ended.
-            samples: number of equally spaced samples of each run, the last one at the end.
+            schedules: schedule of each run, over a whole number of ticks; None for a
+                run that has ended.
+            samples: number of equally spaced samples of each run, the last one at the
+                end.
 
         Returns:
-            The history of each run; a run that diverges ends there, and one without samples returns None.
+            The history of each run; a run that diverges ends there, and one without
+            samples returns None.
 
         Raises:
-            InputError: the number of schedules differs from the number of runs, or as in `Plant.play`.
+            InputError: the number of schedules differs from the number of runs, or as
+                in `Plant.play`.
         """
         if len(schedules) != len(self):
-            raise InputError(f"schedules: {len(schedules)} were given for {len(self)} runs; give one per run")
-        histories = self._workers.run(len(self), lambda k, _: self._play(k, schedules[k], samples))
+            raise InputError(
+                f"schedules: {len(schedules)} were given for {len(self)} runs; give one"
+                " per run"
+            )
+        histories = self._workers.run(
+            len(self), lambda k, _: self._play(k, schedules[k], samples)
+        )
         last = [
-            self.state.at(k) if history is None else history.at(-1) for k, history in enumerate(histories)
+            self.state.at(k) if history is None else history.at(-1)
+            for k, history in enumerate(histories)
         ]
         self.state = SnakeState.history(last)
         return histories
@@ -204,13 +248,17 @@ class TwinBatch(Claimable):
             return error.with_traceback(None)
         return None
 
-    def _play(self, k: int, schedule: Schedule | None, samples: int) -> SnakeState | None:
+    def _play(
+        self, k: int, schedule: Schedule | None, samples: int
+    ) -> SnakeState | None:
         if schedule is None or self.errors[k] is not None:
             return None
         try:
             return self.twins[k].play(schedule, samples)
         except DivergedError as error:
-            self.errors[k] = error.with_traceback(None)  # its frames would keep the engine's records alive
+            self.errors[k] = error.with_traceback(
+                None
+            )  # its frames would keep the engine's records alive
             history: SnakeState | None = error.history
             return history
 
@@ -227,8 +275,9 @@ def on_warp(
     """Return a `WarpBatch`; arguments as in `TwinBatch`."""
     return warp_batch()(
         _twins(Workers(threads), specs, supply_pa, settings, once=True),
-        device=device, deterministic=deterministic,
-    )  # fmt: skip
+        device=device,
+        deterministic=deterministic,
+    )
 
 
 def warp_batch() -> Any:
@@ -241,7 +290,8 @@ def warp_batch() -> Any:
         return extensions.load(extensions.ENGINES["warp"])
     except ImportError as error:
         raise InputError(
-            "engine 'warp' needs MuJoCo Warp; install it with: pip install 'srs-twin[gpu]'"
+            "engine 'warp' needs MuJoCo Warp; install it with: pip install"
+            " 'srs-twin[gpu]'"
         ) from error
 
 
@@ -258,22 +308,38 @@ def _twins(
     counts = sorted({spec.geometry.connectors for spec in specs})
     if len(counts) != 1:
         numbers = ", ".join(map(str, counts)) or "no robot"
-        raise InputError(f"the robots of a batch must have the same number of connectors, not {numbers}")
+        raise InputError(
+            "the robots of a batch must have the same number of connectors, not"
+            f" {numbers}"
+        )
     if isinstance(settings.get("pneumatics"), Pneumatics):
-        raise InputError("pneumatics: the twins of a batch cannot share one object; give its kind")
-    keys = [repr(pair) if once else str(k) for k, pair in enumerate(zip(specs, supplies, strict=True))]
+        raise InputError(
+            "pneumatics: the twins of a batch cannot share one object; give its kind"
+        )
+    keys = [
+        repr(pair) if once else str(k)
+        for k, pair in enumerate(zip(specs, supplies, strict=True))
+    ]
     first_run = {key: k for k, key in reversed(list(enumerate(keys)))}
     distinct = sorted(first_run.values())
     built = workers.run(
-        len(distinct), lambda n, _: TwinSnake(specs[distinct[n]], supply_pa=supplies[distinct[n]], **settings)
+        len(distinct),
+        lambda n, _: TwinSnake(
+            specs[distinct[n]], supply_pa=supplies[distinct[n]], **settings
+        ),
     )
     twin_of_run = dict(zip(distinct, built, strict=True))
     return tuple(twin_of_run[first_run[key]] for key in keys)
 
 
-def _one_per_run(name: str, values: float | Sequence[float] | None, runs: int) -> list[float | None]:
+def _one_per_run(
+    name: str, values: float | Sequence[float] | None, runs: int
+) -> list[float | None]:
     if values is None or isinstance(values, int | float):
         return [values] * runs
     if len(values) != runs:
-        raise InputError(f"{name}: {len(values)} were given for {runs} runs; give one value, or one per run")
+        raise InputError(
+            f"{name}: {len(values)} were given for {runs} runs; give one value, or one"
+            " per run"
+        )
     return list(values)

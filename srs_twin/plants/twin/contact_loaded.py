@@ -1,18 +1,21 @@
 r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in the velocities.
 
-MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). Friction is a law of
-`robot.friction` on the normal forces of the same step. This module runs the time steps in a compiled loop
-around the engine's C functions; `friction_solve` solves for the friction of one step.
+MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). Friction is
+a law of `robot.friction` on the normal forces of the same step. This module runs the
+time steps in a compiled loop around the engine's C functions; `friction_solve` solves
+for the friction of one step.
 
-**Equation of a step.** The step has the length h, begins with the velocities v₋ and ends with v. MuJoCo first
-solves it with the friction forces f̂ of the previous step, which gives v̂:
+**Equation of a step.** The step has the length h, begins with the velocities v₋ and
+ends with v. MuJoCo first solves it with the friction forces f̂ of the previous step,
+which gives v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w , $$
 
-with the inertia M, the dampers h D that MuJoCo takes implicitly (together with the springs,
-see `_damping_matrices`), the applied forces Q, the Coriolis and centrifugal forces c, the normal forces N̂
-and the friction forces on the contacts w. The desired step has damping C, which is of second order, instead
-of h D, Coriolis forces at mid-step, and its own friction f:
+with the inertia M, the dampers h D that MuJoCo takes implicitly (together with the
+springs, see `_damping_matrices`), the applied forces Q, the Coriolis and centrifugal
+forces c, the normal forces N̂ and the friction forces on the contacts w. The desired
+step has damping C, which is of second order, instead of h D, Coriolis forces at
+mid-step, and its own friction f:
 
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
@@ -22,18 +25,21 @@ Subtracting the first equation, with A = M + C and δ = v − v̂,
 $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
    + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
-The change of the normal forces, N − N̂ = −J_n δ/(h R), has moved to the left side. J_n are the rows of the
-wheels that press on the floor and R is MuJoCo's regularisation, so that friction does not push wheels into
-the floor. c(v̄) is evaluated with v̂ in place of v.
+The change of the normal forces, N − N̂ = −J_n δ/(h R), has moved to the left side. J_n
+are the rows of the wheels that press on the floor and R is MuJoCo's regularisation, so
+that friction does not push wheels into the floor. c(v̄) is evaluated with v̂ in place
+of v.
 
-**Obstacles** also press on the hulls of the body without friction in the engine. Friction acts on a hull
-where the force of the obstacle acts (`stick_slip`). There is no such row in J_n: the normal force of an
-obstacle stays N̂. Movable objects have contacts of their own (`object_contacts`).
+**Obstacles** also press on the hulls of the body without friction in the engine.
+Friction acts on a hull where the force of the obstacle acts (`stick_slip`). There is no
+such row in J_n: the normal force of an obstacle stays N̂. Movable objects have contacts
+of their own (`object_contacts`).
 
-**Time levels.** Positions are those at mid-step, so that springs, friction and Coriolis forces are of second
-order. MuJoCo's normal contacts act with their state at the end of the step, because their time constant is
-only two steps. The friction of a wheel acts where it touches the floor, except for the part that spins the
-wheel, which acts at the hub.
+**Time levels.** Positions are those at mid-step, so that springs, friction and Coriolis
+forces are of second order. MuJoCo's normal contacts act with their state at the end of
+the step, because their time constant is only two steps. The friction of a wheel acts
+where it touches the floor, except for the part that spins the wheel, which acts at the
+hub.
 """
 
 from __future__ import annotations
@@ -65,14 +71,32 @@ from srs_twin.plants.twin.friction_solve import (
     store_friction,
 )
 from srs_twin.plants.twin.mjcf import surroundings
-from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS, LoadedContact, ModelSettings, stated
-from srs_twin.plants.twin.mjcf.wheels import contact_regularisation, static_loads, treads
-from srs_twin.plants.twin.object_contacts import ObjectState, object_contacts, store_object_friction
+from srs_twin.plants.twin.mjcf.numerics import (
+    LAWS_ON_LOADS,
+    LOADS,
+    LoadedContact,
+    ModelSettings,
+    stated,
+)
+from srs_twin.plants.twin.mjcf.wheels import (
+    contact_regularisation,
+    static_loads,
+    treads,
+)
+from srs_twin.plants.twin.object_contacts import (
+    ObjectState,
+    object_contacts,
+    store_object_friction,
+)
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
-_SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)  # positions and velocities are already evaluated
-_SINKING_TIME = 0.05  # after which a snake at rest has sunk into the floor, at a time unit of 1, s
+_SKIP_TO_FORCES = int(
+    mujoco.mjtStage.mjSTAGE_VEL
+)  # positions and velocities are already evaluated
+_SINKING_TIME = (
+    0.05  # after which a snake at rest has sunk into the floor, at a time unit of 1, s
+)
 _MIN_DECAY = 1e-9  # of a mode over one step, 1; smaller values are rounding errors of undamped motions
 
 mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
@@ -92,9 +116,11 @@ class LoadedStepper(Stateful):
     """Time steps of one twin with loaded contact.
 
     Attributes:
-        contact_state: friction, rim speeds and loads that the contacts keep from step to step.
+        contact_state: friction, rim speeds and loads that the contacts keep from step
+            to step.
         object_state: the same of the contacts of objects.
-        hull_jacobian: Jacobians of the stored friction of the hulls, shape (hulls, 4, 6).
+        hull_jacobian: Jacobians of the stored friction of the hulls, shape (hulls, 4,
+            6).
     """
 
     state_attributes = ("contact_state", "object_state", "hull_jacobian")
@@ -115,12 +141,15 @@ class LoadedStepper(Stateful):
             data: data that the steps advance.
             spec: the robot.
             settings: time step, and a `LoadedContact`.
-            air: largest stiffness that the air in the chambers adds to the joints, shape (nv, nv), N·m/rad;
-                None for no stiffness.
+            air: largest stiffness that the air in the chambers adds to the joints,
+                shape (nv, nv), N·m/rad; None for no stiffness.
             objects: movable objects of the scene.
         """
-        # The kernels call C functions of the engine by name: make their symbols known to LLVM.
-        llvm.load_library_permanently(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
+        # The kernels call C functions of the engine by name: make their symbols known
+        # to LLVM.
+        llvm.load_library_permanently(
+            str(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
+        )
         self._contacts, self._sparsity = _constants(model, spec, settings, air)
         views = (getattr(data, name) for name in EngineData._fields[3:])
         hull_admittance = self._contacts.admittance[self._contacts.wheels :]
@@ -129,12 +158,23 @@ class LoadedStepper(Stateful):
         pairs = self._objects if objects else None
         self._engine = EngineData(model._address, data._address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
-        self._model, self._data = model, data  # keep references: the kernels hold only addresses
+        self._model, self._data = (
+            model,
+            data,
+        )  # keep references: the kernels hold only addresses
         self._h, nv = settings.timestep, model.nv
         self._sinking_time = _SINKING_TIME * spec.scale.time
         count, entries = len(self._contacts.body), len(data.M)
         # In the order of the fields of `Workspace`.
-        shapes = [(count, 4, 6), (count, 2), (count, 8), (count,), (count,), *[(nv, 6)] * 4, (nv, 6, 6)]
+        shapes = [
+            (count, 4, 6),
+            (count, 2),
+            (count, 8),
+            (count,),
+            (count,),
+            *[(nv, 6)] * 4,
+            (nv, 6, 6),
+        ]
         shapes += [(entries,)] * 2 + [(nv,)] * 7
         self._work = Workspace(*map(np.zeros, shapes))._replace(newton_matrix=data.M)
         self._reset_contact_state()
@@ -146,7 +186,8 @@ class LoadedStepper(Stateful):
             InputError: always.
         """
         raise InputError(
-            "contacts can be neither copied nor pickled alone; copy the TwinSnake, or use save()"
+            "contacts can be neither copied nor pickled alone; copy the TwinSnake, or"
+            " use save()"
         )
 
     @property
@@ -161,7 +202,9 @@ class LoadedStepper(Stateful):
     @property
     def object_state(self) -> ObjectState:
         """State of the contacts of objects, views of the arrays that the kernels use."""
-        return ObjectState(*(getattr(self._objects, name) for name in ObjectState._fields))
+        return ObjectState(
+            *(getattr(self._objects, name) for name in ObjectState._fields)
+        )
 
     @object_state.setter
     def object_state(self, state: ObjectState) -> None:
@@ -191,15 +234,22 @@ class LoadedStepper(Stateful):
     def reset(self) -> None:
         """Sink the snake into the floor until it rests, and give each wheel its static load.
 
-        The snake sinks by some micrometres. It does so on a level floor and without friction, because
-        friction would hold the small displacements along the floor that sinking causes. Obstacles do not act,
-        so that the snake stays in its place until its start is checked.
+        The snake sinks by some micrometres. It does so on a level floor and without
+        friction, because friction would hold the small displacements along the floor
+        that sinking causes. Obstacles do not act, so that the snake stays in its place
+        until its start is checked.
         """
         model, data = self._model, self._data
         contacts, gravity = self._contacts, model.opt.gravity.copy()
         solid = model.geom_contype.copy()
         self._contacts = contacts._replace(
-            coefficients=(0.0, 0.0, *contacts.coefficients[2:4], 0.0, contacts.coefficients[5])
+            coefficients=(
+                0.0,
+                0.0,
+                *contacts.coefficients[2:4],
+                0.0,
+                contacts.coefficients[5],
+            )
         )
         model.opt.gravity[:2] = 0.0
         model.geom_contype[:] = 0
@@ -213,7 +263,9 @@ class LoadedStepper(Stateful):
     def _reset_contact_state(self) -> None:
         load = self._contacts.static_load
         zeros = np.zeros(len(load))
-        self.contact_state = ContactState(np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy())
+        self.contact_state = ContactState(
+            np.zeros((len(load), 3)), zeros, load.copy(), zeros.copy()
+        )
         self.hull_jacobian[:] = 0.0
         for array in self.object_state:
             array[:] = 0.0
@@ -223,8 +275,12 @@ class LoadedStepper(Stateful):
         contacts, velocity = self._contacts, np.empty(6)
         for w in range(contacts.wheels):
             body = int(contacts.body[w])
-            mujoco.mj_objectVelocity(self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1)
-            self.contact_state.rim_speed[w] = (velocity[3:] + np.cross(velocity[:3], contacts.centre[w]))[0]
+            mujoco.mj_objectVelocity(
+                self._model, self._data, mujoco.mjtObj.mjOBJ_XBODY, body, velocity, 1
+            )
+            self.contact_state.rim_speed[w] = (
+                velocity[3:] + np.cross(velocity[:3], contacts.centre[w])
+            )[0]
 
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, ...]:
         """Make one time step for each row of controls.
@@ -233,32 +289,50 @@ class LoadedStepper(Stateful):
             controls: shape (steps, nu).
 
         Returns:
-            states: time, qpos and qvel at the end of each step, NaN after a step that diverged, shape
-                (steps, 1 + nq + nv).
+            states: time, qpos and qvel at the end of each step, NaN after a step that
+                diverged, shape (steps, 1 + nq + nv).
             sensors: shape (steps, nsensordata).
-            floor_force: force of the floor on each wheel in the world frame, shape (steps, axles, 2, 3), N.
-            power: power that friction and the normal forces on hulls dissipate, shape (steps,), W.
-            obstacle_friction: friction of the obstacles, then of each object, on the hulls in the world
-                frame, shape (steps, 1 + objects, hulls, 3), N.
+            floor_force: force of the floor on each wheel in the world frame, shape
+                (steps, axles, 2, 3), N.
+            power: power that friction and the normal forces on hulls dissipate, shape
+                (steps,), W.
+            obstacle_friction: friction of the obstacles, then of each object, on the
+                hulls in the world frame, shape (steps, 1 + objects, hulls, 3), N.
         """
-        model, data, steps, wheels = self._model, self._data, len(controls), self._contacts.wheels
+        model, data, steps, wheels = (
+            self._model,
+            self._data,
+            len(controls),
+            self._contacts.wheels,
+        )
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
         sensors = np.zeros((steps, model.nsensordata))
         force = np.zeros((steps, len(self._contacts.static_load), 3))
         power, pairs = np.zeros(steps), np.zeros((steps, self._objects.pairs, 3))
         out = states, sensors, force, power, pairs
-        friction = self._contacts, self._sparsity, self.contact_state, self._work, self._h
+        friction = (
+            self._contacts,
+            self._sparsity,
+            self.contact_state,
+            self._work,
+            self._h,
+        )
         _run(self._inputs, self._engine, *friction, controls, out)
         states[:, 0] = data.time + self._h * np.arange(1, steps + 1)
         data.time += self._h * steps
         hulls = force[:, None, wheels:]
         if pairs.size:
-            hulls = np.concatenate([hulls, pairs.reshape(steps, -1, *hulls.shape[2:])], axis=1)
+            hulls = np.concatenate(
+                [hulls, pairs.reshape(steps, -1, *hulls.shape[2:])], axis=1
+            )
         return states, sensors, force[:, :wheels].reshape(steps, -1, 2, 3), power, hulls
 
 
 def _constants(
-    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings, air: np.ndarray | None
+    model: mujoco.MjModel,
+    spec: RobotSpec,
+    settings: ModelSettings,
+    air: np.ndarray | None,
 ) -> tuple[Contacts, Sparsity]:
     """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
     contact, nv, h = settings.contact, model.nv, settings.timestep
@@ -269,10 +343,15 @@ def _constants(
     mass, jacobian = _reference_dynamics(model, wheels, hulls)
     with one_blas_thread():
         no_air = np.zeros((nv, nv))
-        damping, excess = _damping_matrices(model, mass, h, no_air if air is None else air)
-        admittance = np.einsum("wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian)
+        damping, excess = _damping_matrices(
+            model, mass, h, no_air if air is None else air
+        )
+        admittance = np.einsum(
+            "wi,ij,wj->w", jacobian, np.linalg.inv(mass + damping), jacobian
+        )
     triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
-    # The spin of a rolling solid disc adds half of its mass to the inertia along the heading.
+    # The spin of a rolling solid disc adds half of its mass to the inertia along the
+    # heading.
     slides = contact.law in ("ellipse", "cosine")
     spin_mass = 0.0 if slides else settings.numerics.wheel_spin * spec.mass.wheel / 2
     zeros, mu = np.zeros(len(hulls)), spec.friction
@@ -284,9 +363,13 @@ def _constants(
         body=body,
         centre=np.stack([geom.pos for geom in geoms[: len(wheels)]]),
         last_dof=model.body_dofadr[body] + model.body_dofnum[body] - 1,
-        regularisation=np.append(contact_regularisation(model, spec, settings), zeros + math.inf),
+        regularisation=np.append(
+            contact_regularisation(model, spec, settings), zeros + math.inf
+        ),
         admittance=admittance,
-        static_load=np.append(static_loads(spec, settings, -model.opt.gravity[2]), zeros),
+        static_load=np.append(
+            static_loads(spec, settings, -model.opt.gravity[2]), zeros
+        ),
         load_kind=LOADS.index(contact.load),
         sensor=np.array(sensors),
         wheel_radius=spec.geometry.wheel_radius,
@@ -309,7 +392,8 @@ def _reference_dynamics(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return M and the contact Jacobian of the straight snake, shapes (nv, nv) and (C, nv).
 
-    The rows of the wheels give their velocity across the heading, those of the hulls their velocity along it.
+    The rows of the wheels give their velocity across the heading, those of the hulls
+    their velocity along it.
     """
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -319,7 +403,9 @@ def _reference_dynamics(
     rows = []
     for k, name in enumerate(wheels + hulls):
         geom = data.geom(name)
-        mujoco.mj_jac(model, data, jacobian, None, geom.xpos, model.geom_bodyid[geom.id])
+        mujoco.mj_jac(
+            model, data, jacobian, None, geom.xpos, model.geom_bodyid[geom.id]
+        )
         rows.append(jacobian[1 if k < len(wheels) else 0].copy())
     return mass, np.array(rows)
 
@@ -329,28 +415,34 @@ def _damping_matrices(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Return C of second order in time, and (h D + h² K) − C, shapes (nv, nv).
 
-    MuJoCo evaluates dampers and springs at the end of a step, which is of first order. The matrix
+    MuJoCo evaluates dampers and springs at the end of a step, which is of first order.
+    The matrix
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
-    makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does: with second order, and
-    without ringing of fast modes. M is the inertia of the straight snake; other shapes would give the same
-    order.
+    makes the step (M + C)(v − v₋) = h (f − D v₋) decay as the exact exponential does:
+    with second order, and without ringing of fast modes. M is the inertia of the
+    straight snake; other shapes would give the same order.
 
-    The air that the bends compress acts as a further spring K_a, whose force is evaluated at mid-step. The
-    term h² K_a/4 in A makes the step stable for its fastest oscillation, that of a connector between two
-    closed chambers. It changes the results only by terms of second order.
+    The air that the bends compress acts as a further spring K_a, whose force is
+    evaluated at mid-step. The term h² K_a/4 in A makes the step stable for its fastest
+    oscillation, that of a connector between two closed chambers. It changes the results
+    only by terms of second order.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
-    rates[model.jnt_dofadr[hinges]] += h**2 * model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
+    rates[model.jnt_dofadr[hinges]] += (
+        h**2 * model.jnt_stiffness.reshape(model.njnt, -1)[hinges, 0]
+    )
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. Rounding errors of their rates would add a mass matrix that is fixed in the
-    # world, although it should rotate with the snake.
+    # Rigid motions are undamped. Rounding errors of their rates would add a mass matrix
+    # that is fixed in the world, although it should rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
-    damping: np.ndarray = (shapes * np.where(damped, decays / -np.expm1(-decays) - 1, 0.0)) @ shapes.T
+    damping: np.ndarray = (
+        shapes * np.where(damped, decays / -np.expm1(-decays) - 1, 0.0)
+    ) @ shapes.T
     damping += h**2 / 4 * air
     return damping, np.diag(rates) - damping
 
@@ -371,7 +463,9 @@ def _run(inputs, engine, contacts, sparsity, state, work, h, controls, out):  # 
 def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  # type: ignore[no-untyped-def]
     """Move to mid-step and apply the friction of the previous step."""
     _copy(control, inputs.ctrl)
-    mj_integratePos(engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2)
+    mj_integratePos(
+        engine.model, engine.qpos.ctypes.data, engine.qvel.ctypes.data, h / 2
+    )
     _copy(engine.qvel, work.v_start)
     mj_step1(engine.model, engine.data)
     apply_stored_friction(engine, contacts, sparsity, state, work, h)
@@ -381,7 +475,12 @@ def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  #
 def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
     """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
     states, sensors, force, power, pairs = out
-    model, data, nq, nv = engine.model, engine.data, engine.qpos.shape[0], engine.qvel.shape[0]
+    model, data, nq, nv = (
+        engine.model,
+        engine.data,
+        engine.qpos.shape[0],
+        engine.qvel.shape[0],
+    )
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(nv):
         work.v_predicted[i] = work.v_start[i] + h * engine.qacc[i]
@@ -406,6 +505,7 @@ def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  #
 
 @kernel_only
 def _copy(source, target):  # type: ignore[no-untyped-def]
-    # A loop: numba takes seconds to compile an assignment to a slice, for its error message.
+    # A loop: numba takes seconds to compile an assignment to a slice, for its error
+    # message.
     for k in range(source.shape[0]):
         target[k] = source[k]

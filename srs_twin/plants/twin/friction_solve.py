@@ -1,35 +1,40 @@
 r"""Newton's method for the implicit friction of one time step.
 
-`contact_loaded` derives the equation of a step. Its unknown is the change of velocity δ = v − v̂ that the
-friction forces f_w of this step make, compared with the engine's solution v̂ under the forces f̂_w of the
-previous step:
+`contact_loaded` derives the equation of a step. Its unknown is the change of velocity δ
+= v − v̂ that the friction forces f_w of this step make, compared with the engine's
+solution v̂ under the forces f̂_w of the previous step:
 
 $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
    b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
 - w counts the contacts: the wheels first, then the hulls that may touch an obstacle.
-- J_w maps velocities to the velocity of contact w along and across, J_n to the normal velocities of the
-  wheels that press on the floor, and R is MuJoCo's regularisation of their normal forces.
-- u_w is the velocity of a contact at which its friction is evaluated, u_w = J_w (v₋ + θ (v − v₋)). The
-  fraction θ is 1/2 for a contact that slides (second order) and tends to 1 for one that sticks
-  (`_evaluation_fraction`).
+- J_w maps velocities to the velocity of contact w along and across, J_n to the normal
+  velocities of the wheels that press on the floor, and R is MuJoCo's regularisation of
+  their normal forces.
+- u_w is the velocity of a contact at which its friction is evaluated, u_w = J_w (v₋ + θ
+  (v − v₋)). The fraction θ is 1/2 for a contact that slides (second order) and tends to
+  1 for one that sticks (`_evaluation_fraction`).
 
-The part of a wheel's friction that spins the wheel acts at the hub, not at the contact point
-(`_SPIN_FORCE`).
+The part of a wheel's friction that spins the wheel acts at the hub, not at the contact
+point (`_SPIN_FORCE`).
 
-**Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves with the ancestors of
-its connector only, so the matrix has the sparsity pattern of the joint-space inertia M and is factored like
-M. As in the composite-rigid-body algorithm (Featherstone 2008, Section 6.2), the slopes of the contacts are
-summed from the ends of the chain to its root as spatial 6 × 6 matrices, and projected on the joint axes.
-Spatial vectors have rotation first and refer to the centre of mass of the snake, as `cdof` in MuJoCo.
+**Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
+with the ancestors of its connector only, so the matrix has the sparsity pattern of the
+joint-space inertia M and is factored like M. As in the composite-rigid-body algorithm
+(Featherstone 2008, Section 6.2), the slopes of the contacts are summed from the ends of
+the chain to its root as spatial 6 × 6 matrices, and projected on the joint axes.
+Spatial vectors have rotation first and refer to the centre of mass of the snake, as
+`cdof` in MuJoCo.
 
-**Loads.** Friction depends on the normal forces, which themselves depend on δ. The equation is solved under
-the loads of v̂ with one Newton step, and then under the loads that this step leaves, to the tolerance.
+**Loads.** Friction depends on the normal forces, which themselves depend on δ. The
+equation is solved under the loads of v̂ with one Newton step, and then under the loads
+that this step leaves, to the tolerance.
 
 Movable objects have contacts of their own, which `object_contacts` adds to the solve.
 
-The functions use only what both numba and Warp compile: records of arrays, numbers and loops. Numbers have a
-decimal point, and a variable that a loop changes is created with `float`.
+The functions use only what both numba and Warp compile: records of arrays, numbers and
+loops. Numbers have a decimal point, and a variable that a loop changes is created with
+`float`.
 """
 
 from __future__ import annotations
@@ -50,7 +55,11 @@ from srs_twin.plants.twin.object_contacts import (
     dot,
     locate_objects,
 )
-from srs_twin.plants.twin.stick_slip import rolling_friction, skin_friction, stick_slip_friction
+from srs_twin.plants.twin.stick_slip import (
+    rolling_friction,
+    skin_friction,
+    stick_slip_friction,
+)
 
 _MOMENTARY = LOADS.index("momentary")
 _ACROSS_ONLY = LOADS.index("across")
@@ -62,11 +71,16 @@ _MAX_ITERATIONS = 30  # Newton steps under the final loads
 _MAX_TRIALS = 12  # evaluations of one line search
 
 # Tolerances of the squared residual, all relative but the last.
-_RELATIVE_TOLERANCE = 1e-14  # relative to the squared friction impulse: friction is then exact to 1e-7
+_RELATIVE_TOLERANCE = (
+    1e-14  # relative to the squared friction impulse: friction is then exact to 1e-7
+)
 _ROUNDING_TOLERANCE = 1e-24  # relative to the largest first residual: below it there are only rounding errors
-_ABSOLUTE_TOLERANCE = 0.0  # (kg·m/s)²; Warp, in single precision, replaces it (`warp.translation`)
+_ABSOLUTE_TOLERANCE = (
+    0.0  # (kg·m/s)²; Warp, in single precision, replaces it (`warp.translation`)
+)
 
-# A line search ends when the slope has fallen below this fraction of the initial slope, 1.
+# A line search ends when the slope has fallen below this fraction of the initial slope,
+# 1.
 _MAX_SLOPE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
@@ -95,7 +109,10 @@ def c_function(name: str, *more: Any) -> Any:
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
 
-mj_factorM, mj_solveM = c_function("mj_factorM"), c_function("mj_solveM", types.intp, types.intp, types.int32)
+mj_factorM, mj_solveM = (
+    c_function("mj_factorM"),
+    c_function("mj_solveM", types.intp, types.intp, types.int32),
+)
 
 
 class EngineData(NamedTuple):
@@ -126,7 +143,8 @@ class EngineData(NamedTuple):
 class Sparsity(NamedTuple):
     """Lower triangle of M in compressed rows, and the damping matrices with the same pattern.
 
-    The entries of a row belong to the ancestors of its degree of freedom, which is itself the last entry.
+    The entries of a row belong to the ancestors of its degree of freedom, which is
+    itself the last entry.
 
     Attributes:
         row_length: number of entries of each row, shape (nv,).
@@ -154,16 +172,17 @@ class Contacts(NamedTuple):
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
         last_dof: last degree of freedom that moves the contact, shape (C,).
         regularisation: R of the normal force, shape (C,), 1/kg; infinite for a hull.
-        admittance: change of velocity per impulse, across for a wheel and along the body for a hull, shape
-            (C,), 1/kg.
+        admittance: change of velocity per impulse, across for a wheel and along the
+            body for a hull, shape (C,), 1/kg.
         static_load: shape (C,), N.
         load_kind: load in the friction law, an index into `numerics.LOADS`.
-        sensor: index into `sensordata` of a wheel's normal force, or of the force on a hull and its point of
-            application, shape (C,).
+        sensor: index into `sensordata` of a wheel's normal force, or of the force on a
+            hull and its point of application, shape (C,).
         wheel_radius: m.
         law: friction law of the wheels, an index into `numerics.LAWS_ON_LOADS`.
-        coefficients: μ_t, μ_n, slip speed ε (m/s), the added mass of a spinning wheel (kg), μ_t of a skin for
-            slip towards the tail, and the coefficient between body and obstacles.
+        coefficients: μ_t, μ_n, slip speed ε (m/s), the added mass of a spinning wheel
+            (kg), μ_t of a skin for slip towards the tail, and the coefficient between
+            body and obstacles.
     """
 
     wheels: int
@@ -184,7 +203,8 @@ class ContactState(NamedTuple):
     """State of the contacts that persists from step to step.
 
     Attributes:
-        force: friction along and across the heading, and its part that spins the wheel, shape (C, 3), N.
+        force: friction along and across the heading, and its part that spins the wheel,
+            shape (C, 3), N.
         rim_speed: shape (C,), m/s.
         load: normal force in the friction law, shape (C,), N.
         slip_speed: shape (C,), m/s.
@@ -199,18 +219,23 @@ class ContactState(NamedTuple):
 class Workspace(NamedTuple):
     """Arrays of one step. C contacts, nv degrees of freedom, nM entries of M.
 
-    Arrays of shape (nv, 6) hold the spatial velocity of, or force on, the bodies beyond a degree of freedom.
+    Arrays of shape (nv, 6) hold the spatial velocity of, or force on, the bodies beyond
+    a degree of freedom.
 
     Attributes:
-        jacobian: spatial vectors that give a contact's velocity along, across and up, and its hub's velocity
-            along, shape (C, 4, 6). At an obstacle, "along" is horizontal along its face, and "across" is up.
+        jacobian: spatial vectors that give a contact's velocity along, across and up,
+            and its hub's velocity along, shape (C, 4, 6). At an obstacle, "along" is
+            horizontal along its face, and "across" is up.
         heading: cosine and sine of the direction along, shape (C, 2).
-        response: forces and slopes of the friction law, shape (C, 8); columns `_FORCE_ALONG` and so on.
+        response: forces and slopes of the friction law, shape (C, 8); columns
+            `_FORCE_ALONG` and so on.
         normal_force: under v̂, shape (C,), N.
-        theta: fraction θ of the step at which friction is evaluated, 1/2 to 1, shape (C,).
+        theta: fraction θ of the step at which friction is evaluated, 1/2 to 1, shape
+            (C,).
         step_motion: spatial velocities of v̂ − v₋, shape (nv, 6).
         mid_motion: spatial velocities of (v₋ + v̂)/2, shape (nv, 6).
-        motion: spatial velocities of δ, or the forces that friction exerts, shape (nv, 6).
+        motion: spatial velocities of δ, or the forces that friction exerts, shape (nv,
+            6).
         impulse: spatial impulses of the changed contact forces, shape (nv, 6).
         slope: spatial slopes of the contact forces, shape (nv, 6, 6).
         inertia: A, shape (nM,).
@@ -249,7 +274,9 @@ class Workspace(NamedTuple):
 def apply_stored_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Locate the wheels and write the friction of the previous step to `qfrc_applied`."""
     _locate_wheels(engine, contacts, work)
-    _generalised_forces(engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied)
+    _generalised_forces(
+        engine.cdof, contacts, sparsity, state.force, work, engine.qfrc_applied
+    )
     apply_object_friction(engine, sparsity, work, h)
 
 
@@ -264,7 +291,8 @@ def set_mid_velocity(engine, work):  # type: ignore[no-untyped-def]
 def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve for the friction of a step and set `qvel` to the velocity at its end.
 
-    On entry the workspace holds v₋ and v̂, its `residual` c(v̄), and `qfrc_bias` of the engine c(v₋).
+    On entry the workspace holds v₋ and v̂, its `residual` c(v̄), and `qfrc_bias` of the
+    engine c(v₋).
     """
     for i in range(work.v_start.shape[0]):
         work.bias[i] = h * (engine.qfrc_bias[i] - work.residual[i])
@@ -277,10 +305,18 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
     _read_normal_forces(engine, contacts, work)
     locate_objects(engine, sparsity, work, h)
     for w in range(contacts.body.shape[0]):
-        mu = contacts.coefficients[1] if w < contacts.wheels else contacts.coefficients[5]
-        # Friction force per slip speed of the previous step (secant slope), N·s/m. It decides whether the
-        # contact slides (θ near 1/2) or sticks (θ near 1).
-        grip = mu * work.normal_force[w] / max(state.slip_speed[w], contacts.coefficients[2])
+        mu = (
+            contacts.coefficients[1]
+            if w < contacts.wheels
+            else contacts.coefficients[5]
+        )
+        # Friction force per slip speed of the previous step (secant slope), N·s/m. It
+        # decides whether the contact slides (θ near 1/2) or sticks (θ near 1).
+        grip = (
+            mu
+            * work.normal_force[w]
+            / max(state.slip_speed[w], contacts.coefficients[2])
+        )
         work.theta[w] = _evaluation_fraction(h * grip * contacts.admittance[w])
     _newton(engine, contacts, sparsity, state, work, h)
     for i in range(work.v_start.shape[0]):
@@ -291,14 +327,16 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
 def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step; return its power, and that of the normal forces of obstacles.
 
-    The power of a normal force contains the mean velocity of the step: an impact stops the body within a step
-    or two, and with the velocity before it, the loss would be up to twice as large.
+    The power of a normal force contains the mean velocity of the step: an impact stops
+    the body within a step or two, and with the velocity before it, the loss would be up
+    to twice as large.
 
     Args:
         contacts: constants of the contacts.
         state: out.
         work: workspace after `solve_friction`.
-        force: out, force on each contact in the world frame, shape (C, 3), N. For a hull it is friction only.
+        force: out, force on each contact in the world frame, shape (C, 3), N. For a
+            hull it is friction only.
 
     Returns:
         Power that friction and obstacles dissipate, W.
@@ -326,7 +364,9 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
             force[w, 2] = f_n
             if work.normal_force[w] > 0.0:
                 last, away = contacts.last_dof[w], work.jacobian[w, _NORMAL]
-                velocity = dot(away, work.mid_motion[last]) + 0.5 * dot(away, work.motion[last])
+                velocity = dot(away, work.mid_motion[last]) + 0.5 * dot(
+                    away, work.motion[last]
+                )
                 power -= work.normal_force[w] * velocity
     return power
 
@@ -342,7 +382,10 @@ def _clear(array):  # type: ignore[no-untyped-def]
 def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
     """Add the product of a symmetric matrix and the vector x to `out`."""
     for i in range(x.shape[0]):
-        row, last = sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1
+        row, last = (
+            sparsity.row_start[i],
+            sparsity.row_start[i] + sparsity.row_length[i] - 1,
+        )
         for k in range(row, last):
             out[i] += matrix[k] * x[sparsity.column[k]]
             out[sparsity.column[k]] += matrix[k] * x[i]
@@ -360,14 +403,33 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         c, s = m[0] * norm, m[3] * norm
         work.heading[w, 0] = c
         work.heading[w, 1] = s
-        x = engine.xpos[body, 0] + m[0] * centre[0] + m[1] * centre[1] + m[2] * centre[2] - com[0]
-        y = engine.xpos[body, 1] + m[3] * centre[0] + m[4] * centre[1] + m[5] * centre[2] - com[1]
-        z = engine.xpos[body, 2] + m[6] * centre[0] + m[7] * centre[1] + m[8] * centre[2] - com[2]
+        x = (
+            engine.xpos[body, 0]
+            + m[0] * centre[0]
+            + m[1] * centre[1]
+            + m[2] * centre[2]
+            - com[0]
+        )
+        y = (
+            engine.xpos[body, 1]
+            + m[3] * centre[0]
+            + m[4] * centre[1]
+            + m[5] * centre[2]
+            - com[1]
+        )
+        z = (
+            engine.xpos[body, 2]
+            + m[6] * centre[0]
+            + m[7] * centre[1]
+            + m[8] * centre[2]
+            - com[2]
+        )
         z -= contacts.wheel_radius
         point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
         point_jacobian(work.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
         point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        # The hub is one radius above the contact, so only the moments differ between the two rows.
+        # The hub is one radius above the contact, so only the moments differ between
+        # the two rows.
         hub, along = work.jacobian[w, _HUB], work.jacobian[w, _ALONG]
         for k in range(6):
             hub[k] = along[k]
@@ -400,7 +462,11 @@ def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
         work.normal_force[w] = normal
         if normal > 0.0:
             c, s = -fy / normal, fx / normal
-            x, y, z = sensors[k + 3] - com[0], sensors[k + 4] - com[1], sensors[k + 5] - com[2]
+            x, y, z = (
+                sensors[k + 3] - com[0],
+                sensors[k + 4] - com[1],
+                sensors[k + 5] - com[2],
+            )
             work.heading[w, 0] = c
             work.heading[w, 1] = s
             point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
@@ -436,8 +502,13 @@ def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ig
     _clear(work.motion)
     for w in range(contacts.body.shape[0]):
         for k in range(6):
-            component = force[w, 0] * work.jacobian[w, _ALONG, k] + force[w, 1] * work.jacobian[w, _ACROSS, k]
-            component += force[w, 2] * (work.jacobian[w, _HUB, k] - work.jacobian[w, _ALONG, k])
+            component = (
+                force[w, 0] * work.jacobian[w, _ALONG, k]
+                + force[w, 1] * work.jacobian[w, _ACROSS, k]
+            )
+            component += force[w, 2] * (
+                work.jacobian[w, _HUB, k] - work.jacobian[w, _ALONG, k]
+            )
             work.motion[contacts.last_dof[w], k] += component
     _project(cdof, sparsity, work.motion, out)
 
@@ -446,9 +517,17 @@ def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ig
 def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     """Return u of a contact along and across at the fraction θ of the step, m/s; `motion` holds δ."""
     last = contacts.last_dof[w]
-    middle, step, change = work.mid_motion[last], work.step_motion[last], work.motion[last]
+    middle, step, change = (
+        work.mid_motion[last],
+        work.step_motion[last],
+        work.motion[last],
+    )
     # v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ
-    along, across, shift = work.jacobian[w, _ALONG], work.jacobian[w, _ACROSS], theta - 0.5
+    along, across, shift = (
+        work.jacobian[w, _ALONG],
+        work.jacobian[w, _ACROSS],
+        theta - 0.5,
+    )
     return (
         dot(along, middle) + shift * dot(along, step) + theta * dot(along, change),
         dot(across, middle) + shift * dot(across, step) + theta * dot(across, change),
@@ -473,7 +552,8 @@ def _friction_load(contacts, work, w):  # type: ignore[no-untyped-def]
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated if slip decays by e^(−x) per step.
 
-    With this θ the implicit step reproduces the exponential decay. θ is 1/2 for slow decay, 1 for fast decay.
+    With this θ the implicit step reproduces the exponential decay. θ is 1/2 for slow
+    decay, 1 for fast decay.
     """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
@@ -494,7 +574,8 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         h: time from the beginning of the step to the evaluation, s.
 
     Returns:
-        Force along and across (N), slopes along, mixed and across (N·s/m), and rim speed (m/s).
+        Force along and across (N), slopes along, mixed and across (N·s/m), and rim
+        speed (m/s).
     """
     law = contacts.coefficients
     mu_t, mu_n, slip, mass = law[0], law[1], law[2], law[3]
@@ -505,19 +586,38 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         return f_t, f_n, tt, tn, nn, 0.0
     inertia, drag = mass / h, force[0] - force[2]
     if contacts.law == _WHEEL:
-        return rolling_friction(along, across, load, mu_t, mu_n, slip, force[0], force[1], rim, inertia)
+        return rolling_friction(
+            along, across, load, mu_t, mu_n, slip, force[0], force[1], rim, inertia
+        )
     if contacts.law == _COSINE or law[4] != mu_t:
         f_t, f_n, tt, tn, nt, nn = skin_friction(
-            along, across, load, mu_t, law[4], mu_n, slip, drag, force[1], contacts.law == _COSINE
+            along,
+            across,
+            load,
+            mu_t,
+            law[4],
+            mu_n,
+            slip,
+            drag,
+            force[1],
+            contacts.law == _COSINE,
         )
-        # Newton's matrix is symmetric. The geometric mean of the mixed slopes keeps it positive definite.
+        # Newton's matrix is symmetric. The geometric mean of the mixed slopes keeps it
+        # positive definite.
         return f_t, f_n, tt, np.sign(tn) * np.sqrt(tn * nt), nn, along
     if contacts.law == _ELLIPSE:
-        f_t, f_n, tt, tn, nn = stick_slip_friction(along, across, load, mu_t, mu_n, slip, drag, force[1])
+        f_t, f_n, tt, tn, nn = stick_slip_friction(
+            along, across, load, mu_t, mu_n, slip, drag, force[1]
+        )
         return f_t, f_n, tt, tn, nn, along
-    # Law "axis": the two directions are independent, and the wheel rolls, so that its spin adds mass.
-    f_t, _, tt, _, _ = stick_slip_friction(along, 0.0, load, mu_t, mu_t, slip, drag, 0.0)
-    _, f_n, _, _, nn = stick_slip_friction(0.0, across, load, mu_n, mu_n, slip, 0.0, force[1])
+    # Law "axis": the two directions are independent, and the wheel rolls, so that its
+    # spin adds mass.
+    f_t, _, tt, _, _ = stick_slip_friction(
+        along, 0.0, load, mu_t, mu_t, slip, drag, 0.0
+    )
+    _, f_n, _, _, nn = stick_slip_friction(
+        0.0, across, load, mu_n, mu_n, slip, 0.0, force[1]
+    )
     return f_t - inertia * (along - rim), f_n, tt - inertia, 0.0, nn, along
 
 
@@ -529,15 +629,17 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
         change[i] = 0.0
     _clear(work.response)
     first = float(0.0)
-    # The first pass uses the loads of v̂ and need not converge; the second pass uses the loads after the
-    # first.
+    # The first pass uses the loads of v̂ and need not converge; the second pass uses
+    # the loads after the first.
     for iteration in range(2):
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
         for w in range(contacts.body.shape[0]):
             state.load[w] = _friction_load(contacts, work, w)
             friction_impulse += h * contacts.coefficients[1] * state.load[w]
-        best = _evaluate_residual(engine, contacts, sparsity, state, work, h, work.residual)
+        best = _evaluate_residual(
+            engine, contacts, sparsity, state, work, h, work.residual
+        )
         first = max(first, best)
         tolerance = (
             _RELATIVE_TOLERANCE * friction_impulse * friction_impulse
@@ -559,9 +661,10 @@ def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-unty
 def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Move along Newton's direction until the residual is nearly normal to it; return its square.
 
-    Under given loads friction maximises dissipation, so the residual is the gradient of a convex function,
-    which decreases along Newton's direction. The squared residual may increase where a contact changes
-    between sticking and sliding: a search that requires it to decrease would stall when the robot stops.
+    Under given loads friction maximises dissipation, so the residual is the gradient of
+    a convex function, which decreases along Newton's direction. The squared residual
+    may increase where a contact changes between sticking and sliding: a search that
+    requires it to decrease would stall when the robot stops.
     """
     change, direction = work.v_change, work.direction
     slope_start = float(0.0)
@@ -573,12 +676,15 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
         for i in range(direction.shape[0]):
             change[i] -= (scale - applied) * direction[i]
         applied = scale
-        square = _evaluate_residual(engine, contacts, sparsity, state, work, h, work.trial_residual)
+        square = _evaluate_residual(
+            engine, contacts, sparsity, state, work, h, work.trial_residual
+        )
         slope = float(0.0)
         for i in range(direction.shape[0]):
             slope += work.trial_residual[i] * direction[i]
         limit = _MAX_SLOPE_RATIO * slope_start
-        # A full step may end early (slope > 0): Newton's next step continues from there.
+        # A full step may end early (slope > 0): Newton's next step continues from
+        # there.
         if slope >= -limit and (scale == 1.0 or slope <= limit):
             break
         if slope < 0.0:
@@ -588,21 +694,35 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
             low = scale
             slope_low = slope
         # Secant step, at least a tenth of the bracket from either end.
-        scale = low + min(max(slope_low / (slope_low - slope_high), 0.1), 0.9) * (high - low)
+        scale = low + min(max(slope_low / (slope_low - slope_high), 0.1), 0.9) * (
+            high - low
+        )
     return square
 
 
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
     """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
-    change, motion, jacobian, response = work.v_change, work.motion, work.jacobian, work.response
+    change, motion, jacobian, response = (
+        work.v_change,
+        work.motion,
+        work.jacobian,
+        work.response,
+    )
     _spatial_velocities(engine.cdof, sparsity, change, motion)
     for w in range(contacts.body.shape[0]):
         if w >= contacts.wheels and state.load[w] == 0.0:
             continue  # the hull touches no obstacle
         along, across = _contact_velocity(contacts, work, w, work.theta[w])
         f_t, f_n, tt, tn, nn, rim = _friction_law(
-            contacts, w, along, across, state.load[w], state.force[w], state.rim_speed[w], h * work.theta[w]
+            contacts,
+            w,
+            along,
+            across,
+            state.load[w],
+            state.force[w],
+            state.rim_speed[w],
+            h * work.theta[w],
         )
         response[w, _FORCE_ALONG] = f_t
         response[w, _FORCE_ACROSS] = f_n
@@ -615,12 +735,17 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
         )
         upward = dot(jacobian[w, _UP], motion[contacts.last_dof[w]])
         response[w, _UNLOADING] = (
-            upward / (h * contacts.regularisation[w]) if work.normal_force[w] > 0.0 else 0.0
+            upward / (h * contacts.regularisation[w])
+            if work.normal_force[w] > 0.0
+            else 0.0
         )
     impulse = work.impulse
     _clear(impulse)
     for w in range(contacts.body.shape[0]):
-        f_t, f_n = h * (response[w, 0] - state.force[w, 0]), h * (response[w, 1] - state.force[w, 1])
+        f_t, f_n = (
+            h * (response[w, 0] - state.force[w, 0]),
+            h * (response[w, 1] - state.force[w, 1]),
+        )
         spin = h * (response[w, _SPIN_FORCE] - state.force[w, _STORED_SPIN])
         for k in range(6):
             normal = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
@@ -644,7 +769,12 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
 @kernel_only
 def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Fill Newton's matrix: A, the regularised normal forces, and the slopes of friction."""
-    matrix, jacobian, response, slope = work.newton_matrix, work.jacobian, work.response, work.slope
+    matrix, jacobian, response, slope = (
+        work.newton_matrix,
+        work.jacobian,
+        work.response,
+        work.slope,
+    )
     for i in range(slope.shape[0]):
         _clear(slope[i])
     for w in range(contacts.body.shape[0]):
@@ -653,19 +783,34 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
         tn = weight * response[w, _SLOPE_MIXED]
         nn = weight * response[w, _SLOPE_ACROSS]
         up = 1.0 / contacts.regularisation[w] if work.normal_force[w] > 0.0 else 0.0
-        # While a wheel rolls, the force along spins it, so its slope acts on the connector at the hub.
+        # While a wheel rolls, the force along spins it, so its slope acts on the
+        # connector at the hub.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
-        aside, above, composite = jacobian[w, _ACROSS], jacobian[w, _UP], slope[contacts.last_dof[w]]
+        aside, above, composite = (
+            jacobian[w, _ACROSS],
+            jacobian[w, _UP],
+            slope[contacts.last_dof[w]],
+        )
         for a in range(6):
-            t, n, z = tt * ahead[a] + tn * aside[a], tn * ahead[a] + nn * aside[a], up * above[a]
+            t, n, z = (
+                tt * ahead[a] + tn * aside[a],
+                tn * ahead[a] + nn * aside[a],
+                up * above[a],
+            )
             for b in range(6):
                 composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
     add_object_slopes(engine, sparsity, work, h)
     for k in range(matrix.shape[0]):
         matrix[k] = work.inertia[k]
-    # From the ends to the root: project the summed slopes beyond each degree of freedom on its ancestors.
+    # From the ends to the root: project the summed slopes beyond each degree of freedom
+    # on its ancestors.
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        d, composite, p, row = engine.cdof[i], slope[i], sparsity.parent[i], sparsity.row_start[i]
+        d, composite, p, row = (
+            engine.cdof[i],
+            slope[i],
+            sparsity.parent[i],
+            sparsity.row_start[i],
+        )
         reaction = work.impulse[i]
         for a in range(6):
             reaction[a] = dot(composite[a], d)
@@ -681,7 +826,13 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
 def _solve_direction(engine, sparsity, work):  # type: ignore[no-untyped-def]
     """Solve for Newton's direction with the engine's own factorisation; numba only."""
     mj_factorM(engine.model, engine.data)
-    mj_solveM(engine.model, engine.data, work.direction.ctypes.data, work.residual.ctypes.data, np.int32(1))
+    mj_solveM(
+        engine.model,
+        engine.data,
+        work.direction.ctypes.data,
+        work.residual.ctypes.data,
+        np.int32(1),
+    )
 
 
 @kernel_only
@@ -696,12 +847,16 @@ def solve_direction_portably(engine, sparsity, work):  # type: ignore[no-untyped
 @kernel_only
 def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
-    # From the ends of the chain to the root: eliminating a row changes only rows of its ancestors.
+    # From the ends of the chain to the root: eliminating a row changes only rows of its
+    # ancestors.
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
         row, last = sparsity.row_start[k], sparsity.row_length[k] - 1
         inverse_pivot = 1.0 / matrix[row + last]
         for a in range(last - 1, -1, -1):
-            factor, ancestor = matrix[row + a] * inverse_pivot, sparsity.row_start[sparsity.column[row + a]]
+            factor, ancestor = (
+                matrix[row + a] * inverse_pivot,
+                sparsity.row_start[sparsity.column[row + a]],
+            )
             for b in range(a + 1):
                 matrix[ancestor + b] -= factor * matrix[row + b]
             matrix[row + a] = factor
@@ -711,7 +866,9 @@ def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
 def _substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
     """Solve LᵀDL x = b in place, with b in `x`."""
     for i in range(x.shape[0] - 1, -1, -1):
-        for k in range(sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1):
+        for k in range(
+            sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1
+        ):
             x[sparsity.column[k]] -= matrix[k] * x[i]
     for i in range(x.shape[0]):
         last = sparsity.row_start[i] + sparsity.row_length[i] - 1

@@ -1,18 +1,18 @@
 r"""Energy that the joints of the twin's segments store and dissipate.
 
-A segment has n hinges, each with the stiffness n k and the damping n c. A hinge with the angle q_k deviates
-by e_k = q_k − q_f/n from its share of the free bend q_f. With the torque T = k (q_f − q) + c (q̇_f − q̇) of
-the segment, the power of the air is
+A segment has n hinges, each with the stiffness n k and the damping n c. A hinge with
+the angle q_k deviates by e_k = q_k − q_f/n from its share of the free bend q_f. With
+the torque T = k (q_f − q) + c (q̇_f − q̇) of the segment, the power of the air is
 
 $$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 , $$
 
-where P is the power that body and floor receive. The pitch and roll joints store and dissipate energy with
-their whole angles.
+where P is the power that body and floor receive. The pitch and roll joints store and
+dissipate energy with their whole angles.
 
-Under a preloaded contact the pitch and roll joints are not counted. The preloaded wheels bounce on the floor
-and shake these joints with energy that comes from the finite time step of the normal forces, not from the
-torques: in gen2_turn the joints dissipate 35 mW with steps of 1 ms and 1.6 mW with 0.25 ms, but 0.006 mW
-under a loaded contact.
+Under a preloaded contact the pitch and roll joints are not counted. The preloaded
+wheels bounce on the floor and shake these joints with energy that comes from the finite
+time step of the normal forces, not from the torques: in gen2_turn the joints dissipate
+35 mW with steps of 1 ms and 1.6 mW with 0.25 ms, but 0.006 mW under a loaded contact.
 """
 
 from __future__ import annotations
@@ -33,13 +33,18 @@ class InternalJoints:
     """Springs and dampers of a twin's segments.
 
     Attributes:
-        hinges: velocity indices of the bending hinges, shape (segments, hinges per segment); those of the
-            tilt hinges of a spatial robot follow, shape (2 segments, hinges per segment).
-        out_of_plane: velocity indices of the pitch and roll joints that count, shape (joints,).
-        damping: damping of each velocity, shape (nv,), N·m·s/rad; 0 for velocities of other joints.
+        hinges: velocity indices of the bending hinges, shape (segments, hinges per
+            segment); those of the tilt hinges of a spatial robot follow, shape (2
+            segments, hinges per segment).
+        out_of_plane: velocity indices of the pitch and roll joints that count, shape
+            (joints,).
+        damping: damping of each velocity, shape (nv,), N·m·s/rad; 0 for velocities of
+            other joints.
     """
 
-    def __init__(self, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
+    ) -> None:
         """Look up the joints of a compiled twin.
 
         Args:
@@ -48,24 +53,35 @@ class InternalJoints:
             settings: discretisation and contact of the scene.
         """
         hinges = [
-            [model.joint(f"{kind}_{j + 1}_{k + 1}").id for k in range(settings.hinges_per_segment)]
+            [
+                model.joint(f"{kind}_{j + 1}_{k + 1}").id
+                for k in range(settings.hinges_per_segment)
+            ]
             for kind in bend_joints(spec)
             for j in range(spec.segments)
         ]
         kinds = ("pitch_", "roll_") if settings.loaded else ()
-        out_of_plane = [j for j in range(model.njnt) if model.joint(j).name.startswith(kinds)]
+        out_of_plane = [
+            j for j in range(model.njnt) if model.joint(j).name.startswith(kinds)
+        ]
         joints = np.array([*np.ravel(hinges), *out_of_plane], dtype=int)
         self._spatial = spec.is_spatial
         self.hinges = model.jnt_dofadr[np.array(hinges)].astype(int)
-        self.out_of_plane = model.jnt_dofadr[np.array(out_of_plane, dtype=int)].astype(int)
+        self.out_of_plane = model.jnt_dofadr[np.array(out_of_plane, dtype=int)].astype(
+            int
+        )
         stiffness = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
-        # The integrator evaluates springs at the end of a step, which adds the damping h k; the damping in
-        # the model is smaller by that much (`mjcf.classes`).
+        # The integrator evaluates springs at the end of a step, which adds the damping
+        # h k; the damping in the model is smaller by that much (`mjcf.classes`).
         added = model.opt.timestep * stiffness[joints]
         self.damping = np.zeros(model.nv)
-        self.damping[model.jnt_dofadr[joints]] = model.dof_damping[model.jnt_dofadr[joints]] + added
+        self.damping[model.jnt_dofadr[joints]] = (
+            model.dof_damping[model.jnt_dofadr[joints]] + added
+        )
         self._hinge_positions = model.jnt_qposadr[np.array(hinges)]
-        self._out_of_plane_positions = model.jnt_qposadr[np.array(out_of_plane, dtype=int)]
+        self._out_of_plane_positions = model.jnt_qposadr[
+            np.array(out_of_plane, dtype=int)
+        ]
         self._stiffness = stiffness[joints]
         dofs = np.array([*self.hinges.ravel(), *self.out_of_plane], dtype=int)
         self._joint_damping = self.damping[dofs]
@@ -75,12 +91,15 @@ class InternalJoints:
 
         Args:
             qpos: generalised positions, shape (…, nq).
-            free_bend: free bends, shape (…, segments), rad, or (…, segments, 2) for a spatial robot.
+            free_bend: free bends, shape (…, segments), rad, or (…, segments, 2) for a
+                spatial robot.
 
         Returns:
             Shape (…,).
         """
-        deviations = self._deviations(qpos, free_bend, self._hinge_positions, self._out_of_plane_positions)
+        deviations = self._deviations(
+            qpos, free_bend, self._hinge_positions, self._out_of_plane_positions
+        )
         energy: np.ndarray = (self._stiffness * deviations**2).sum(axis=-1) / 2
         return energy
 
@@ -89,7 +108,8 @@ class InternalJoints:
 
         Args:
             qvel: generalised velocities, shape (…, nv).
-            free_rate: rates of the free bends, in the shape of `free_bend` of `stored`, rad/s.
+            free_rate: rates of the free bends, in the shape of `free_bend` of `stored`,
+                rad/s.
 
         Returns:
             Shape (…,).
@@ -99,7 +119,11 @@ class InternalJoints:
         return power
 
     def _deviations(
-        self, values: np.ndarray, free: np.ndarray, hinges: np.ndarray, out_of_plane: np.ndarray
+        self,
+        values: np.ndarray,
+        free: np.ndarray,
+        hinges: np.ndarray,
+        out_of_plane: np.ndarray,
     ) -> np.ndarray:
         """Return deviations of hinges from their shares of free values, then the values of other joints."""
         if self._spatial:  # all hinges to the left come first

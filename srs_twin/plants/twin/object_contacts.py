@@ -1,21 +1,23 @@
 r"""Friction of movable objects on the floor and on the body, as a part of the friction solve of a time step.
 
-An object touches hulls of the body, and stands on the floor on four points (`MovableObject.supports`). The
-friction of both kinds of contacts is that of `stick_slip`, implicit in the velocities, like that of the
-wheels (`friction_solve`, whose symbols this module uses). The law uses the velocity of a hull relative to the
-object, and the friction on the object is opposite. The points carry constant loads; the normal forces of
-hulls remain those of v̂. The vertical friction of a hull does not change the loads of the points.
+An object touches hulls of the body, and stands on the floor on four points
+(`MovableObject.supports`). The friction of both kinds of contacts is that of
+`stick_slip`, implicit in the velocities, like that of the wheels (`friction_solve`,
+whose symbols this module uses). The law uses the velocity of a hull relative to the
+object, and the friction on the object is opposite. The points carry constant loads; the
+normal forces of hulls remain those of v̂. The vertical friction of a hull does not
+change the loads of the points.
 
-Each object is a separate kinematic tree. The slopes of its contacts with hulls couple its motion with that of
-the snake. They add a block B to Newton's matrix, which M does not contain. Block elimination solves for
-the motion of the objects first,
+Each object is a separate kinematic tree. The slopes of its contacts with hulls couple
+its motion with that of the snake. They add a block B to Newton's matrix, which M does
+not contain. Block elimination solves for the motion of the objects first,
 
 $$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
 
 with the factored matrices P of the snake and Q of the objects without B.
 
-`friction_solve` calls these functions at the points that their docstrings state. Without objects they are not
-compiled. Warp omits them.
+`friction_solve` calls these functions at the points that their docstrings state.
+Without objects they are not compiled. Warp omits them.
 """
 
 from __future__ import annotations
@@ -32,7 +34,9 @@ from srs_twin.plants.twin.mjcf.surroundings import object_force_sensor, object_n
 from srs_twin.plants.twin.stick_slip import stick_slip_friction
 from srs_twin.robot.world import MovableObject
 
-mj_solveM: Any = types.ExternalFunction("mj_solveM", types.void(*[types.intp] * 4, types.int32))
+mj_solveM: Any = types.ExternalFunction(
+    "mj_solveM", types.void(*[types.intp] * 4, types.int32)
+)
 
 
 class ObjectState(NamedTuple):
@@ -41,7 +45,8 @@ class ObjectState(NamedTuple):
     Attributes:
         force: friction along and across, shape (C, 2), N.
         slip_speed: shape (C,), m/s.
-        jacobian: as in `ObjectContacts`, at which the friction of the previous step acts.
+        jacobian: as in `ObjectContacts`, at which the friction of the previous step
+            acts.
     """
 
     force: np.ndarray
@@ -56,19 +61,23 @@ class ObjectContacts(NamedTuple):
         pairs: number of pairs.
         first: first degree of freedom of the objects.
         slip: slip speed ε, m/s.
-        hull_dof: last degree of freedom of the hull of each contact, −1 for a point, shape (C,).
+        hull_dof: last degree of freedom of the hull of each contact, −1 for a point,
+            shape (C,).
         object_body: body of the object, shape (C,).
         object_dof: last degree of freedom of the object, shape (C,).
         place: place of a point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the hull and its point of application, shape (C,).
+        sensor: index into `sensordata` of the force on the hull and its point of
+            application, shape (C,).
         load: normal force, constant for a point, shape (C,), N.
         friction: friction coefficient, shape (C,), 1.
         admittance: change of velocity per impulse, shape (C,), 1/kg.
-        force, slip_speed, jacobian: see `ObjectState`; the Jacobian has the spatial vectors that give the
-            velocity along, across and away from the object, for hull and object, shape (C, 2, 3, 6). In a
-            pair the part of the object has a negative sign.
+        force, slip_speed, jacobian: see `ObjectState`; the Jacobian has the spatial
+            vectors that give the velocity along, across and away from the object, for
+            hull and object, shape (C, 2, 3, 6). In a pair the part of the object has a
+            negative sign.
         theta: fraction of the step at which friction is evaluated, shape (C,).
-        response: force along and across (N), and its slopes along, mixed and across (N·s/m), shape (C, 5).
+        response: force along and across (N), and its slopes along, mixed and across
+            (N·s/m), shape (C, 5).
         coupling: B, one row per degree of freedom of the objects, shape (no, nv).
         solved: B P⁻¹, same shape.
         matrix: matrix of the objects and its right side, shape (no, no + 1).
@@ -96,7 +105,10 @@ class ObjectContacts(NamedTuple):
 
 
 def object_contacts(
-    model: mujoco.MjModel, objects: tuple[MovableObject, ...], slip: float, hull_admittance: np.ndarray
+    model: mujoco.MjModel,
+    objects: tuple[MovableObject, ...],
+    slip: float,
+    hull_admittance: np.ndarray,
 ) -> ObjectContacts:
     """Return the contacts of the objects of a compiled scene, at rest.
 
@@ -108,28 +120,37 @@ def object_contacts(
     """
     hulls, names = surroundings.hulls(model), object_names(model)
     ids = np.array([model.body(name).id for name in names], dtype=int)
-    hull_dof = _last_dof(model, np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int))
+    hull_dof = _last_dof(
+        model, np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int)
+    )
     body = np.concatenate([np.repeat(ids, len(hulls)), np.repeat(ids, 4)])
     pairs, free = len(hulls) * len(names), 3 * len(names)
     count, mass = len(body), model.body_mass[body]
     place, load = np.zeros((count, 2)), np.zeros(count)
     place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
     load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
-    sensors = [model.sensor(object_force_sensor(name, hull)).adr[0] for name in names for hull in hulls]
+    sensors = [
+        model.sensor(object_force_sensor(name, hull)).adr[0]
+        for name in names
+        for hull in hulls
+    ]
     friction = np.full(count, surroundings.friction_of(model))
     friction[pairs:] = np.repeat([item.friction for item in objects], 4)
     return ObjectContacts(
         pairs=pairs,
         first=model.nv - free,
         slip=slip,
-        hull_dof=np.concatenate([np.tile(hull_dof, len(names)), np.full(count - pairs, -1)]),
+        hull_dof=np.concatenate(
+            [np.tile(hull_dof, len(names)), np.full(count - pairs, -1)]
+        ),
         object_body=body,
         object_dof=_last_dof(model, body),
         place=place,
         sensor=np.array(sensors + [0] * (count - pairs), dtype=int),
         load=load,
         friction=friction,
-        admittance=1 / mass + np.append(np.tile(hull_admittance, len(names)), np.zeros(count - pairs)),
+        admittance=1 / mass
+        + np.append(np.tile(hull_admittance, len(names)), np.zeros(count - pairs)),
         force=np.zeros((count, 2)),
         slip_speed=np.zeros(count),
         jacobian=np.zeros((count, 2, 3, 6)),
@@ -154,17 +175,32 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 @kernel_only
 def dot(a, b):  # type: ignore[no-untyped-def]
     """Return the product of two spatial vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3] + a[4] * b[4] + a[5] * b[5]
+    return (
+        a[0] * b[0]
+        + a[1] * b[1]
+        + a[2] * b[2]
+        + a[3] * b[3]
+        + a[4] * b[4]
+        + a[5] * b[5]
+    )
 
 
 @kernel_only
 def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
     """Fill the spatial vectors of a point's velocity along the axis (c, s), upward, and along (s, −c)."""
-    row[0, 0], row[0, 1], row[0, 2] = -sign * z * s, sign * z * c, sign * (x * s - y * c)
+    row[0, 0], row[0, 1], row[0, 2] = (
+        -sign * z * s,
+        sign * z * c,
+        sign * (x * s - y * c),
+    )
     row[0, 3], row[0, 4], row[0, 5] = sign * c, sign * s, 0.0
     row[1, 0], row[1, 1], row[1, 2] = sign * y, -sign * x, 0.0
     row[1, 3], row[1, 4], row[1, 5] = 0.0, 0.0, sign
-    row[2, 0], row[2, 1], row[2, 2] = sign * z * c, sign * z * s, -sign * (x * c + y * s)
+    row[2, 0], row[2, 1], row[2, 2] = (
+        sign * z * c,
+        sign * z * s,
+        -sign * (x * c + y * s),
+    )
     row[2, 3], row[2, 4], row[2, 5] = sign * s, -sign * c, 0.0
 
 
@@ -178,7 +214,9 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
             along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
             while i >= 0:
                 moment = o.force[w, 0] * dot(along, engine.cdof[i])
-                engine.qfrc_applied[i] += moment + o.force[w, 1] * dot(across, engine.cdof[i])
+                engine.qfrc_applied[i] += moment + o.force[w, 1] * dot(
+                    across, engine.cdof[i]
+                )
                 i = sparsity.parent[i]
 
 
@@ -203,13 +241,23 @@ def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
             normal = np.sqrt(fx * fx + fy * fy)
             o.load[w] = normal
             if normal > 0.0:
-                c, s, x, y, z = -fy / normal, fx / normal, sensors[k + 3], sensors[k + 4], sensors[k + 5]
+                c, s, x, y, z = (
+                    -fy / normal,
+                    fx / normal,
+                    sensors[k + 3],
+                    sensors[k + 4],
+                    sensors[k + 5],
+                )
                 _fill(row[0], x - com[0], y - com[1], z - com[2], c, s, 1.0)
                 _fill(row[1], x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
         decay = h * grip * o.admittance[w]
         # As `friction_solve._evaluation_fraction`.
-        o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay if decay > 0.1 else 0.5 + decay / 12.0
+        o.theta[w] = (
+            1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
+            if decay > 0.1
+            else 0.5 + decay / 12.0
+        )
 
 
 @kernel_only
@@ -219,10 +267,26 @@ def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
     for side in range(2):
         i = o.hull_dof[w] if side == 0 else o.object_dof[w]
         if i >= 0:
-            middle, step, change = work.mid_motion[i], work.step_motion[i], work.motion[i]
-            along, across, shift = o.jacobian[w, side, 0], o.jacobian[w, side, 1], theta - 0.5
-            u_t += dot(along, middle) + shift * dot(along, step) + theta * dot(along, change)
-            u_n += dot(across, middle) + shift * dot(across, step) + theta * dot(across, change)
+            middle, step, change = (
+                work.mid_motion[i],
+                work.step_motion[i],
+                work.motion[i],
+            )
+            along, across, shift = (
+                o.jacobian[w, side, 0],
+                o.jacobian[w, side, 1],
+                theta - 0.5,
+            )
+            u_t += (
+                dot(along, middle)
+                + shift * dot(along, step)
+                + theta * dot(along, change)
+            )
+            u_n += (
+                dot(across, middle)
+                + shift * dot(across, step)
+                + theta * dot(across, change)
+            )
     return u_t, u_n
 
 
@@ -233,14 +297,19 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
     for w in range(o.force.shape[0]):
         u_t, u_n = _velocity(o, work, w, o.theta[w])
         mu, force, out = o.friction[w], o.force[w], o.response[w]
-        f_t, f_n, tt, tn, nn = stick_slip_friction(u_t, u_n, o.load[w], mu, mu, o.slip, force[0], force[1])
+        f_t, f_n, tt, tn, nn = stick_slip_friction(
+            u_t, u_n, o.load[w], mu, mu, o.slip, force[0], force[1]
+        )
         out[0], out[1], out[2], out[3], out[4] = f_t, f_n, tt, tn, nn
         along, across = h * (f_t - force[0]), h * (f_n - force[1])
         for side in range(2):
             i = o.hull_dof[w] if side == 0 else o.object_dof[w]
             if i >= 0:
                 for k in range(6):
-                    change = along * o.jacobian[w, side, 0, k] + across * o.jacobian[w, side, 1, k]
+                    change = (
+                        along * o.jacobian[w, side, 0, k]
+                        + across * o.jacobian[w, side, 1, k]
+                    )
                     work.impulse[i, k] -= change
 
 
@@ -255,13 +324,20 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
         if o.load[w] == 0.0:
             continue
         weight = -o.theta[w] * h
-        tt, tn, nn = weight * o.response[w, 2], weight * o.response[w, 3], weight * o.response[w, 4]
+        tt, tn, nn = (
+            weight * o.response[w, 2],
+            weight * o.response[w, 3],
+            weight * o.response[w, 4],
+        )
         for side in range(2):
             i = o.hull_dof[w] if side == 0 else o.object_dof[w]
             if i >= 0:
                 along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
                 for a in range(6):
-                    t, n = tt * along[a] + tn * across[a], tn * along[a] + nn * across[a]
+                    t, n = (
+                        tt * along[a] + tn * across[a],
+                        tn * along[a] + nn * across[a],
+                    )
                     for b in range(6):
                         work.slope[i, a, b] += t * along[b] + n * across[b]
         hull, own = o.jacobian[w, 0], o.jacobian[w, 1]
@@ -270,7 +346,9 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
             t, n, i = tt * s_t + tn * s_n, tn * s_t + nn * s_n, o.hull_dof[w]
             while i >= 0:
                 cdof = engine.cdof[i]
-                o.coupling[dof - o.first, i] += t * dot(hull[0], cdof) + n * dot(hull[1], cdof)
+                o.coupling[dof - o.first, i] += t * dot(hull[0], cdof) + n * dot(
+                    hull[1], cdof
+                )
                 i = sparsity.parent[i]
 
 
@@ -281,7 +359,13 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     count = o.coupling.shape[0]
     if count == 0:
         return
-    mj_solveM(engine.model, engine.data, o.solved.ctypes.data, o.coupling.ctypes.data, np.int32(count))
+    mj_solveM(
+        engine.model,
+        engine.data,
+        o.solved.ctypes.data,
+        o.coupling.ctypes.data,
+        np.int32(count),
+    )
     for i in range(count):
         row = sparsity.row_start[first + i]
         for k in range(count + 1):
@@ -296,7 +380,9 @@ def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
         o.matrix[i, count] = work.residual[first + i]
         for j in range(first):
             o.matrix[i, count] -= o.coupling[i, j] * direction[j]
-    for i in range(count):  # elimination; the matrix is positive definite and needs no pivoting
+    for i in range(
+        count
+    ):  # elimination; the matrix is positive definite and needs no pivoting
         for j in range(i + 1, count):
             factor = o.matrix[j, i] / o.matrix[i, i]
             for k in range(i, count + 1):
@@ -319,7 +405,8 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
         engine: with the contacts.
         sparsity: not used.
         work: workspace after the friction solve.
-        force: out, friction on the hull of each pair in the world frame, shape (pairs, 3), N.
+        force: out, friction on the hull of each pair in the world frame, shape (pairs,
+            3), N.
     """
     o, power = engine.objects, 0.0
     for w in range(o.force.shape[0]):
@@ -334,5 +421,7 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
             for side in range(2):
                 i = o.hull_dof[w] if side == 0 else o.object_dof[w]
                 away = o.jacobian[w, side, 2]
-                power -= o.load[w] * (dot(away, work.mid_motion[i]) + 0.5 * dot(away, work.motion[i]))
+                power -= o.load[w] * (
+                    dot(away, work.mid_motion[i]) + 0.5 * dot(away, work.motion[i])
+                )
     return power

@@ -40,14 +40,15 @@ class StepBatch:
 
     Attributes:
         states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq + nv).
-        floor_force: mean force of the floor on each wheel in each step, world frame, shape
-            (steps, axles, 2, 3), N.
+        floor_force: mean force of the floor on each wheel in each step, world frame,
+            shape (steps, axles, 2, 3), N.
         energy: kinetic energy at the beginning of each step, shape (steps,), J.
-        obstacle_force: mean force of all obstacles on each connector and the adjoining halves of its segments
-            in each step, world frame, shape (steps, N, 3), N.
-        power: power that the snake loses to floor and obstacles in each step, shape (steps,), W.
-        internal: power that the joints of segments dissipate in each step (`internal_joints`), shape
+        obstacle_force: mean force of all obstacles on each connector and the adjoining
+            halves of its segments in each step, world frame, shape (steps, N, 3), N.
+        power: power that the snake loses to floor and obstacles in each step, shape
             (steps,), W.
+        internal: power that the joints of segments dissipate in each step
+            (`internal_joints`), shape (steps,), W.
     """
 
     states: np.ndarray
@@ -63,15 +64,19 @@ class SensorAddresses(NamedTuple):
 
     Attributes:
         floor_force: address of the floor's force on each wheel, shape (wheels,).
-        foot_velocity: address of the velocity of each foot, shape (wheels,); empty under loaded contact.
+        foot_velocity: address of the velocity of each foot, shape (wheels,); empty
+            under loaded contact.
         obstacle_force: address of the obstacles' force on each hull, shape (hulls,).
-        external_force: addresses of all force components, except those on wheels, that take energy from the
-            snake, shape (components,).
-        external_velocity: addresses of the velocities that belong to them, shape (components,).
+        external_force: addresses of all force components, except those on wheels, that
+            take energy from the snake, shape (components,).
+        external_velocity: addresses of the velocities that belong to them, shape
+            (components,).
         kinetic_energy: address of the kinetic energy.
         connectors: body ids, shape (N,).
-        hinges: velocity indices of the bending hinges, shape (segments, hinges per segment).
-        out_of_plane: velocity indices of the pitch and roll joints of `InternalJoints`, shape (joints,).
+        hinges: velocity indices of the bending hinges, shape (segments, hinges per
+            segment).
+        out_of_plane: velocity indices of the pitch and roll joints of `InternalJoints`,
+            shape (joints,).
     """
 
     floor_force: np.ndarray
@@ -94,8 +99,10 @@ class Kinematics:
         com: centre of mass, shape (samples, 3), m.
         com_velocity: shape (samples, 3), m/s.
         positions: positions of the connectors, shape (samples, N, 3), m.
-        headings: headings of the connectors, wrapped to (−π, π], shape (samples, N), rad.
-        bends: shape (samples, segments), rad, or (samples, segments, 2) for a spatial robot.
+        headings: headings of the connectors, wrapped to (−π, π], shape (samples, N),
+            rad.
+        bends: shape (samples, segments), rad, or (samples, segments, 2) for a spatial
+            robot.
         bend_rates: same shape, rad/s.
         orientations: quaternions of the connectors, w first, shape (samples, N, 4).
     """
@@ -124,7 +131,9 @@ mujoco.set_mju_user_warning(lambda text: ENGINE_WARNINGS.last.append(text))
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 _SNAKE = 1  # body that carries the whole snake; objects are other trees
-_SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION  # with the warm start, so that steps continue bit for bit
+_SAVED_STATE = (
+    mujoco.mjtState.mjSTATE_INTEGRATION
+)  # with the warm start, so that steps continue bit for bit
 
 
 class SnakePhysics(Stateful):
@@ -135,7 +144,8 @@ class SnakePhysics(Stateful):
         data: present state of the bodies.
         free: whether the snake moves on a floor; otherwise its head is clamped.
         internal_joints: energy of joint motions that leave the bends unchanged.
-        stepper: time steps under loaded contact; None under a preloaded contact or without a floor.
+        stepper: time steps under loaded contact; None under a preloaded contact or
+            without a floor.
     """
 
     state_attributes = ("_floor_force", "_last_force", "stepper")
@@ -175,50 +185,89 @@ class SnakePhysics(Stateful):
         """Take over a compiled scene; the arguments are those of `build`."""
         self.model, self.data = model, mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
-        self._pneumatics, self._spec, self._settings, self._world = chambers, spec, settings, world
+        self._pneumatics, self._spec, self._settings, self._world = (
+            chambers,
+            spec,
+            settings,
+            world,
+        )
         self.free, contact = settings.base == "free", settings.contact
         self._static_load = static_loads(spec, settings, -model.opt.gravity[2])
         self._preload = np.zeros_like(self._static_load)
         if isinstance(contact, PreloadedContact) and self.free:
             self._preload = preload_force(spec, contact)
-        self._connectors = [model.body(f"connector_{i}").id for i in range(1, spec.geometry.connectors + 1)]
+        self._connectors = [
+            model.body(f"connector_{i}").id
+            for i in range(1, spec.geometry.connectors + 1)
+        ]
         self._probe = mujoco.MjData(model)
         self._start = np.empty((1, mujoco.mj_stateSize(model, _ROLLOUT_STATE)))
         feet = treads(spec, settings) if self.free else []
         # Sensor addresses of the left and right foot of each axle, shape (axles, 2, 3).
-        self._force_addresses = self._addresses([f"floor_force_{foot}" for foot in feet]).reshape(-1, 2, 3)
-        velocities = [] if settings.loaded else [foot.replace("tread", "velocity_foot") for foot in feet]
+        self._force_addresses = self._addresses(
+            [f"floor_force_{foot}" for foot in feet]
+        ).reshape(-1, 2, 3)
+        velocities = (
+            []
+            if settings.loaded
+            else [foot.replace("tread", "velocity_foot") for foot in feet]
+        )
         self._foot_addresses = self._addresses(velocities).reshape(-1, 2, 3)
         self._energy_address = model.sensor("kinetic_energy").adr[0]
-        count = spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
-        drags = [[f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")]
-        self._drag_force, self._drag_velocity = (self._addresses(names)[:, 0] for names in drags)
+        count = (
+            spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
+        )
+        drags = [
+            [f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")
+        ]
+        self._drag_force, self._drag_velocity = (
+            self._addresses(names)[:, 0] for names in drags
+        )
         self._set_up_hulls(spec)
         self._set_up_objects()
-        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel to bend rates. The rows
-        # of a spatial robot are all bends to the left, then all bends upwards.
+        # A bend is the sum of hinge angles: matrices from qpos to bends and from qvel
+        # to bend rates. The rows of a spatial robot are all bends to the left, then all
+        # bends upwards.
         kinds = bend_joints(spec)
         rows = len(kinds) * spec.segments
-        self._angles, self._rates = np.zeros((rows, model.nq)), np.zeros((rows, model.nv))
+        self._angles, self._rates = (
+            np.zeros((rows, model.nq)),
+            np.zeros((rows, model.nv)),
+        )
         for row in range(rows):
             component, j = divmod(row, spec.segments)
             for k in range(settings.hinges_per_segment):
                 hinge = model.joint(f"{kinds[component]}_{j + 1}_{k + 1}")
-                self._angles[row, hinge.qposadr[0]] = self._rates[row, hinge.dofadr[0]] = 1.0
+                self._angles[row, hinge.qposadr[0]] = self._rates[
+                    row, hinge.dofadr[0]
+                ] = 1.0
         self.internal_joints = InternalJoints(model, spec, settings)
         self._no_force = np.zeros((*self._preload.shape, 3))
         self._floor_force = self._last_force = self._no_force
         air = chambers.stiffness * self._rates.T @ self._rates
         self.stepper = None
         if settings.loaded:
-            self.stepper = LoadedStepper(model, self.data, spec, settings, air, world.objects)
+            self.stepper = LoadedStepper(
+                model, self.data, spec, settings, air, world.objects
+            )
 
     def __reduce__(self) -> tuple[object, ...]:
         """Copy the model and the state; the engine's data are created again, because they hold addresses."""
-        arguments = self.model, self._spec, self._settings, self._pneumatics, self._world
-        # The model may have been changed since these constants were taken from it: copy them, too.
+        arguments = (
+            self.model,
+            self._spec,
+            self._settings,
+            self._pneumatics,
+            self._world,
+        )
+        # The model may have been changed since these constants were taken from it: copy
+        # them, too.
         kinds = np.ndarray | InternalJoints
-        constants = {name: value for name, value in vars(self).items() if isinstance(value, kinds)}
+        constants = {
+            name: value
+            for name, value in vars(self).items()
+            if isinstance(value, kinds)
+        }
         contact = None if self.stepper is None else self.stepper.constants
         return type(self), arguments, (self.state_dict(), constants, contact)
 
@@ -233,19 +282,23 @@ class SnakePhysics(Stateful):
         hulls = hull_names(self.model)
         self._hull_force = self._addresses([f"obstacle_force_{hull}" for hull in hulls])
         self._hull_velocity = self._addresses([f"velocity_{hull}" for hull in hulls])
-        # Hulls 0…n of segment j are numbered from the head. The front half of the segment counts for
-        # connector j, the rear half for connector j + 1.
+        # Hulls 0…n of segment j are numbered from the head. The front half of the
+        # segment counts for connector j, the rear half for connector j + 1.
         self._hull_shares = np.zeros((spec.geometry.connectors, len(hulls)))
         for k, hull in enumerate(hulls):
             segment, number = place_of(hull)
             count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
             share = np.clip(count / 2 - number, 0.0, 1.0)
-            self._hull_shares[segment - 1, k], self._hull_shares[segment, k] = share, 1 - share
+            self._hull_shares[segment - 1, k], self._hull_shares[segment, k] = (
+                share,
+                1 - share,
+            )
 
     def _set_up_objects(self) -> None:
         names, hulls = object_names(self.model), hull_names(self.model)
         sensors = [object_force_sensor(name, hull) for name in names for hull in hulls]
-        # Address of the force of each object on each hull, shape (objects, hulls, 3); its point follows.
+        # Address of the force of each object on each hull, shape (objects, hulls, 3);
+        # its point follows.
         self._object_force = self._addresses(sensors).reshape(len(names), len(hulls), 3)
 
     @property
@@ -263,9 +316,13 @@ class SnakePhysics(Stateful):
             out_of_plane=self.internal_joints.out_of_plane,
         )
 
-    def bends_and_rates(self, qpos: np.ndarray, qvel: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def bends_and_rates(
+        self, qpos: np.ndarray, qvel: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return bends and bend rates of states with shapes (…, nq) and (…, nv)."""
-        return self._by_segment(qpos @ self._angles.T), self._by_segment(qvel @ self._rates.T)
+        return self._by_segment(qpos @ self._angles.T), self._by_segment(
+            qvel @ self._rates.T
+        )
 
     def connector_forces(self, hull_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on connectors, shape (…, N, 3), from those on hulls, (…, hulls, 3)."""
@@ -303,13 +360,15 @@ class SnakePhysics(Stateful):
             # At rest each wheel carries its static load and its preload.
             self._floor_force[..., 2] = self._preload + self._static_load
 
-    def place(self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray) -> None:
+    def place(
+        self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
+    ) -> None:
         """Set pose, velocity, bends and bend rates of a snake after `lay_down`; its wheels roll.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
-            velocity: velocity of the centre of mass in the world frame (m/s) and yaw rate of the mean
-                heading (rad/s), shape (3,).
+            velocity: velocity of the centre of mass in the world frame (m/s) and yaw
+                rate of the mean heading (rad/s), shape (3,).
             bend: shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
 
@@ -317,7 +376,9 @@ class SnakePhysics(Stateful):
             InputError: the snake is clamped at its head.
         """
         if not self.free:
-            raise InputError("a snake that is clamped at its head can only start at rest")
+            raise InputError(
+                "a snake that is clamped at its head can only start at rest"
+            )
         data = self.data
         hinges = self._angles.sum(axis=1)
         data.qpos[:] += ((bend - self.bend_angles()) / hinges) @ self._angles
@@ -325,7 +386,8 @@ class SnakePhysics(Stateful):
         self._move_to_pose(pose)
         data.qvel[:] = (rate / hinges) @ self._rates
         self.refresh()
-        # Add a rigid rotation, then a translation, so that the means have the given values.
+        # Add a rigid rotation, then a translation, so that the means have the given
+        # values.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
         data.qvel[:2] += velocity[:2] - data.subtree_linvel[_SNAKE][:2]
@@ -340,13 +402,25 @@ class SnakePhysics(Stateful):
             self.stepper.roll()
         for number in range(1, len(self._preload) + 1):
             for side in ("left", "right"):
-                joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}")
+                joint = mujoco.mj_name2id(
+                    model, mujoco.mjtObj.mjOBJ_JOINT, f"axle_{side}_{number}"
+                )
                 if joint < 0:
                     continue
-                wheel, axis, velocity = model.jnt_bodyid[joint], data.xaxis[joint], np.empty(6)
-                mujoco.mj_objectVelocity(model, data, mujoco.mjtObj.mjOBJ_BODY, wheel, velocity, 0)
+                wheel, axis, velocity = (
+                    model.jnt_bodyid[joint],
+                    data.xaxis[joint],
+                    np.empty(6),
+                )
+                mujoco.mj_objectVelocity(
+                    model, data, mujoco.mjtObj.mjOBJ_BODY, wheel, velocity, 0
+                )
                 ahead = np.cross(axis, [0.0, 0.0, 1.0])
-                spin = velocity[3:] @ ahead / (self._spec.geometry.wheel_radius * (ahead @ ahead))
+                spin = (
+                    velocity[3:]
+                    @ ahead
+                    / (self._spec.geometry.wheel_radius * (ahead @ ahead))
+                )
                 data.qvel[model.jnt_dofadr[joint]] = spin
 
     def state_dict(self) -> dict[str, object]:
@@ -363,7 +437,9 @@ class SnakePhysics(Stateful):
         """
         engine = np.asarray(state.get("engine"))
         if engine.shape != (mujoco.mj_stateSize(self.model, _SAVED_STATE),):
-            raise InputError("the saved state has no state of MuJoCo, or that of another model")
+            raise InputError(
+                "the saved state has no state of MuJoCo, or that of another model"
+            )
         super().load_state_dict(state)
         mujoco.mj_setState(self.model, self.data, engine, _SAVED_STATE)
         self.refresh()
@@ -381,7 +457,9 @@ class SnakePhysics(Stateful):
     def advance_chambers(self, schedule: Schedule, steps: int) -> Trace:
         """Advance the chambers over a schedule; return them at the beginning of each step and at the end."""
         times = schedule.span * np.arange(steps + 1) / steps
-        return self._pneumatics.advance(schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates())
+        return self._pneumatics.advance(
+            schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates()
+        )
 
     def run(self, trace: Trace) -> StepBatch:
         """Advance the bodies under given chambers and return the results (see `advance_bodies`)."""
@@ -393,28 +471,44 @@ class SnakePhysics(Stateful):
         The results of several calls may be concatenated before `evaluate`.
 
         Args:
-            trace: chambers at the beginning of each step and at the end, steps + 1 rows.
+            trace: chambers at the beginning of each step and at the end, steps + 1
+                rows.
         """
         controls = self.controls(trace)
-        # Positions are those at the beginning of a step, or at its middle under loaded contact.
-        controls = controls[:-1] if self.stepper is None else (controls[:-1] + controls[1:]) / 2
-        return self._run_engine(controls) if self.stepper is None else self.stepper.run(controls)
+        # Positions are those at the beginning of a step, or at its middle under loaded
+        # contact.
+        controls = (
+            controls[:-1]
+            if self.stepper is None
+            else (controls[:-1] + controls[1:]) / 2
+        )
+        return (
+            self._run_engine(controls)
+            if self.stepper is None
+            else self.stepper.run(controls)
+        )
 
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
-        The joints have springs and dampers against the rest bends, so the air exerts the rest of the moment
-        k (q_f − q) + c (q̇_f − q̇).
+        The joints have springs and dampers against the rest bends, so the air exerts
+        the rest of the moment k (q_f − q) + c (q̇_f − q̇).
         """
         spec = self._spec
-        driven = trace.bend - self._pneumatics.rest_bend + spec.bending.damping_time * trace.bend_rate
+        driven = (
+            trace.bend
+            - self._pneumatics.rest_bend
+            + spec.bending.damping_time * trace.bend_rate
+        )
         if spec.is_spatial:  # the actuators take bends
             if spec.actuator.extension:
                 lengths = free_extensions(spec, trace.pressure)[..., None]
                 driven = np.concatenate([driven, lengths], axis=-1)
             controls: np.ndarray = driven
         else:  # the actuators take the pressures of two chambers
-            controls = np.maximum(np.stack([driven, -driven], axis=-1), 0.0) / chamber_gains(spec)
+            controls = np.maximum(
+                np.stack([driven, -driven], axis=-1), 0.0
+            ) / chamber_gains(spec)
         return controls.reshape(len(driven), -1)
 
     def evaluate(
@@ -429,41 +523,56 @@ class SnakePhysics(Stateful):
         """Evaluate the latest engine steps.
 
         Args:
-            free_rate: rates of the free bends at the end of each step, shape (steps, segments), rad/s, or
-                (steps, segments, 2) for a spatial robot.
+            free_rate: rates of the free bends at the end of each step, shape (steps,
+                segments), rad/s, or (steps, segments, 2) for a spatial robot.
             states: as in `StepBatch`; the last one is the present state.
             sensors: all sensors, shape (steps, nsensordata).
             floor_force: as in `StepBatch`; None to read it from the sensors.
-            contact_power: power that floor, obstacles and objects take, shape (steps,), W; None to compute
-                it from the sensors.
-            obstacle_friction: friction of obstacles, then of each object, on hulls that the sensors do not
-                contain, shape (steps, 1 + objects, hulls, 3), N.
+            contact_power: power that floor, obstacles and objects take, shape (steps,),
+                W; None to compute it from the sensors.
+            obstacle_friction: friction of obstacles, then of each object, on hulls that
+                the sensors do not contain, shape (steps, 1 + objects, hulls, 3), N.
         """
         self.refresh()
         hull_force = sensors[:, self._hull_force]
         if floor_force is None or contact_power is None:
             floor_force = self._at_feet(sensors, self._force_addresses)
-            # The engine is implicit: a force acts with the velocity at the end of its step, which the sensors
-            # report one step later.
-            earlier = np.concatenate([self._last_force[None], floor_force[:-1]])[..., :2]
+            # The engine is implicit: a force acts with the velocity at the end of its
+            # step, which the sensors report one step later.
+            earlier = np.concatenate([self._last_force[None], floor_force[:-1]])[
+                ..., :2
+            ]
             velocity = self._at_feet(sensors, self._foot_addresses)[..., :2]
             contact_power = -(earlier * velocity).sum(axis=(1, 2, 3))
-            contact_power -= (hull_force * sensors[:, self._hull_velocity]).sum(axis=(1, 2))
-        power = contact_power - (sensors[:, self._drag_force] * sensors[:, self._drag_velocity]).sum(axis=1)
-        normal = np.concatenate([hull_force[:, None], sensors[:, self._object_force]], axis=1)
+            contact_power -= (hull_force * sensors[:, self._hull_velocity]).sum(
+                axis=(1, 2)
+            )
+        power = contact_power - (
+            sensors[:, self._drag_force] * sensors[:, self._drag_velocity]
+        ).sum(axis=1)
+        normal = np.concatenate(
+            [hull_force[:, None], sensors[:, self._object_force]], axis=1
+        )
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
         self._floor_force, self._last_force = floor_force.mean(axis=0), floor_force[-1]
         # The engine's dampers act with the velocities at the end of a step.
-        internal = self.internal_joints.dissipated(states[:, 1 + self.model.nq :], free_rate)
+        internal = self.internal_joints.dissipated(
+            states[:, 1 + self.model.nq :], free_rate
+        )
         energy = sensors[:, self._energy_address]
         return StepBatch(states, floor_force, energy, obstacle_force, power, internal)
 
-    def _run_engine(self, chamber_controls: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _run_engine(
+        self, chamber_controls: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Run all steps in one call of the engine; return states and sensors as in `evaluate`."""
         model, data, steps = self.model, self.data, len(chamber_controls)
         controls = np.zeros((1, steps, model.nu))
         controls[0, :, : chamber_controls.shape[1]] = chamber_controls
-        states, sensors = np.empty((1, steps, self._start.shape[1])), np.empty((1, steps, model.nsensordata))
+        states, sensors = (
+            np.empty((1, steps, self._start.shape[1])),
+            np.empty((1, steps, model.nsensordata)),
+        )
         mujoco.mj_getState(model, data, self._start[0], _ROLLOUT_STATE)
         _ROLLOUT.rollout(
             *([model], [data], self._start, controls),
@@ -477,7 +586,11 @@ class SnakePhysics(Stateful):
 
     def _at_feet(self, sensors: np.ndarray, addresses: np.ndarray) -> np.ndarray:
         """Return sensor values at the feet, shape (steps, axles, 2, 3); 0 without a floor."""
-        return sensors[:, addresses] if self.free else np.zeros((len(sensors), *self._no_force.shape))
+        return (
+            sensors[:, addresses]
+            if self.free
+            else np.zeros((len(sensors), *self._no_force.shape))
+        )
 
     def refresh(self) -> None:
         """Recompute positions and velocities from the state; contacts stay those of the last step."""
@@ -498,8 +611,14 @@ class SnakePhysics(Stateful):
         for k in range(count):
             probe.qpos[:], probe.qvel[:] = qpos[k], qvel[k]
             self._update_kinematics(probe)
-            com[k], velocity[k] = probe.subtree_com[_SNAKE], probe.subtree_linvel[_SNAKE]
-            positions[k], frames[k] = probe.xpos[self._connectors], probe.xmat[self._connectors]
+            com[k], velocity[k] = (
+                probe.subtree_com[_SNAKE],
+                probe.subtree_linvel[_SNAKE],
+            )
+            positions[k], frames[k] = (
+                probe.xpos[self._connectors],
+                probe.xmat[self._connectors],
+            )
             turns[k] = probe.xquat[self._connectors]
         headings = np.arctan2(frames[..., 3], frames[..., 0])
         bends, rates = self.bends_and_rates(qpos, qvel)
@@ -573,12 +692,16 @@ def _compile_scene(
 ) -> mujoco.MjModel:
     """Return the compiled scene; the cache makes further twins of a robot ten times as fast to build."""
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
-    # The controls contain the rates of the free bends, so they may exceed the pressures of the chambers.
+    # The controls contain the rates of the free bends, so they may exceed the pressures
+    # of the chambers.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    # MuJoCo stops where an iteration improves the cost by less than the tolerance times the mean of the
-    # diagonal of M, which holds masses and moments of inertia. Weigh them as at a length unit of 1.
+    # MuJoCo stops where an iteration improves the cost by less than the tolerance times
+    # the mean of the diagonal of M, which holds masses and moments of inertia. Weigh
+    # them as at a length unit of 1.
     masses = 3 * model.body_subtreemass[_SNAKE] if settings.base == "free" else 0.0
     masses += 2 * sum(item.mass for item in (world.objects if world else ()))
     inertias = model.nv * model.stat.meaninertia - masses
-    model.opt.tolerance *= (masses + inertias / spec.scale.length**2) / (masses + inertias)
+    model.opt.tolerance *= (masses + inertias / spec.scale.length**2) / (
+        masses + inertias
+    )
     return model

@@ -59,19 +59,26 @@ _CONTACT_KEYS = {
 class TwinSnake(PneumaticPlant):
     """Twin in MuJoCo: rigid bodies in three dimensions, several hinges per segment, on wheels or skids.
 
-    The segments have the stiffness k and the damping c against deviations from their free bends q_f: the
-    moment is k (q_f − q) + c (q̇_f − q̇), so that a massless segment without load obeys Eq. 14.
+    The segments have the stiffness k and the damping c against deviations from their
+    free bends q_f: the moment is k (q_f − q) + c (q̇_f − q̇), so that a massless
+    segment without load obeys Eq. 14.
 
     Attributes:
-        max_chunk_s: longest interval that the engine simulates in one call, s; it bounds the memory for the
-            records of the steps.
+        max_chunk_s: longest interval that the engine simulates in one call, s; it
+            bounds the memory for the records of the steps.
         physics: the `SnakePhysics`, for quantities that `Plant` does not provide.
         timestep: s.
         contact: contact with the floor, as given.
     """
 
     name = "twin"
-    state_attributes = ("physics", "_energy_loss", "_internal_loss", "_theta", "_start_height_energy")
+    state_attributes = (
+        "physics",
+        "_energy_loss",
+        "_internal_loss",
+        "_theta",
+        "_start_height_energy",
+    )
     max_chunk_s = 1.0
     has_internal_loss = True
 
@@ -97,24 +104,29 @@ class TwinSnake(PneumaticPlant):
 
         Args:
             spec: the robot.
-            contact: contact with the floor; the names "loaded" and "preloaded" select `LoadedContact()` and
-                `PreloadedContact()`.
-            timestep: time step, s; the tick is a multiple of it. The default is `numerics.TIMESTEP_S` times
-                the time unit of the robot, or a near part of the tick (`robot.scale.divide`).
+            contact: contact with the floor; the names "loaded" and "preloaded" select
+                `LoadedContact()` and `PreloadedContact()`.
+            timestep: time step, s; the tick is a multiple of it. The default is
+                `numerics.TIMESTEP_S` times the time unit of the robot, or a near part
+                of the tick (`robot.scale.divide`).
             hinges_per_segment: bending hinges per segment.
             supply_pa: supply pressure, Pa; default the robot's nominal pressure.
             tick: control tick, s; default `TICK_S` times the time unit.
             layout: valve layout, "3/2" or "in_out".
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
-            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor` object.
-            world: floor, obstacles and objects; None for a level floor without obstacles.
-            base: "free", or "clamped": the head is held, and the snake hangs in the air.
+            sensor: curvature sensor: "ideal", "hall" with its defaults, or a `Sensor`
+                object.
+            world: floor, obstacles and objects; None for a level floor without
+                obstacles.
+            base: "free", or "clamped": the head is held, and the snake hangs in the
+                air.
             numerics: switches for studies of the twin itself.
-            deprecated: former keywords, which are now fields of the contact or of `numerics`; each warns.
+            deprecated: former keywords, which are now fields of the contact or of
+                `numerics`; each warns.
 
         Raises:
-            InputError: the contact or the layout is unknown, the tick is not a multiple of the time step, or
-                the time step is too long for the chambers.
+            InputError: the contact or the layout is unknown, the tick is not a multiple
+                of the time step, or the time step is too long for the chambers.
         """
         contact, unit = as_contact(contact), spec.scale.time
         if deprecated:
@@ -127,29 +139,48 @@ class TwinSnake(PneumaticPlant):
         count_steps("tick", tick, "time step", timestep)
         if spec.skin is not None and isinstance(contact, LoadedContact):
             contact = replace(contact, law=spec.skin.law)
-        self.spec, self.tick, self.timestep, self.contact = spec, tick, timestep, contact
+        self.spec, self.tick, self.timestep, self.contact = (
+            spec,
+            tick,
+            timestep,
+            contact,
+        )
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._settings = settings.for_robot(spec)
         self._stiffness: float | np.ndarray = spec.bending.stiffness
         if spec.is_spatial:
-            self._stiffness = np.array([spec.bending.stiffness, spec.bending.pitch_stiffness])
+            self._stiffness = np.array(
+                [spec.bending.stiffness, spec.bending.pitch_stiffness]
+            )
             if world is not None and (world.is_solid or world.uneven or world.objects):
-                spec.require_planar("a world with obstacles, objects or an uneven floor")
-        if self.pneumatics.depends_on_bend and timestep > self.pneumatics.coupling_step_s * (1 + 1e-9):
+                spec.require_planar(
+                    "a world with obstacles, objects or an uneven floor"
+                )
+        if (
+            self.pneumatics.depends_on_bend
+            and timestep > self.pneumatics.coupling_step_s * (1 + 1e-9)
+        ):
             raise InputError(
-                f"time step {timestep:g} s is too long for chambers whose pressures depend on the bends; it "
-                f"must be {self.pneumatics.coupling_step_s:g} s or less (timestep_s in a scenario)"
+                f"time step {timestep:g} s is too long for chambers whose pressures"
+                f" depend on the bends; it must be {self.pneumatics.coupling_step_s:g}"
+                " s or less (timestep_s in a scenario)"
             )
         self.touches, self.uneven = (
             world is not None and world.is_solid,
             world is not None and world.uneven,
         )
         self.world, self.objects = world, len(world.objects) if world else 0
-        self._first_step_x = min((step.x for step in world.steps), default=math.inf) if world else math.inf
+        self._first_step_x = (
+            min((step.x for step in world.steps), default=math.inf)
+            if world
+            else math.inf
+        )
         largest = supply * self.pneumatics.max_pressure_ratio
         self._world = short_digest(world)
-        self.physics = SnakePhysics.build(spec, self._settings, self.pneumatics, largest, world)
+        self.physics = SnakePhysics.build(
+            spec, self._settings, self.pneumatics, largest, world
+        )
         self.reset()
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
@@ -161,16 +192,21 @@ class TwinSnake(PneumaticPlant):
         """
         physics = self.physics
         physics.lay_down(pose)
-        foremost = float(physics.connector_positions()[:, 0].max()) + self.spec.geometry.wheel_radius
+        foremost = (
+            float(physics.connector_positions()[:, 0].max())
+            + self.spec.geometry.wheel_radius
+        )
         if foremost >= self._first_step_x:
             raise InputError(
-                f"a snake must start before the first step, at x = {self._first_step_x:g} m; its front is at "
-                f"x = {foremost:.3g} m"
+                "a snake must start before the first step, at x ="
+                f" {self._first_step_x:g} m; its front is at x = {foremost:.3g} m"
             )
         self._theta = np.full(self.spec.geometry.connectors, float(pose[2]))
         return self._begin(seed, self.pneumatics.rest_trace())
 
-    def place(self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0) -> SnakeState:
+    def place(
+        self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
+    ) -> SnakeState:
         """See `Plant.place`."""
         self.spec.require_planar("a start with given bends or velocities")
         check_initial_state(snake, yaw_rate, self.spec.segments)
@@ -179,7 +215,12 @@ class TwinSnake(PneumaticPlant):
         self.reset(pose=pose, seed=seed)
         bend = np.array(snake.bend, dtype=float)
         self.pneumatics.place(snake.pressure, bend)
-        self.physics.place(pose, np.array([*snake.com_velocity, yaw_rate]), bend, np.array(snake.bend_rate))
+        self.physics.place(
+            pose,
+            np.array([*snake.com_velocity, yaw_rate]),
+            bend,
+            np.array(snake.bend_rate),
+        )
         return self._begin(seed, self.pneumatics.current_trace())
 
     def _begin(self, seed: int, trace: Trace) -> SnakeState:
@@ -194,7 +235,9 @@ class TwinSnake(PneumaticPlant):
             np.zeros((1, len(self._theta), 2)),
         )
         work, loss = np.array([physics.kinetic_energy()]), np.zeros(1)
-        self.state = self._observe(np.zeros(1), state, trace, force, obstacles, work, loss).at(0)
+        self.state = self._observe(
+            np.zeros(1), state, trace, force, obstacles, work, loss
+        ).at(0)
         return self.state
 
     @property
@@ -216,7 +259,9 @@ class TwinSnake(PneumaticPlant):
             count = min(chunk_samples, samples - first)
             chunk = schedule.slice(first * interval, (first + count) * interval)
             try:
-                histories.append(self._simulate_chunk(chunk, begun + first * interval, count, steps))
+                histories.append(
+                    self._simulate_chunk(chunk, begun + first * interval, count, steps)
+                )
             except DivergedError as error:
                 if error.history is not None:
                     histories.append(error.history)
@@ -229,14 +274,27 @@ class TwinSnake(PneumaticPlant):
         """Return the settings for the provenance of a run."""
         settings = self._settings
         contact = settings.contact
-        options = {_CONTACT_KEYS.get(name, name): value for name, value in vars(contact).items()}
+        options = {
+            _CONTACT_KEYS.get(name, name): value
+            for name, value in vars(contact).items()
+        }
         if isinstance(contact, PreloadedContact):
             options["preload"] = contact.preload_ratio
-        rest = {name: getattr(settings, name) for name in ("hinges_per_segment", "base")}
+        rest = {
+            name: getattr(settings, name) for name in ("hinges_per_segment", "base")
+        }
         rest |= {"timestep_s": self.timestep, "preset": preset_of(settings)}
-        return super().describe() | {"contact": contact.name} | options | rest | vars(settings.numerics)
+        return (
+            super().describe()
+            | {"contact": contact.name}
+            | options
+            | rest
+            | vars(settings.numerics)
+        )
 
-    def _simulate_chunk(self, schedule: Schedule, begun: float, samples: int, steps: int) -> SnakeState:
+    def _simulate_chunk(
+        self, schedule: Schedule, begun: float, samples: int, steps: int
+    ) -> SnakeState:
         """Follow a schedule in one call of the engine.
 
         Args:
@@ -249,7 +307,12 @@ class TwinSnake(PneumaticPlant):
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
         # Check before the engine steps: it would normalise a quaternion of any length.
         check_before_step(
-            self.name, begun + self.timestep, before, self._theta, self._energy_loss, self._internal_loss
+            self.name,
+            begun + self.timestep,
+            before,
+            self._theta,
+            self._energy_loss,
+            self._internal_loss,
         )
         trace, batch = self._advance(schedule, samples * steps)
         interval = schedule.span / samples
@@ -260,7 +323,9 @@ class TwinSnake(PneumaticPlant):
         if plausible < len(batch.states):
             last = batch.states[plausible - 1] if plausible else before
             time = begun + (plausible + 1) * self.timestep
-            raise self._divergence_error(time, last, history if complete_samples else None)
+            raise self._divergence_error(
+                time, last, history if complete_samples else None
+            )
         return history
 
     def _advance(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
@@ -283,38 +348,55 @@ class TwinSnake(PneumaticPlant):
         joined = map(np.concatenate, zip(*results, strict=True))
         return ends, self.physics.evaluate(ends.bend_rate, *joined)
 
-    def _chunk_history(self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int) -> SnakeState:
+    def _chunk_history(
+        self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int
+    ) -> SnakeState:
         """Return the history at `times`, each at the end of a number of steps."""
         count, used = len(times), len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
         floor_force = batch.floor_force[:used]
         energy_loss = self._energy_loss + self.timestep * np.cumsum(batch.power[:used])
-        internal = self._internal_loss + self.timestep * np.cumsum(batch.internal[:used])
+        internal = self._internal_loss + self.timestep * np.cumsum(
+            batch.internal[:used]
+        )
         if used:
-            self._energy_loss, self._internal_loss = float(energy_loss[-1]), float(internal[-1])
+            self._energy_loss, self._internal_loss = (
+                float(energy_loss[-1]),
+                float(internal[-1]),
+            )
         # Energy balance: the work of the torques is kinetic energy plus losses.
         work, loss = batch.energy[ends] + energy_loss[ends], internal[ends]
         force = floor_force.reshape(count, steps, *floor_force.shape[1:]).mean(axis=1)
         contact = batch.obstacle_force[:used, :, :2]
         obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
-        return self._observe(times, batch.states[ends], trace.at(ends), force, obstacles, work, loss)
+        return self._observe(
+            times, batch.states[ends], trace.at(ends), force, obstacles, work, loss
+        )
 
-    def _observe(self, times: np.ndarray, states: np.ndarray, trace: Trace, *loads: np.ndarray) -> SnakeState:
+    def _observe(
+        self, times: np.ndarray, states: np.ndarray, trace: Trace, *loads: np.ndarray
+    ) -> SnakeState:
         """Return the history of some states.
 
         Args:
             times: shape (samples,), s.
             states: shape (samples, 1 + nq + nv), see `StepBatch`.
             trace: trace of the chambers.
-            *loads: forces of the floor, shape (samples, axles, 2, 3), and of obstacles, shape (samples, N,
-                2), N; energy of body, floor and obstacles, shape (samples,), J; energy that joints dissipated
-                inside segments, shape (samples,), J.
+            *loads: forces of the floor, shape (samples, axles, 2, 3), and of obstacles,
+                shape (samples, N, 2), N; energy of body, floor and obstacles, shape
+                (samples,), J; energy that joints dissipated inside segments, shape
+                (samples,), J.
         """
         force, obstacles, work, loss = loads
         kinematics = self.physics.kinematics(states)
         if self.uneven or self.spec.is_spatial:
-            work = work + self._potential_energy(kinematics.com) - self._start_height_energy
-        # Unwrap from the previous sample: a connector turns by far less than π between two samples.
+            work = (
+                work
+                + self._potential_energy(kinematics.com)
+                - self._start_height_energy
+            )
+        # Unwrap from the previous sample: a connector turns by far less than π between
+        # two samples.
         theta = np.concatenate([self._theta[None], kinematics.headings])
         if (np.abs(theta[1:] - theta[:-1]) >= math.pi).any():
             theta = np.unwrap(theta, axis=0)
@@ -322,7 +404,9 @@ class TwinSnake(PneumaticPlant):
         if len(theta):
             self._theta = theta[-1].copy()  # callers may change the returned arrays
         deviation = trace.bend - kinematics.bends
-        deviation += self.spec.bending.damping_time * (trace.bend_rate - kinematics.bend_rates)
+        deviation += self.spec.bending.damping_time * (
+            trace.bend_rate - kinematics.bend_rates
+        )
         state = SnakeState(
             time=times,
             com=kinematics.com[:, :2],
@@ -339,7 +423,9 @@ class TwinSnake(PneumaticPlant):
             obstacle_force=obstacles,
             torque=self._stiffness * deviation,
             # ∫ Σ T q̇_f dt, see `internal_joints`.
-            work=work + loss + self.physics.internal_joints.stored(kinematics.qpos, trace.bend),
+            work=work
+            + loss
+            + self.physics.internal_joints.stored(kinematics.qpos, trace.bend),
             internal_loss=loss,
             air=trace.air,
             qpos=kinematics.qpos,
@@ -356,8 +442,12 @@ class TwinSnake(PneumaticPlant):
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:
         """Return the forces on the connectors, (samples, N, …), from those on axles or contact points."""
         if self.spec.skin is not None:
-            places = np.array([patch.place for patch in patches(self.spec, self._settings)])
-            shared: np.ndarray = np.einsum("ik,skc->sic", self.spec.connector_weights(places), force)
+            places = np.array(
+                [patch.place for patch in patches(self.spec, self._settings)]
+            )
+            shared: np.ndarray = np.einsum(
+                "ik,skc->sic", self.spec.connector_weights(places), force
+            )
             return shared
         # The second axle of a tail comes last and belongs to the last connector.
         connectors = np.arange(self.spec.geometry.connectors)
@@ -366,27 +456,43 @@ class TwinSnake(PneumaticPlant):
 
     def _potential_energy(self, com: np.ndarray) -> np.ndarray:
         """Return the potential energy of centres of mass, shape (…, 3), J."""
-        energy: np.ndarray = -self.spec.mass.total * (com @ self.physics.model.opt.gravity)
+        energy: np.ndarray = -self.spec.mass.total * (
+            com @ self.physics.model.opt.gravity
+        )
         return energy
 
     def _count_plausible_steps(self, states: np.ndarray) -> int:
         """Return the number of steps, from the first, with finite and plausible states."""
         clock = states[:, 0]
-        moved = np.append(True, clock[1:] > clock[:-1])  # the engine's clock stops after a divergence
+        moved = np.append(
+            True, clock[1:] > clock[:-1]
+        )  # the engine's clock stops after a divergence
         speeds = states[:, 1 + self.physics.model.nq :]
-        fine = moved & np.isfinite(states).all(axis=1) & (np.abs(speeds) < _MAX_SPEED).all(axis=1)
+        fine = (
+            moved
+            & np.isfinite(states).all(axis=1)
+            & (np.abs(speeds) < _MAX_SPEED).all(axis=1)
+        )
         return int(np.argmin(fine)) if not fine.all() else len(fine)
 
-    def _divergence_error(self, time: float, before: np.ndarray, history: SnakeState | None) -> DivergedError:
+    def _divergence_error(
+        self, time: float, before: np.ndarray, history: SnakeState | None
+    ) -> DivergedError:
         """Restore the last plausible state and return an error with this state and MuJoCo's warnings."""
         warned = " ".join(" ".join(dict.fromkeys(ENGINE_WARNINGS.last)).split())
         physics = self.physics
         count = physics.model.nq
-        physics.data.qpos[:], physics.data.qvel[:] = before[1 : 1 + count], before[1 + count :]
+        physics.data.qpos[:], physics.data.qvel[:] = (
+            before[1 : 1 + count],
+            before[1 + count :],
+        )
         physics.refresh()
         x, y, z = physics.center_of_mass()
         bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
-        pose = f"centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading {float(self._theta.mean()):.3g} rad"
+        pose = (
+            f"centre of mass ({x:.3g}, {y:.3g}, {z:.3g}) m, heading"
+            f" {float(self._theta.mean()):.3g} rad"
+        )
         fastest = f"largest speed {np.abs(before[1 + count :]).max():.3g} m/s or rad/s"
         reason = warned or "implausible speeds"
         text = f"{reason}; last plausible state: {pose}, bends {bends} rad, {fastest}"
@@ -404,11 +510,16 @@ def _apply_deprecated(
     """
     options = dict(deprecated)
     unknown = options.keys() - {
-        "friction", *vars(LoadedContact()), *vars(PreloadedContact()), *vars(numerics)
-    }  # fmt: skip
+        "friction",
+        *vars(LoadedContact()),
+        *vars(PreloadedContact()),
+        *vars(numerics),
+    }
     if unknown:
         raise TypeError(f"TwinSnake has no argument {min(unknown)!r}")
-    switches = {name: options.pop(name) for name in list(options) if name in vars(numerics)}
+    switches = {
+        name: options.pop(name) for name in list(options) if name in vars(numerics)
+    }
     if isinstance(contact, LoadedContact):
         wheels, law = options.pop("wheels", None), options.pop("friction", None)
         if wheels is not None:
@@ -416,7 +527,11 @@ def _apply_deprecated(
             law = law or LAW_OF[wheels]
         options |= {"law": law} if law else {}
         # A loaded twin always ignored these.
-        options = {name: value for name, value in options.items() if name not in ("slip_time", "axle_time")}
+        options = {
+            name: value
+            for name, value in options.items()
+            if name not in ("slip_time", "axle_time")
+        }
     for name in options:
         if name not in vars(contact):
             raise InputError(f"{name} is not allowed with contact {contact.name!r}")

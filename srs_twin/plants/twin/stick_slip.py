@@ -1,16 +1,18 @@
 r"""Friction of a contact that can stick, and of a wheel whose spin has inertia.
 
-Both laws map the velocity of a contact to its friction force and the slopes of that force. They are written
-in the subset of Python that numba and Warp compile: numbers in, numbers out.
+Both laws map the velocity of a contact to its friction force and the slopes of that
+force. They are written in the subset of Python that numba and Warp compile: numbers in,
+numbers out.
 
-The contact is elastic-plastic in its force. With the force p̂ of the previous step, scaled by the friction
-limits μ_t N and μ_n N along and across the heading,
+The contact is elastic-plastic in its force. With the force p̂ of the previous step,
+scaled by the friction limits μ_t N and μ_n N along and across the heading,
 
 $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_n v_n), \qquad
    f = N\,(\mu_t y_t, \mu_n y_n)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_n) . $$
 
-For |y| ≤ 1 the contact sticks: the force changes in proportion to the velocity and keeps its value at rest.
-For |y| > 1 it slides with the force of `robot.friction.ellipse`. With y = q̂ − v/ε it slides with that of
+For |y| ≤ 1 the contact sticks: the force changes in proportion to the velocity and
+keeps its value at rest. For |y| > 1 it slides with the force of
+`robot.friction.ellipse`. With y = q̂ − v/ε it slides with that of
 `robot.friction.cosine`: its forces lie on the same ellipse.
 """
 
@@ -20,14 +22,16 @@ import numpy as np
 
 from srs_twin.compute.compiled import compiled
 
-# Smallest friction limit as a divisor of a force, N; smaller limits cannot carry a force.
+# Smallest friction limit as a divisor of a force, N; smaller limits cannot carry a
+# force.
 _MIN_LIMIT = 1e-12
 
-# Smallest ratio of the two coefficients in the stiffness 1/(ε μ), 1: it keeps the stiffness of a contact
-# without friction along its heading finite.
+# Smallest ratio of the two coefficients in the stiffness 1/(ε μ), 1: it keeps the
+# stiffness of a contact without friction along its heading finite.
 _MIN_RATIO = 0.01
 
-# Relative tolerance of the rim speed, 1. Warp, in single precision, replaces it (`warp.translation`).
+# Relative tolerance of the rim speed, 1. Warp, in single precision, replaces it
+# (`warp.translation`).
 _RIM_TOLERANCE = 1e-12
 
 
@@ -43,17 +47,23 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
         p_t, p_n: friction force of the previous step, N.
 
     Returns:
-        f_t, f_n (N), and the slopes ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m).
+        f_t, f_n (N), and the slopes ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t, ∂f_n/∂v_n
+        (N·s/m).
     """
     limit_t, limit_n, greatest = mu_t * load, mu_n * load, max(mu_t, mu_n)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
-    # The contact yields over a slip of ε in the direction of the smaller coefficient, over less in the other.
+    # The contact yields over a slip of ε in the direction of the smaller coefficient,
+    # over less in the other.
     stiffness = 1.0 / (slip * max(min(mu_t, mu_n), _MIN_RATIO * greatest))
-    # Previous force in units of the friction limits. A smaller load shrinks it onto the friction ellipse.
+    # Previous force in units of the friction limits. A smaller load shrinks it onto the
+    # friction ellipse.
     q_t, q_n = p_t / max(limit_t, _MIN_LIMIT), p_n / max(limit_n, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
-    y_t, y_n = shrink * q_t - mu_t * stiffness * v_t, shrink * q_n - mu_n * stiffness * v_n
+    y_t, y_n = (
+        shrink * q_t - mu_t * stiffness * v_t,
+        shrink * q_n - mu_n * stiffness * v_n,
+    )
     size = np.sqrt(y_t * y_t + y_n * y_n)
     sliding = 1.0 if size > 1.0 else 0.0
     r = 1.0 / max(1.0, size)
@@ -74,7 +84,8 @@ def skin_friction(v_t, v_n, load, mu_ahead, mu_back, mu_n, slip, p_t, p_n, is_co
 
     Args:
         v_t, v_n, load, mu_n, slip, p_t, p_n: as in `stick_slip_friction`.
-        mu_ahead, mu_back: friction coefficients along the body for slip towards the head and the tail, 1.
+        mu_ahead, mu_back: friction coefficients along the body for slip towards the
+            head and the tail, 1.
         is_cosine: whether the law is `cosine` instead of `ellipse`.
 
     Returns:
@@ -112,33 +123,40 @@ def skin_friction(v_t, v_n, load, mu_ahead, mu_back, mu_n, slip, p_t, p_n, is_co
 def rolling_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return friction force and slopes of a wheel whose spin has inertia.
 
-    The contact has the coefficient μ_n in every direction; the axle brakes with μ_t. The rim speed w at the
-    end of the step balances both:
+    The contact has the coefficient μ_n in every direction; the axle brakes with μ_t.
+    The rim speed w at the end of the step balances both:
 
     $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w . $$
 
-    sgn is set-valued at 0, so a wheel that its contact cannot turn stays locked. A sliding wheel without
-    inertia follows `robot.friction.wheel`.
+    sgn is set-valued at 0, so a wheel that its contact cannot turn stays locked. A
+    sliding wheel without inertia follows `robot.friction.wheel`.
 
     Args:
         v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n: as in `stick_slip_friction`.
         rim: rim speed w₀ at the beginning of the step, m/s.
-        inertia: k, moment of inertia of the wheel over its squared radius and the time step, kg/s.
+        inertia: k, moment of inertia of the wheel over its squared radius and the time
+            step, kg/s.
 
     Returns:
-        f_t, f_n (N), the slopes ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m), and w (m/s).
+        f_t, f_n (N), the slopes ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m),
+        and w (m/s).
     """
     drag, w = mu_t * load, float(0.0)
-    f_t, f_n, tt, tn, nn = stick_slip_friction(v_t, v_n, load, mu_n, mu_n, slip, p_t, p_n)
+    f_t, f_n, tt, tn, nn = stick_slip_friction(
+        v_t, v_n, load, mu_n, mu_n, slip, p_t, p_n
+    )
     demand = inertia * rim - f_t
     if abs(demand) <= drag:
         return f_t, f_n, tt, tn, nn, w
-    # The excess of the driving force decreases in w and is positive at 0: a bracketed Newton iteration.
+    # The excess of the driving force decreases in w and is positive at 0: a bracketed
+    # Newton iteration.
     side = 1.0 if demand > 0.0 else -1.0
     low, high = float(0.0), (abs(demand) - drag) / inertia
     w = min(max(side * v_t, low), high)
     for _ in range(60):
-        f_t, f_n, tt, tn, nn = stick_slip_friction(v_t - side * w, v_n, load, mu_n, mu_n, slip, p_t, p_n)
+        f_t, f_n, tt, tn, nn = stick_slip_friction(
+            v_t - side * w, v_n, load, mu_n, mu_n, slip, p_t, p_n
+        )
         excess = -side * f_t - drag - inertia * (w - side * rim)
         if excess > 0.0:
             low = w
@@ -150,7 +168,7 @@ def rolling_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n, rim, inertia): 
         w += step
         if not low < w < high:
             w = 0.5 * (low + high)
-    # The rim follows the wheel's motion, which softens the slope along the heading (implicit function
-    # theorem).
+    # The rim follows the wheel's motion, which softens the slope along the heading
+    # (implicit function theorem).
     share = inertia / (inertia - tt)
     return f_t, f_n, tt * share, tn * share, nn + tn * tn / (inertia - tt), side * w

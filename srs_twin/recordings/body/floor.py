@@ -1,17 +1,19 @@
 """Floor plane of a recording: vertical axis, and the map from file axes to floor coordinates.
 
-Each marker of a crawling snake keeps its height, so its displacements d over time are parallel to the floor.
-Candidate normals n are cross products d₁ × d₂. The one with the smallest median |n·d| is refined by principal
-components of the displacements close to its plane. A recording without motion has only the positions of the
-markers, and markers of unequal height tilt a plane through them.
+Each marker of a crawling snake keeps its height, so its displacements d over time are
+parallel to the floor. Candidate normals n are cross products d₁ × d₂. The one with the
+smallest median |n·d| is refined by principal components of the displacements close to
+its plane. A recording without motion has only the positions of the markers, and markers
+of unequal height tilt a plane through them.
 
 The axis of the file closest to the normal points up.
 
-A recording is levelled only where its tilt is certain. The slopes of the floor come from a robust fit of the
-heights of all markers over their positions. A level snake that lifts in step with its motion looks like a
-tilt: a lift of rms L in step with a displacement of rms S gives a slope of L/S. The two directions of the
-principal spreads S are judged one by one: a slope counts as a tilt where it exceeds twice the slope that a
-lift of 1 % of the body would give. A snake that crawls far, or turns, has a large S.
+A recording is levelled only where its tilt is certain. The slopes of the floor come
+from a robust fit of the heights of all markers over their positions. A level snake that
+lifts in step with its motion looks like a tilt: a lift of rms L in step with a
+displacement of rms S gives a slope of L/S. The two directions of the principal spreads
+S are judged one by one: a slope counts as a tilt where it exceeds twice the slope that
+a lift of 1 % of the body would give. A snake that crawls far, or turns, has a large S.
 
 Each map is a rotation, so left and right are preserved:
 
@@ -39,9 +41,13 @@ Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 """Axis of a file that points up."""
 
 MAPS = {
-    "z": ((0, 1), (1, 1), (2, 1)), "y": ((0, 1), (2, -1), (1, 1)), "x": ((1, 1), (2, 1), (0, 1)),
-    "-z": ((0, 1), (1, -1), (2, -1)), "-y": ((0, 1), (2, 1), (1, -1)), "-x": ((1, 1), (2, -1), (0, -1)),
-}  # fmt: skip
+    "z": ((0, 1), (1, 1), (2, 1)),
+    "y": ((0, 1), (2, -1), (1, 1)),
+    "x": ((1, 1), (2, 1), (0, 1)),
+    "-z": ((0, 1), (1, -1), (2, -1)),
+    "-y": ((0, 1), (2, 1), (1, -1)),
+    "-x": ((1, 1), (2, -1), (0, -1)),
+}
 """Vertical axis → (axis of the file, sign) of the floor's x, of its y and of the height."""
 
 UPS = ("auto", *MAPS)
@@ -76,8 +82,8 @@ class FloorPlane:
 
     Attributes:
         up: vertical axis of the file.
-        points: x and y on the floor, and height above the origin of the file (0 if the file has no heights),
-            shape (frames, columns, 3), m.
+        points: x and y on the floor, and height above the origin of the file (0 if the
+            file has no heights), shape (frames, columns, 3), m.
         corrections: notes on results and changes, for the summary.
     """
 
@@ -86,25 +92,30 @@ class FloorPlane:
     corrections: tuple[str, ...]
 
 
-def map_to_floor(points: np.ndarray, up: str, usual: str, level: bool | None = None) -> FloorPlane:
+def map_to_floor(
+    points: np.ndarray, up: str, usual: str, level: bool | None = None
+) -> FloorPlane:
     """Transform markers to floor coordinates.
 
     Args:
         points: shape (frames, columns, 3) or (…, 2), m.
         up: one of `UPS`.
-        usual: vertical axis that is usual for the file format; the fallback if the markers do not determine
-            it.
-        level: whether to remove the tilt of the floor; None removes it where it is certain.
+        usual: vertical axis that is usual for the file format; the fallback if the
+            markers do not determine it.
+        level: whether to remove the tilt of the floor; None removes it where it is
+            certain.
 
     Raises:
-        InputError: a plane file does not have the axis, or the vertical axis cannot be determined.
+        InputError: a plane file does not have the axis, or the vertical axis cannot be
+            determined.
     """
     notes: list[str] = []
     planar = points.shape[-1] == 2
     if planar:
         if up not in ("auto", "z", "-z"):
             raise InputError(
-                f"up {up} is not allowed for a file with x and y only; use z, or -z if y points down"
+                f"up {up} is not allowed for a file with x and y only; use z, or -z if"
+                " y points down"
             )
         up = up.replace("auto", "z")
         points = np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1)
@@ -120,13 +131,18 @@ def map_to_floor(points: np.ndarray, up: str, usual: str, level: bool | None = N
     return FloorPlane(up, mapped, tuple(notes))
 
 
-def _find_floor(points: np.ndarray, usual: str, level: bool | None) -> tuple[str, np.ndarray, list[str]]:
+def _find_floor(
+    points: np.ndarray, usual: str, level: bool | None
+) -> tuple[str, np.ndarray, list[str]]:
     """Return the vertical axis, the points after levelling, and notes."""
     visible = points[np.isfinite(points).all(axis=-1)]
     visible = visible[:: len(visible) // _SAMPLES + 1]
     if len(visible) < 3:
         raise InputError("the file has too few marker positions to determine the floor")
-    centre, (spread, axes) = np.median(visible, axis=0), _principal_axes(_displacements(points))
+    centre, (spread, axes) = (
+        np.median(visible, axis=0),
+        _principal_axes(_displacements(points)),
+    )
     if not _is_plane(spread):
         spread, axes = _principal_axes(visible - centre)
     axis = int(np.argmax(np.abs(axes[:, 0])))
@@ -135,29 +151,38 @@ def _find_floor(points: np.ndarray, usual: str, level: bool | None) -> tuple[str
         vertical = np.median(np.abs(visible[:, common] - np.median(visible[:, common])))
         if vertical > 2 * spread[0] + 1e-3:
             raise InputError(
-                f"the vertical axis cannot be determined, because the markers spread {1e3 * spread[0]:.0f} "
-                f"mm and {1e3 * spread[1]:.0f} mm in two directions; give --up x, y or z, or `up` in a map"
+                "the vertical axis cannot be determined, because the markers spread"
+                f" {1e3 * spread[0]:.0f} mm and {1e3 * spread[1]:.0f} mm in two"
+                " directions; give --up x, y or z, or `up` in a map"
             )
-        note = f"up assumed to be {usual}, as usual in such files: markers do not determine it"
+        note = (
+            f"up assumed to be {usual}, as usual in such files: markers do not"
+            " determine it"
+        )
         return usual, points, [note]
     normal = axes[:, 0] * np.sign(axes[axis, 0])
     tilt = float(np.arccos(min(1.0, normal[axis])))
     if tilt > _MAX_AXIS_TILT:
         raise InputError(
-            f"the plane of the markers is tilted by {np.degrees(tilt):.0f}° from all axes; rotate the "
-            "recording, or give --up x, y or z, or `up` in a map"
+            f"the plane of the markers is tilted by {np.degrees(tilt):.0f}° from all"
+            " axes; rotate the recording, or give --up x, y or z, or `up` in a map"
         )
-    # The origin is on the floor, where the calibration square was, so the markers are above it.
+    # The origin is on the floor, where the calibration square was, so the markers are
+    # above it.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
     if abs(height) <= 1e-3:
-        notes.append(f"the markers have the height 0: {up} is assumed to point up, not down")
+        notes.append(
+            f"the markers have the height 0: {up} is assumed to point up, not down"
+        )
     levelled, tilt_notes = _levelled(points, axis, level)
     return up, levelled, notes + tilt_notes
 
 
-def _levelled(points: np.ndarray, axis: int, level: bool | None) -> tuple[np.ndarray, list[str]]:
+def _levelled(
+    points: np.ndarray, axis: int, level: bool | None
+) -> tuple[np.ndarray, list[str]]:
     """Return the points without the tilt of the floor, and notes.
 
     Args:
@@ -190,8 +215,8 @@ def _levelled(points: np.ndarray, axis: int, level: bool | None) -> tuple[np.nda
         notes.append(f"levelled by {np.degrees(tilt):.1f}°")
     if level is None and suspected > np.degrees(_MAX_TILT):
         notes.append(
-            f"a tilt of {suspected:.1f}° may as well be a lift in step with the motion: not levelled "
-            "(`level: true` in a map levels it)"
+            f"a tilt of {suspected:.1f}° may as well be a lift in step with the motion:"
+            " not levelled (`level: true` in a map levels it)"
         )
     return points, notes
 
@@ -208,8 +233,8 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the slopes of the floor and the residual of the heights, m.
 
-    Each marker has its own height above the floor. Markers that move up and down, such as a cap on a head,
-    get little weight.
+    Each marker has its own height above the floor. Markers that move up and down, such
+    as a cap on a head, get little weight.
 
     Args:
         place: horizontal positions, shape (frames, columns, 2), m.
@@ -225,7 +250,9 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
     residual = 0.0
     for _ in range(_FIT_ITERATIONS):
         weighted = position * weight[:, None]
-        slopes = np.linalg.lstsq(weighted.T @ position, weighted.T @ z[known], rcond=None)[0]
+        slopes = np.linalg.lstsq(
+            weighted.T @ position, weighted.T @ z[known], rcond=None
+        )[0]
         deviation = np.abs(z[known] - position @ slopes)
         residual = float(np.median(deviation))
         weight = 1 / (1 + (deviation / (3 * residual + 1e-4)) ** 2)
@@ -263,7 +290,9 @@ def _body_extent(place: np.ndarray) -> float:
 def _displacements(points: np.ndarray) -> np.ndarray:
     """Return the larger half of the displacements of markers over some durations, shape (samples, 3), m."""
     lags = {max(1, len(points) // parts) for parts in _LAG_FRACTIONS}
-    moved = np.concatenate([(points[lag:] - points[:-lag]).reshape(-1, 3) for lag in sorted(lags)])
+    moved = np.concatenate(
+        [(points[lag:] - points[:-lag]).reshape(-1, 3) for lag in sorted(lags)]
+    )
     moved = moved[np.isfinite(moved).all(axis=1)]
     moved = moved[:: len(moved) // _SAMPLES + 1]
     distance = np.linalg.norm(moved, axis=1)
@@ -285,6 +314,8 @@ def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(4):
         distance = np.abs(moved @ normal)
         inliers = moved[distance <= 5 * np.median(distance) + 1e-3]
-        values, axes = np.linalg.eigh(inliers.T @ inliers / len(inliers) + 1e-18 * np.eye(3))
+        values, axes = np.linalg.eigh(
+            inliers.T @ inliers / len(inliers) + 1e-18 * np.eye(3)
+        )
         normal = axes[:, 0]
     return np.sqrt(np.maximum(values, 0.0)), axes

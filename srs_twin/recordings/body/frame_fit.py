@@ -1,25 +1,29 @@
 r"""Least-squares pose, bends and segment lengths of the body on single frames, from markers.
 
-**Model.** A *station* is a point along the body: 0, 2, 4, … are the connectors, head first, and 1, 3, … are
-the middles of the segments between them. A marker m at station k has the position
+**Model.** A *station* is a point along the body: 0, 2, 4, … are the connectors, head
+first, and 1, 3, … are the middles of the segments between them. A marker m at station k
+has the position
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
-where a_m is its offset in the frame of the station. Points are complex numbers, which makes a rotation a
-multiplication. Adjacent connectors are joined by an arc of length ℓ_j and bend q_j, with half of the rigid
-gap g at both ends,
+where a_m is its offset in the frame of the station. Points are complex numbers, which
+makes a rotation a multiplication. Adjacent connectors are joined by an arc of length
+ℓ_j and bend q_j, with half of the rigid gap g at both ends,
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
-   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j - q_j. $$
+   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j -
+   q_j. $$
 
 **Estimation.** The state (x, y, θ_1, q, ℓ) of each frame minimises
 
 $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_j)^2}{\sigma_\ell^2}
-   + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat q_j)^2}{\sigma_q^2}. $$
+   + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat
+   q_j)^2}{\sigma_q^2}. $$
 
-The Gauss-Newton method solves it, and the inverse of its matrix gives the standard errors. The last term
-applies only to frames with hidden markers. It keeps the bends of these frames close to a spline through the
-bends of the other frames. The term of ε, the mean alternating bend, applies only to fixed lengths (`shape`).
+The Gauss-Newton method solves it, and the inverse of its matrix gives the standard
+errors. The last term applies only to frames with hidden markers. It keeps the bends of
+these frames close to a spline through the bends of the other frames. The term of ε, the
+mean alternating bend, applies only to fixed lengths (`shape`).
 """
 
 from __future__ import annotations
@@ -66,8 +70,8 @@ class _Kinematics(NamedTuple):
 
     Attributes:
         marker: positions of the markers, shape (frames, markers), complex, m.
-        jacobian: their derivatives with respect to the state, shape (frames, markers, 3 + 2 segments),
-            complex.
+        jacobian: their derivatives with respect to the state, shape (frames, markers, 3
+            + 2 segments), complex.
         connector: positions of the connectors, shape (frames, N), complex, m.
         heading: headings of the connectors, shape (frames, N), rad.
     """
@@ -99,29 +103,44 @@ class MarkerPlacement:
             state: x, y, θ_1, bends, lengths, shape (frames, 3 + 2 segments).
         """
         count = self.geometry.connectors - 1
-        # Every segment is divided at its middle station into two halves. The rigid gap is before
-        # the first half and behind the second one.
+        # Every segment is divided at its middle station into two halves. The rigid gap
+        # is before the first half and behind the second one.
         turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
-        before, after = (np.tile(ends, count) * self.geometry.rigid_gap / 2 for ends in ([1, 0], [0, 1]))
+        before, after = (
+            np.tile(ends, count) * self.geometry.rigid_gap / 2
+            for ends in ([1, 0], [0, 1])
+        )
         theta = state[:, 2:3] - np.pad(np.cumsum(turn, axis=1), ((0, 0), (1, 0)))
         direction, rotation = np.exp(1j * theta), np.exp(-1j * turn)
         front_direction = direction[:, :-1]
         arc, arc_slope = _mean_direction(turn)
         span = front_direction * (before + length * arc + after * rotation)
-        station = state[:, :1] + 1j * state[:, 1:2] - np.pad(np.cumsum(span, axis=1), ((0, 0), (1, 0)))
+        station = (
+            state[:, :1]
+            + 1j * state[:, 1:2]
+            - np.pad(np.cumsum(span, axis=1), ((0, 0), (1, 0)))
+        )
         marker = station[:, self.station] + self.offset * direction[:, self.station]
         jacobian = np.empty((*marker.shape, state.shape[1]), dtype=complex)
-        jacobian[..., 0], jacobian[..., 1], jacobian[..., 2] = 1, 1j, 1j * (marker - station[:, :1])
-        # A half segment moves all stations behind it: its bend rotates them about its rear end and changes
-        # its chord, and its length displaces them.
+        jacobian[..., 0], jacobian[..., 1], jacobian[..., 2] = (
+            1,
+            1j,
+            1j * (marker - station[:, :1]),
+        )
+        # A half segment moves all stations behind it: its bend rotates them about its
+        # rear end and changes its chord, and its length displaces them.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_slope = front_direction * (length * arc_slope - 1j * after * rotation)
-        by_turn = -chord_slope[:, None] - 1j * (marker[..., None] - station[:, None, 1:])
+        by_turn = -chord_slope[:, None] - 1j * (
+            marker[..., None] - station[:, None, 1:]
+        )
         by_length = -(front_direction * arc)[:, None]
         for k, derivative in ((3, by_turn), (3 + count, by_length)):
             derivative = np.where(moved, derivative, 0)
             # Both halves have half the bend and half the length of the segment.
-            jacobian[..., k : k + count] = (derivative[..., ::2] + derivative[..., 1::2]) / 2
+            jacobian[..., k : k + count] = (
+                derivative[..., ::2] + derivative[..., 1::2]
+            ) / 2
         return _Kinematics(marker, jacobian, station[:, ::2], theta[:, ::2])
 
 
@@ -133,13 +152,16 @@ def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def marker_offsets(
-    points: np.ndarray, missing: np.ndarray, places: Sequence[tuple[int, str]], names: Sequence[str]
+    points: np.ndarray,
+    missing: np.ndarray,
+    places: Sequence[tuple[int, str]],
+    names: Sequence[str],
 ) -> np.ndarray:
     """Return the offsets of markers from their stations, shape (markers,), complex, m.
 
-    A single marker at a station has the offset 0. Two markers without a side are on both sides of the
-    station, along or across the body. Two markers with the same name, which replace a rigid body, may have
-    any direction.
+    A single marker at a station has the offset 0. Two markers without a side are on
+    both sides of the station, along or across the body. Two markers with the same name,
+    which replace a rigid body, may have any direction.
 
     Args:
         points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
@@ -148,12 +170,14 @@ def marker_offsets(
         names: name of each marker.
 
     Raises:
-        InputError: a station has more than two markers or two on the same side, or a pair is oblique to the
-            body.
+        InputError: a station has more than two markers or two on the same side, or a
+            pair is oblique to the body.
     """
     offsets, position = np.zeros(len(places), dtype=complex), points @ [1, 1j]
     station = np.array([place for place, _ in places])
-    members = [np.flatnonzero(station == value).tolist() for value in np.unique(station)]
+    members = [
+        np.flatnonzero(station == value).tolist() for value in np.unique(station)
+    ]
     centres = [position[:, group].mean(axis=1) for group in members]
     for k, group in enumerate(members):
         if len(group) == 1:
@@ -161,7 +185,8 @@ def marker_offsets(
         if len(group) > 2:
             listed = ", ".join(names[marker] for marker in group)
             raise InputError(
-                f"{len(group)} markers at one place of the body ({listed}); at most two are used"
+                f"{len(group)} markers at one place of the body ({listed}); at most two"
+                " are used"
             )
         a, b = group
         line = position[:, a] - position[:, b]
@@ -169,7 +194,9 @@ def marker_offsets(
         sides = [SIDE_DIRECTIONS[places[marker][1]] for marker in group]
         if any(sides):
             if sides[0] == sides[1]:
-                raise InputError(f"{names[a]} and {names[b]} are on the same side of one connector")
+                raise InputError(
+                    f"{names[a]} and {names[b]} are on the same side of one connector"
+                )
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
             continue
@@ -182,8 +209,8 @@ def marker_offsets(
             quarter = np.pi / 2 * np.rint(angle / (np.pi / 2))
             if abs(angle - quarter) > _MAX_PAIR_ANGLE:
                 raise InputError(
-                    f"{names[a]} and {names[b]} are at {np.degrees(angle):.0f}° to the body; place a pair "
-                    "along the body or across it"
+                    f"{names[a]} and {names[b]} are at {np.degrees(angle):.0f}° to the"
+                    " body; place a pair along the body or across it"
                 )
             angle = quarter
         offsets[group] = distance / 2 * np.exp(1j * angle) * np.array([1, -1])
@@ -225,10 +252,16 @@ class StatePrior:
     def information(self) -> np.ndarray:
         """Return the information matrix of the prior over the state."""
         count = len(self.length_mean)
-        matrix = np.diag(np.repeat([0.0, _FLAT_PRIOR_STD**-2, self.length_std**-2], [2, 1 + count, count]))
+        matrix = np.diag(
+            np.repeat(
+                [0.0, _FLAT_PRIOR_STD**-2, self.length_std**-2], [2, 1 + count, count]
+            )
+        )
         if self.alternating_std is not None:
             weights = self.alternating_weights
-            matrix[self.bends, self.bends] += np.outer(weights, weights) / self.alternating_std**2
+            matrix[self.bends, self.bends] += (
+                np.outer(weights, weights) / self.alternating_std**2
+            )
         return matrix
 
 
@@ -238,10 +271,13 @@ class FrameFit:
 
     Attributes:
         state: shape (frames, 3 + 2 segments).
-        covariance: inverse of the Gauss-Newton matrix, shape (frames, 3 + 2 segments, 3 + 2 segments).
-        distance: distances of the markers from their fitted positions, shape (frames, markers), m.
+        covariance: inverse of the Gauss-Newton matrix, shape (frames, 3 + 2 segments, 3
+            + 2 segments).
+        distance: distances of the markers from their fitted positions, shape (frames,
+            markers), m.
         cost: minimised sum, shape (frames,).
-        chi2: sum of the squared normalised residuals of the markers over all these frames.
+        chi2: sum of the squared normalised residuals of the markers over all these
+            frames.
         freedom: its degrees of freedom.
     """
 
@@ -254,7 +290,9 @@ class FrameFit:
 
     def error(self, components: slice) -> np.ndarray:
         """Return the standard errors of some components of the state, shape (frames, components)."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[:, components]))
+        return np.asarray(
+            np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)[:, components])
+        )
 
 
 def fit_frames(
@@ -271,8 +309,9 @@ def fit_frames(
         measured: positions of the markers, shape (frames, markers), complex, m.
         placement: positions of the markers on the body.
         prior: prior of the state.
-        missing: markers with interpolated positions, shape (frames, markers); the bends are then kept close
-            to those of the initial states, q̂. None if all markers are visible.
+        missing: markers with interpolated positions, shape (frames, markers); the bends
+            are then kept close to those of the initial states, q̂. None if all markers
+            are visible.
     """
     count, width = len(prior.length_mean), state.shape[1]
     information, prior_mean = prior.information(), np.zeros_like(state)
@@ -282,7 +321,8 @@ def fit_frames(
         weight[missing] = _HIDDEN_STD**-2
         information[prior.bends, prior.bends] += _BEND_STD**-2 * np.eye(count)
         prior_mean[:, prior.bends] = state[:, prior.bends]
-    # `active` are the frames that have not converged; finished frames need no further steps.
+    # `active` are the frames that have not converged; finished frames need no further
+    # steps.
     state, active = state.copy(), np.arange(len(state))
     max_step = np.repeat([np.inf, _MAX_ANGLE_STEP, np.inf], [2, 1 + count, count])
     bound = np.repeat([np.inf, 2 * np.pi, _MAX_LENGTH], [3, count, count])
@@ -303,11 +343,14 @@ def fit_frames(
         if not active.size:
             break
     covariance = np.linalg.inv(data + information)
-    # Effective number of parameters that the markers determine; the prior determines the remaining ones.
+    # Effective number of parameters that the markers determine; the prior determines
+    # the remaining ones.
     parameters = np.einsum("fuv,fvu->", covariance, data)
     squares = weight * np.abs(residual) ** 2
     deviation = prior_mean - state
-    cost = squares.sum(axis=1) + np.einsum("fu,uv,fv->f", deviation, information, deviation)
+    cost = squares.sum(axis=1) + np.einsum(
+        "fu,uv,fv->f", deviation, information, deviation
+    )
     chi2, freedom = float(squares.sum()), float(2 * squares.size - parameters)
     return FrameFit(state, covariance, np.abs(residual), cost, chi2, freedom)
 
@@ -321,20 +364,26 @@ def fit_incomplete_frames(
 ) -> FrameFit:
     """Fit the states of frames with hidden markers; the arguments are those of `fit_frames`.
 
-    If only one marker of a pair is visible, tracking may have mistaken it for the other one. The assignment
-    with the smaller cost is used.
+    If only one marker of a pair is visible, tracking may have mistaken it for the other
+    one. The assignment with the smaller cost is used.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
         pair = np.flatnonzero(placement.station == station)
         if len(pair) != 2 or placement.offset[pair].sum() != 0:
             continue
-        poor = (np.where(missing, 0.0, best.distance) > _SWAP_NOISE * prior.noise).any(axis=1)
+        poor = (np.where(missing, 0.0, best.distance) > _SWAP_NOISE * prior.noise).any(
+            axis=1
+        )
         rows = np.flatnonzero(poor & (missing[:, pair].sum(axis=1) == 1))
         swapped = np.arange(len(placement.station))
         swapped[pair] = pair[::-1]
         other = fit_frames(
-            state[rows], measured[rows][:, swapped], placement, prior, missing[rows][:, swapped]
+            state[rows],
+            measured[rows][:, swapped],
+            placement,
+            prior,
+            missing[rows][:, swapped],
         )
         better = other.cost < best.cost[rows]
         for name in ("state", "covariance", "distance", "cost"):
@@ -342,23 +391,30 @@ def fit_incomplete_frames(
     return best
 
 
-def initial_states(measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior) -> np.ndarray:
+def initial_states(
+    measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior
+) -> np.ndarray:
     """Return approximate states of frames.
 
-    Headings are interpolated along the body between the directions of marker pairs and the directions from
-    one station to the next.
+    Headings are interpolated along the body between the directions of marker pairs and
+    the directions from one station to the next.
     """
     from scipy.interpolate import make_interp_spline
 
     if prior.alternating_std is not None:
         return _fixed_length_states(measured, placement, prior)
-    stations, directions = np.unique(placement.station), list[tuple[float, np.ndarray]]()
+    stations, directions = (
+        np.unique(placement.station),
+        list[tuple[float, np.ndarray]](),
+    )
     centre = np.empty((len(measured), len(stations)), dtype=complex)
     for k, station in enumerate(stations):
         members = np.flatnonzero(placement.station == station)
         offset, direction = placement.offset[members], np.zeros(len(measured))
         if len(members) == 2:
-            line = (measured[:, members[0]] - measured[:, members[1]]) / (offset[0] - offset[1])
+            line = (measured[:, members[0]] - measured[:, members[1]]) / (
+                offset[0] - offset[1]
+            )
             direction = line / np.maximum(np.abs(line), 1e-12)
             directions.append((float(station), np.angle(direction)))
         centre[:, k] = (measured[:, members] - offset * direction[:, None]).mean(axis=1)
@@ -369,25 +425,34 @@ def initial_states(measured: np.ndarray, placement: MarkerPlacement, prior: Stat
     heading = make_interp_spline(positions, np.unwrap(angles, axis=0), k=1)
     theta = heading(2 * np.arange(len(prior.length_mean) + 1)).T
     origin = np.zeros((len(measured), 2))
-    length = np.full((len(measured), len(prior.length_mean)), placement.geometry.segment_length)
+    length = np.full(
+        (len(measured), len(prior.length_mean)), placement.geometry.segment_length
+    )
     state = np.column_stack([origin, theta[:, 0], -np.diff(theta), length])
     shift = (measured - placement.kinematics(state).marker).mean(axis=1)
     state[:, 0], state[:, 1] = shift.real, shift.imag
     return state
 
 
-def _fixed_length_states(measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior) -> np.ndarray:
+def _fixed_length_states(
+    measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior
+) -> np.ndarray:
     """Return approximate states, with ε from a coarse grid chosen by the fit of the lengths.
 
-    Each connector has one marker. By symmetry, the direction α_j from one connector to the next is the mean
-    of their headings, so each heading is the mirror image of the previous one: θ_{j+1} = 2α_j − θ_j.
+    Each connector has one marker. By symmetry, the direction α_j from one connector to
+    the next is the mean of their headings, so each heading is the mirror image of the
+    previous one: θ_{j+1} = 2α_j − θ_j.
     """
     count, order = len(prior.length_mean), np.argsort(placement.station)
     sign, span = (-1.0) ** np.arange(count + 1), -np.diff(measured[:, order], axis=1)
-    assert span.shape[1] == count and prior.alternating_std is not None, "one marker at each connector"
+    assert span.shape[1] == count and prior.alternating_std is not None, (
+        "one marker at each connector"
+    )
     alpha = np.unwrap(np.angle(span), axis=1)
     # (−1)^j θ_j changes by −2 (−1)^j α_j from connector to connector.
-    alternating = np.cumsum(np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1)
+    alternating = np.cumsum(
+        np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1
+    )
     bend = -np.diff(sign * alternating)
     # Mean alternating bend, 2 ε: replace it by each value of the grid.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
@@ -400,7 +465,10 @@ def _fixed_length_states(measured: np.ndarray, placement: MarkerPlacement, prior
         cost = error.sum(axis=1) / (2 * prior.noise**2 + prior.length_std**2)
         costs.append(cost + (epsilon / prior.alternating_std) ** 2)
     best = np.argmin(costs, axis=0)
-    first, heading = measured[:, order[0]], alpha[:, 0] - mean[:, 0] / 2 + _ALTERNATING_STARTS[best]
+    first, heading = (
+        measured[:, order[0]],
+        alpha[:, 0] - mean[:, 0] / 2 + _ALTERNATING_STARTS[best],
+    )
     bend = np.stack(bends)[best, np.arange(len(measured))]
     length = np.tile(prior.length_mean, (len(measured), 1))
     return np.column_stack([first.real, first.imag, heading, bend, length])

@@ -1,13 +1,15 @@
 """Layout of the markers: tracks that belong to the robot, layouts that they fit, and order along the body.
 
-Layouts: ``single`` has one marker per connector; ``head`` has one more ahead of the head, which gives its
-heading; ``pair`` has two per connector, along or across the body, as the first and third robot of the
-dissertation (Sections 2.3.1 and 2.3.2); ``middles`` has one per connector and one at the middle of each
-segment; ``head_middles`` has these and one more ahead of the head.
+Layouts: ``single`` has one marker per connector; ``head`` has one more ahead of the
+head, which gives its heading; ``pair`` has two per connector, along or across the body,
+as the first and third robot of the dissertation (Sections 2.3.1 and 2.3.2); ``middles``
+has one per connector and one at the middle of each segment; ``head_middles`` has these
+and one more ahead of the head.
 
-The distance between neighbours along the body is at most the length of a straight segment, while other
-markers are sometimes farther apart. The body is therefore the minimum spanning tree of the largest distances.
-Markers on the same rigid part keep their distance.
+The distance between neighbours along the body is at most the length of a straight
+segment, while other markers are sometimes farther apart. The body is therefore the
+minimum spanning tree of the largest distances. Markers on the same rigid part keep
+their distance.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -72,31 +74,46 @@ _MIN_MOTION_RATIO = 0.2
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     """Return the tracks that do not belong to the robot, with reasons.
 
-    A marker at another height than most, for example on a mast, belongs to the robot if it keeps this height
-    and its distance from another marker of the robot, and moves together with that one.
+    A marker at another height than most, for example on a mast, belongs to the robot if
+    it keeps this height and its distance from another marker of the robot, and moves
+    together with that one.
 
     Args:
         tracks: in floor coordinates, shape (frames, tracks, 3), m.
     """
     visible = np.isfinite(tracks[..., 0])
-    usual = np.quantile(tracks[visible][:, 2], 0.5, method="lower") if visible.any() else 0.0
+    usual = (
+        np.quantile(tracks[visible][:, 2], 0.5, method="lower")
+        if visible.any()
+        else 0.0
+    )
     heights = [tracks[visible[:, k], k, 2] for k in range(tracks.shape[1])]
     different = [
-        k for k, height in enumerate(heights) if height.size and abs(np.median(height) - usual) > _SAME_HEIGHT
+        k
+        for k, height in enumerate(heights)
+        if height.size and abs(np.median(height) - usual) > _SAME_HEIGHT
     ]
-    robot = [k for k, height in enumerate(heights) if height.size and k not in different]
+    robot = [
+        k for k, height in enumerate(heights) if height.size and k not in different
+    ]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
     # A marker may be attached to a marker that has itself just been accepted.
     while accepted := [
-        k for k in candidates if any(_move_together(tracks[:, [k, other], :2]) for other in robot)
+        k
+        for k in candidates
+        if any(_move_together(tracks[:, [k, other], :2]) for other in robot)
     ]:
         robot += accepted
         candidates = [k for k in candidates if k not in accepted]
     reasons = {}
     for k in (k for k in different if k not in robot):
         varies = f"its height varies by {1e3 * height_range[k]:.0f} mm"
-        reason = varies if height_range[k] > _CONSTANT_HEIGHT else "does not move with the other markers"
+        reason = (
+            varies
+            if height_range[k] > _CONSTANT_HEIGHT
+            else "does not move with the other markers"
+        )
         reasons[k] = f"{1e3 * np.median(heights[k]):.0f} mm high, {reason}"
     return reasons
 
@@ -113,8 +130,13 @@ def _move_together(pair: np.ndarray) -> bool:
     if len(pair) < 2:
         return False
     distance = np.linalg.norm(pair[:, 0] - pair[:, 1], axis=-1)
-    motion, other_motion = np.linalg.norm(pair - np.median(pair, axis=0), axis=-1).mean(axis=0)
-    rigid = _range(distance) <= _MAX_DISTANCE_RANGE * np.median(distance) + _CONSTANT_HEIGHT / 2
+    motion, other_motion = np.linalg.norm(pair - np.median(pair, axis=0), axis=-1).mean(
+        axis=0
+    )
+    rigid = (
+        _range(distance)
+        <= _MAX_DISTANCE_RANGE * np.median(distance) + _CONSTANT_HEIGHT / 2
+    )
     return bool(rigid and motion >= _MIN_MOTION_RATIO * other_motion)
 
 
@@ -127,11 +149,14 @@ def robot_markers(
         points: positions of all tracks, shape (frames, tracks, 2), m.
         connectors: N.
         pitch: length of a straight segment, m.
-        layout: one of `LAYOUTS`; "auto" selects the layouts whose number of markers is visible.
-        named: number of columns whose names state a place on the robot; 0 if there are none.
+        layout: one of `LAYOUTS`; "auto" selects the layouts whose number of markers is
+            visible.
+        named: number of columns whose names state a place on the robot; 0 if there are
+            none.
 
     Returns:
-        Possible layouts (["named"] for named columns), and the tracks of the robot's markers.
+        Possible layouts (["named"] for named columns), and the tracks of the robot's
+        markers.
 
     Raises:
         InputError: there are too few or too many markers.
@@ -140,19 +165,30 @@ def robot_markers(
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # A marker of the robot has a neighbour on most of the frames on which it is visible.
+        # A marker of the robot has a neighbour on most of the frames on which it is
+        # visible.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
-        has_neighbour = (pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit).any(axis=2)
+        has_neighbour = (
+            pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
+        ).any(axis=2)
         sampled = visible[sample_frames(len(points), _NEIGHBOUR_FRAMES)][:, candidates]
         candidates = candidates[has_neighbour.sum(axis=0) > 0.5 * sampled.sum(axis=0)]
-    counts = {name: size.per_connector * connectors + size.extra for name, size in LAYOUT_SIZES.items()}
+    counts = {
+        name: size.per_connector * connectors + size.extra
+        for name, size in LAYOUT_SIZES.items()
+    }
     if named:
         layout, counts = "named", {"named": named}
     possible = [layout]
     if layout == "auto":
-        # Count the markers on the same frame: a marker that was hidden for long may have become two tracks.
+        # Count the markers on the same frame: a marker that was hidden for long may
+        # have become two tracks.
         jobs_option = visible[:, candidates].sum(axis=1)
-        count = int(np.quantile(jobs_option, 0.95, method="lower")) if candidates.size else 0
+        count = (
+            int(np.quantile(jobs_option, 0.95, method="lower"))
+            if candidates.size
+            else 0
+        )
         possible = [name for name, required in counts.items() if required == count]
     required = counts[possible[0]] if possible else -1
     if required < 0 or len(candidates) < required:
@@ -161,13 +197,18 @@ def robot_markers(
     return possible, np.sort(candidates[best])
 
 
-def _wrong_number(candidates: int, connectors: int, counts: dict[str, int], coverage: np.ndarray) -> str:
+def _wrong_number(
+    candidates: int, connectors: int, counts: dict[str, int], coverage: np.ndarray
+) -> str:
     listed = ", ".join(f"{count} ({layout})" for layout, count in counts.items())
-    shares = ", ".join(f"{100 * share:.0f} %" for share in sorted(coverage, reverse=True)[:12])
+    shares = ", ".join(
+        f"{100 * share:.0f} %" for share in sorted(coverage, reverse=True)[:12]
+    )
     return (
-        f"{candidates} markers may belong to the robot, but {connectors} connectors have {listed}; the "
-        f"tracks are visible on {shares} of the frames. Give --layout, export without other markers, or give "
-        "the place of each marker in a map (--map)"
+        f"{candidates} markers may belong to the robot, but {connectors} connectors"
+        f" have {listed}; the tracks are visible on {shares} of the frames. Give"
+        " --layout, export without other markers, or give the place of each marker in"
+        " a map (--map)"
     )
 
 
@@ -182,16 +223,20 @@ def body_order(points: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
-    # The quantile replaces the maximum, because a few frames may be wrong. An offset is added because a
-    # sparse graph has no edges of length 0.
+    # The quantile replaces the maximum, because a few frames may be wrong. An offset is
+    # added because a sparse graph has no edges of length 0.
     tree = minimum_spanning_tree(
         np.quantile(pairwise_distances(points, _DISTANCE_FRAMES), 0.98, axis=0) + 1.0
     )
     neighbours = np.bincount(np.concatenate(tree.nonzero()), minlength=points.shape[1])
     ends = np.flatnonzero(neighbours == 1)
     if len(ends) != 2:
-        raise InputError(f"the markers are not along one body: {len(ends)} of them are at an end")
-    return np.asarray(depth_first_order(tree, ends[0], directed=False, return_predecessors=False))
+        raise InputError(
+            f"the markers are not along one body: {len(ends)} of them are at an end"
+        )
+    return np.asarray(
+        depth_first_order(tree, ends[0], directed=False, return_predecessors=False)
+    )
 
 
 def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
@@ -210,7 +255,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # The distance of adjacent pairs along the body may equal that of their markers; the order is unique then.
+    # The distance of adjacent pairs along the body may equal that of their markers; the
+    # order is unique then.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
@@ -219,8 +265,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     worst = max(spread[a, b] / max(median[a, b], 1e-9) for a, b in pairs)
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(
-            f"no {connectors} pairs of markers keep their distance (one changes by {100 * worst:.0f} %); "
-            "are there two at each connector? Give --layout"
+            f"no {connectors} pairs of markers keep their distance (one changes by"
+            f" {100 * worst:.0f} %); are there two at each connector? Give --layout"
         )
     return np.array(pairs)
 
@@ -228,14 +274,17 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and standard deviations of all distances, both of shape (markers, markers), m.
 
-    The standard deviations are computed from quartiles; a few wrong frames have no effect.
+    The standard deviations are computed from quartiles; a few wrong frames have no
+    effect.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # NaN for a marker and itself, and for two markers that are never visible on the same frame.
+    # NaN for a marker and itself, and for two markers that are never visible on the
+    # same frame.
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
-        # 0.74 converts the interquartile range of normal values to their standard deviation.
+        # 0.74 converts the interquartile range of normal values to their standard
+        # deviation.
         return median, np.nan_to_num(0.74 * (high - low), nan=np.inf)
 
 
@@ -247,21 +296,25 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
         spec: the robot.
 
     Raises:
-        InputError: the two nearest markers are farther apart than neighbours can be, or all are too close
-            together.
+        InputError: the two nearest markers are farther apart than neighbours can be, or
+            all are too close together.
     """
     pitch, straight = spec.geometry.pitch, spec.segments * spec.geometry.pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     distance = distance[np.isfinite(distance).any(axis=(1, 2))]
     if not len(distance):
         raise InputError(
-            f"no frame has two visible markers; the robot needs {spec.segments + 1} or more of them"
+            f"no frame has two visible markers; the robot needs {spec.segments + 1} or"
+            " more of them"
         )
-    nearest, farthest = (np.median(extreme(distance, axis=(1, 2))) for extreme in (np.nanmin, np.nanmax))
+    nearest, farthest = (
+        np.median(extreme(distance, axis=(1, 2))) for extreme in (np.nanmin, np.nanmax)
+    )
     if nearest > _MAX_NEAREST_PITCH * pitch or farthest < _MIN_EXTENT * straight:
         raise InputError(
-            f"markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the connectors of "
-            f"{spec.name} {1e3 * pitch:.4g} mm{unit_hint(float(farthest / straight))}"
+            f"markers are {1e3 * nearest:.4g} to {1e3 * farthest:.4g} mm apart, the"
+            f" connectors of {spec.name} {1e3 * pitch:.4g}"
+            f" mm{unit_hint(float(farthest / straight))}"
         )
 
 
@@ -286,5 +339,8 @@ def forward_distance(period: float, points: np.ndarray) -> float:
     centre, axis = sampled.mean(axis=1), sampled[:, 0] - sampled[:, -1]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
     return float(
-        sum(((b - a) * (u + v) / 2).sum() for (a, u), (b, v) in pairwise(zip(centre, axis, strict=True)))
+        sum(
+            ((b - a) * (u + v) / 2).sum()
+            for (a, u), (b, v) in pairwise(zip(centre, axis, strict=True))
+        )
     )

@@ -15,8 +15,18 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.recordings.body.frame_fit import MarkerPlacement, marker_offsets
-from srs_twin.recordings.body.layout import body_order, forward_distance, rigid_pairs, unit_hint
-from srs_twin.recordings.body.shape import BodyShape, LengthModel, fit_shape, length_model
+from srs_twin.recordings.body.layout import (
+    body_order,
+    forward_distance,
+    rigid_pairs,
+    unit_hint,
+)
+from srs_twin.recordings.body.shape import (
+    BodyShape,
+    LengthModel,
+    fit_shape,
+    length_model,
+)
 from srs_twin.recordings.body.tracking import sample_frames
 from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.robot.spec import RobotSpec
@@ -51,7 +61,8 @@ class CapturedMarkers:
         layouts: layouts with this number of markers, or ["named"].
         time: shape (frames,), s.
         points: interpolated where a marker is hidden, shape (frames, markers, 2), m.
-        columns: column of the file from which each sample came, −1 where it is hidden, (frames, markers).
+        columns: column of the file from which each sample came, −1 where it is hidden,
+            (frames, markers).
         rejected: number of samples of these markers that were outliers.
         other: number of samples in the file that do not belong to the robot.
     """
@@ -72,12 +83,19 @@ class CapturedMarkers:
     @cached_property
     def main_columns(self) -> list[int]:
         """Most frequent column of each marker."""
-        return [int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T]
+        return [
+            int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T
+        ]
 
     def thinned(self) -> CapturedMarkers:
         """Return the markers on a sample of the frames."""
         frames = sample_frames(len(self.time), _COMPARED_FRAMES)
-        return replace(self, time=self.time[frames], points=self.points[frames], columns=self.columns[frames])
+        return replace(
+            self,
+            time=self.time[frames],
+            points=self.points[frames],
+            columns=self.columns[frames],
+        )
 
     def name(self, marker: int) -> str:
         """Return the name of the most frequent column of a marker."""
@@ -92,7 +110,8 @@ class TrackedBody:
         layout: one of `LAYOUTS`, or "named".
         shape: connectors, headings, bends and lengths, with errors.
         missing: connectors with a hidden marker, shape (frames, N).
-        spacing: distance of adjacent connectors that 98 % of the frames do not exceed, shape (segments,), m.
+        spacing: distance of adjacent connectors that 98 % of the frames do not exceed,
+            shape (segments,), m.
         head: text on how the head was determined.
         corrections: texts on results and assumptions.
     """
@@ -113,7 +132,9 @@ class _Assignment(NamedTuple):
     head: str
 
 
-def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) -> TrackedBody:
+def tracked_body(
+    markers: CapturedMarkers, spec: RobotSpec, head: str | None
+) -> TrackedBody:
     """Assign markers to the body and fit its shape.
 
     Args:
@@ -122,8 +143,8 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
         head: name of a column at the head, or None.
 
     Raises:
-        InputError: the markers do not fit this robot or do not determine its shape, or layout or head cannot
-            be determined.
+        InputError: the markers do not fit this robot or do not determine its shape, or
+            layout or head cannot be determined.
         UnknownNameError: no column has the name given as the head.
     """
     options: list[_Assignment] = []
@@ -135,15 +156,20 @@ def tracked_body(markers: CapturedMarkers, spec: RobotSpec, head: str | None) ->
             if len(markers.layouts) == 1 or isinstance(error, UnknownNameError):
                 raise
             refused.append(f"{layout}: {error}")
-    chosen = options[0] if len(options) == 1 else _best_fit(markers, spec, options, refused)
+    chosen = (
+        options[0] if len(options) == 1 else _best_fit(markers, spec, options, refused)
+    )
     shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
-    # A hidden marker at the middle of a segment makes both connectors of the segment uncertain.
+    # A hidden marker at the middle of a segment makes both connectors of the segment
+    # uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:
             missing[:, connector] |= shape.missing[:, k]
-    return TrackedBody(chosen.layout, shape, missing, spacing, chosen.head, tuple(notes))
+    return TrackedBody(
+        chosen.layout, shape, missing, spacing, chosen.head, tuple(notes)
+    )
 
 
 def _fit_body(
@@ -158,11 +184,14 @@ def _fit_body(
     model = length_model(station, offset, geometry)
     if model is None:
         raise InputError(_undetermined(station, spec))
-    shape = fit_shape(markers.time, points, missing, MarkerPlacement(station, offset, geometry), model)
+    shape = fit_shape(
+        markers.time, points, missing, MarkerPlacement(station, offset, geometry), model
+    )
     notes = _length_notes(shape, spec, model)
     if model is LengthModel.FIXED:
         notes.append(
-            "one marker per connector: near a straight body, alternating bends are known to 0.2 rad only"
+            "one marker per connector: near a straight body, alternating bends are"
+            " known to 0.2 rad only"
         )
     return shape, station, notes
 
@@ -170,13 +199,21 @@ def _fit_body(
 def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
     """Return the message for markers that do not determine the shape."""
     counts = sorted(Counter(station.tolist()).items())
-    listed = ", ".join(f"{count} at {_station_name(number)}" for number, count in counts)
+    listed = ", ".join(
+        f"{count} at {_station_name(number)}" for number, count in counts
+    )
     remedy = (
         "put a second marker on the head"
         if set(range(0, 2 * spec.segments + 1, 2)) <= set(station.tolist())
-        else "use a marker at each connector and a second one on the head, or two at each connector"
+        else (
+            "use a marker at each connector and a second one on the head, or two at"
+            " each connector"
+        )
     )
-    return f"markers ({listed}) do not determine the bends of {spec.segments} segments; {remedy}"
+    return (
+        f"markers ({listed}) do not determine the bends of {spec.segments} segments;"
+        f" {remedy}"
+    )
 
 
 def _station_name(station: int) -> str:
@@ -187,40 +224,62 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
     """Return notes on the segment lengths.
 
     Raises:
-        InputError: the lengths do not fit the robot, or they vary although the bends depend on constant
-            lengths.
+        InputError: the lengths do not fit the robot, or they vary although the bends
+            depend on constant lengths.
     """
     geometry, notes = spec.geometry, []
-    low, median, high = np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
+    low, median, high = (
+        np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
+    )
     # Segments may stretch by a quarter and more, but not during the whole recording.
     wrong = np.flatnonzero(
-        (low > _MAX_LENGTH_RATIO * geometry.pitch) | (high < _MIN_LENGTH_RATIO * geometry.pitch)
+        (low > _MAX_LENGTH_RATIO * geometry.pitch)
+        | (high < _MIN_LENGTH_RATIO * geometry.pitch)
     )
     if wrong.size:
         k, ratio = int(wrong[0]), float(np.median(median)) / geometry.pitch
         raise InputError(
-            f"markers {k + 1} and {k + 2} from the head are {1e3 * median[k]:.4g} mm apart along the body, "
-            f"the connectors of {spec.name} {1e3 * geometry.pitch:.4g} mm{unit_hint(ratio)}"
+            f"markers {k + 1} and {k + 2} from the head are {1e3 * median[k]:.4g} mm"
+            f" apart along the body, the connectors of {spec.name}"
+            f" {1e3 * geometry.pitch:.4g} mm{unit_hint(ratio)}"
         )
-    if model is LengthModel.FIXED and shape.length_std > _MAX_FIXED_STD * geometry.segment_length:
+    if (
+        model is LengthModel.FIXED
+        and shape.length_std > _MAX_FIXED_STD * geometry.segment_length
+    ):
         raise InputError(
-            f"the segment lengths vary by {1e3 * shape.length_std:.2g} mm (standard deviation), so one "
-            "marker per connector does not determine the bends; put a second marker on the head"
+            f"the segment lengths vary by {1e3 * shape.length_std:.2g} mm (standard"
+            " deviation), so one marker per connector does not determine the bends;"
+            " put a second marker on the head"
         )
     deviation = median - geometry.pitch
     if np.abs(deviation).max() > _NOTED_LENGTH * geometry.pitch:
         listed = ", ".join(f"{1e3 * value:+.1f}" for value in deviation)
         notes.append(
-            f"segments are longer than those of {spec.name} by {listed} mm, head first: used as measured"
+            f"segments are longer than those of {spec.name} by {listed} mm, head first:"
+            " used as measured"
         )
-    low, high = ((length - geometry.pitch) / geometry.segment_length for length in (low, high))
-    if model is LengthModel.FREE and shape.length_std > _NOTED_STRETCH * geometry.segment_length / 4:
-        listed = ", ".join(f"{100 * a:+.0f} to {100 * b:+.0f} %" for a, b in zip(low, high, strict=True))
-        notes.append(f"segments stretch ({listed} of {spec.name}, head first): lengths used as measured")
+    low, high = (
+        (length - geometry.pitch) / geometry.segment_length for length in (low, high)
+    )
+    if (
+        model is LengthModel.FREE
+        and shape.length_std > _NOTED_STRETCH * geometry.segment_length / 4
+    ):
+        listed = ", ".join(
+            f"{100 * a:+.0f} to {100 * b:+.0f} %"
+            for a, b in zip(low, high, strict=True)
+        )
+        notes.append(
+            f"segments stretch ({listed} of {spec.name}, head first): lengths used as"
+            " measured"
+        )
     return notes
 
 
-def _groups_along_body(markers: CapturedMarkers, layout: str, spec: RobotSpec) -> list[tuple[int, ...]]:
+def _groups_along_body(
+    markers: CapturedMarkers, layout: str, spec: RobotSpec
+) -> list[tuple[int, ...]]:
     """Return the markers of each station, from one end of the body to the other."""
     if layout != "pair":
         return [(int(k),) for k in body_order(markers.points)]
@@ -228,7 +287,10 @@ def _groups_along_body(markers: CapturedMarkers, layout: str, spec: RobotSpec) -
         pairs = np.arange(len(markers.main_columns)).reshape(-1, 2)
     else:
         pairs = rigid_pairs(markers.points, spec.geometry.connectors)
-    return [tuple(int(k) for k in pairs[j]) for j in body_order(markers.points[:, pairs].mean(axis=2))]
+    return [
+        tuple(int(k) for k in pairs[j])
+        for j in body_order(markers.points[:, pairs].mean(axis=2))
+    ]
 
 
 def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
@@ -237,7 +299,9 @@ def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
     if "head" in layout:
         places[groups[0][0]], groups = (0, "ahead"), groups[1:]
     step = 1 if "middles" in layout else 2
-    return places | {marker: (step * k, "") for k, group in enumerate(groups) for marker in group}
+    return places | {
+        marker: (step * k, "") for k, group in enumerate(groups) for marker in group
+    }
 
 
 def _assignments(
@@ -245,34 +309,47 @@ def _assignments(
 ) -> list[_Assignment]:
     """Return the possible assignments with a layout: one, or one from each end of the body."""
     if markers.table.places:
-        return [_Assignment(layout, _named_places(markers, spec), "connector 1 of the file")]
+        return [
+            _Assignment(layout, _named_places(markers, spec), "connector 1 of the file")
+        ]
     groups, labels = _groups_along_body(markers, layout, spec), markers.table.labels
     options = [_stations(layout, order) for order in (groups, groups[::-1])]
     if head is not None:
         if head not in labels:
             raise UnknownNameError("marker", head, labels)
-        heads = [[markers.name(k) for k, (station, _) in places.items() if not station] for places in options]
+        heads = [
+            [markers.name(k) for k, (station, _) in places.items() if not station]
+            for places in options
+        ]
         if head not in heads[0] + heads[1]:
             raise InputError(f"marker '{head}' is at neither end of the body")
         return [_Assignment(layout, options[head not in heads[0]], f"marker '{head}'")]
     if "head" in layout:
-        return [_Assignment(layout, places, "the end with a second marker") for places in options]
-    centres = np.stack([markers.points[:, list(group)].mean(axis=1) for group in groups], axis=1)
+        return [
+            _Assignment(layout, places, "the end with a second marker")
+            for places in options
+        ]
+    centres = np.stack(
+        [markers.points[:, list(group)].mean(axis=1) for group in groups], axis=1
+    )
     crawled = forward_distance(float(np.median(np.diff(markers.time))), centres)
     required = _MIN_CRAWLED * spec.geometry.body_length
     if abs(crawled) < required:
         ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
         raise InputError(
-            f"the head cannot be determined, because the body crawled {1e3 * abs(crawled):.3g} mm along "
-            f"itself, less than {1e3 * required:.3g} mm; give --head with the name of a marker at the head "
-            f"({ends})"
+            "the head cannot be determined, because the body crawled"
+            f" {1e3 * abs(crawled):.3g} mm along itself, less than {1e3 * required:.3g}"
+            f" mm; give --head with the name of a marker at the head ({ends})"
         )
     reason = f"the end towards which it crawled ({abs(crawled):.3g} m)"
     return [_Assignment(layout, options[crawled < 0], reason)]
 
 
 def _best_fit(
-    markers: CapturedMarkers, spec: RobotSpec, options: Sequence[_Assignment], refused: Sequence[str]
+    markers: CapturedMarkers,
+    spec: RobotSpec,
+    options: Sequence[_Assignment],
+    refused: Sequence[str],
 ) -> _Assignment:
     """Return the assignment that fits a sample of the frames with clearly less noise than the others.
 
@@ -293,12 +370,15 @@ def _best_fit(
         except InputError as error:
             noises.append(np.inf)
             note = str(error)
-        notes.append(f"{option.layout} with '{markers.name(next(iter(option.places)))}' at the head: {note}")
+        notes.append(
+            f"{option.layout} with '{markers.name(next(iter(option.places)))}' at the"
+            f" head: {note}"
+        )
     best, second = np.sort([*noises, np.inf, np.inf])[:2]
     if not (np.isfinite(best) and second > _CLEAR_NOISE_RATIO * best):
         raise InputError(
-            f"layout and head of the markers cannot be determined ({'; '.join(notes)}); give --layout, or "
-            "--head with the name of the marker at the head"
+            f"layout and head of the markers cannot be determined ({'; '.join(notes)});"
+            " give --layout, or --head with the name of the marker at the head"
         )
     return options[int(np.argmin(noises))]
 
@@ -307,10 +387,13 @@ def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
     """Return the places of markers by the names of their most frequent columns."""
     places, main = markers.table.places, markers.main_columns
     if sorted(main) != list(range(len(places))):
-        raise InputError("the markers change their columns too often to be identified by them")
+        raise InputError(
+            "the markers change their columns too often to be identified by them"
+        )
     last = max(station for station, _ in places)
     if last > 2 * spec.segments:
         raise InputError(
-            f"{_station_name(last)} does not exist; {spec.name} has {spec.geometry.connectors} connectors"
+            f"{_station_name(last)} does not exist; {spec.name} has"
+            f" {spec.geometry.connectors} connectors"
         )
     return {int(marker): places[main[marker]] for marker in np.argsort(main)}

@@ -2,15 +2,16 @@
 
 `frame_fit` has the model of the body and the fit of a frame.
 
-**Lengths.** If the markers alone determine the bends, the lengths are free, with means and σ_ℓ estimated from
-the recording by expectation-maximisation. With one marker per connector, one quantity ε per frame is not
-observable: adjacent headings may turn in opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only constant
-segment lengths determine ε, and near a straight body they determine it poorly. In this case, recordings of a
-body that stretches are rejected.
+**Lengths.** If the markers alone determine the bends, the lengths are free, with means
+and σ_ℓ estimated from the recording by expectation-maximisation. With one marker per
+connector, one quantity ε per frame is not observable: adjacent headings may turn in
+opposite directions, q_j = q_j⁰ + 2(−1)^{j−1} ε. Only constant segment lengths determine
+ε, and near a straight body they determine it poorly. In this case, recordings of a body
+that stretches are rejected.
 
-**Noise.** σ is estimated from differences of high order of the marker positions, in which the motion
-vanishes. With redundant markers it is the residual of the fit instead, which includes deviations of the
-segments from arcs.
+**Noise.** σ is estimated from differences of high order of the marker positions, in
+which the motion vanishes. With redundant markers it is the residual of the fit instead,
+which includes deviations of the segments from arcs.
 """
 
 from __future__ import annotations
@@ -98,7 +99,8 @@ class BodyShape:
         length: arc lengths of the segments, shape (frames, segments), m.
         length_std: σ_ℓ, m.
         noise: standard deviation σ of a marker coordinate, m.
-        residual: root mean square distance of the visible markers from the body, shape (frames,), m.
+        residual: root mean square distance of the visible markers from the body, shape
+            (frames,), m.
         missing: markers that were hidden or outliers, shape (frames, markers).
     """
 
@@ -122,7 +124,9 @@ class BodyShape:
         return np.asarray(self.theta[:, :-1] - self.theta[:, 1:])
 
 
-def length_model(station: np.ndarray, offset: np.ndarray, geometry: Geometry) -> LengthModel | None:
+def length_model(
+    station: np.ndarray, offset: np.ndarray, geometry: Geometry
+) -> LengthModel | None:
     """Return the weakest assumption on the lengths under which markers determine the bends, or None.
 
     The standard errors of the bends are computed for one typical shape.
@@ -132,20 +136,34 @@ def length_model(station: np.ndarray, offset: np.ndarray, geometry: Geometry) ->
         offset: offset from the station, shape (markers,), complex, m.
         geometry: geometry of the robot.
     """
-    placement, count = MarkerPlacement(station, offset, geometry), geometry.connectors - 1
-    bends, lengths = 0.8 * np.cos(np.pi / 2 * np.arange(count) + 0.4), np.full(count, geometry.segment_length)
+    placement, count = (
+        MarkerPlacement(station, offset, geometry),
+        geometry.connectors - 1,
+    )
+    bends, lengths = (
+        0.8 * np.cos(np.pi / 2 * np.arange(count) + 0.4),
+        np.full(count, geometry.segment_length),
+    )
     state = np.concatenate([np.zeros(3), bends, lengths])[None]
     jacobian = placement.kinematics(state).jacobian[0]
     data = (jacobian.conj().T @ jacobian).real / _TEST_NOISE**2
-    for model, std in ((LengthModel.FREE, _FREE_LENGTH_STD), (LengthModel.FIXED, _FIXED_LENGTH_STD)):
+    for model, std in (
+        (LengthModel.FREE, _FREE_LENGTH_STD),
+        (LengthModel.FIXED, _FIXED_LENGTH_STD),
+    ):
         prior = StatePrior(_TEST_NOISE, lengths, std * geometry.segment_length, None)
         matrix = data + prior.information()
         if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
         error = np.sqrt(np.diag(np.linalg.inv(matrix))[prior.bends])
-        # The length of one segment leaves the sign of ε open; the lengths of several segments determine it.
-        one_per_connector = count > 2 and sorted(station) == list(range(0, 2 * count + 1, 2))
-        if error.max() < _MAX_BEND_STD and (model is LengthModel.FREE or one_per_connector):
+        # The length of one segment leaves the sign of ε open; the lengths of several
+        # segments determine it.
+        one_per_connector = count > 2 and sorted(station) == list(
+            range(0, 2 * count + 1, 2)
+        )
+        if error.max() < _MAX_BEND_STD and (
+            model is LengthModel.FREE or one_per_connector
+        ):
             return model
     return None
 
@@ -153,9 +171,9 @@ def length_model(station: np.ndarray, offset: np.ndarray, geometry: Geometry) ->
 def marker_noise(points: np.ndarray) -> float:
     """Return the standard deviation of the noise of a coordinate, m.
 
-    It is the smallest estimate from differences of several orders. White noise of variance σ² gives
-    differences of order n with the variance σ² (2n over n). Motion increases the estimates, at higher orders
-    less so. The median ignores outliers.
+    It is the smallest estimate from differences of several orders. White noise of
+    variance σ² gives differences of order n with the variance σ² (2n over n). Motion
+    increases the estimates, at higher orders less so. The median ignores outliers.
 
     Args:
         points: NaN where a marker is hidden, shape (frames, markers, 2), m.
@@ -165,13 +183,20 @@ def marker_noise(points: np.ndarray) -> float:
         difference = np.diff(points, order, axis=0)
         known = np.abs(difference[np.isfinite(difference)])
         if known.size >= 50:
-            # 1.4826 converts the median magnitude of normal values to their standard deviation.
-            estimates.append(1.4826 * np.median(known) / np.sqrt(comb(2 * order, order)))
+            # 1.4826 converts the median magnitude of normal values to their standard
+            # deviation.
+            estimates.append(
+                1.4826 * np.median(known) / np.sqrt(comb(2 * order, order))
+            )
     return max(float(min(estimates, default=_DEFAULT_NOISE)), _MIN_NOISE)
 
 
 def fit_shape(
-    time: np.ndarray, points: np.ndarray, missing: np.ndarray, placement: MarkerPlacement, model: LengthModel
+    time: np.ndarray,
+    points: np.ndarray,
+    missing: np.ndarray,
+    placement: MarkerPlacement,
+    model: LengthModel,
 ) -> BodyShape:
     """Fit the body shape to markers.
 
@@ -187,21 +212,34 @@ def fit_shape(
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
-        # A spline needs complete frames: use the interpolated positions of hidden markers on all frames.
+        # A spline needs complete frames: use the interpolated positions of hidden
+        # markers on all frames.
         complete, missing = np.arange(len(time)), np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]
     prior = _estimated_prior(measured[sampled], placement, model, noise)
     fits = _RecordingFits(len(time), measured.shape[1], prior)
 
     def fit_complete(rows: np.ndarray) -> FrameFit:
-        return fit_frames(initial_states(measured[rows], placement, prior), measured[rows], placement, prior)
+        return fit_frames(
+            initial_states(measured[rows], placement, prior),
+            measured[rows],
+            placement,
+            prior,
+        )
 
     chi2, freedom = fits.update(complete, fit_complete)
-    scale = float(np.sqrt(chi2 / freedom)) if freedom > _MIN_REDUNDANCY * len(complete) else 1.0
+    scale = (
+        float(np.sqrt(chi2 / freedom))
+        if freedom > _MIN_REDUNDANCY * len(complete)
+        else 1.0
+    )
     if prior.alternating_std is not None:
-        # With fixed lengths the fit has little redundancy: its residual may only increase the errors.
+        # With fixed lengths the fit has little redundancy: its residual may only
+        # increase the errors.
         scale = max(scale, 1.0)
-    outlier = fits.distance[complete] > max(_OUTLIER_NOISE * prior.noise * scale, _MIN_OUTLIER_DISTANCE)
+    outlier = fits.distance[complete] > max(
+        _OUTLIER_NOISE * prior.noise * scale, _MIN_OUTLIER_DISTANCE
+    )
     if outlier.mean() < _MAX_OUTLIERS:
         missing[complete] |= outlier
     incomplete = np.asarray(missing.any(axis=1))
@@ -209,13 +247,17 @@ def fit_shape(
         _interpolate_states(time, fits.state, incomplete, prior.bends)
 
         def fit_incomplete(rows: np.ndarray) -> FrameFit:
-            return fit_incomplete_frames(fits.state[rows], measured[rows], missing[rows], placement, prior)
+            return fit_incomplete_frames(
+                fits.state[rows], measured[rows], missing[rows], placement, prior
+            )
 
         fits.update(np.flatnonzero(incomplete), fit_incomplete)
     return _body_shape(fits, missing, placement.geometry, prior, scale)
 
 
-def _interpolate_states(time: np.ndarray, state: np.ndarray, incomplete: np.ndarray, bends: slice) -> None:
+def _interpolate_states(
+    time: np.ndarray, state: np.ndarray, incomplete: np.ndarray, bends: slice
+) -> None:
     """Replace the states of incomplete frames by a spline through those of the other frames."""
     from scipy.interpolate import CubicSpline
 
@@ -226,14 +268,35 @@ def _interpolate_states(time: np.ndarray, state: np.ndarray, incomplete: np.ndar
 
 
 def _body_shape(
-    fits: _RecordingFits, missing: np.ndarray, geometry: Geometry, prior: StatePrior, scale: float
+    fits: _RecordingFits,
+    missing: np.ndarray,
+    geometry: Geometry,
+    prior: StatePrior,
+    scale: float,
 ) -> BodyShape:
     """Return the shape; `scale` corrects the standard errors from the assumed to the estimated noise."""
     fits.state[:, 2] = np.unwrap(fits.state[:, 2])
-    body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(fits.state)
-    residual = np.sqrt(np.ma.masked_array(fits.distance**2, missing).mean(axis=1).filled(0.0))
-    error, length, noise = fits.bend_error * scale, fits.state[:, prior.lengths], prior.noise * scale
-    return BodyShape(body.connector, body.heading, error, length, prior.length_std, noise, residual, missing)
+    body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(
+        fits.state
+    )
+    residual = np.sqrt(
+        np.ma.masked_array(fits.distance**2, missing).mean(axis=1).filled(0.0)
+    )
+    error, length, noise = (
+        fits.bend_error * scale,
+        fits.state[:, prior.lengths],
+        prior.noise * scale,
+    )
+    return BodyShape(
+        body.connector,
+        body.heading,
+        error,
+        length,
+        prior.length_std,
+        noise,
+        residual,
+        missing,
+    )
 
 
 class _RecordingFits:
@@ -241,8 +304,10 @@ class _RecordingFits:
 
     Attributes:
         state: shape (frames, 3 + 2 segments).
-        bend_error: standard errors of the bends for the assumed noise, shape (frames, segments), rad.
-        distance: distances of the markers from their fitted positions, shape (frames, markers), m.
+        bend_error: standard errors of the bends for the assumed noise, shape (frames,
+            segments), rad.
+        distance: distances of the markers from their fitted positions, shape (frames,
+            markers), m.
     """
 
     def __init__(self, frames: int, markers: int, prior: StatePrior) -> None:
@@ -251,10 +316,13 @@ class _RecordingFits:
         self.bend_error = np.empty((frames, segments))
         self.distance = np.empty((frames, markers))
 
-    def update(self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]) -> np.ndarray:
+    def update(
+        self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]
+    ) -> np.ndarray:
         """Fit some frames in chunks and return the sum of their χ² and of their degrees of freedom.
 
-        The chunks run in threads on all processors, because NumPy's loops release the interpreter lock.
+        The chunks run in threads on all processors, because NumPy's loops release the
+        interpreter lock.
         """
 
         def work(rows: np.ndarray) -> tuple[float, float]:
@@ -279,29 +347,47 @@ def _estimated_prior(
         model: assumption on the segment lengths.
         noise: first estimate of the noise, m.
     """
-    straight, segments = placement.geometry.segment_length, placement.geometry.connectors - 1
+    straight, segments = (
+        placement.geometry.segment_length,
+        placement.geometry.connectors - 1,
+    )
     fixed = model is LengthModel.FIXED
     alternating_std = _INITIAL_ALTERNATING_STD if fixed else None
-    prior = StatePrior(noise, np.full(segments, straight), _INITIAL_LENGTH_STD * straight, alternating_std)
+    prior = StatePrior(
+        noise,
+        np.full(segments, straight),
+        _INITIAL_LENGTH_STD * straight,
+        alternating_std,
+    )
     weights = prior.alternating_weights
     start = initial_states(measured, placement, prior)
     for iteration in range(_EM_ITERATIONS):
         fit = fit_frames(start, measured, placement, prior)
         length, variance = fit.state[:, prior.lengths], fit.error(prior.lengths) ** 2
         prior.length_mean = np.median(length, axis=0) if fixed else length.mean(axis=0)
-        prior.length_std = float(np.sqrt(((length - prior.length_mean) ** 2 + variance).mean()))
+        prior.length_std = float(
+            np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
+        )
         if fixed:
             epsilon = fit.state[:, prior.bends] @ weights
             bend_covariance = fit.covariance[:, prior.bends, prior.bends]
-            epsilon_variance = np.einsum("u,fuv,v->f", weights, bend_covariance, weights)
-            prior.alternating_std = float(np.sqrt((epsilon**2 + epsilon_variance).mean()))
+            epsilon_variance = np.einsum(
+                "u,fuv,v->f", weights, bend_covariance, weights
+            )
+            prior.alternating_std = float(
+                np.sqrt((epsilon**2 + epsilon_variance).mean())
+            )
         if fit.freedom > _MIN_REDUNDANCY * len(measured):
             scale = float(np.sqrt(fit.chi2 / fit.freedom))
-            # With fixed lengths, noise and length variation have nearly the same effect on the residual. The
-            # noise is therefore updated only if the residual shows that the differences contain motion, and
-            # only after the first iterations of the lengths.
-            if not fixed or (scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS):
+            # With fixed lengths, noise and length variation have nearly the same effect
+            # on the residual. The noise is therefore updated only if the residual shows
+            # that the differences contain motion, and only after the first iterations
+            # of the lengths.
+            if not fixed or (
+                scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
+            ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With fixed lengths a new prior may change which ε fits best, so start again from the coarse grid.
+        # With fixed lengths a new prior may change which ε fits best, so start again
+        # from the coarse grid.
         start = initial_states(measured, placement, prior) if fixed else fit.state
     return prior

@@ -1,22 +1,26 @@
 r"""Tracking of markers through swaps and gaps.
 
-1. *Slots*: if markers disappear and come back, some formats start a new column at each appearance. Columns
+1. *Slots*: if markers disappear and come back, some formats start a new column at each
+   appearance. Columns
   that never
    contain markers on the same frame are joined into one slot.
-2. *Tracklets*: intervals of one slot in which only one marker can have been visible. The expected position of
-   a marker on the next frame is
+2. *Tracklets*: intervals of one slot in which only one marker can have been visible.
+   The expected position of a marker on the next frame is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   and a link is certain if the sample is within the gate around it and at most half as far from it as any
-   other sample.
-3. *Tracks*: in the order of time, the new tracklets on a frame are assigned to the markers that were lost
-   before it, such that the sum of the distances to their expected positions is smallest (Hungarian method).
-   Over a few frames, a marker is expected to continue at its velocity. Over more frames, it is expected to be
-   either at its last position or to have moved with the markers around it, whichever is closer.
+   and a link is certain if the sample is within the gate around it and at most half as
+   far from it as any other sample.
+3. *Tracks*: in the order of time, the new tracklets on a frame are assigned to the
+   markers that were lost before it, such that the sum of the distances to their
+   expected positions is smallest (Hungarian method). Over a few frames, a marker is
+   expected to continue at its velocity. Over more frames, it is expected to be either
+   at its last position or to have moved with the markers around it, whichever is
+   closer.
 
-Tracking is necessary: of 65 synthetic recordings with swaps, gaps and markers that come back in new columns,
-16 can be read if each column is treated as a marker, and all 65 if markers are tracked.
+Tracking is necessary: of 65 synthetic recordings with swaps, gaps and markers that come
+back in new columns, 16 can be read if each column is treated as a marker, and all 65 if
+markers are tracked.
 
 Errors raised here do not name the file; `read_motion` adds its name.
 """
@@ -59,8 +63,8 @@ class Tracks(NamedTuple):
 
     Attributes:
         points: NaN where a marker is hidden, shape (frames, tracks, 2 or 3), m.
-        columns: column of the file from which each sample came, −1 where it is hidden, shape (frames,
-            tracks).
+        columns: column of the file from which each sample came, −1 where it is hidden,
+            shape (frames, tracks).
         unassigned: number of samples that belong to no track.
     """
 
@@ -106,12 +110,17 @@ def pack_slots(points: np.ndarray) -> Tracks:
 def sample_frames(count: int, limit: int) -> np.ndarray:
     """Return all frames, or a sample of at most `limit` of them.
 
-    The sample is stratified and random rather than equally spaced, which a periodic gait could alias.
+    The sample is stratified and random rather than equally spaced, which a periodic
+    gait could alias.
     """
     if count <= limit:
         return np.arange(count)
     edges = np.linspace(0, count, limit + 1)
-    return np.unique((edges[:-1] + np.random.default_rng(0).random(limit) * np.diff(edges)).astype(int))
+    return np.unique(
+        (edges[:-1] + np.random.default_rng(0).random(limit) * np.diff(edges)).astype(
+            int
+        )
+    )
 
 
 def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
@@ -120,7 +129,9 @@ def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
     They are NaN between a point and itself, and where one of the points is hidden.
     """
     sampled = points[sample_frames(len(points), frames)]
-    distance = np.asarray(np.linalg.norm(sampled[:, :, None] - sampled[:, None], axis=-1))
+    distance = np.asarray(
+        np.linalg.norm(sampled[:, :, None] - sampled[:, None], axis=-1)
+    )
     distance[:, np.arange(distance.shape[1]), np.arange(distance.shape[1])] = np.nan
     return distance
 
@@ -148,7 +159,9 @@ def _certain_links(points: np.ndarray, gate: float) -> np.ndarray:
     return np.asarray((error < gate) & (2 * error < nearest))
 
 
-def track_markers(points: np.ndarray, columns: np.ndarray, longest: int, reach: float) -> Tracks:
+def track_markers(
+    points: np.ndarray, columns: np.ndarray, longest: int, reach: float
+) -> Tracks:
     """Track markers over all frames.
 
     Args:
@@ -163,13 +176,21 @@ def track_markers(points: np.ndarray, columns: np.ndarray, longest: int, reach: 
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))
     nearest = nearest[np.isfinite(nearest)]
-    # The quantile replaces the minimum, because a few frames may have reflections close to markers.
-    gate = min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach) if nearest.size else reach
+    # The quantile replaces the minimum, because a few frames may have reflections close
+    # to markers.
+    gate = (
+        min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach)
+        if nearest.size
+        else reach
+    )
     visible, certain = np.isfinite(points[..., 0]), _certain_links(points, gate)
     ends = visible & ~np.append(certain[1:], np.zeros_like(certain[:1]), axis=0)
     slot, first = np.nonzero((visible & ~certain).T)
     last = np.nonzero(ends.T)[1]
-    tracker, order = _Tracker(points, gate, longest, reach), np.argsort(first, kind="stable")
+    tracker, order = (
+        _Tracker(points, gate, longest, reach),
+        np.argsort(first, kind="stable"),
+    )
     length = last - first + 1
     if length[length < _MIN_SAMPLES].sum() < _MAX_SHORT * visible.sum():
         tracker.shortest = _MIN_SAMPLES
@@ -179,7 +200,9 @@ def track_markers(points: np.ndarray, columns: np.ndarray, longest: int, reach: 
     if not slots.shape[1]:
         slots = np.full((len(points), 1), -1)
     hidden, index = slots < 0, np.maximum(slots, 0)
-    tracks = np.where(hidden[..., None], np.nan, np.take_along_axis(points, index[..., None], axis=1))
+    tracks = np.where(
+        hidden[..., None], np.nan, np.take_along_axis(points, index[..., None], axis=1)
+    )
     origin = np.where(hidden, -1, np.take_along_axis(columns, index, axis=1))
     return Tracks(tracks, origin, int(visible.sum() - (~hidden).sum()))
 
@@ -189,12 +212,20 @@ class _Tracker:
 
     Attributes:
         slots: slot of each track, −1 where it is hidden, shape (frames, `MAX_MARKERS`).
-        samples: number of samples of each track, 0 for an unused track, shape (`MAX_MARKERS`,).
+        samples: number of samples of each track, 0 for an unused track, shape
+            (`MAX_MARKERS`,).
         shortest: smallest number of samples of a tracklet that begins a new track.
     """
 
-    def __init__(self, points: np.ndarray, gate: float, longest: int, reach: float) -> None:
-        self._points, self._gate, self._longest, self._reach = points, gate, longest, reach
+    def __init__(
+        self, points: np.ndarray, gate: float, longest: int, reach: float
+    ) -> None:
+        self._points, self._gate, self._longest, self._reach = (
+            points,
+            gate,
+            longest,
+            reach,
+        )
         self.slots = np.full((len(points), MAX_MARKERS), -1, dtype=np.int8)
         self.samples, self.shortest = np.zeros(MAX_MARKERS, dtype=int), 1
         self._end = np.full(MAX_MARKERS, -1)
@@ -210,44 +241,61 @@ class _Tracker:
         """
         from scipy.optimize import linear_sum_assignment
 
-        reflections = (self._end < first - _VELOCITY_FRAMES) & (self.samples < _MIN_SAMPLES)
+        reflections = (self._end < first - _VELOCITY_FRAMES) & (
+            self.samples < _MIN_SAMPLES
+        )
         self.slots[:, reflections & (self.samples > 0)] = -1
         self.samples[reflections] = 0
-        # Tracklets at their expected positions come first; their distances help to identify the remaining
-        # ones.
+        # Tracklets at their expected positions come first; their distances help to
+        # identify the remaining ones.
         for reach, longest in ((self._gate, _VELOCITY_FRAMES), (self._reach, first)):
-            free = np.flatnonzero((self._end < first) & (self._end >= first - longest) & (self.samples > 0))
+            free = np.flatnonzero(
+                (self._end < first)
+                & (self._end >= first - longest)
+                & (self.samples > 0)
+            )
             cost = self._costs(free, first, self._points[first, slots], reach)
             rows, indices = linear_sum_assignment(cost)
             allowed = cost[rows, indices] < _FORBIDDEN_COST
             for row, track in zip(rows[allowed], free[indices[allowed]], strict=True):
                 self._extend(int(track), int(slots[row]), first, int(last[row]))
-            remaining = np.setdiff1d(np.flatnonzero(last - first >= self.shortest - 1), rows[allowed])
+            remaining = np.setdiff1d(
+                np.flatnonzero(last - first >= self.shortest - 1), rows[allowed]
+            )
             slots, last = slots[remaining], last[remaining]
         unused = np.flatnonzero(self.samples == 0)
         if len(slots) > len(unused):
             raise InputError(
-                f"the markers jump between frames and need more than {MAX_MARKERS} tracks; check the units "
-                "of length and of time"
+                f"the markers jump between frames and need more than {MAX_MARKERS}"
+                " tracks; check the units of length and of time"
             )
-        for track, slot, end in zip(unused.tolist(), slots.tolist(), last.tolist(), strict=False):
+        for track, slot, end in zip(
+            unused.tolist(), slots.tolist(), last.tolist(), strict=False
+        ):
             self._extend(track, slot, first, end)
 
     def _extend(self, track: int, slot: int, first: int, last: int) -> None:
         """Continue a track in a slot; its velocity is that of the last step, unless this is a jump."""
         before = self._points[last - 1, slot] if last > first else self._last[track]
-        continuous = last > first or (self.samples[track] > 0 and self._end[track] == first - 1)
+        continuous = last > first or (
+            self.samples[track] > 0 and self._end[track] == first - 1
+        )
         step = self._points[last, slot] - before
-        self._velocity[track] = step if continuous and np.linalg.norm(step) < 2 * self._gate else 0.0
+        self._velocity[track] = (
+            step if continuous and np.linalg.norm(step) < 2 * self._gate else 0.0
+        )
         self._end[track], self._last[track] = last, self._points[last, slot]
         self.slots[first : last + 1, track] = slot
         self.samples[track] += last + 1 - first
 
-    def _costs(self, tracks: np.ndarray, frame: int, starts: np.ndarray, near: float) -> np.ndarray:
+    def _costs(
+        self, tracks: np.ndarray, frame: int, starts: np.ndarray, near: float
+    ) -> np.ndarray:
         """Return the cost of assigning tracklets to tracks, shape (tracklets, tracks), m.
 
-        The reach increases with the duration of a gap. It is limited: at gaps too long to be filled the
-        trajectory is cut, so the identity of a marker does not matter there.
+        The reach increases with the duration of a gap. It is limited: at gaps too long
+        to be filled the trajectory is cut, so the identity of a marker does not matter
+        there.
 
         Args:
             tracks: tracks that have ended.
@@ -256,28 +304,44 @@ class _Tracker:
             near: reach after a gap of one frame, m.
         """
         gap = frame - self._end[tracks]
-        moved = np.where(gap <= _VELOCITY_FRAMES, gap, 0)[:, None] * self._velocity[tracks]
-        distance = np.linalg.norm(starts[:, None] - (self._last[tracks] + moved), axis=-1)
+        moved = (
+            np.where(gap <= _VELOCITY_FRAMES, gap, 0)[:, None] * self._velocity[tracks]
+        )
+        distance = np.linalg.norm(
+            starts[:, None] - (self._last[tracks] + moved), axis=-1
+        )
         violation = np.zeros_like(distance)
         for k in np.flatnonzero((gap > 1) | (near > self._gate)):
             end = self._end[tracks[k]]
             others = np.flatnonzero((self.slots[[end, frame]] >= 0).all(axis=0))
             if gap[k] > _VELOCITY_FRAMES and len(others) >= 2:
-                positions = (self._points[at, self.slots[at, others]] for at in (end, frame))
+                positions = (
+                    self._points[at, self.slots[at, others]] for at in (end, frame)
+                )
                 moved_with_others = _move_rigidly(self._last[tracks[k]], *positions)
-                distance[:, k] = np.fmin(distance[:, k], np.linalg.norm(starts - moved_with_others, axis=-1))
+                distance[:, k] = np.fmin(
+                    distance[:, k], np.linalg.norm(starts - moved_with_others, axis=-1)
+                )
             violation[:, k] = self._range_violation(tracks[k], frame, starts)
         reach = near * np.minimum(_MAX_REACH_RATIO, 1.0 + (gap - 1) / self._longest)
-        return np.asarray(np.where(distance > reach, _FORBIDDEN_COST, distance + _RANGE_COST * violation))
+        return np.asarray(
+            np.where(
+                distance > reach, _FORBIDDEN_COST, distance + _RANGE_COST * violation
+            )
+        )
 
-    def _range_violation(self, track: int, frame: int, starts: np.ndarray) -> np.ndarray:
+    def _range_violation(
+        self, track: int, frame: int, starts: np.ndarray
+    ) -> np.ndarray:
         """Return the sum of the excesses of distances over their past ranges, shape (tracklets,), m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
         slots = self.slots[past, others]
         positions = np.where((slots >= 0)[..., None], self._points[past, slots], np.nan)
-        distance = np.linalg.norm(positions - self._points[past, self.slots[past, track]], axis=-1)
+        distance = np.linalg.norm(
+            positions - self._points[past, self.slots[past, track]], axis=-1
+        )
         smallest, largest = np.fmin.reduce(distance), np.fmax.reduce(distance)
         current = self._points[frame, self.slots[frame, others]]
         now = np.linalg.norm(starts[:, None] - current, axis=-1)
@@ -285,7 +349,9 @@ class _Tracker:
         return np.asarray(np.nansum(excess, axis=1))
 
 
-def _move_rigidly(point: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _move_rigidly(
+    point: np.ndarray, before: np.ndarray, after: np.ndarray
+) -> np.ndarray:
     """Return a point after the weighted least-squares rigid motion of other points over the floor.
 
     Close points have more weight.

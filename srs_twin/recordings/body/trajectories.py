@@ -1,16 +1,17 @@
 r"""Columns, metadata and summary of a measured trajectory; columns are named as those of a plant.
 
-Velocities are slopes of a moving line (Section 3.4.1): the least-squares line through a sample and the n
-samples before and after it, with n = 5 in the dissertation,
+Velocities are slopes of a moving line (Section 3.4.1): the least-squares line through a
+sample and the n samples before and after it, with n = 5 in the dissertation,
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-The slope has no lag. It attenuates an oscillation with angular frequency ω by the factor
+The slope has no lag. It attenuates an oscillation with angular frequency ω by the
+factor
 
 $$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}, $$
 
-which is 0.97 for 2 Hz at 120 frames per second. At the 15 frames per second of the dissertation it is 0 for 2
-Hz and 0.82 for 0.6 Hz.
+which is 0.97 for 2 Hz at 120 frames per second. At the 15 frames per second of the
+dissertation it is 0 for 2 Hz and 0.82 for 0.6 Hz.
 """
 
 from __future__ import annotations
@@ -40,12 +41,13 @@ class MarkerCounts:
         head: text on how the head was determined.
         up: vertical axis of the file.
         samples_seen: number of positions in the file.
-        samples_other: number of these that do not belong to the robot: reflections, other markers, short
-            tracks.
+        samples_other: number of these that do not belong to the robot: reflections,
+            other markers, short tracks.
         samples_rejected: number of these that are outliers.
         longest_filled_s: longest gap that was filled, between the samples around it, s.
         moves: number of changes of a marker to another column.
-        spacing_m: distances of adjacent connectors that 98 % of the frames do not exceed, head first, m.
+        spacing_m: distances of adjacent connectors that 98 % of the frames do not
+            exceed, head first, m.
         residual_m: root mean square distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.
         bend_error_rad: root mean square of the standard errors of the bends, rad.
@@ -78,7 +80,8 @@ class LogSummary:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
         rate_hz: frame rate, Hz.
-        samples_filled: number of positions, or bends, that were interpolated in the frames that are kept.
+        samples_filled: number of positions, or bends, that were interpolated in the
+            frames that are kept.
         frames_kept: number of frames of the trajectory.
         start: time of its first frame, s.
         end: time of its last frame, s.
@@ -100,9 +103,15 @@ class LogSummary:
 
     @classmethod
     def from_file(
-        cls, source: MarkerTable | RecordedFile, kind: str, frames: FrameGrid, time: np.ndarray, filled: int,
-        corrections: Iterable[str], markers: MarkerCounts | None = None,
-    ) -> LogSummary:  # fmt: skip
+        cls,
+        source: MarkerTable | RecordedFile,
+        kind: str,
+        frames: FrameGrid,
+        time: np.ndarray,
+        filled: int,
+        corrections: Iterable[str],
+        markers: MarkerCounts | None = None,
+    ) -> LogSummary:
         """Return the summary of a file for the frames that are kept.
 
         Args:
@@ -114,8 +123,22 @@ class LogSummary:
             corrections: texts on other changes and assumptions.
             markers: numbers on the markers; None for a bend log.
         """
-        head = source.name, source.sha256, kind, int((frames.rows >= 0).sum()), 1 / frames.period, filled
-        return cls(*head, len(time), float(time[0]), float(time[-1]), tuple(corrections), markers)
+        head = (
+            source.name,
+            source.sha256,
+            kind,
+            int((frames.rows >= 0).sum()),
+            1 / frames.period,
+            filled,
+        )
+        return cls(
+            *head,
+            len(time),
+            float(time[0]),
+            float(time[-1]),
+            tuple(corrections),
+            markers,
+        )
 
     def text(self) -> str:
         """Return the summary as text, one fact per line."""
@@ -125,26 +148,45 @@ class LogSummary:
             lines += [
                 f"read: {self.frames_read} rows, {self.rate_hz:.4g} Hz",
                 f"filled: {self.samples_filled} bends",
-                f"kept: {self.frames_kept} rows, {span}, {self.frames_read - self.frames_kept} left out",
+                (
+                    f"kept: {self.frames_kept} rows, {span},"
+                    f" {self.frames_read - self.frames_kept} left out"
+                ),
             ]
         else:
             announced = ""
             if counts.header_frames not in (None, self.frames_read):
                 announced = f" ({counts.header_frames} according to the header)"
-            spacing = ", ".join(f"{1e3 * distance:.1f}" for distance in counts.spacing_m)
+            spacing = ", ".join(
+                f"{1e3 * distance:.1f}" for distance in counts.spacing_m
+            )
             cut = self.frames_read + counts.frames_missing - self.frames_kept
             lines += [
-                f"read: {self.frames_read} frames{announced}, {counts.columns} columns of positions, "
-                f"{self.rate_hz:.4g} Hz, {counts.samples_seen} positions",
-                f"markers: layout {counts.layout}; head: {counts.head}; up: {counts.up}",
+                (
+                    f"read: {self.frames_read} frames{announced}, {counts.columns}"
+                    f" columns of positions, {self.rate_hz:.4g} Hz,"
+                    f" {counts.samples_seen} positions"
+                ),
+                (
+                    f"markers: layout {counts.layout}; head: {counts.head}; up:"
+                    f" {counts.up}"
+                ),
                 f"changes of column: {counts.moves}",
-                f"rejected: {counts.samples_rejected} outliers, {counts.samples_other} positions that do not "
-                "belong to the robot",
-                f"filled: {self.samples_filled} positions, longest gap {counts.longest_filled_s:.3g} s",
+                (
+                    f"rejected: {counts.samples_rejected} outliers,"
+                    f" {counts.samples_other} positions that do not belong to the robot"
+                ),
+                (
+                    f"filled: {self.samples_filled} positions, longest gap"
+                    f" {counts.longest_filled_s:.3g} s"
+                ),
                 f"kept: {self.frames_kept} frames, {span}, {cut} left out at the ends",
-                f"distances of adjacent connectors (98 % quantile): {spacing} mm; "
-                f"distance of the markers from the body {1e3 * counts.residual_m:.2g} mm RMS, "
-                f"noise {1e3 * counts.noise_m:.2g} mm",
+                (
+                    f"distances of adjacent connectors (98 % quantile): {spacing} mm;"
+                    " distance of the markers from the body"
+                    f" {1e3 * counts.residual_m:.2g} mm RMS, noise"
+                    f" {1e3 * counts.noise_m:.2g} mm"
+                ),
                 f"standard error of a bend: {counts.bend_error_rad:.2g} rad",
             ]
         return "\n".join([*lines, *(f"corrected: {text}" for text in self.corrections)])
@@ -154,7 +196,9 @@ HALF_WIDTH = 5
 """Number n of frames before and after a sample in the moving line (Section 3.4.1)."""
 
 
-def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH) -> np.ndarray:
+def moving_slope(
+    time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
+) -> np.ndarray:
     """Return the rate of change of signals as slopes of a moving least-squares line.
 
     Args:
@@ -167,8 +211,8 @@ def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WI
     """
     n, frames = half_width, len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
-    # Sums over the windows, relative to the time and value of the middle sample, so that large times lose no
-    # digits.
+    # Sums over the windows, relative to the time and value of the middle sample, so
+    # that large times lose no digits.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
     for shift in range(-n, n + 1):
         middle = slice(max(0, -shift), frames - max(0, shift))
@@ -178,10 +222,17 @@ def moving_slope(time: np.ndarray, values: np.ndarray, half_width: int = HALF_WI
         sums[middle] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
     count, t, tt = sums[:, :1], sums[:, 1:2], sums[:, 2:3]
     y, ty = np.split(sums[:, 3:], 2, axis=1)
-    return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(np.shape(values))
+    return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(
+        np.shape(values)
+    )
 
 
-_UNITS = {"com_velocity_": "m/s", "yaw_rate": "rad/s", "residual": "m", "bend_rate_": "rad/s"}
+_UNITS = {
+    "com_velocity_": "m/s",
+    "yaw_rate": "rad/s",
+    "residual": "m",
+    "bend_rate_": "rad/s",
+}
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
 """Prefix of a column that no plant has → unit."""
 
@@ -229,7 +280,9 @@ def pose_columns(
         theta: headings of the connectors, same shape, rad.
     """
     columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
-    columns |= numbered_columns("x", connector.real) | numbered_columns("y", connector.imag)
+    columns |= numbered_columns("x", connector.real) | numbered_columns(
+        "y", connector.imag
+    )
     return columns | numbered_columns("theta", theta)
 
 
@@ -240,11 +293,17 @@ def name_of(path: str) -> str:
 
 def numbered_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     """Return the columns of a (frames, n) array as name_1…name_n."""
-    return {f"{name}_{i}": np.ascontiguousarray(column) for i, column in enumerate(values.T, start=1)}
+    return {
+        f"{name}_{i}": np.ascontiguousarray(column)
+        for i, column in enumerate(values.T, start=1)
+    }
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray], spec: RobotSpec, summary: LogSummary, gait_frequency_hz: float | None
+    columns: Mapping[str, np.ndarray],
+    spec: RobotSpec,
+    summary: LogSummary,
+    gait_frequency_hz: float | None,
 ) -> Trajectory:
     """Return measured columns as a trajectory with metadata.
 
@@ -254,7 +313,12 @@ def measured_trajectory(
         summary: summary of the file.
         gait_frequency_hz: None if it is unknown.
     """
-    units = {name: unit for name in columns for prefix, unit in _UNITS.items() if name.startswith(prefix)}
+    units = {
+        name: unit
+        for name in columns
+        for prefix, unit in _UNITS.items()
+        if name.startswith(prefix)
+    }
     source: dict[str, object] = {
         "file": name_of(summary.source),
         "sha256": summary.sha256,
@@ -263,7 +327,11 @@ def measured_trajectory(
         "corrections": list(summary.corrections),
     }
     if (counts := summary.markers) is not None:
-        source |= {"layout": counts.layout, "up": counts.up, "samples_rejected": counts.samples_rejected}
+        source |= {
+            "layout": counts.layout,
+            "up": counts.up,
+            "samples_rejected": counts.samples_rejected,
+        }
     geometry = spec.geometry
     metadata = {
         **({"bends_only": True} if counts is None else {}),

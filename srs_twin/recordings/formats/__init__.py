@@ -1,8 +1,9 @@
 """File formats of motion recordings: identification and readers.
 
-A format is a `base.Format` or, for containers of messages, a `topics.Bag`; `extensions.FORMATS` lists them.
-Formats from outside, of plug-ins and of other installed packages, are tried before plain tables.
-The library `rosbags` is in the extra `recordings`.
+A format is a `base.Format` or, for containers of messages, a `topics.Bag`;
+`extensions.FORMATS` lists them. Formats from outside, of plug-ins and of other
+installed packages, are tried before plain tables. The library `rosbags` is in the extra
+`recordings`.
 """
 
 from __future__ import annotations
@@ -16,9 +17,17 @@ from srs_twin.errors import InputError
 from srs_twin.io.files import StrPath, escape_unprintable
 from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, in_unit
 from srs_twin.recordings.formats.topics import Bag, RecordedTopics
-from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, read_bytes, read_file, start_of
+from srs_twin.recordings.recorded_file import (
+    AS_FOUND,
+    Dialect,
+    read_bytes,
+    read_file,
+    start_of,
+)
 
-_FORMATS: tuple[Format, ...] = tuple(format() for _, format in extensions.objects(extensions.FORMATS))
+_FORMATS: tuple[Format, ...] = tuple(
+    format() for _, format in extensions.objects(extensions.FORMATS)
+)
 """Formats in the order in which they are tried."""
 FORMATS = tuple(format.name for format in _FORMATS)
 """Names of the formats."""
@@ -33,14 +42,30 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
     (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
     (rb"#ROSBAG", "a bag of an older ROS", "convert it: `rosbag fix in.bag out.bag`"),
-    (rb"\x28\xb5\x2f\xfd", "a Zstandard archive, as of compressed bags", "unpack it: `zstd -d FILE`"),
-    (rb"\x89HDF.*df_with_missing", "a DeepLabCut file (HDF5)", "write its CSV with save_as_csv=True"),
+    (
+        rb"\x28\xb5\x2f\xfd",
+        "a Zstandard archive, as of compressed bags",
+        "unpack it: `zstd -d FILE`",
+    ),
+    (
+        rb"\x89HDF.*df_with_missing",
+        "a DeepLabCut file (HDF5)",
+        "write its CSV with save_as_csv=True",
+    ),
     (rb"\x89HDF.*track_occupancy", "a SLEAP file (HDF5)", _TABLE),
     (rb"\x89HDF", "an HDF5 file", _TABLE),
     (rb"MATLAB", "a MATLAB file", f"{_TABLE} (writetable)"),
-    (rb"PK\x03\x04.{26}[^\0]{0,200}?\.npy", "a NumPy archive (.npz)", f"{_TABLE} (numpy.savetxt)"),
+    (
+        rb"PK\x03\x04.{26}[^\0]{0,200}?\.npy",
+        "a NumPy archive (.npz)",
+        f"{_TABLE} (numpy.savetxt)",
+    ),
     (rb"\x93NUMPY", "a NumPy array (.npy)", f"{_TABLE} (numpy.savetxt)"),
-    (rb"PK\x03\x04.*(xl/|\[Content_Types)", "an Excel workbook (.xlsx)", "save the sheet as CSV"),
+    (
+        rb"PK\x03\x04.*(xl/|\[Content_Types)",
+        "an Excel workbook (.xlsx)",
+        "save the sheet as CSV",
+    ),
     (rb"PK\x03\x04", "a ZIP archive", "unpack it"),
     (rb"\xd0\xcf\x11\xe0", "an Excel workbook (.xls)", "save the sheet as CSV"),
     (rb"\x1f\x8b", "a gzip archive", "unpack it"),
@@ -62,7 +87,8 @@ def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
         dialect: layout of a plain table, if it cannot be detected.
 
     Raises:
-        InputError: the file is missing, a folder, empty, or in another format, which the message describes.
+        InputError: the file is missing, a folder, empty, or in another format, which
+            the message describes.
     """
     return _format(path, dialect).name
 
@@ -75,7 +101,8 @@ def read_markers(path: StrPath, unstated: Unstated = _NOTHING) -> MarkerTable:
         unstated: information that the file lacks.
 
     Raises:
-        InputError: the file cannot be read; the message names file, line, column and what is allowed.
+        InputError: the file cannot be read; the message names file, line, column and
+            what is allowed.
     """
     format = _format(path, unstated.dialect)
     file = read_bytes(path) if format.binary else read_file(path)
@@ -87,7 +114,10 @@ def _formats() -> Iterator[Format]:
     *special, plain = _FORMATS
     yield from special
     yield from (format() for _, format in extensions.plugin_parts(Format))
-    yield from (extensions.part("format", name, (Format,))() for name in extensions.registered("format"))
+    yield from (
+        extensions.part("format", name, (Format,))()
+        for name in extensions.registered("format")
+    )
     yield plain
 
 
@@ -95,14 +125,22 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
     start = start_of(path, dialect)
     name, raw = start.name, start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
-        raise InputError(f"{name}: the file is empty; a recording has a header and rows of numbers")
+        raise InputError(
+            f"{name}: the file is empty; a recording has a header and rows of numbers"
+        )
     for format in _formats():
         if format.recognizes(start):
             return format
     for sign, description, remedy in _OTHERS:
-        if re.match(sign, raw, re.DOTALL) if isinstance(sign, bytes) else Path(path).suffix.lower() == sign:
+        if (
+            re.match(sign, raw, re.DOTALL)
+            if isinstance(sign, bytes)
+            else Path(path).suffix.lower() == sign
+        ):
             listed = ", ".join(FORMATS)
-            raise InputError(f"{name}: {description} cannot be read; {remedy}. Formats: {listed}")
+            raise InputError(
+                f"{name}: {description} cannot be read; {remedy}. Formats: {listed}"
+            )
     if start.problem and b"\0" not in raw:
         raise InputError(f"{name}:{start.header_lines + 1}: {start.problem}")
     description = f"its first line is '{start.first_line[:40]}'"
@@ -110,17 +148,25 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
         description = "it is a binary file of an unknown kind"
     listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
     raise UnknownFormatError(
-        escape_unprintable(f"{name}:1: not a known motion recording: {description}; {listed}")
+        escape_unprintable(
+            f"{name}:1: not a known motion recording: {description}; {listed}"
+        )
     )
 
 
 def read_topics(path: StrPath) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag; None if the file is not a bag. See `Bag.read_topics`.
+    """Read poses, points and signals of a bag; None if the file is not a bag.
+
+    See `Bag.read_topics`.
 
     Raises:
         InputError: the bag is damaged or too large, or the libraries are not installed.
     """
     start = start_of(path)
-    bags = (format for format in _formats() if isinstance(format, Bag) and format.recognizes(start))
+    bags = (
+        format
+        for format in _formats()
+        if isinstance(format, Bag) and format.recognizes(start)
+    )
     bag = next(bags, None)
     return None if bag is None else bag.read_topics(read_bytes(path))

@@ -63,7 +63,9 @@ class Mcap(Bag):
         """
         data = memoryview(file.data)
         chunks = (
-            content for kind, content in _mcap_records(data[len(MCAP_MAGIC) :]) if kind == _McapRecord.CHUNK
+            content
+            for kind, content in _mcap_records(data[len(MCAP_MAGIC) :])
+            if kind == _McapRecord.CHUNK
         )
         check_unpacked(file, (_CHUNK_HEAD.unpack_from(chunk)[2] for chunk in chunks))
         return stream_messages(data)
@@ -75,7 +77,9 @@ def stream_messages(data: memoryview) -> Iterator[Message]:
     channels: dict[int, Topic] = {}
     for outer, packed in _mcap_records(data[len(MCAP_MAGIC) :]):
         for kind, content in (
-            _mcap_records(_unpacked_chunk(packed)) if outer == _McapRecord.CHUNK else [(outer, packed)]
+            _mcap_records(_unpacked_chunk(packed))
+            if outer == _McapRecord.CHUNK
+            else [(outer, packed)]
         ):
             if kind == _McapRecord.MESSAGE:
                 number, _, log_time, _ = _MESSAGE_HEAD.unpack_from(content)
@@ -129,7 +133,10 @@ _ROS1_CONNECTION = b"\7"
 
 @final
 class Ros1Bag(Bag):
-    """ROS 1 bag (V2.0): messages in file order. The index is not used, so truncated bags can be read."""
+    """ROS 1 bag (V2.0): messages in file order.
+
+    The index is not used, so truncated bags can be read.
+    """
 
     name = "ROS 1 bag"
     suffix = ".bag"
@@ -145,20 +152,34 @@ class Ros1Bag(Bag):
             InputError: the unpacked chunks are larger than allowed.
             ChunkError: the bag is damaged; a `CutError` if it ends in a record.
         """
-        data, connections = memoryview(file.data)[len(_ROS1_MAGIC) :], dict[str, Topic]()
-        sizes = (_number(fields["size"]) for fields, _ in _ros1_records(data) if fields["op"] == _ROS1_CHUNK)
+        data, connections = (
+            memoryview(file.data)[len(_ROS1_MAGIC) :],
+            dict[str, Topic](),
+        )
+        sizes = (
+            _number(fields["size"])
+            for fields, _ in _ros1_records(data)
+            if fields["op"] == _ROS1_CHUNK
+        )
         check_unpacked(file, sizes)
         for outer, packed in _ros1_records(data):
             inside = iter([(outer, packed)])
             if outer["op"] == _ROS1_CHUNK:
                 compression = outer["compression"].decode().replace("none", "")
-                inside = _ros1_records(memoryview(unpacked(packed, compression, _number(outer["size"]))))
+                inside = _ros1_records(
+                    memoryview(unpacked(packed, compression, _number(outer["size"])))
+                )
             for fields, content in inside:
                 if fields["op"] == _ROS1_CONNECTION:
-                    name, kind = fields["topic"].decode("utf-8", "replace"), _fields(content)["type"].decode()
+                    name, kind = (
+                        fields["topic"].decode("utf-8", "replace"),
+                        _fields(content)["type"].decode(),
+                    )
                     connections[fields["conn"].hex()] = Topic(name, kind, "ros1")
                 elif fields["op"] == _ROS1_MESSAGE:
-                    time = _number(fields["time"][:4]) * 10**9 + _number(fields["time"][4:])
+                    time = _number(fields["time"][:4]) * 10**9 + _number(
+                        fields["time"][4:]
+                    )
                     yield Message(connections[fields["conn"].hex()], time, content)
 
 
@@ -229,16 +250,27 @@ class Ros2Bag(Bag):
         data[_JOURNALS] = b"\1\1"
         with closing(sqlite3.connect(":memory:")) as base:
             base.deserialize(bytes(data))
-            # Columns of a manipulated database may be computed, so that they are larger than the file.
+            # Columns of a manipulated database may be computed, so that they are larger
+            # than the file.
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, len(data))
-            tables = base.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0")
+            tables = base.execute(
+                "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
+            )
             if not {"topics", "messages"} <= {name for (name,) in tables}:
                 raise file.error(
-                    "the SQLite database is not a ROS 2 bag (it lacks the tables topics and messages)"
+                    "the SQLite database is not a ROS 2 bag (it lacks the tables topics"
+                    " and messages)"
                 )
-            rows = base.execute("SELECT id, name, type, serialization_format FROM topics LIMIT 20000")
-            known, remaining = {number: Topic(*map(str, row)) for number, *row in rows}, len(data)
-            for number, time, content in base.execute("SELECT topic_id, timestamp, data FROM messages"):
+            rows = base.execute(
+                "SELECT id, name, type, serialization_format FROM topics LIMIT 20000"
+            )
+            known, remaining = (
+                {number: Topic(*map(str, row)) for number, *row in rows},
+                len(data),
+            )
+            for number, time, content in base.execute(
+                "SELECT topic_id, timestamp, data FROM messages"
+            ):
                 remaining -= len(content)
                 if remaining < 0:
                     raise ChunkError("the tables contain more data than the file")

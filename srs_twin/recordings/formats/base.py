@@ -26,13 +26,19 @@ _MIN_ZEROS = 3
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
-    r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?(?:[ _]*" + _UNIT + ")?", re.IGNORECASE
+    r"(?P<name>.*?)[ _.:\-\[(]*(?<![A-Za-z])(?P<axis>[xyz])[\])]?(?:[ _]*"
+    + _UNIT
+    + ")?",
+    re.IGNORECASE,
 )
-_AXIS_FIRST = re.compile(r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)(?:[ _]+" + _UNIT + ")?", re.IGNORECASE)
+_AXIS_FIRST = re.compile(
+    r"(?P<axis>[xyz])[ _.:\-](?P<name>\w.*?)(?:[ _]+" + _UNIT + ")?", re.IGNORECASE
+)
 _NOT_A_POSITION = set(
-    "rot rotation orientation orient quat quaternion q euler angle angles ang angular acc accel acceleration "
-    "gyro gyr gyroscope mag magnetometer magnetic vel velocity speed omega force moment torque momentum jerk "
-    "twist linear wrench dir direction normal std sd var cov err error residual imu".split()
+    "rot rotation orientation orient quat quaternion q euler angle angles ang angular"
+    " acc accel acceleration gyro gyr gyroscope mag magnetometer magnetic vel velocity"
+    " speed omega force moment torque momentum jerk twist linear wrench dir direction"
+    " normal std sd var cov err error residual imu".split()
 )
 """Words in names of columns with axes that are not positions."""
 
@@ -41,7 +47,8 @@ class Unstated(NamedTuple):
     """Information that a file may lack, from a map or options.
 
     Attributes:
-        rate_hz: frames per second (DeepLabCut, plain CSV without a time, Qualisys with an external clock).
+        rate_hz: frames per second (DeepLabCut, plain CSV without a time, Qualisys with
+            an external clock).
         unit: unit of length (DeepLabCut, plain CSV).
         scale_m: size of a pixel, m (DeepLabCut, plain CSV).
         dialect: layout of a plain table, if it cannot be detected.
@@ -60,19 +67,23 @@ class MarkerTable:
     Attributes:
         name: name of the file for messages.
         sha256: checksum of the file.
-        kind: file format as returned by `formats.identify`, with its version if it has one.
+        kind: file format as returned by `formats.identify`, with its version if it has
+            one.
         time: times of the file, shape (frames,), s.
-        points: NaN where a marker is hidden, shape (frames, columns, 3), or (…, 2) in a plane, m.
+        points: NaN where a marker is hidden, shape (frames, columns, 3), or (…, 2) in a
+            plane, m.
         labels: names of the columns.
         corrections: texts on conversions and skipped data.
-        places: station on the body and side of each column (`body.markers.Places`), if its name contains
-            them; else empty.
+        places: station on the body and side of each column (`body.markers.Places`), if
+            its name contains them; else empty.
         header_frames: number of frames that the header states; None if it states none.
-        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN for other columns,
-            shape (frames, columns, 4); None without rigid bodies.
-        bodies: whether the columns are rigid bodies, which the file identifies by name on every frame. The
-            two points of each body are adjacent columns with its name.
-        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another one.
+        rotations: quaternions x, y, z, w of rigid bodies in the axes of the file, NaN
+            for other columns, shape (frames, columns, 4); None without rigid bodies.
+        bodies: whether the columns are rigid bodies, which the file identifies by name
+            on every frame. The two points of each body are adjacent columns with its
+            name.
+        epoch_ns: time since 1970 at 0 s, ns; None if the clock of the file is another
+            one.
         unit: unit of length of the file, as stated, given or assumed.
     """
 
@@ -99,8 +110,8 @@ class MarkerTable:
 class Format(ABC):
     """File format of motion recordings.
 
-    Lengths are converted to m and times to s, in the axes of the file. A damaged file of any format raises
-    one `InputError` that names the file.
+    Lengths are converted to m and times to s, in the axes of the file. A damaged file
+    of any format raises one `InputError` that names the file.
 
     Attributes:
         name: name of the format in messages and results.
@@ -130,9 +141,9 @@ class Format(ABC):
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
     """Return marker → axis → column, for a header whose names end or begin with x, y or z.
 
-    Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Markers without x and y are left out. So
-    are rotations, velocities, accelerations and forces (``c1_rot_x``), and columns whose unit is not a
-    length.
+    Examples are ``base_x,base_y``, ``Tip X (mm)`` and ``x_LED1``. Markers without x and
+    y are left out. So are rotations, velocities, accelerations and forces
+    (``c1_rot_x``), and columns whose unit is not a length.
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -146,7 +157,10 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
         if match and not _NOT_A_POSITION & {
             word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"])
         }:
-            axis, unit = match["axis"].lower(), unit or symbol(match["unit"] or "", LENGTHS)
+            axis, unit = (
+                match["axis"].lower(),
+                unit or symbol(match["unit"] or "", LENGTHS),
+            )
             markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
                 axis, CsvColumn(index, axis, 0, unit, LENGTHS.get(unit, 1.0), cell)
             )
@@ -156,8 +170,9 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
     """Return times computed from frame numbers, because printed times are rounded, shape (frames,), s.
 
-    In a partly exported recording, frame numbers or times may not start at 0. If the computed and the printed
-    times differ by more than half a frame, the printed times are used.
+    In a partly exported recording, frame numbers or times may not start at 0. If the
+    computed and the printed times differ by more than half a frame, the printed times
+    are used.
     """
     if not np.isfinite(frame).all():
         return time
@@ -165,7 +180,9 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
     return np.asarray(counted) if np.abs(counted - time).max() < 0.5 / rate else time
 
 
-def length_unit(file: RecordedFile, text: str, line: int | None = None, column: int | None = None) -> str:
+def length_unit(
+    file: RecordedFile, text: str, line: int | None = None, column: int | None = None
+) -> str:
     """Return the symbol of a unit of length.
 
     Raises:
@@ -187,7 +204,9 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
             return float(given)
-    raise file.error(f"frame rate '{given[:20]}' is not allowed; it must be frames per second", line)
+    raise file.error(
+        f"frame rate '{given[:20]}' is not allowed; it must be frames per second", line
+    )
 
 
 class Rows(NamedTuple):
@@ -224,7 +243,8 @@ def marker_rows(
         header_lines: number of lines above its rows.
         width: number of cells per row.
         first: first of the three columns of each marker, counted from 0.
-        clock: columns of the frame number and the time, or of one of them; empty if the rows are counted.
+        clock: columns of the frame number and the time, or of one of them; empty if the
+            rows are counted.
         rate: frames per second; None if the column contains times.
         others: other columns to read.
         section: whether the rows end at an empty line.
@@ -242,7 +262,9 @@ def marker_rows(
         raise file.error(f"the row has no {missing_name}", line, clock[-1] + 1)
     if rate is not None:
         time = counted_times(values[:, 0], time, rate) if count > 1 else time / rate
-    return Rows(time, values[:, count:end].reshape(len(values), -1, 3), values[:, end:], notes)
+    return Rows(
+        time, values[:, count:end].reshape(len(values), -1, 3), values[:, end:], notes
+    )
 
 
 def announced(text: str) -> int | None:
@@ -287,28 +309,42 @@ def marker_table(
     unseen = _unseen(points, rotations)
     if unseen.any():
         points = np.where(unseen[..., None], np.nan, points)
-        notes = [*notes, f"{int(unseen.sum())} positions are exactly 0, 0, 0: read as missing"]
+        notes = [
+            *notes,
+            f"{int(unseen.sum())} positions are exactly 0, 0, 0: read as missing",
+        ]
     incomplete = ~np.isfinite(points).all(axis=-1) & np.isfinite(points).any(axis=-1)
     with np.errstate(invalid="ignore"):
         far = (np.abs(points) > MAX_DISTANCE).any(axis=-1)
     points = np.where((incomplete | far)[..., None], np.nan, points)
-    reasons = ((incomplete, "lack a coordinate"), (far, f"are over {MAX_DISTANCE:g} m away"))
+    reasons = (
+        (incomplete, "lack a coordinate"),
+        (far, f"are over {MAX_DISTANCE:g} m away"),
+    )
     for samples, reason in reasons:
         if samples.any():
-            notes = [*notes, f"{int(samples.sum())} positions {reason}: read as missing"]
+            notes = [
+                *notes,
+                f"{int(samples.sum())} positions {reason}: read as missing",
+            ]
     if rotations is not None:
         missing = np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True))
         more["rotations"] = np.where(missing, np.nan, rotations)
-    labels = tuple(escape_unprintable(name) or f"point {k}" for k, name in enumerate(names, start=1))
+    labels = tuple(
+        escape_unprintable(name) or f"point {k}"
+        for k, name in enumerate(names, start=1)
+    )
     more["unit"] = ", ".join(sorted({*units}))
-    return MarkerTable(file.name, file.sha256, kind, time, points, labels, tuple(notes), **more)
+    return MarkerTable(
+        file.name, file.sha256, kind, time, points, labels, tuple(notes), **more
+    )
 
 
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
     """Return where a marker has the coordinates 0, 0, 0 that some programs write for a hidden marker.
 
-    A measured position is never exactly 0 on several frames. The pose of a rigid body may be, because
-    odometry begins at the origin.
+    A measured position is never exactly 0 on several frames. The pose of a rigid body
+    may be, because odometry begins at the origin.
     """
     zero = (points == 0).all(axis=-1)
     zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False
@@ -327,8 +363,8 @@ def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
     """
     if given not in (None, table.unit):
         raise InputError(
-            f"{table.name}: lengths are in {table.unit} according to the file, but in {given} according to "
-            "the map or --units; correct one of them"
+            f"{table.name}: lengths are in {table.unit} according to the file, but in"
+            f" {given} according to the map or --units; correct one of them"
         )
     return table
 
@@ -344,8 +380,12 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         raise
     except ModuleNotFoundError as error:
         how = "`uv sync --extra recordings`, or `pip install 'srs-twin[recordings]'`"
-        raise file.error(f"{kind} needs the package {error.name}, which is an extra: {how}") from error
+        raise file.error(
+            f"{kind} needs the package {error.name}, which is an extra: {how}"
+        ) from error
     except Exception as error:  # a damaged file may raise any exception in a library
         message = escape_unprintable(" ".join(str(error).split()))[:120]
         reason = f" ({message})" if isinstance(error, ValueError) else ""
-        raise file.error(f"the {kind} file is damaged{reason}; record or export it again") from error
+        raise file.error(
+            f"the {kind} file is damaged{reason}; record or export it again"
+        ) from error

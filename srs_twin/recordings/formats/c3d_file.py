@@ -1,8 +1,9 @@
 """C3D files of motion capture systems: points with labels, rate and unit.
 
-A file has a header of one block, a section of parameters, and a data section of whole frames. The processor
-in the parameter section decides the byte order and the float format. Parameters are named arrays in groups. A
-name may occur twice with different capitals; the first one is used.
+A file has a header of one block, a section of parameters, and a data section of whole
+frames. The processor in the parameter section decides the byte order and the float
+format. Parameters are named arrays in groups. A name may occur twice with different
+capitals; the first one is used.
 """
 
 from __future__ import annotations
@@ -114,7 +115,9 @@ class _Contents:
             return []
         size = max(parameter.shape[0], 1)
         starts = range(0, len(parameter.data), size)
-        texts = [parameter.data[k : k + size].decode("utf-8", "replace") for k in starts]
+        texts = [
+            parameter.data[k : k + size].decode("utf-8", "replace") for k in starts
+        ]
         return [text.strip("\0 ") for text in texts]
 
 
@@ -145,7 +148,9 @@ def _contents(file: RecordedFile) -> _Contents:
     for group, name, parameter in found:
         contents.parameters.setdefault(f"{groups.get(group, '')}:{name}", parameter)
     if not found:
-        raise file.error("the C3D file is damaged: it has no parameters; record or export it again")
+        raise file.error(
+            "the C3D file is damaged: it has no parameters; record or export it again"
+        )
     return contents
 
 
@@ -183,30 +188,57 @@ class C3d(Format):
             frames = _frames(file, contents)
         samples = frames.samples
         count = samples.shape[1]
-        keys = ["POINT:LABELS", *(f"POINT:LABELS{k}" for k in range(2, 2 + count // 255))]
+        keys = [
+            "POINT:LABELS",
+            *(f"POINT:LABELS{k}" for k in range(2, 2 + count // 255)),
+        ]
         names = [name for key in keys for name in contents.strings(key)]
         names = (names + [""] * count)[:count]
-        others = {label for kind in _OTHER_KINDS for label in contents.strings(f"POINT:{kind}") if label}
-        chosen = [k for k in range(count) if names[k] not in others] or list(range(count))
+        others = {
+            label
+            for kind in _OTHER_KINDS
+            for label in contents.strings(f"POINT:{kind}")
+            if label
+        }
+        chosen = [k for k in range(count) if names[k] not in others] or list(
+            range(count)
+        )
         units, notes = _units(file, contents, chosen, count, unstated.unit)
         if len(chosen) < count:
             skipped = count - len(chosen)
-            notes.append(f"{skipped} points with angles, forces or similar quantities skipped")
+            notes.append(
+                f"{skipped} points with angles, forces or similar quantities skipped"
+            )
         if len(samples) < frames.announced:
-            notes.append(f"the file ends after {len(samples)} of {frames.announced} frames")
+            notes.append(
+                f"the file ends after {len(samples)} of {frames.announced} frames"
+            )
         time = (np.arange(len(samples)) + max(frames.first - 1, 0)) / rate
         points = np.where(samples[..., 3:] <= -1, np.nan, samples[..., :3])[:, chosen]
         labels = [names[k] for k in chosen]
         return marker_table(
-            file, self.name, time, points, labels, notes,
-            unit=units, header_frames=frames.announced,
-        )  # fmt: skip
+            file,
+            self.name,
+            time,
+            points,
+            labels,
+            notes,
+            unit=units,
+            header_frames=frames.announced,
+        )
 
 
 def _units(
-    file: RecordedFile, contents: _Contents, chosen: list[int], count: int, given: str | None
+    file: RecordedFile,
+    contents: _Contents,
+    chosen: list[int],
+    count: int,
+    given: str | None,
 ) -> tuple[list[str], list[str]]:
-    """Return the unit of each chosen point, and notes. The file has one unit, or one for each point."""
+    """Return the unit of each chosen point, and notes.
+
+    The file has one unit, or one for each point.
+    """
     stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
     if not stated:
         assumed = given or "mm"
@@ -214,8 +246,13 @@ def _units(
     of_points = [stated[k if len(stated) >= count else 0] for k in chosen]
     unknown = sorted({unit for unit in of_points if not symbol(unit, LENGTHS)})
     if given and unknown:
-        note = f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as given"
-        return [given if unit in unknown else length_unit(file, unit) for unit in of_points], [note]
+        note = (
+            f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as"
+            " given"
+        )
+        return [
+            given if unit in unknown else length_unit(file, unit) for unit in of_points
+        ], [note]
     return [length_unit(file, unit) for unit in of_points], []
 
 
@@ -223,7 +260,8 @@ class _Frames(NamedTuple):
     """Frames of the data section.
 
     Attributes:
-        samples: x, y, z and residual, shape (frames, points, 4), in the unit of the file.
+        samples: x, y, z and residual, shape (frames, points, 4), in the unit of the
+            file.
         first: number of the first frame.
         announced: number of frames that the file states.
     """
@@ -236,10 +274,10 @@ class _Frames(NamedTuple):
 def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     """Return the frames of a file.
 
-    The frame numbers of the header have 16 bits. Longer recordings state their frames in
-    TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words each) or in POINT:LONG_FRAMES, but some of
-    these may be wrong. The largest number that fits into the file is used. If all of them are at most 65,535,
-    the file is read to its end.
+    The frame numbers of the header have 16 bits. Longer recordings state their frames
+    in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words each) or in
+    POINT:LONG_FRAMES, but some of these may be wrong. The largest number that fits into
+    the file is used. If all of them are at most 65,535, the file is read to its end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0
@@ -267,12 +305,20 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     frames = room if overflow else min(announced, room)
     if not 0 < frames <= _MAX_FRAMES:
         raise file.error(
-            f"the C3D file has {frames} whole frames; it must have 1 to {_MAX_FRAMES} (record or "
-            "export it again)"
+            f"the C3D file has {frames} whole frames; it must have 1 to {_MAX_FRAMES}"
+            " (record or export it again)"
         )
     data = data[: frames * width]
-    numbers = contents.floats(data) if is_float else np.frombuffer(data, f"{contents.order}i2")
-    samples = numbers.reshape(frames, -1)[:, : 4 * count].reshape(frames, count, 4).astype(float)
+    numbers = (
+        contents.floats(data)
+        if is_float
+        else np.frombuffer(data, f"{contents.order}i2")
+    )
+    samples = (
+        numbers.reshape(frames, -1)[:, : 4 * count]
+        .reshape(frames, count, 4)
+        .astype(float)
+    )
     samples[..., :3] *= max(scale, 0.0) or 1.0
     if overflow:  # the last block is padded with zeros
         padding = int(samples[::-1].any(axis=(1, 2)).argmax())
@@ -281,11 +327,13 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     return _Frames(samples, start or first, announced)
 
 
-def _analog_values(file: RecordedFile, contents: _Contents, count: int, counts: list[int], size: int) -> int:
+def _analog_values(
+    file: RecordedFile, contents: _Contents, count: int, counts: list[int], size: int
+) -> int:
     """Return the number of analog values per frame.
 
-    Header and parameters state it both. If they contradict each other, the number is used with which the
-    frames fill the data section.
+    Header and parameters state it both. If they contradict each other, the number is
+    used with which the frames fill the data section.
 
     Args:
         file: the file.
@@ -312,7 +360,8 @@ def _analog_values(file: RecordedFile, contents: _Contents, count: int, counts: 
     filling = [analog for analog in (by_header, by_parameters) if fills(analog)]
     if len(filling) != 1:
         raise file.error(
-            f"the header states {by_header} analog values per frame, the parameters {by_parameters}, "
-            "and the size of the file does not decide between them; export it again"
+            f"the header states {by_header} analog values per frame, the parameters"
+            f" {by_parameters}, and the size of the file does not decide between them;"
+            " export it again"
         )
     return filling[0]

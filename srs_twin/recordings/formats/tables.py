@@ -10,7 +10,13 @@ from typing import final
 
 import numpy as np
 
-from srs_twin.recordings.csv_table import CLOCK, CsvColumn, CsvTable, not_used, read_table
+from srs_twin.recordings.csv_table import (
+    CLOCK,
+    CsvColumn,
+    CsvTable,
+    not_used,
+    read_table,
+)
 from srs_twin.recordings.formats.base import (
     Format,
     MarkerTable,
@@ -43,33 +49,48 @@ class Trc(Format):
         """Read the markers of a TRC file; an empty cell is a missing marker.
 
         Raises:
-            InputError: the file is damaged, or its unit is unknown; the message names file and line.
+            InputError: the file is damaged, or its unit is unknown; the message names
+                file and line.
         """
         file = replace(file, separator="\t")
         lines = file.head(_AXES_LINE + 2)
         if len(lines) <= _AXES_LINE or lines[3][:1] != ["Frame#"]:
-            raise file.error("the header is cut: line 4 must have 'Frame#', 'Time' and names of markers", 4)
+            raise file.error(
+                "the header is cut: line 4 must have 'Frame#', 'Time' and names of"
+                " markers",
+                4,
+            )
         header = _AXES_LINE + (not any(lines[_AXES_LINE]))
         fields = dict(zip(lines[1], lines[2], strict=False))
         names = [name for name in lines[3][2:] if name]
         row = lines[min(header, len(lines) - 1)]
         width = len(row)
         required = 2 + 3 * len(names)
-        if not names or width < required or any(row[required:]):  # a row may end in tabs
+        if (
+            not names or width < required or any(row[required:])
+        ):  # a row may end in tabs
             raise file.error(
-                f"{width} cells for {len(names)} markers; rows must have {required} cells", header + 1
+                f"{width} cells for {len(names)} markers; rows must have {required}"
+                " cells",
+                header + 1,
             )
-        rate = frame_rate(file, fields["DataRate"], 3) if fields.get("DataRate") else None
+        rate = (
+            frame_rate(file, fields["DataRate"], 3) if fields.get("DataRate") else None
+        )
         unit = length_unit(file, fields.get("Units") or unstated.unit or "", 3)
         time, points, _, notes = marker_rows(
             file, header, width, range(2, required, 3), clock=(0, 1), rate=rate
         )
         frames = announced(fields.get("NumFrames", ""))
-        return marker_table(file, self.name, time, points, names, notes, unit=unit, header_frames=frames)
+        return marker_table(
+            file, self.name, time, points, names, notes, unit=unit, header_frames=frames
+        )
 
 
 _COMMENTS = re.compile(rb"(?:[ \t]*#[^\n]*\n|[ \t\r]*\n)*")
-_TUM_START = re.compile(_COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n")
+_TUM_START = re.compile(
+    _COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n"
+)
 _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _MAX_NORM_ERROR = 0.01
 """Largest deviation of the norm of a quaternion from 1."""
@@ -92,15 +113,27 @@ class Tum(Format):
             InputError: the file is damaged; the message names line and cell.
         """
         file = laid_out(file, _TUM_POSE)
-        _, points, quaternions, notes = marker_rows(file, file.header_lines, 8, [1], others=range(4, 8))
+        _, points, quaternions, notes = marker_rows(
+            file, file.header_lines, 8, [1], others=range(4, 8)
+        )
         time, clock_notes, epoch = file.times(0, "")
         notes += clock_notes
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
             raise file.error(
-                "eight numbers per line are read as time, x, y, z and a quaternion, but its norm is not 1"
+                "eight numbers per line are read as time, x, y, z and a quaternion, but"
+                " its norm is not 1"
             )
         rotations, names = quaternions[:, None], [Path(file.name).stem]
-        return marker_table(file, self.name, time, points, names, notes, rotations=rotations, epoch_ns=epoch)
+        return marker_table(
+            file,
+            self.name,
+            time,
+            points,
+            names,
+            notes,
+            rotations=rotations,
+            epoch_ns=epoch,
+        )
 
 
 MIN_LIKELIHOOD = 0.6
@@ -122,8 +155,8 @@ class DeepLabCut(Format):
 
         Args:
             file: CSV file.
-            unstated: frames per second of the video; unit of the coordinates if they are lengths (None or
-                "px": pixels); size of a pixel.
+            unstated: frames per second of the video; unit of the coordinates if they
+                are lengths (None or "px": pixels); size of a pixel.
 
         Raises:
             InputError: rate or scale are not given, or the file is damaged.
@@ -132,34 +165,55 @@ class DeepLabCut(Format):
         missing = [] if rate_hz else ["`rate_hz` (frames per second of the video)"]
         pixels = unit in (None, "px")
         if pixels and not scale_m:
-            missing.append("`scale_m` (m per pixel; or `unit`, if the coordinates are lengths)")
+            missing.append(
+                "`scale_m` (m per pixel; or `unit`, if the coordinates are lengths)"
+            )
         if missing:
-            raise file.error(f"DeepLabCut files have frames and pixels only; give {' and '.join(missing)}")
+            raise file.error(
+                "DeepLabCut files have frames and pixels only; give"
+                f" {' and '.join(missing)}"
+            )
         rate = frame_rate(file, str(rate_hz))
-        factor = float(scale_m or 0.0) if pixels else LENGTHS[length_unit(file, unit or "")]
+        factor = (
+            float(scale_m or 0.0) if pixels else LENGTHS[length_unit(file, unit or "")]
+        )
         lines = {cells[0]: cells for cells in file.head(4) if cells}
         if not {"bodyparts", "coords"} <= lines.keys():
             raise file.error(
-                "the header is cut: it must have rows scorer, (individuals,) bodyparts and coords", 2
+                "the header is cut: it must have rows scorer, (individuals,) bodyparts"
+                " and coords",
+                2,
             )
         top, coords = 4 if "individuals" in lines else 3, lines["coords"]
         width = len(coords)
         if width < 4 or coords[1:] != ["x", "y", "likelihood"] * (width // 3):
             raise file.error("each body part must have the columns x,y,likelihood", top)
-        time, samples, _, notes = marker_rows(file, top, width, range(1, width, 3), rate=rate)
+        time, samples, _, notes = marker_rows(
+            file, top, width, range(1, width, 3), rate=rate
+        )
         points = samples[..., :2] * [factor, -factor]
-        unlikely = ~(samples[..., 2] >= MIN_LIKELIHOOD) & np.isfinite(points).all(axis=-1)
+        unlikely = ~(samples[..., 2] >= MIN_LIKELIHOOD) & np.isfinite(points).all(
+            axis=-1
+        )
         points[unlikely] = np.nan
         notes += [
-            f"{int(unlikely.sum())} samples with a likelihood below {MIN_LIKELIHOOD} read as missing",
+            (
+                f"{int(unlikely.sum())} samples with a likelihood below"
+                f" {MIN_LIKELIHOOD} read as missing"
+            ),
             "y reversed, because it points down in images",
             f"coordinates multiplied by {factor:g} to m",
         ]
         parts, animals = lines["bodyparts"], lines.get("individuals")
         if len(parts) != width or (animals and len(animals) != width):
             raise file.error(f"the rows of the header must have {width} cells", top)
-        names = [f"{animals[k]}:{parts[k]}" if animals else parts[k] for k in range(1, width, 3)]
-        return replace(marker_table(file, self.name, time, points, names, notes), unit=unit or "px")
+        names = [
+            f"{animals[k]}:{parts[k]}" if animals else parts[k]
+            for k in range(1, width, 3)
+        ]
+        return replace(
+            marker_table(file, self.name, time, points, names, notes), unit=unit or "px"
+        )
 
 
 _NUMBERED = re.compile(r"[xyz]_\d+(?![A-Za-z0-9]{2})", re.IGNORECASE)
@@ -170,8 +224,9 @@ _CONNECTOR = re.compile(r"\d+[A-Za-z]?")
 class PlainCsv(Format):
     """Plain CSV with the columns ``time`` and ``x_1,y_1…`` (head first), or with other names.
 
-    The unit is in the name: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``; without a unit it is s or m. ``z_1`` is
-    optional. Two markers on a connector are ``x_1a,y_1a,x_1b,y_1b``.
+    The unit is in the name: ``time_ms``, ``x_1_mm`` or ``x_1 (mm)``; without a unit it
+    is s or m. ``z_1`` is optional. Two markers on a connector are
+    ``x_1a,y_1a,x_1b,y_1b``.
     """
 
     name = "plain CSV"
@@ -184,8 +239,8 @@ class PlainCsv(Format):
         """Read the markers of a plain CSV file.
 
         Raises:
-            InputError: the file is damaged, has no positions, or its units contradict each other; the message
-                names line and column.
+            InputError: the file is damaged, has no positions, or its units contradict
+                each other; the message names line and column.
         """
         rate_hz, unit = unstated.rate_hz, unstated.unit
         file = laid_out(file, unstated.dialect)
@@ -195,8 +250,8 @@ class PlainCsv(Format):
         markers = _marker_columns(table, numbered)
         if not clock and not rate_hz:
             raise file.error(
-                "no column 'time' (the first line must name the columns: time,x_1,y_1,x_2,y_2,…), and no "
-                "rate_hz or --rate is given",
+                "no column 'time' (the first line must name the columns:"
+                " time,x_1,y_1,x_2,y_2,…), and no rate_hz or --rate is given",
                 file.header_lines or 1,
             )
         if unit == "px" and not unstated.scale_m:
@@ -206,27 +261,47 @@ class PlainCsv(Format):
         for column in (column for columns in markers.values() for column in columns):
             if unit and column.unit not in ("", unit):
                 conflict = (
-                    f"'{column.text}' is in {column.unit} according to its name, but in {unit} according to "
-                    "the map or --units"
+                    f"'{column.text}' is in {column.unit} according to its name, but in"
+                    f" {unit} according to the map or --units"
                 )
                 raise table.error(column, f"{conflict}; correct one of them")
-            chosen.append(column if column.unit else replace(column, factor=scale or 1.0))
-        time, values, notes, epoch_ns = table.read_timed(clock[0] if clock else None, chosen, rate_hz)
+            chosen.append(
+                column if column.unit else replace(column, factor=scale or 1.0)
+            )
+        time, values, notes, epoch_ns = table.read_timed(
+            clock[0] if clock else None, chosen, rate_hz
+        )
         used = [*clock, *chosen]
         units = sorted({column.unit or unit or "" for column in used} - {"", "m", "s"})
         if units:
             notes.append(f"converted from {', '.join(units)} to SI")
         without = [column.text for column in used if not column.unit]
         if without and not unit:
-            notes.append(f"{len(without)} columns without a unit assumed to be in s and m ({without[0]}, …)")
+            notes.append(
+                f"{len(without)} columns without a unit assumed to be in s and m"
+                f" ({without[0]}, …)"
+            )
         others = {*range(len(file.names))} - {column.place for column in used}
         notes += not_used([file.names[index] or "''" for index in sorted(others)])
-        places = tuple((2 * (number - 1), "") for number, _ in map(_place, markers if numbered else ()))
+        places = tuple(
+            (2 * (number - 1), "")
+            for number, _ in map(_place, markers if numbered else ())
+        )
         points = values.reshape(len(time), len(markers), -1)
         result = marker_table(
-            file, self.name, time, points, list(markers), notes, places=places, epoch_ns=epoch_ns
+            file,
+            self.name,
+            time,
+            points,
+            list(markers),
+            notes,
+            places=places,
+            epoch_ns=epoch_ns,
         )
-        return replace(result, unit=unit or min({column.unit for column in chosen} - {""}, default="m"))
+        return replace(
+            result,
+            unit=unit or min({column.unit for column in chosen} - {""}, default="m"),
+        )
 
 
 def _place(marker: str) -> tuple[int, str]:
@@ -238,10 +313,15 @@ def _place(marker: str) -> tuple[int, str]:
 def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
     """Return the columns x, y and, if they exist, z of each marker; numbered markers head first."""
     file, line = table.file, table.file.header_lines or 1
-    names = [name if not numbered or _NUMBERED.match(name) else "" for name in file.names]
+    names = [
+        name if not numbered or _NUMBERED.match(name) else "" for name in file.names
+    ]
     markers = axis_columns(names)
     if numbered:
-        markers = {name: markers[name] for name in sorted(filter(_CONNECTOR.fullmatch, markers), key=_place)}
+        markers = {
+            name: markers[name]
+            for name in sorted(filter(_CONNECTOR.fullmatch, markers), key=_place)
+        }
     if not markers:
         required = "columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y"
         raise file.error(f"the file has no positions; it must have {required}", line)
@@ -251,13 +331,19 @@ def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn
             raise file.error(f"{name}: two columns have this name", line, place + 1)
         if numbered and name and place not in used:
             required = f"each marker has x and y, once, in {', '.join(LENGTHS)}"
-            raise file.error(f"{name} belongs to no marker: {required}", line, place + 1)
+            raise file.error(
+                f"{name} belongs to no marker: {required}", line, place + 1
+            )
     numbers = [_place(name)[0] for name in markers if numbered]
     if missing := {*range(1, max(numbers, default=0))} - {*numbers}:
-        problem = f"x_{min(missing)} is missing; connectors are numbered from 1 at the head"
+        problem = (
+            f"x_{min(missing)} is missing; connectors are numbered from 1 at the head"
+        )
         raise file.error(problem, line)
     letters = "xyz" if any("z" in axes for axes in markers.values()) else "xy"
     for name, axes in markers.items():
         if letters[-1] not in axes:
-            raise file.error(f"{name}_z is missing, although other markers have one", line)
+            raise file.error(
+                f"{name}_z is missing, although other markers have one", line
+            )
     return {name: [axes[axis] for axis in letters] for name, axes in markers.items()}

@@ -1,9 +1,10 @@
 """Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON) in any container.
 
 A container (`bags`) yields messages with their topics and log times. ROS messages are
-decoded by the library `rosbags` with its own definitions of the known message types; definitions in the file
-are not used. The declared sizes of chunks are checked before they are unpacked, because repeated bytes unpack
-to ten thousand times their size, which does not occur in a recording.
+decoded by the library `rosbags` with its own definitions of the known message types;
+definitions in the file are not used. The declared sizes of chunks are checked before
+they are unpacked, because repeated bytes unpack to ten thousand times their size, which
+does not occur in a recording.
 """
 
 from __future__ import annotations
@@ -25,8 +26,19 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from srs_twin.io.files import escape_unprintable
-from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, decoding, marker_table
-from srs_twin.recordings.recorded_file import MAX_BYTES, MAX_COLUMNS, MAX_VALUES, RecordedFile
+from srs_twin.recordings.formats.base import (
+    Format,
+    MarkerTable,
+    Unstated,
+    decoding,
+    marker_table,
+)
+from srs_twin.recordings.recorded_file import (
+    MAX_BYTES,
+    MAX_COLUMNS,
+    MAX_VALUES,
+    RecordedFile,
+)
 
 _MIN_EPOCH_NS = 10**17
 """Smallest log time that counts as a time since 1970, ns."""
@@ -43,7 +55,11 @@ _MAX_RATIO = 32
 _MAX_MESSAGES = 1 << 23
 """Largest number of messages: an hour of twenty topics at 100 Hz."""
 _ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
-_UNPACKERS = {"lz4": ("lz4.frame", "LZ4Frame"), "zstd": (_ZSTD, "Zstd"), "bz2": ("bz2", "BZ2")}
+_UNPACKERS = {
+    "lz4": ("lz4.frame", "LZ4Frame"),
+    "zstd": (_ZSTD, "Zstd"),
+    "bz2": ("bz2", "BZ2"),
+}
 """Compression → module, and name of its class without "Decompressor"."""
 
 
@@ -83,22 +99,26 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
             total += size
     if total > allowed:
         raise file.error(
-            f"its chunks unpack to {total / (1 << 20):.0f} MB; at most {allowed >> 20} MB are read of a file "
-            f"of {len(file.data) / 1000:.0f} kB (record fewer topics, or a shorter time)"
+            f"its chunks unpack to {total / (1 << 20):.0f} MB; at most {allowed >> 20}"
+            f" MB are read of a file of {len(file.data) / 1000:.0f} kB (record fewer"
+            " topics, or a shorter time)"
         )
 
 
-def unpacked(data: memoryview | bytes, compression: str, size: int | None) -> bytes | memoryview:
+def unpacked(
+    data: memoryview | bytes, compression: str, size: int | None
+) -> bytes | memoryview:
     """Return unpacked data, limited to their declared size; None is the size of a single message.
 
     Raises:
-        ChunkError: the data are damaged, or their size is not the declared one or too large.
+        ChunkError: the data are damaged, or their size is not the declared one or too
+            large.
     """
     limit = MAX_BYTES if size is None else size
     if limit > MAX_BYTES or compression not in ("", *_UNPACKERS):
         raise ChunkError(
-            f"a chunk has {size} bytes and the compression '{compression}'; at most {MAX_BYTES} bytes are "
-            "read"
+            f"a chunk has {size} bytes and the compression '{compression}'; at most"
+            f" {MAX_BYTES} bytes are read"
         )
     if compression:
         module, name = _UNPACKERS[compression]
@@ -118,9 +138,9 @@ class RecordedTopics:
         sha256: checksum of the file.
         origin_ns: log time of the first message, ns.
         markers: positions and rotations of bodies and points; None if no topic has any.
-        signals: (time, values) by name, each of shape (samples,), s and as recorded: ``/joy.axes[0]``,
-            ``/joints.NAME.position``, ``/topic.data[2]``, ``/topic.fluid_pressure`` (Pa),
-            ``/topic.dotted.path`` of JSON.
+        signals: (time, values) by name, each of shape (samples,), s and as recorded:
+            ``/joy.axes[0]``, ``/joints.NAME.position``, ``/topic.data[2]``,
+            ``/topic.fluid_pressure`` (Pa), ``/topic.dotted.path`` of JSON.
         notes: notes on skipped topics and irregularities.
     """
 
@@ -159,23 +179,32 @@ class Bag(Format):
         """
         recorded = self.read_topics(file, signals=False)
         if recorded.markers is None:
-            types = "geometry_msgs/PoseStamped, PoseArray, PointStamped, tf2_msgs/TFMessage, …"
+            types = (
+                "geometry_msgs/PoseStamped, PoseArray, PointStamped,"
+                " tf2_msgs/TFMessage, …"
+            )
             notes = "".join(f"; {note}" for note in recorded.notes[:3])
-            raise file.error(f"no topic with positions; types with positions are {types}{notes}")
+            raise file.error(
+                f"no topic with positions; types with positions are {types}{notes}"
+            )
         return recorded.markers
 
-    def read_topics(self, file: RecordedFile, *, signals: bool = True) -> RecordedTopics:
+    def read_topics(
+        self, file: RecordedFile, *, signals: bool = True
+    ) -> RecordedTopics:
         """Read poses, points and signals.
 
-        Times are header stamps if messages have them, else log times. The frames are those of the body with
-        most messages; for other bodies, the nearest message within half a frame is used.
+        Times are header stamps if messages have them, else log times. The frames are
+        those of the body with most messages; for other bodies, the nearest message
+        within half a frame is used.
 
         Args:
             file: file with the messages.
             signals: whether to read the topics without positions.
 
         Raises:
-            InputError: the file is damaged or too large, or the libraries are not installed.
+            InputError: the file is damaged or too large, or the libraries are not
+                installed.
         """
         topics = _Topics(file, self.name, signals)
         with decoding(file, self.name):
@@ -204,11 +233,15 @@ class _Topics:
     origin: int = 0
     signals: _Series = field(default_factory=dict)
     bodies: dict[str, _Series] = field(default_factory=dict)  # by topic
-    parents: dict[str, str] = field(default_factory=dict)  # label of a transform → its parent frame
+    parents: dict[str, str] = field(
+        default_factory=dict
+    )  # label of a transform → its parent frame
     skipped: Counter[str] = field(default_factory=Counter)  # number of messages
     messages: int = 0
     numbers: int = 0
-    clock_differences: dict[str, float] = field(default_factory=dict)  # topic → stamp minus log time, s
+    clock_differences: dict[str, float] = field(
+        default_factory=dict
+    )  # topic → stamp minus log time, s
     notes: list[str] = field(default_factory=list)
 
     def add(self, message: Message) -> None:
@@ -216,7 +249,8 @@ class _Topics:
         self.messages += 1
         if self.messages > _MAX_MESSAGES:
             raise self.file.error(
-                f"the file has over {_MAX_MESSAGES} messages; record fewer topics, or a shorter time"
+                f"the file has over {_MAX_MESSAGES} messages; record fewer topics, or a"
+                " shorter time"
             )
         if self.messages == 1:
             self.origin = message.log_time
@@ -224,75 +258,133 @@ class _Topics:
         if decode is None:
             self.skipped[f"{topic} ({kind})"] += 1
         elif kind in _BODIES:
-            for label, stamped, pose in _BODIES[kind](topic, decode(bytes(message.data))):
+            for label, stamped, pose in _BODIES[kind](
+                topic, decode(bytes(message.data))
+            ):
                 if label != topic and hasattr(stamped, "child_frame_id"):
                     label = escape_unprintable(label[:200])
                     self.parents[label] = stamped.header.frame_id
-                self._append(self.bodies.setdefault(topic, {}), label, stamped, message, _numbers(pose))
+                self._append(
+                    self.bodies.setdefault(topic, {}),
+                    label,
+                    stamped,
+                    message,
+                    _numbers(pose),
+                )
         elif self.with_signals:
             content = decode(bytes(message.data))
-            for name, value in _joints(content) if kind.endswith("JointState") else _leaves("", content):
-                self._append(self.signals, f"{topic}{escape_unprintable(name)}", content, message, (value,))
+            for name, value in (
+                _joints(content)
+                if kind.endswith("JointState")
+                else _leaves("", content)
+            ):
+                self._append(
+                    self.signals,
+                    f"{topic}{escape_unprintable(name)}",
+                    content,
+                    message,
+                    (value,),
+                )
 
     def _append(
-        self, series: _Series, label: str, content: object, message: Message, values: _Numbers
+        self,
+        series: _Series,
+        label: str,
+        content: object,
+        message: Message,
+        values: _Numbers,
     ) -> None:
         """Add a row at the header stamp of a message, or else at its log time."""
-        stamp, time = getattr(getattr(content, "header", None), "stamp", None), message.log_time
+        stamp, time = (
+            getattr(getattr(content, "header", None), "stamp", None),
+            message.log_time,
+        )
         whole, part = getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
         if isinstance(whole, int) and isinstance(part, int) and (whole or part):
             time = whole * 10**9 + part
             difference = abs(time - message.log_time) / 1e9
-            self.clock_differences.setdefault(escape_unprintable(message.topic.name), difference)
+            self.clock_differences.setdefault(
+                escape_unprintable(message.topic.name), difference
+            )
         series.setdefault(label, array("d")).extend((time - self.origin, *values))
         self.numbers += 1 + len(values)
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
             raise self.file.error(
-                f"the file has too many values; at most {MAX_VALUES} numbers of {MAX_COLUMNS} signals are "
-                "read"
+                f"the file has too many values; at most {MAX_VALUES} numbers of"
+                f" {MAX_COLUMNS} signals are read"
             )
 
     def result(self) -> RecordedTopics:
         """Return all topics on one clock."""
-        self.notes += [f"topic {topic} skipped: {count} messages" for topic, count in self.skipped.items()]
+        self.notes += [
+            f"topic {topic} skipped: {count} messages"
+            for topic, count in self.skipped.items()
+        ]
         self.notes += [
             f"stamps of {topic} differ by {difference:.3g} s from the log times"
             for topic, difference in self.clock_differences.items()
             if difference > _NOTED_DIFFERENCE_S
         ]
-        signals = {name: (rows[:, 0], rows[:, 1]) for name, rows in _sorted(self.signals, 2).items()}
+        signals = {
+            name: (rows[:, 0], rows[:, 1])
+            for name, rows in _sorted(self.signals, 2).items()
+        }
         markers = self._markers() if self.bodies else None
         return RecordedTopics(
-            self.file.name, self.file.sha256, self.origin, markers, signals, tuple(self.notes)
+            self.file.name,
+            self.file.sha256,
+            self.origin,
+            markers,
+            signals,
+            tuple(self.notes),
         )
 
     def _markers(self) -> MarkerTable:
         bodies = {topic: _sorted(series, 8) for topic, series in self.bodies.items()}
-        series = {(topic, label): rows for topic, labels in bodies.items() for label, rows in labels.items()}
+        series = {
+            (topic, label): rows
+            for topic, labels in bodies.items()
+            for label, rows in labels.items()
+        }
         main = max(series, key=lambda key: len(series[key]))
         time = np.unique(series[main][:, 0])
         half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-        # Frames on which the body with most messages is missing are added if other bodies of its topic have
-        # messages.
-        all_times = np.unique(np.concatenate([rows[:, 0] for rows in bodies[main[0]].values()]))
+        # Frames on which the body with most messages is missing are added if other
+        # bodies of its topic have messages.
+        all_times = np.unique(
+            np.concatenate([rows[:, 0] for rows in bodies[main[0]].values()])
+        )
         distance = np.abs(time[_nearest(time, all_times)] - all_times)
         time = np.sort(np.append(time, all_times[distance > half]))
         if len(time) * len(series) * 7 > MAX_VALUES:
             raise self.file.error(
-                f"the file has {len(time)} frames of {len(series)} bodies; at most {MAX_VALUES} numbers are "
-                "read"
+                f"the file has {len(time)} frames of {len(series)} bodies; at most"
+                f" {MAX_VALUES} numbers are read"
             )
         poses = np.full((len(time), len(series), 7), np.nan)
         for k, ((topic, _), rows) in enumerate(series.items()):
             nearest = _nearest(rows[:, 0], time)
-            near = (np.abs(rows[nearest, 0] - time) <= half) | topic.endswith("tf_static")
+            near = (np.abs(rows[nearest, 0] - time) <= half) | topic.endswith(
+                "tf_static"
+            )
             poses[near, k] = rows[nearest[near], 1:]
         counts = Counter(label for _, label in series)
-        names = [label if counts[label] == 1 else f"{topic}:{label}" for topic, label in series]
+        names = [
+            label if counts[label] == 1 else f"{topic}:{label}"
+            for topic, label in series
+        ]
         composed = _compose(poses, names, self.parents)
-        notes = [f"{len(composed)} transforms relative to another body: composed"] if composed else []
+        notes = (
+            [f"{len(composed)} transforms relative to another body: composed"]
+            if composed
+            else []
+        )
         roots = sorted(set(self.parents.values()) - set(names))
-        notes += [f"bodies are in different frames: {', '.join(roots[:5])}"] if len(roots) > 1 else []
+        notes += (
+            [f"bodies are in different frames: {', '.join(roots[:5])}"]
+            if len(roots) > 1
+            else []
+        )
         quaternions = np.where(_has_rotation(poses)[..., None], poses[..., 3:], np.nan)
         rotations = None if np.isnan(quaternions).all() else quaternions
         epoch: int | None = self.origin if self.origin > _MIN_EPOCH_NS else None
@@ -300,15 +392,27 @@ class _Topics:
             time, epoch = time - time[0], None
         notes = [*self.notes, *map(escape_unprintable, notes)]
         return marker_table(
-            self.file, self.kind, time, poses[..., :3], names, notes, rotations=rotations, epoch_ns=epoch
+            self.file,
+            self.kind,
+            time,
+            poses[..., :3],
+            names,
+            notes,
+            rotations=rotations,
+            epoch_ns=epoch,
         )
 
 
 def _sorted(series: _Series, width: int) -> dict[str, np.ndarray]:
     """Return the rows of each label in the order of time, with times in s."""
-    tables = {label: np.array(flat).reshape(-1, width) for label, flat in series.items()}
+    tables = {
+        label: np.array(flat).reshape(-1, width) for label, flat in series.items()
+    }
     scale = np.array([1e-9, *[1.0] * (width - 1)])
-    return {label: rows[np.argsort(rows[:, 0], kind="stable")] * scale for label, rows in tables.items()}
+    return {
+        label: rows[np.argsort(rows[:, 0], kind="stable")] * scale
+        for label, rows in tables.items()
+    }
 
 
 def _nearest(own: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -322,23 +426,32 @@ def _has_rotation(poses: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(np.linalg.norm(poses[..., 3:], axis=-1) - 1) < 0.5)
 
 
-def _compose(poses: np.ndarray, names: list[str], parents: Mapping[str, str]) -> list[str]:
+def _compose(
+    poses: np.ndarray, names: list[str], parents: Mapping[str, str]
+) -> list[str]:
     """Convert transforms relative to another body to its parent frame; return the converted names."""
     from scipy.spatial.transform import Rotation
 
     index, composed = {name: k for k, name in enumerate(names)}, dict[str, None]()
     for name in names:
         chain = [name]
-        while chain[-1] not in composed and parents.get(chain[-1]) in index and len(chain) <= len(names):
+        while (
+            chain[-1] not in composed
+            and parents.get(chain[-1]) in index
+            and len(chain) <= len(names)
+        ):
             chain.append(parents[chain[-1]])
-        # From the outermost transform inwards, so that every base is already in the root frame.
+        # From the outermost transform inwards, so that every base is already in the
+        # root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
             composed[inner] = None
             child, base = poses[:, index[inner]], poses[:, index[outer]]
             known = _has_rotation(child) & _has_rotation(base)
             rotation = Rotation.from_quat(base[known, 3:])
             child[known, :3] = base[known, :3] + rotation.apply(child[known, :3])
-            child[known, 3:] = (rotation * Rotation.from_quat(child[known, 3:])).as_quat()
+            child[known, 3:] = (
+                rotation * Rotation.from_quat(child[known, 3:])
+            ).as_quat()
             child[~known] = np.nan
     return list(composed)
 
@@ -349,21 +462,30 @@ _SIGNALS = re.compile(
 _METADATA = ("header", "layout")
 """Fields of a message without signals."""
 _BODIES: dict[str, Callable[[str, Any], list[tuple[str, Any, Any]]]] = {
-    "geometry_msgs/PoseStamped": lambda topic, message: [(topic, message, message.pose)],
-    "geometry_msgs/PoseWithCovarianceStamped": lambda topic, message: [(topic, message, message.pose.pose)],
+    "geometry_msgs/PoseStamped": lambda topic, message: [
+        (topic, message, message.pose)
+    ],
+    "geometry_msgs/PoseWithCovarianceStamped": lambda topic, message: [
+        (topic, message, message.pose.pose)
+    ],
     "nav_msgs/Odometry": lambda topic, message: [(topic, message, message.pose.pose)],
-    "nav_msgs/Path": lambda topic, message: [(topic, message, last.pose) for last in message.poses[-1:]],
+    "nav_msgs/Path": lambda topic, message: [
+        (topic, message, last.pose) for last in message.poses[-1:]
+    ],
     "geometry_msgs/Pose": lambda topic, message: [(topic, message, message)],
     "geometry_msgs/PoseArray": lambda topic, message: [
         (f"{topic}_{k}", message, pose) for k, pose in enumerate(message.poses, start=1)
     ],
-    "geometry_msgs/PointStamped": lambda topic, message: [(topic, message, message.point)],
+    "geometry_msgs/PointStamped": lambda topic, message: [
+        (topic, message, message.point)
+    ],
     "geometry_msgs/Point": lambda topic, message: [(topic, message, message)],
     "geometry_msgs/TransformStamped": lambda topic, message: [
         (message.child_frame_id or topic, message, message.transform)
     ],
     "tf2_msgs/TFMessage": lambda topic, message: [
-        (stamped.child_frame_id or topic, stamped, stamped.transform) for stamped in message.transforms
+        (stamped.child_frame_id or topic, stamped, stamped.transform)
+        for stamped in message.transforms
     ],
 }
 """Message type with positions → function of topic and message that returns label, stamped part and pose."""
@@ -376,10 +498,16 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
     kind = kind.replace("tf/tfMessage", "tf2_msgs/TFMessage")
     decode: Callable[[bytes], Any] | None = None
     if topic.encoding == "json":
-        decode = partial(json.loads, object_hook=lambda fields: SimpleNamespace(**fields))
-    elif topic.encoding in ("cdr", "ros1") and (kind in _BODIES or _SIGNALS.fullmatch(kind)):
+        decode = partial(
+            json.loads, object_hook=lambda fields: SimpleNamespace(**fields)
+        )
+    elif topic.encoding in ("cdr", "ros1") and (
+        kind in _BODIES or _SIGNALS.fullmatch(kind)
+    ):
         store = _definitions(topic.encoding)
-        deserialize = store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
+        deserialize = (
+            store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
+        )
         decode = partial(deserialize, typename=kind.replace("/", "/msg/"))
     return escape_unprintable(topic.name[:200]), kind, decode
 
@@ -389,7 +517,9 @@ def _definitions(encoding: str) -> Any:
     """Return the ROS message definitions; those in files would be compiled and are not trusted."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC)
+    store = get_typestore(
+        Stores.ROS2_HUMBLE if encoding == "cdr" else Stores.ROS1_NOETIC
+    )
     transforms = "geometry_msgs/TransformStamped[] transforms"
     store.register(get_types_from_msg(transforms, "tf2_msgs/msg/TFMessage"))
     return store
@@ -399,7 +529,11 @@ def _numbers(pose: Any) -> _Numbers:
     """Return position and quaternion (x, y, z, w) of a pose, transform or point; NaN without a quaternion."""
     position = getattr(pose, "position", None) or getattr(pose, "translation", pose)
     rotation = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
-    quaternion = (np.nan,) * 4 if rotation is None else (rotation.x, rotation.y, rotation.z, rotation.w)
+    quaternion = (
+        (np.nan,) * 4
+        if rotation is None
+        else (rotation.x, rotation.y, rotation.z, rotation.w)
+    )
     return (position.x, position.y, position.z, *quaternion)
 
 

@@ -1,15 +1,16 @@
 r"""Synchronisation of a motion with a log of valves or pressures, by the bends that both contain.
 
-The valve states of the log, applied to the chamber model of the robot, or its pressures give free bends b̂_j.
-They are compared with the measured bends b_j, with a delay τ and a gain a_j > 0 and an offset c_j for each
-segment,
+The valve states of the log, applied to the chamber model of the robot, or its pressures
+give free bends b̂_j. They are compared with the measured bends b_j, with a delay τ and
+a gain a_j > 0 and an offset c_j for each segment,
 
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
-over the times that both cover. Fourier transforms give S for all τ at once. The offset is the minimum of the
-parabola through the smallest S and its two neighbours. Its standard error is √(2 s²/S''), where s² is the
-variance of the residual per independent sample. A gait is periodic: if another τ fits nearly as well, the
-offset is ambiguous and an error is raised.
+over the times that both cover. Fourier transforms give S for all τ at once. The offset
+is the minimum of the parabola through the smallest S and its two neighbours. Its
+standard error is √(2 s²/S''), where s² is the variance of the residual per independent
+sample. A gait is periodic: if another τ fits nearly as well, the offset is ambiguous
+and an error is raised.
 """
 
 from __future__ import annotations
@@ -52,9 +53,10 @@ class Offset:
 
     Attributes:
         seconds: value to add to the times of the log, s.
-        error: standard error, s; 0 for a given offset. It does not include errors of the modelled chamber
-            lag.
-        explained: fraction of the variance of the bends that the log explains; 1 for a given offset.
+        error: standard error, s; 0 for a given offset. It does not include errors of
+            the modelled chamber lag.
+        explained: fraction of the variance of the bends that the log explains; 1 for a
+            given offset.
         estimated: whether the offset was estimated.
     """
 
@@ -76,7 +78,8 @@ def estimate_offset(
         driven: bends modelled from the log, shape (rows, segments), rad.
 
     Raises:
-        InputError: the recordings are too short or do not move, no offset fits, or several do.
+        InputError: the recordings are too short or do not move, no offset fits, or
+            several do.
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
@@ -88,16 +91,18 @@ def estimate_offset(
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
-        raise InputError("nothing moves, so its offset cannot be estimated; give --offset")
+        raise InputError(
+            "nothing moves, so its offset cannot be estimated; give --offset"
+        )
     loss, lags, count = _losses(bends, model, min_count)
     best = int(np.argmin(loss))
     explained = 1 - float(loss[best])
     start_difference = time[0] - log_time[0]
     if explained < MIN_EXPLAINED:
         raise InputError(
-            f"no offset explains the bends (the best one explains {100 * explained:.0f} % of their variance, "
-            f"{100 * MIN_EXPLAINED:.0f} % are needed); is it the log of this run, and of this robot? Give "
-            "--offset"
+            f"no offset explains the bends (the best one explains {100 * explained:.0f}"
+            f" % of their variance, {100 * MIN_EXPLAINED:.0f} % are needed); is it the"
+            " log of this run, and of this robot? Give --offset"
         )
     _check_unambiguous(loss, lags * step + start_difference, best)
     error, shift = float("inf"), 0.0
@@ -109,7 +114,9 @@ def estimate_offset(
         fraction = _independent_fraction(bends, model, int(lags[best]))
         independent = max(1.0, count[best] * bends.shape[1] * fraction)
         error = float(step * np.sqrt(2 * loss[best] / independent / curvature))
-    return Offset(float(start_difference + (lags[best] + shift) * step), error, explained, True)
+    return Offset(
+        float(start_difference + (lags[best] + shift) * step), error, explained, True
+    )
 
 
 def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
@@ -131,7 +138,8 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # Sums, and sums of squares and products about the means, over the common samples of each delay.
+    # Sums, and sums of squares and products about the means, over the common samples of
+    # each delay.
     sb, sm = correlate(bends, other_ones), correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
@@ -140,9 +148,14 @@ def _losses(
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
-    # Exclude intervals in which the robot hardly moves, because any model would fit them.
+    # Exclude intervals in which the robot hardly moves, because any model would fit
+    # them.
     quiet = energy < 1e-3 * energy[enough].max() * n[:, 0] / n.max()
-    loss = np.where(enough & ~quiet, 1 - explained.sum(axis=1) / np.where(quiet, 1.0, energy), np.inf)
+    loss = np.where(
+        enough & ~quiet,
+        1 - explained.sum(axis=1) / np.where(quiet, 1.0, energy),
+        np.inf,
+    )
     lags = np.arange(-len(model) + 1, len(bends))
     return np.maximum(loss, 1e-12), lags, count
 
@@ -150,19 +163,22 @@ def _losses(
 def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
     """Raise an error if another minimum of S is nearly as low."""
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
-    # The added constant accounts for noise and for the step of the delays if S is close to 0.
+    # The added constant accounts for noise and for the step of the delays if S is close
+    # to 0.
     limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
 
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
     # Minima without a higher value between them count as one.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
-        nearest = sorted(offsets[[best, *rivals]], key=lambda offset: abs(offset - offsets[best]))[:5]
+        nearest = sorted(
+            offsets[[best, *rivals]], key=lambda offset: abs(offset - offsets[best])
+        )[:5]
         listed = ", ".join(f"{offset:.4g}" for offset in sorted(nearest))
         raise InputError(
-            f"the offset of its clock is ambiguous: {len(rivals) + 1} offsets fit about equally well "
-            f"({listed} s, …), because the gait is periodic and neither its start nor its end is recorded; "
-            "give --offset, or a longer recording"
+            f"the offset of its clock is ambiguous: {len(rivals) + 1} offsets fit about"
+            f" equally well ({listed} s, …), because the gait is periodic and neither"
+            " its start nor its end is recorded; give --offset, or a longer recording"
         )
 
 
@@ -186,28 +202,37 @@ def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> flo
     return (1 - correlation) / (1 + correlation)
 
 
-def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float | None = None) -> Recording:
+def join(
+    recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float | None = None
+) -> Recording:
     """Add the columns of a log to a motion.
 
     Args:
         recording: the motion.
         log: its valves or pressures.
-        spec: the robot, whose chamber model converts valves to bends for the estimation of the offset.
-        offset: value to add to the times of the log, s. None: if both files have times since 1970 that
-            overlap, these are used, else the offset is estimated by `estimate_offset`. If both have times
-            since 1970, a given offset is added to them.
+        spec: the robot, whose chamber model converts valves to bends for the estimation
+            of the offset.
+        offset: value to add to the times of the log, s. None: if both files have times
+            since 1970 that overlap, these are used, else the offset is estimated by
+            `estimate_offset`. If both have times since 1970, a given offset is added to
+            them.
 
     Returns:
-        The part of the motion that the log covers, with columns ``valve_plus_1…`` or ``pressure_plus_1…``,
-        the offset in the metadata, and the log on the clock of the motion.
+        The part of the motion that the log covers, with columns ``valve_plus_1…`` or
+        ``pressure_plus_1…``, the offset in the metadata, and the log on the clock of
+        the motion.
 
     Raises:
         InputError: the two have no time in common, or the offset cannot be determined.
     """
     trajectory = recording.trajectory
-    if log.values.shape[1] != spec.segments or trajectory.stack("bend").shape[1] != spec.segments:
+    if (
+        log.values.shape[1] != spec.segments
+        or trajectory.stack("bend").shape[1] != spec.segments
+    ):
         raise InputError(
-            f"{log.source}: the log or the motion does not have the {spec.segments} segments of {spec.name}"
+            f"{log.source}: the log or the motion does not have the {spec.segments}"
+            f" segments of {spec.name}"
         )
     if offset is not None and not np.isfinite(offset):
         raise InputError(f"offset {offset!r} is not allowed; it must be finite")
@@ -217,24 +242,35 @@ def join(recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float 
     covered = (time >= moved.time[0] - 1e-9) & (time <= moved.time[-1] + 1e-9)
     if covered.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: with an offset of {estimate.seconds:g} s it covers {moved.time[0]:g} to "
-            f"{moved.time[-1]:g} s and the motion {time[0]:g} to {time[-1]:g} s, with {int(covered.sum())} "
-            "frames in common"
+            f"{log.source}: with an offset of {estimate.seconds:g} s it covers"
+            f" {moved.time[0]:g} to {moved.time[-1]:g} s and the motion {time[0]:g} to"
+            f" {time[-1]:g} s, with {int(covered.sum())} frames in common"
         )
     columns = {name: column[covered] for name, column in trajectory.columns.items()}
     values = moved.at(columns["time"])
     for k, side in enumerate(SIDES):
         columns |= numbered_columns(f"{log.kind}_{side}", values[..., k])
     start, end = (float(columns["time"][k]) for k in (0, -1))
-    metadata = {**trajectory.metadata, "duration_s": end - start, "valve_log": _metadata(log, estimate)}
+    metadata = {
+        **trajectory.metadata,
+        "duration_s": end - start,
+        "valve_log": _metadata(log, estimate),
+    }
     joined = replace(trajectory, columns=columns, metadata=metadata)
-    notes += [f"{log.source}: {len(log.time)} rows of {log.kind}s; offset {estimate.seconds:.4f} s ({how})"]
+    notes += [
+        f"{log.source}: {len(log.time)} rows of {log.kind}s; offset"
+        f" {estimate.seconds:.4f} s ({how})"
+    ]
     if not covered.all():
         notes.append(f"{int((~covered).sum())} frames outside the log left out")
     notes += [f"{log.source}: {text}" for text in log.corrections]
     corrections = (*recording.summary.corrections, *notes)
     summary = replace(
-        recording.summary, frames_kept=len(joined), start=start, end=end, corrections=corrections
+        recording.summary,
+        frames_kept=len(joined),
+        start=start,
+        end=end,
+        corrections=corrections,
     )
     return Recording(joined, summary, moved, recording.epoch_ns)
 
@@ -247,12 +283,17 @@ def _find_offset(
     if recording.epoch_ns is not None and log.epoch_ns is not None:
         difference = (log.epoch_ns - recording.epoch_ns) / 1e9
         begin, end = log.time[[0, -1]] + difference
-        if offset is not None or min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) > 0:
-            how = "from times since 1970 in both files" + (f", plus {offset:g} s as given" if offset else "")
+        if (
+            offset is not None
+            or min(end, trajectory.time[-1]) - max(begin, trajectory.time[0]) > 0
+        ):
+            how = "from times since 1970 in both files" + (
+                f", plus {offset:g} s as given" if offset else ""
+            )
             return Offset(difference + (offset or 0.0), 0.0, 1.0, False), how, []
         notes = [
-            f"{log.source}: its times since 1970 differ by {difference:.6g} s from those of the motion "
-            "and are not used"
+            f"{log.source}: its times since 1970 differ by {difference:.6g} s from"
+            " those of the motion and are not used"
         ]
     else:
         notes = []
@@ -260,15 +301,17 @@ def _find_offset(
         return Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes
     clock, driven = driven_bends(log, spec)
     with named_in_errors(log.source):
-        estimate = estimate_offset(trajectory.time, trajectory.stack("bend"), clock, driven)
+        estimate = estimate_offset(
+            trajectory.time, trajectory.stack("bend"), clock, driven
+        )
     return estimate, f"± {1e3 * estimate.error:.2g} ms, estimated", notes
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return times (times,), s, and the modelled free bends, (times, segments), rad.
 
-    If a log of valves begins while chambers fill, their initial pressures are unknown. The modelled bends
-    then begin when this effect has decayed.
+    If a log of valves begins while chambers fill, their initial pressures are unknown.
+    The modelled bends then begin when this effect has decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)
@@ -284,7 +327,10 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     settled = 0.0 if empty else _SETTLED_TIME_CONSTANTS * longest
     known = clock >= settled
     if known.sum() < MIN_FRAMES:
-        raise InputError(f"{log.source}: {span:g} s are too short to estimate its offset; give --offset")
+        raise InputError(
+            f"{log.source}: {span:g} s are too short to estimate its offset; give"
+            " --offset"
+        )
     return log.time[0] + clock[known], trace.bend[known]
 
 

@@ -43,7 +43,11 @@ class FrameGrid:
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the order of rows by time, and notes."""
     backward = int((np.diff(time) < 0).sum())
-    notes = [f"rows were not in the order of time ({backward} steps back): sorted"] if backward else []
+    notes = (
+        [f"rows were not in the order of time ({backward} steps back): sorted"]
+        if backward
+        else []
+    )
     return np.argsort(time, kind="stable"), notes
 
 
@@ -64,7 +68,10 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     period = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
     kept = np.concatenate([[True], step > 1e-3 * period])
     if not kept.all():
-        notes.append(f"{int((~kept).sum())} rows repeat the time of another row: the first one is kept")
+        notes.append(
+            f"{int((~kept).sum())} rows repeat the time of another row: the first one"
+            " is kept"
+        )
     rows, ordered = order[kept], ordered[kept]
     if len(rows) < MIN_FRAMES:
         raise InputError(f"{len(rows)} frames; a recording has {MIN_FRAMES} or more")
@@ -86,11 +93,13 @@ def _on_grid(
     if count > _MAX_FRAMES_PER_ROW * len(rows):
         worst = int(np.argmax(steps))
         raise InputError(
-            f"the recording has {len(rows)} of {count} frames, and none between {time[worst]:g} s and "
-            f"{time[worst + 1]:g} s; cut the recording"
+            f"the recording has {len(rows)} of {count} frames, and none between"
+            f" {time[worst]:g} s and {time[worst + 1]:g} s; cut the recording"
         )
     if missing := count - len(rows):
-        notes.append(f"{missing} frames are missing in the file: inserted without markers")
+        notes.append(
+            f"{missing} frames are missing in the file: inserted without markers"
+        )
         every = np.full(count, -1)
         every[indices] = rows
         time, rows = np.interp(np.arange(count), indices, time), every
@@ -126,11 +135,15 @@ def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
     for track in range(points.shape[1]):
         frames = np.flatnonzero(~np.isnan(points[:, track, 0]))
         if len(frames) > 2 * len(_NEIGHBOURS):
-            result[frames, track] = _track_outliers(frames, points[frames, track], min_jump)
+            result[frames, track] = _track_outliers(
+                frames, points[frames, track], min_jump
+            )
     return result
 
 
-def _track_outliers(frames: np.ndarray, points: np.ndarray, min_jump: float) -> np.ndarray:
+def _track_outliers(
+    frames: np.ndarray, points: np.ndarray, min_jump: float
+) -> np.ndarray:
     """Return which samples of one track are outliers, shape (samples,).
 
     The residuals r = A p are deviations from the cubics through the two samples before and the two samples
@@ -149,28 +162,36 @@ def _track_outliers(frames: np.ndarray, points: np.ndarray, min_jump: float) -> 
     weight = -np.ones_like(time)
     for k, other in permutations(range(len(_NEIGHBOURS)), 2):
         weight[:, k] *= time[:, other] / (time[:, other] - time[:, k])
-    rows = np.column_stack([weight, np.ones(len(middle))]) * (4 / np.abs(time.prod(axis=1)))[:, None]
+    rows = (
+        np.column_stack([weight, np.ones(len(middle))])
+        * (4 / np.abs(time.prod(axis=1)))[:, None]
+    )
     columns = np.column_stack([neighbours, middle])
     cubics = csr_array(
-        (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)), (len(middle), len(frames))
+        (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)),
+        (len(middle), len(frames)),
     )
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
     usual = np.median(score[score > 0]) if (score > 0).any() else 0.0
     padded = np.pad(score, 4)
-    peak = np.max([padded[shift : len(padded) - 8 + shift] for shift in range(9)], axis=0)
+    peak = np.max(
+        [padded[shift : len(padded) - 8 + shift] for shift in range(9)], axis=0
+    )
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
-    # The outermost samples cannot be judged, because few cubics contain them. They remain in the score, so
-    # that their errors are not attributed to their neighbours.
+    # The outermost samples cannot be judged, because few cubics contain them. They
+    # remain in the score, so that their errors are not attributed to their neighbours.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
     """Return start and end (exclusive) of each run of True, shape (runs, 2)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8))
+    )
     return edges.reshape(-1, 2)
 
 
@@ -204,13 +225,18 @@ def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     Args:
         time: shape (frames,), s.
         points: NaN where they are unknown, shape (frames, tracks, axes).
-        degree: degree of the spline: 3, or 1 for straight lines; tracks with few samples get straight lines.
+        degree: degree of the spline: 3, or 1 for straight lines; tracks with few
+            samples get straight lines.
     """
     from scipy.interpolate import make_interp_spline
 
     result = points.copy()
-    for track, missing in zip(result.swapaxes(0, 1), np.isnan(points[..., 0]).T, strict=True):
+    for track, missing in zip(
+        result.swapaxes(0, 1), np.isnan(points[..., 0]).T, strict=True
+    ):
         if missing.any():
             own_degree = degree if (~missing).sum() > degree else 1
-            track[missing] = make_interp_spline(time[~missing], track[~missing], own_degree)(time[missing])
+            track[missing] = make_interp_spline(
+                time[~missing], track[~missing], own_degree
+            )(time[missing])
     return result

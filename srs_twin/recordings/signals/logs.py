@@ -1,15 +1,17 @@
 """Logs of a robot: bends from its sensors, and valve states, duties or pressures of its chambers.
 
-A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Angles are in rad, or in the unit of the
-name (``bend_1_deg``), and positive if the front end is turned to the left of the rear end. The position of
-the body is computed from its bends and the pose of its clamped head.
+A bend log has the columns ``time,bend_1,…`` of a robot on a bench. Angles are in rad,
+or in the unit of the name (``bend_1_deg``), and positive if the front end is turned to
+the left of the rear end. The position of the body is computed from its bends and the
+pose of its clamped head.
 
-A valve log has ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1 fill, 0 hold, −1 vent) or
-``pressure_plus_1, pressure_minus_1, …`` (gauge pressure in Pa, or in the unit of the name:
-``pressure_plus_1_kpa``). Its clock may differ from that of other files.
+A valve log has ``time`` and either ``valve_plus_1, valve_minus_1, …`` (+1 fill, 0 hold,
+−1 vent) or ``pressure_plus_1, pressure_minus_1, …`` (gauge pressure in Pa, or in the
+unit of the name: ``pressure_plus_1_kpa``). Its clock may differ from that of other
+files.
 
-`on_bench` transforms a recording to the frame of the clamp. On a bench, plants are clamped at the head of a
-straight body whose centre of mass is at the origin.
+`on_bench` transforms a recording to the frame of the clamp. On a bench, plants are
+clamped at the head of a straight body whose centre of mass is at the origin.
 """
 
 from __future__ import annotations
@@ -32,9 +34,24 @@ from srs_twin.recordings.body.trajectories import (
 from srs_twin.recordings.csv_table import CLOCK, CsvTable, Meaning, not_used, read_table
 from srs_twin.recordings.formats import read_topics
 from srs_twin.recordings.formats.topics import RecordedTopics
-from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file, start_of
-from srs_twin.recordings.recording import Recording, ValveLog, held_values, named_in_errors
-from srs_twin.recordings.recording_map import NO_MAP, QUANTITIES, RecordingMap, log_meaning
+from srs_twin.recordings.recorded_file import (
+    RecordedFile,
+    laid_out,
+    read_file,
+    start_of,
+)
+from srs_twin.recordings.recording import (
+    Recording,
+    ValveLog,
+    held_values,
+    named_in_errors,
+)
+from srs_twin.recordings.recording_map import (
+    NO_MAP,
+    QUANTITIES,
+    RecordingMap,
+    log_meaning,
+)
 from srs_twin.recordings.signals.gaps import (
     MIN_FRAMES,
     at_frames,
@@ -80,7 +97,9 @@ def is_bend_log(path: StrPath, map: RecordingMap = NO_MAP) -> bool:
     if "\0" in start.first_line:
         return False
     mapped = {clean(name).lower() for name in map.meanings(["bend"])}
-    return any(_BEND.match(name.lower()) or name.lower() in mapped for name in start.names)
+    return any(
+        _BEND.match(name.lower()) or name.lower() in mapped for name in start.names
+    )
 
 
 def read_bends(
@@ -101,8 +120,8 @@ def read_bends(
         map: names of its columns, and layout of the file.
 
     Returns:
-        The longest interval in which all bends are known, with the head at the origin and its heading along
-        x.
+        The longest interval in which all bends are known, with the head at the origin
+        and its heading along x.
 
     Raises:
         InputError: the file cannot be used; the message names the place and a remedy.
@@ -115,7 +134,10 @@ def read_bends(
     if wrong.size:
         row, k = (int(index) for index in wrong[0])
         allowed = f"at most {_MAX_BEND:.4g} (use the name bend_1_deg for degrees)"
-        message = f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed; {allowed}"
+        message = (
+            f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed;"
+            f" {allowed}"
+        )
         raise table.error(chosen[k], message, row)
     with named_in_errors(table.file.name):
         frames = frame_grid(time)
@@ -123,14 +145,20 @@ def read_bends(
     tracks = bend[..., None]
     kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < MIN_FRAMES:
-        raise table.file.error(f"no {MIN_FRAMES} successive rows have all bends; give --longest-gap")
+        raise table.file.error(
+            f"no {MIN_FRAMES} successive rows have all bends; give --longest-gap"
+        )
     kept_time, unknown = frames.time[kept], int(np.isnan(bend[kept]).sum())
     notes += frames.corrections
     if not any(column.unit for column in chosen):
         notes.append("bends without a unit are assumed to be in rad")
     notes += not_used(table.unused)
-    summary = LogSummary.from_file(table.file, "bend log", frames, kept_time, unknown, notes)
-    columns = _clamped_body(kept_time, fill_gaps(kept_time, tracks[kept], 1)[..., 0], spec)
+    summary = LogSummary.from_file(
+        table.file, "bend log", frames, kept_time, unknown, notes
+    )
+    columns = _clamped_body(
+        kept_time, fill_gaps(kept_time, tracks[kept], 1)[..., 0], spec
+    )
     trajectory = measured_trajectory(columns, spec, summary, gait_frequency_hz)
     return Recording(trajectory, summary, epoch_ns=epoch_ns)
 
@@ -139,22 +167,34 @@ def _table(path: StrPath, map: RecordingMap, kinds: Sequence[str]) -> CsvTable:
     """Return a table with the columns of these quantities, by their names or by a map."""
     file = laid_out(read_file(path), map.dialect)
     known = {
-        kind if kind == "bend" else f"{kind}_{side}": QUANTITIES[kind] for kind in kinds for side in SIDES
+        kind if kind == "bend" else f"{kind}_{side}": QUANTITIES[kind]
+        for kind in kinds
+        for side in SIDES
     }
     named = {name: log_meaning(name.lower()) for name in file.names}
-    units = {name: Meaning(key) for name, (kind, key, unit) in named.items() if kind in kinds and unit}
+    units = {
+        name: Meaning(key)
+        for name, (kind, key, unit) in named.items()
+        if kind in kinds and unit
+    }
     mapped = map.meanings([*kinds, "time"])
     if kinds == ("bend",):  # the time in the map may belong to another file
         mapped = {
-            name: meaning for name, meaning in mapped.items() if meaning.name != "time" or name in file.names
+            name: meaning
+            for name, meaning in mapped.items()
+            if meaning.name != "time" or name in file.names
         }
     return read_table(file, CLOCK | known, units | mapped)
 
 
-def _clamped_body(time: np.ndarray, bend: np.ndarray, spec: RobotSpec) -> dict[str, np.ndarray]:
+def _clamped_body(
+    time: np.ndarray, bend: np.ndarray, spec: RobotSpec
+) -> dict[str, np.ndarray]:
     """Return the columns of a body whose head is clamped at the origin, with its heading along x."""
     geometry = spec.geometry
-    shape = body_shape(bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap) @ [1, 1j]
+    shape = body_shape(
+        bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
+    ) @ [1, 1j]
     relative = relative_headings(bend)
     theta = relative - relative[:, :1]
     connector = (shape - shape[:, :1]) * np.exp(-1j * relative[:, :1])
@@ -176,23 +216,35 @@ def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> V
         map: meanings of columns or topic signals, and the carrier frequency of duties.
 
     Raises:
-        InputError: the file or columns are missing, or values are impossible; the message names the place.
+        InputError: the file or columns are missing, or values are impossible; the
+            message names the place.
     """
     if (topics := read_topics(path)) is not None:
         return log_of_topics(topics, spec, map)
     table = _table(path, map, ("valve", "duty", *AIR))
     file = table.file
-    clock = table.clock("no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures")
-    kinds = sorted({column.name.partition("_")[0] for column in table.columns if "_" in column.name})
+    clock = table.clock(
+        "no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures"
+    )
+    kinds = sorted(
+        {
+            column.name.partition("_")[0]
+            for column in table.columns
+            if "_" in column.name
+        }
+    )
     if len(kinds) != 1:
         given = ", ".join(kinds) or "none of them"
         raise file.error(
-            "a log has one of valve_plus_1,…, duty_plus_1,…, pressure_plus_1,… or setpoint_plus_1,…, but "
-            f"this file has {given}; give other names in a map (--map)",
+            "a log has one of valve_plus_1,…, duty_plus_1,…, pressure_plus_1,… or"
+            f" setpoint_plus_1,…, but this file has {given}; give other names in a map"
+            " (--map)",
             file.header_lines or 1,
         )
     (kind,) = kinds
-    chosen = table.per_segment([f"{kind}_{side}" for side in SIDES], spec.name, spec.segments)
+    chosen = table.per_segment(
+        [f"{kind}_{side}" for side in SIDES], spec.name, spec.segments
+    )
     time, values, notes, epoch_ns = table.read_timed(clock, chosen)
     units, unused = [column.unit for column in chosen], not_used(table.unused)
 
@@ -203,7 +255,9 @@ def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> V
     return replace(log, epoch_ns=epoch_ns, corrections=(*log.corrections, *unused))
 
 
-def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) -> ValveLog:
+def log_of_topics(
+    topics: RecordedTopics, spec: RobotSpec, map: RecordingMap
+) -> ValveLog:
     """Read a log from topics; signals hold their values, but measured pressures are interpolated.
 
     Raises:
@@ -213,13 +267,19 @@ def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) ->
     meanings = map.meanings(("valve", "duty", *AIR))
     names = {meaning.name: signal for signal, meaning in meanings.items()}
     kinds = {name.partition("_")[0] for name in names}
-    required = [f"{kind}_{side}_{j + 1}" for kind in kinds for j in range(spec.segments) for side in SIDES]
+    required = [
+        f"{kind}_{side}_{j + 1}"
+        for kind in kinds
+        for j in range(spec.segments)
+        for side in SIDES
+    ]
     with named_in_errors(topics.name):
         if len(kinds) != 1 or sorted(required) != sorted(names):
             listed = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
-                f"the signals of the {spec.segments} segments are not known; give a map with log: "
-                f"{{valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …}}; signals: {listed}"
+                f"the signals of the {spec.segments} segments are not known; give a map"
+                " with log: {valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …};"
+                f" signals: {listed}"
             )
         for signal in names.values():
             if signal not in topics.signals:
@@ -229,7 +289,10 @@ def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) ->
     time = np.unique(np.concatenate([times for times, _ in series]))
     # The log begins when every signal has a value.
     time = time[time >= max(times[0] for times, _ in series)]
-    units = [symbol(meanings[signal].unit or meanings[signal].default, QUANTITIES[kind]) for signal in chosen]
+    units = [
+        symbol(meanings[signal].unit or meanings[signal].default, QUANTITIES[kind])
+        for signal in chosen
+    ]
     sample = np.interp if kind == "pressure" else held_values
     factors = [QUANTITIES[kind].get(unit, 1.0) for unit in units]
     values = np.stack([sample(time, *own) for own in series], axis=1) * factors
@@ -241,9 +304,15 @@ def log_of_topics(topics: RecordedTopics, spec: RobotSpec, map: RecordingMap) ->
 
 
 def _log(
-    source: RecordedFile | RecordedTopics, kind: str, time: np.ndarray, values: np.ndarray,
-    units: Sequence[str], map: RecordingMap, notes: list[str], error: Callable[[int, int, str], InputError],
-) -> ValveLog:  # fmt: skip
+    source: RecordedFile | RecordedTopics,
+    kind: str,
+    time: np.ndarray,
+    values: np.ndarray,
+    units: Sequence[str],
+    map: RecordingMap,
+    notes: list[str],
+    error: Callable[[int, int, str], InputError],
+) -> ValveLog:
     """Return a log of valve states or gauge pressures in the order of time.
 
     Args:
@@ -263,11 +332,18 @@ def _log(
         if map.ambient:
             notes.append(f"absolute pressures: {map.ambient / 1e3:g} kPa subtracted")
         elif looks_absolute(values):
-            notes.append(f"the smallest pressure is {np.nanmin(values) / 1e3:.4g} kPa: {ABSOLUTE}")
+            notes.append(
+                f"the smallest pressure is {np.nanmin(values) / 1e3:.4g} kPa:"
+                f" {ABSOLUTE}"
+            )
         if not all(units):
             notes.append("pressures without a unit are assumed to be in Pa")
         values = values - map.ambient
-    allowed, words, unit = np.isin(values, (-1, 0, 1)), "it must be -1 (vent), 0 (hold) or 1 (fill)", ""
+    allowed, words, unit = (
+        np.isin(values, (-1, 0, 1)),
+        "it must be -1 (vent), 0 (hold) or 1 (fill)",
+        "",
+    )
     if kind in AIR:
         allowed = (values >= _MIN_PRESSURE) & (values <= _MAX_PRESSURE)
         words, unit = _ALLOWED, " Pa"
@@ -279,13 +355,19 @@ def _log(
         raise error(row, k, f"{values[row, k]:g}{unit} is not allowed; {words}")
     with named_in_errors(source.name):
         if np.abs(time).max() > _MAX_TIME:
-            raise InputError(f"times up to {np.abs(time).max():.3g} s; is the unit right?")
+            raise InputError(
+                f"times up to {np.abs(time).max():.3g} s; is the unit right?"
+            )
         order, moved = time_order(time)
-        # Of several rows with the same time the last one counts, as at the valve itself.
+        # Of several rows with the same time the last one counts, as at the valve
+        # itself.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
         if not kept.all():
-            notes.append(f"{int((~kept).sum())} rows repeat the time of another row: the last one is kept")
+            notes.append(
+                f"{int((~kept).sum())} rows repeat the time of another row: the last"
+                " one is kept"
+            )
         if kept.sum() < 2:
             raise InputError("a log has 2 rows or more")
         time, values = time[order][kept], values[order][kept].reshape(kept.sum(), -1, 2)
@@ -295,7 +377,9 @@ def _log(
             time, values = _switched_valves(time, values, map.carrier_hz, notes)
         elif kind == "valve" and not (values == -1).any() and (values == 0).any():
             values = np.where(values == 0, -1.0, values)
-            notes.append("states are 0 and 1 only: 0 is read as venting (−1), as for 3/2 valves")
+            notes.append(
+                "states are 0 and 1 only: 0 is read as venting (−1), as for 3/2 valves"
+            )
     log_kind = "pressure" if kind in AIR else "valve"
     head = source.name, source.sha256, tuple(notes)
     return ValveLog(log_kind, time, values, *head, holds=kind == "setpoint")
@@ -309,11 +393,15 @@ def _switched_valves(
     Duties hold until the next row. They are from 0 to 1, or from 0 to 100 per cent.
     """
     if carrier_hz is None:
-        raise InputError("duties need their carrier frequency; give log: {carrier_hz: 30} in a map")
+        raise InputError(
+            "duties need their carrier frequency; give log: {carrier_hz: 30} in a map"
+        )
     if not ((duty >= 0) & (duty <= 100)).all():
         raise InputError("duties must be from 0 to 1, or from 0 to 100 per cent")
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
-        raise InputError(f"the log has more than {_MAX_PERIODS} carrier periods; cut it")
+        raise InputError(
+            f"the log has more than {_MAX_PERIODS} carrier periods; cut it"
+        )
     if duty.max() > 1:
         duty = duty / 100
         notes.append("duties are read as per cent")
@@ -323,7 +411,9 @@ def _switched_valves(
     edges = np.unique(np.concatenate([starts, ends.ravel(), time[-1:]]))
     edges = edges[edges <= time[-1]]
     filling = edges[:, None, None] < held_values(edges + 1e-9, starts, ends) - 1e-9
-    notes.append(f"duties converted to valve states at {carrier_hz:g} Hz, with the fill first")
+    notes.append(
+        f"duties converted to valve states at {carrier_hz:g} Hz, with the fill first"
+    )
     return edges, np.where(filling, 1.0, -1.0)
 
 
@@ -342,9 +432,9 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     pitch = spec.geometry.pitch
     if shift > _MAX_CLAMP_SHIFT * pitch or turn > _MAX_CLAMP_TURN:
         raise InputError(
-            f"{recording.summary.source}: the head moves by {1e3 * shift:.0f} mm and turns by "
-            f"{np.degrees(turn):.2g}°, but it must be clamped on a bench; if the other end is clamped, give "
-            "--head"
+            f"{recording.summary.source}: the head moves by {1e3 * shift:.0f} mm and"
+            f" turns by {np.degrees(turn):.2g}°, but it must be clamped on a bench; if"
+            " the other end is clamped, give --head"
         )
     mass = spec.mass.array()
     # Rotated by −heading about the clamp, which is then on the positive x axis.
@@ -356,7 +446,11 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     pose = pose_columns(com, trajectory["heading"] - heading, connector, theta)
     columns = {**trajectory.columns, **pose}
     if "com_velocity_x" in columns:
-        velocity = (columns["com_velocity_x"] + 1j * columns["com_velocity_y"]) * rotation
+        velocity = (
+            columns["com_velocity_x"] + 1j * columns["com_velocity_y"]
+        ) * rotation
         columns |= {"com_velocity_x": velocity.real, "com_velocity_y": velocity.imag}
     metadata = {**trajectory.metadata, "base": "clamped"}
-    return replace(recording, trajectory=replace(trajectory, columns=columns, metadata=metadata))
+    return replace(
+        recording, trajectory=replace(trajectory, columns=columns, metadata=metadata)
+    )

@@ -13,19 +13,37 @@ from srs_twin.errors import InputError
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048, "um": 1e-6}
 TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}
 ANGLES = {"rad": 1.0, "deg": 0.017453292519943295, "mrad": 1e-3}
-PRESSURES = {"Pa": 1.0, "kPa": 1e3, "bar": 1e5, "psi": 6894.757, "MPa": 1e6, "mbar": 100.0, "hPa": 100.0}
-PRESSURES |= {"mPa": 1e-3, "atm": 101325.0, "mmHg": 133.322387415, "cmH2O": 98.0665, "kgf/cm2": 98066.5}
+PRESSURES = {
+    "Pa": 1.0,
+    "kPa": 1e3,
+    "bar": 1e5,
+    "psi": 6894.757,
+    "MPa": 1e6,
+    "mbar": 100.0,
+    "hPa": 100.0,
+}
+PRESSURES |= {
+    "mPa": 1e-3,
+    "atm": 101325.0,
+    "mmHg": 133.322387415,
+    "cmH2O": 98.0665,
+    "kgf/cm2": 98066.5,
+}
 """Units of gauge pressures; units of absolute pressures (psia, bara) are not included."""
 SHARES = {"1": 1.0, "%": 1e-2}
 
 _SPELLED = (
-    'm meter metre,cm centimeter centimetre,mm millimeter millimetre,in inch inche ",ft foot feet,um micron,'
-    "um micrometer micrometre,s sec second,min minute,ms msec milli millisecond,us usec micro microsecond,"
-    "ns nsec nano nanosecond,rad radian,deg degree °,mrad milliradian,pa pascal n/m2 pag pagauge,"
-    "bar barg bargauge,kpa kilopascal kn/m2 kpag kpagauge,mbar millibar mbarg,hpa hectopascal,% percent pct,"
-    "MPa n/mm2 mn/m2 megapascal,psi psig psigauge lbf/in2 lb/in2,atm atmosphere,mmhg torr,kgf/cm2 kg/cm2"
+    'm meter metre,cm centimeter centimetre,mm millimeter millimetre,in inch inche ",ft'
+    " foot feet,um micron,um micrometer micrometre,s sec second,min minute,ms msec"
+    " milli millisecond,us usec micro microsecond,ns nsec nano nanosecond,rad"
+    " radian,deg degree °,mrad milliradian,pa pascal n/m2 pag pagauge,bar barg"
+    " bargauge,kpa kilopascal kn/m2 kpag kpagauge,mbar millibar mbarg,hpa hectopascal,%"
+    " percent pct,MPa n/mm2 mn/m2 megapascal,psi psig psigauge lbf/in2 lb/in2,atm"
+    " atmosphere,mmhg torr,kgf/cm2 kg/cm2"
 )
-_SYMBOLS = {word: line.split()[0] for line in _SPELLED.split(",") for word in line.split()[1:]}
+_SYMBOLS = {
+    word: line.split()[0] for line in _SPELLED.split(",") for word in line.split()[1:]
+}
 _MEGA = ("mbar", "mm", "mrad")
 """Symbols whose M would mean mega, which no recorded quantity has."""
 _AMBIENT = (7e4, 1.1e5)
@@ -62,7 +80,8 @@ def bracketed(name: str) -> tuple[str, str]:
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     """Return the unit in the name of a column: P1 (bar), time_ms, P1/bar, pressure_kpa_left, timeMs.
 
-    The result is empty without a unit, and None if the unit is unknown or there are two.
+    The result is empty without a unit, and None if the unit is unknown or there are
+    two.
     """
     name = clean(name)
     bare, inside = bracketed(name)
@@ -80,8 +99,16 @@ def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
     camel = _CAMEL.search(word)
     ends = [word, word.rpartition("/")[2], camel[0] if camel else ""]
     # pbar and tms, and units with a capital inside such as kPa.
-    ends += [word[1:]] if len(word) > 2 and word[0] in ("pP" if "Pa" in units else "tT") else []
-    ends += [unit for unit in units if len(unit) > 2 and not unit.islower() and word.endswith(unit)]
+    ends += (
+        [word[1:]]
+        if len(word) > 2 and word[0] in ("pP" if "Pa" in units else "tT")
+        else []
+    )
+    ends += [
+        unit
+        for unit in units
+        if len(unit) > 2 and not unit.islower() and word.endswith(unit)
+    ]
     lower = [unit.lower() for unit in units]
     for end in filter(None, ends):
         if found := symbol(end, units):
@@ -91,7 +118,9 @@ def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
     return ""
 
 
-def unit_of(column: str, units: Mapping[str, float], default: str = "", given: str = "") -> tuple[str, str]:
+def unit_of(
+    column: str, units: Mapping[str, float], default: str = "", given: str = ""
+) -> tuple[str, str]:
     """Return the unit of a column, and a note.
 
     Args:
@@ -106,35 +135,55 @@ def unit_of(column: str, units: Mapping[str, float], default: str = "", given: s
     allowed = f"allowed: {', '.join(units) or 'none'}"
     for unit in filter(None, (default, given)):
         if not symbol(unit, units):
-            raise InputError(f"unit '{unit}' of column '{column}' is not known; {allowed}")
-    stated, default, given = stated_unit(column, units), symbol(default, units), symbol(given, units)
+            raise InputError(
+                f"unit '{unit}' of column '{column}' is not known; {allowed}"
+            )
+    stated, default, given = (
+        stated_unit(column, units),
+        symbol(default, units),
+        symbol(given, units),
+    )
     if stated is None and not given:
         remedy = f"give it in the map: {{column: '{column}', unit: …}}"
-        raise InputError(f"the unit of column '{column}' is not known ({allowed}); {remedy}")
+        raise InputError(
+            f"the unit of column '{column}' is not known ({allowed}); {remedy}"
+        )
     if stated and given and units[stated] != units[given]:
         raise InputError(
-            f"column '{column}' is in {stated} by its name, in {given} by the map; correct one of them"
+            f"column '{column}' is in {stated} by its name, in {given} by the map;"
+            " correct one of them"
         )
-    note = f"'{column}' read in {stated} according to its name, although the key of the map has {default}"
+    note = (
+        f"'{column}' read in {stated} according to its name, although the key of the"
+        f" map has {default}"
+    )
     differs = stated and default and not given and units[stated] != units[default]
     return stated or given or default, note if differs else ""
 
 
 _CLOCK = {"time", "timestamp", "timestamps", "stamp", "t", "epoch", "elapsed"}
 """Words that name a time."""
-_CLOCK_QUALIFIERS = {*_CLOCK, *"since start unix ros system host header field log relative absolute".split()}
+_CLOCK_QUALIFIERS = {
+    *_CLOCK,
+    *"since start unix ros system host header field log relative absolute".split(),
+}
 """Words that may be in the name of a time."""
 
 
 def is_clock(name: str) -> bool:
     """Return whether the name of a column is that of a time: time, t_ms, Time (s), timestamp [ns], millis."""
     bare, inside = bracketed(clean(name))
-    words = [word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", bare.replace("Stamp", "stamp"))]
+    words = [
+        word.lower()
+        for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", bare.replace("Stamp", "stamp"))
+    ]
     units = [word for word in words if symbol(word, TIMES)]
     rest = [word for word in words if word not in units]
     if re.search(r"\d", bare) or not set(rest) <= _CLOCK_QUALIFIERS:
         return False
-    return bool(_CLOCK & set(rest)) or (not rest and len("".join(units)) > 1 and units != ["min"])
+    return bool(_CLOCK & set(rest)) or (
+        not rest and len("".join(units)) > 1 and units != ["min"]
+    )
 
 
 def looks_absolute(pressures: np.ndarray) -> bool:
@@ -142,5 +191,8 @@ def looks_absolute(pressures: np.ndarray) -> bool:
     return bool(_AMBIENT[0] <= np.nanmin(pressures, initial=np.inf) <= _AMBIENT[1])
 
 
-ABSOLUTE = "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a map)"
+ABSOLUTE = (
+    "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a"
+    " map)"
+)
 """Hint for pressures that look absolute."""

@@ -37,8 +37,9 @@ def optimize(
 ) -> None:
     """Find the best robot or gait of a study file.
 
-    The search uses many runs of the analytical model `compliant` and corrects them by a few runs of the twin.
-    All reported results are from the twin. An interrupted search resumes in the same folder.
+    The search uses many runs of the analytical model `compliant` and corrects them by a
+    few runs of the twin. All reported results are from the twin. An interrupted search
+    resumes in the same folder.
 
     Options:
         name: Shipped study or study file.
@@ -61,7 +62,9 @@ def optimize(
                 best.add(part, row)
             counting.follow(study.name, total, row)
 
-        result = run_study(study, out=folder, engine=runner, changed=options.changed, progress=follow)
+        result = run_study(
+            study, out=folder, engine=runner, changed=options.changed, progress=follow
+        )
     if as_json:
         print_json(result.document())
     elif not quiet:
@@ -83,7 +86,10 @@ class _BestSoFar:
         from srs_twin.studies.optimization.search import excesses
 
         run, objective = Run(part, np.zeros(0), row), self._study.file.objectives[0]
-        value, best = run.metric(objective.metric), max if objective.goal == "maximize" else min
+        value, best = (
+            run.metric(objective.metric),
+            max if objective.goal == "maximize" else min,
+        )
         if value == value and not (excesses(self._study, [run]) > 0).any():
             self._values[part] = best(value, self._values.get(part, value))
 
@@ -102,11 +108,22 @@ def _print_result(result: StudyResult) -> None:
     shown = document["best"][:_MAX_COLUMNS]
     lines = []
     for name in study.space.variables:
-        values = [mark_bound(design["variables"][name], name in design["on_bound"]) for design in shown]
+        values = [
+            mark_bound(design["variables"][name], name in design["on_bound"])
+            for design in shown
+        ]
         lines.append((field_label(name), "", *values))
     for name in result.metrics:
-        results = [document["begun"][name], *(design["metrics"][name] for design in shown)]
-        lines.append((metric_label(name), *("–" if value is None else f"{value:.4g}" for value in results)))
+        results = [
+            document["begun"][name],
+            *(design["metrics"][name] for design in shown),
+        ]
+        lines.append(
+            (
+                metric_label(name),
+                *("–" if value is None else f"{value:.4g}" for value in results),
+            )
+        )
     headings = ("", "initial scenario", *(f"best/{k + 1}" for k in range(len(shown))))
     print_table(headings, lines, left=(0,))
     if len(document["best"]) > _MAX_COLUMNS:
@@ -115,18 +132,40 @@ def _print_result(result: StudyResult) -> None:
         print(line)
     for k, design in enumerate(document["best"][:3]):
         if (share := design["beats_next"]) is not None:
-            print(f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of the drawn robots")
+            print(
+                f"best/{k + 1} is better than best/{k + 2} for {100 * share:.0f} % of"
+                " the drawn robots"
+            )
         for metric, gain in design["gains"].items():
             ends = gain["interval_95"]
-            interval = "" if ends is None else f" (95 %: {percentage(ends[0])} to {percentage(ends[1])})"
-            print(f"best/{k + 1}: {metric_label(metric)} {percentage(gain['share'])}{interval}")
+            interval = (
+                ""
+                if ends is None
+                else f" (95 %: {percentage(ends[0])} to {percentage(ends[1])})"
+            )
+            print(
+                f"best/{k + 1}: {metric_label(metric)}"
+                f" {percentage(gain['share'])}{interval}"
+            )
         if not design["keeps_constraints"]:
-            print(f"best/{k + 1}: misses the constraints, as all runs of the twin do, by the least amount")
+            print(
+                f"best/{k + 1}: misses the constraints, as all runs of the twin do, by"
+                " the least amount"
+            )
         if not design["survives"]:
-            print(f"best/{k + 1}: changes by more than 1 % with a finer time step or more hinges")
+            print(
+                f"best/{k + 1}: changes by more than 1 % with a finer time step or more"
+                " hinges"
+            )
     if result.improvement is not None:
         gain = f"{100 * result.improvement:.2g} %"
-        print(f"one more run of the twin is expected to improve the best result by {gain}")
+        print(
+            f"one more run of the twin is expected to improve the best result by {gain}"
+        )
     if result.warning:
         print(f"warning: {result.warning}")
-    print(", ".join(f"{count} runs of {part}" for part, count in document["evaluations"].items()))
+    print(
+        ", ".join(
+            f"{count} runs of {part}" for part, count in document["evaluations"].items()
+        )
+    )

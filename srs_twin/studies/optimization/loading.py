@@ -12,7 +12,14 @@ from pydantic import Field, model_validator
 
 from srs_twin.comparison.metrics import METRICS_LISTED, metric_units
 from srs_twin.errors import InputError, UnknownNameError
-from srs_twin.io.documents import Document, Loc, Override, Overrides, format_path, load_yaml
+from srs_twin.io.documents import (
+    Document,
+    Loc,
+    Override,
+    Overrides,
+    format_path,
+    load_yaml,
+)
 from srs_twin.io.files import StrPath, find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.scenario.expectation import MetricName, Words
@@ -55,7 +62,8 @@ class VariableFile(Section):
     hold: list[Literal["total_length", "total_mass"]] | None = None
     """Quantities that stay constant when the number of segments changes (robot.segments)."""
     bounds_source: Words | None = None
-    """Physical reason for low and high, repeated in the result for designs on a bound."""
+    """Physical reason for low and high, repeated in the result for designs on a bound.
+    """
 
     def value_at(self, share: float) -> float | int:
         """Return the value at a fraction of the range, rounded."""
@@ -75,7 +83,9 @@ class VariableFile(Section):
         if not self.low < self.high:
             raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
         if self.scale == "log" and self.low <= 0:
-            raise ValueError(f"scale: log needs values above 0, but low is {self.low:g}")
+            raise ValueError(
+                f"scale: log needs values above 0, but low is {self.low:g}"
+            )
         return self
 
 
@@ -96,8 +106,12 @@ class ConstraintFile(Section):
 
     metric: MetricName
     """One of `srs-twin list --metrics`."""
-    below: float | None = Field(None, ge=-1e12, le=1e12, description="Largest allowed value.")
-    above: float | None = Field(None, ge=-1e12, le=1e12, description="Smallest allowed value.")
+    below: float | None = Field(
+        None, ge=-1e12, le=1e12, description="Largest allowed value."
+    )
+    above: float | None = Field(
+        None, ge=-1e12, le=1e12, description="Smallest allowed value."
+    )
 
     @model_validator(mode="after")
     def _has_limit(self) -> ConstraintFile:
@@ -131,9 +145,13 @@ class StudyFile(Section):
         min_length=1, max_length=20, description="Fields to optimise."
     )
     objectives: list[ObjectiveFile] = Field(
-        min_length=1, max_length=2, description="One objective, or two for a Pareto front."
+        min_length=1,
+        max_length=2,
+        description="One objective, or two for a Pareto front.",
     )
-    constraints: list[ConstraintFile] = Field([], max_length=20, description="Constraints on metrics.")
+    constraints: list[ConstraintFile] = Field(
+        [], max_length=20, description="Constraints on metrics."
+    )
     budget: BudgetFile = BudgetFile()
     seed: int = quantity(0, 2**32 - 1, 0)
     """Random seed of the search."""
@@ -145,13 +163,17 @@ class StudyFile(Section):
                 raise ValueError(f"hold is only for {SEGMENTS}; remove it from {name}")
         robust = any(objective.quantile is not None for objective in self.objectives)
         if robust and not (self.budget.uncertain and len(self.objectives) == 1):
-            raise ValueError("quantile needs a single objective and budget.uncertain above 0")
+            raise ValueError(
+                "quantile needs a single objective and budget.uncertain above 0"
+            )
         return self
 
 
 def study_json_schema() -> dict[str, object]:
     """Return the JSON Schema (draft 2020-12) of study files."""
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | StudyFile.model_json_schema()
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema"
+    } | StudyFile.model_json_schema()
 
 
 ON_BOUND = 0.01
@@ -164,7 +186,8 @@ class DesignSpace:
 
     Attributes:
         variables: dotted field → range.
-        robot: robot of the scenario as plain data, for the quantities that `hold` keeps constant.
+        robot: robot of the scenario as plain data, for the quantities that `hold` keeps
+            constant.
     """
 
     variables: Mapping[str, VariableFile]
@@ -201,7 +224,9 @@ class DesignSpace:
     def changes(self, shares: np.ndarray) -> Changes:
         """Return the fields that a design changes in the scenario."""
         changes: dict[str, Value] = {}
-        for (name, variable), value in zip(self.variables.items(), self.values(shares), strict=True):
+        for (name, variable), value in zip(
+            self.variables.items(), self.values(shares), strict=True
+        ):
             if name == SEGMENTS:
                 changes |= self._segment_changes(int(value), variable.hold or [])
             else:
@@ -214,10 +239,17 @@ class DesignSpace:
         before = geometry["connectors"]["value"]
         changes: dict[str, Value] = {"robot.geometry.connectors": count + 1}
         if "total_length" in hold:
-            length, gap = geometry["segment_length_m"]["value"], geometry["rigid_gap_m"]["value"]
-            changes["robot.geometry.segment_length_m"] = (before - 1) * (length + gap) / count - gap
+            length, gap = (
+                geometry["segment_length_m"]["value"],
+                geometry["rigid_gap_m"]["value"],
+            )
+            changes["robot.geometry.segment_length_m"] = (before - 1) * (
+                length + gap
+            ) / count - gap
         if "total_mass" in hold:
-            changes["robot.mass.connectors_kg"] = before * mass["connectors_kg"]["value"] / (count + 1)
+            changes["robot.mass.connectors_kg"] = (
+                before * mass["connectors_kg"]["value"] / (count + 1)
+            )
         return changes
 
 
@@ -230,7 +262,8 @@ class OptimizationStudy:
         file: content of the study file.
         scenario: scenario that is varied.
         space: design space.
-        experiments: "compliant" (if it can run the scenario) and "twin" → experiment at this fidelity.
+        experiments: "compliant" (if it can run the scenario) and "twin" → experiment at
+            this fidelity.
         document: study file as plain data.
         changes: fields that differ from the study file; `title` names them.
     """
@@ -258,11 +291,12 @@ def load_study(
 
     Args:
         study: name or path of the study; a loaded study is returned unchanged.
-        set: fields of the scenario to fix in addition to those of the file, by dotted path; `seed` is that of
-            the study.
+        set: fields of the scenario to fix in addition to those of the file, by dotted
+            path; `seed` is that of the study.
 
     Raises:
-        InputError: the file does not exist or cannot be read, or a loaded study is to be changed.
+        InputError: the file does not exist or cannot be read, or a loaded study is to
+            be changed.
         InputFileError: the file is invalid; lists all problems, one per line.
     """
     if isinstance(study, OptimizationStudy):
@@ -272,7 +306,11 @@ def load_study(
     document = load_yaml(path)
     written = copy.deepcopy(document.data)
     for change in overrides:
-        loc = change.loc if change.loc == ("seed",) else ("fixed", format_path(change.loc))
+        loc = (
+            change.loc
+            if change.loc == ("seed",)
+            else ("fixed", format_path(change.loc))
+        )
         document.apply(replace(change, loc=loc))
     complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
@@ -284,10 +322,14 @@ def load_study(
         _check_range_ends(document, loaded)
     document.raise_problems(scenario_errors)
     assert loaded is not None, "a document without problems gives a study"
-    return replace(loaded, changes=_changes(loaded, written, [change.loc for change in overrides]))
+    return replace(
+        loaded, changes=_changes(loaded, written, [change.loc for change in overrides])
+    )
 
 
-def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]) -> ChangedFields:
+def _changes(
+    study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]
+) -> ChangedFields:
     """Return the changed fields of the scenario, and the study's seed if it was changed."""
     fields = [loc for loc in locs if loc != ("seed",)]
     changes = changed_base(study.experiments["twin"], study.scenario, written, fields)
@@ -295,8 +337,12 @@ def _changes(study: OptimizationStudy, written: Mapping[str, Any], locs: Sequenc
     return changes + changed_fields(seed, study.document, set(locs) - set(fields))
 
 
-def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -> OptimizationStudy:
-    base = Experiment(on_plant(scenario.document, "twin"), ("twin",)).with_fixed(file.fixed)
+def _study(
+    name: str, document: Document, file: StudyFile, scenario: Scenario
+) -> OptimizationStudy:
+    base = Experiment(on_plant(scenario.document, "twin"), ("twin",)).with_fixed(
+        file.fixed
+    )
     experiments = {"twin": Experiment(base, ("twin",))}
     compliant = None
     try:
@@ -304,7 +350,10 @@ def _study(name: str, document: Document, file: StudyFile, scenario: Scenario) -
     except InputError as error:
         document.report(("fixed",), str(error))
     if compliant is not None:
-        experiments = {"compliant": Experiment(compliant, ("analytical",)), **experiments}
+        experiments = {
+            "compliant": Experiment(compliant, ("analytical",)),
+            **experiments,
+        }
     space = DesignSpace(file.variables, base["robot"])
     return OptimizationStudy(name, file, scenario, space, experiments, document.data)
 
@@ -313,7 +362,9 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
     for section in ("objectives", "constraints"):
         for i, entry in enumerate(getattr(file, section)):
             if entry.metric not in (units := metric_units()):
-                text = str(UnknownNameError("metric", entry.metric, units, METRICS_LISTED))
+                text = str(
+                    UnknownNameError("metric", entry.metric, units, METRICS_LISTED)
+                )
                 document.report((section, i, "metric"), text)
 
 
@@ -326,7 +377,11 @@ def _check_range_ends(document: Document, study: OptimizationStudy) -> None:
                 shares = np.full(study.space.size, 0.5)
                 shares[i] = share
                 for experiment in study.experiments.values():
-                    yield ("variables", name, end), experiment, study.space.changes(shares)
+                    yield (
+                        ("variables", name, end),
+                        experiment,
+                        study.space.changes(shares),
+                    )
 
     known = [SEGMENTS, *leaf_names(next(iter(study.experiments.values())).base)]
     for loc, problem in problems_at(points()):

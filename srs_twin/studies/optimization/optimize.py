@@ -37,16 +37,18 @@ def optimize(
         engine: "local", "ray" or "warp", or an engine.
         workers: number of parallel runs; None: one per processor.
         changed: see `StudyRuns`.
-        progress: function that follows the runs; its total is the largest number of all runs.
+        progress: function that follows the runs; its total is the largest number of all
+            runs.
 
     Raises:
-        InputError: the study is not valid, the engine is not available, or the folder cannot be used.
+        InputError: the study is not valid, the engine is not available, or the folder
+            cannot be used.
     """
     loaded = load_study(study, set=set)
     budget = loaded.file.budget
     total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
-    # Runs after the search: the initial scenario, and for each design two refinements and the draws of the
-    # robot.
+    # Runs after the search: the initial scenario, and for each design two refinements
+    # and the draws of the robot.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     progress(loaded.name, total, None)
 
@@ -54,7 +56,9 @@ def optimize(
         progress(part, total, row)
 
     with folder_or_temporary(out) as folder:
-        with StudyRuns(loaded, folder, make_engine(engine, workers), on_row, changed=changed) as runs:
+        with StudyRuns(
+            loaded, folder, make_engine(engine, workers), on_row, changed=changed
+        ) as runs:
             result = StudyResult.evaluate(loaded, search(loaded, runs), runs)
         if out is None:
             return result

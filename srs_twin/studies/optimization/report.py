@@ -14,7 +14,12 @@ from matplotlib.figure import Figure
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import write_text
-from srs_twin.studies.optimization.result import EVALUATIONS, PRODUCTS, RESULT, StudyResult
+from srs_twin.studies.optimization.result import (
+    EVALUATIONS,
+    PRODUCTS,
+    RESULT,
+    StudyResult,
+)
 from srs_twin.studies.optimization.search import costs, excesses
 from srs_twin.studies.sweep.table import write_table
 from srs_twin.viewing.html import Table, cell, image, render
@@ -27,7 +32,12 @@ CaptionedFigure = tuple[Figure, str]
 
 @drawing
 def draw_convergence(
-    values: np.ndarray, feasible: np.ndarray, label: str, initial: float | None, *, maximize: bool
+    values: np.ndarray,
+    feasible: np.ndarray,
+    label: str,
+    initial: float | None,
+    *,
+    maximize: bool,
 ) -> CaptionedFigure:
     """Draw the objective of the twin's runs and the best feasible value so far.
 
@@ -41,21 +51,40 @@ def draw_convergence(
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
-    best = (np.fmax if maximize else np.fmin).accumulate(np.where(feasible, values, np.nan))
-    marks = [(feasible, "o", "#9aa5b1", "each run"), (~feasible, "x", "#d5dae0", "misses constraints")]
+    best = (np.fmax if maximize else np.fmin).accumulate(
+        np.where(feasible, values, np.nan)
+    )
+    marks = [
+        (feasible, "o", "#9aa5b1", "each run"),
+        (~feasible, "x", "#d5dae0", "misses constraints"),
+    ]
     for which, marker, color, name in marks[: 1 if feasible.all() else 2]:
-        axes.plot(number[which], values[which], marker, color=color, markersize=4, label=name)
+        axes.plot(
+            number[which], values[which], marker, color=color, markersize=4, label=name
+        )
     axes.step(number, best, where="post", color="#1f6f8b", label="best so far")
     if initial is not None:
-        axes.axhline(initial, color="#b5651d", linestyle="--", linewidth=1, label="initial scenario")
+        axes.axhline(
+            initial,
+            color="#b5651d",
+            linestyle="--",
+            linewidth=1,
+            label="initial scenario",
+        )
     axes.set(xlabel="runs of the twin", ylabel=label)
     axes.legend()
-    return figure, "Convergence of the search: runs of the twin in order, and the best so far."
+    return (
+        figure,
+        "Convergence of the search: runs of the twin in order, and the best so far.",
+    )
 
 
 @drawing
 def draw_front(
-    values: np.ndarray, front: np.ndarray, labels: Sequence[str], initial: Sequence[float | None]
+    values: np.ndarray,
+    front: np.ndarray,
+    labels: Sequence[str],
+    initial: Sequence[float | None],
 ) -> CaptionedFigure:
     """Draw the two objectives of all runs, shape (runs, 2), and the Pareto front."""
     figure = Figure(figsize=(6.5, 4.2), layout="constrained")
@@ -64,13 +93,21 @@ def draw_front(
     axes.plot(*front.T, "o-", color="#1f6f8b", markersize=5, label="Pareto front")
     known = [value for value in initial if value is not None]
     if len(known) == 2:
-        (start,) = axes.plot(known[:1], known[1:], "x", color="#b5651d", label="initial scenario")
+        (start,) = axes.plot(
+            known[:1], known[1:], "x", color="#b5651d", label="initial scenario"
+        )
         start.set(markersize=9, markeredgewidth=2)
-    if values.size and np.nanmax(values[:, 1]) > 20 * np.nanmin(np.abs(values[:, 1])) > 0:
+    if (
+        values.size
+        and np.nanmax(values[:, 1]) > 20 * np.nanmin(np.abs(values[:, 1])) > 0
+    ):
         axes.set_yscale("log")
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.legend()
-    return figure, "Both objectives. No design is better in both than a design of the front."
+    return (
+        figure,
+        "Both objectives. No design is better in both than a design of the front.",
+    )
 
 
 @drawing
@@ -88,7 +125,8 @@ def draw_parallel(
         ranks: rank of each run, shape (runs,).
         labels: labels of the variables.
         ends: (low, high) of each variable.
-        bounds: for each variable, the bound ("low", "high" or None) of each best design.
+        bounds: for each variable, the bound ("low", "high" or None) of each best
+            design.
     """
     count, places = len(shares), np.arange(shares.shape[1])
     figure = Figure(figsize=(max(6.5, 1.1 * len(places)), 3.6), layout="constrained")
@@ -96,15 +134,45 @@ def draw_parallel(
     for k in np.argsort(-ranks):
         good = 1 - ranks[k] / max(count - 1, 1)
         color = "#1f6f8b" if ranks[k] < max(count // 10, 1) else "#9aa5b1"
-        axes.plot(places, shares[k], "o-", color=color, alpha=0.15 + 0.85 * good, linewidth=1, markersize=3)
-    marked = [(i, bound == "high") for i, names in enumerate(bounds) for bound in {*names} - {None}]
+        axes.plot(
+            places,
+            shares[k],
+            "o-",
+            color=color,
+            alpha=0.15 + 0.85 * good,
+            linewidth=1,
+            markersize=3,
+        )
+    marked = [
+        (i, bound == "high")
+        for i, names in enumerate(bounds)
+        for bound in {*names} - {None}
+    ]
     if marked:
-        axes.plot(*zip(*marked, strict=True), "D", color="#b03030", markersize=7, zorder=3, clip_on=False)
+        axes.plot(
+            *zip(*marked, strict=True),
+            "D",
+            color="#b03030",
+            markersize=7,
+            zorder=3,
+            clip_on=False,
+        )
     named = zip(labels, ends, strict=True)
-    axes.set_xticks(places, [f"{fill(label, 13)}\n{low:g} to {high:g}" for label, (low, high) in named])
-    axes.set(yticks=[0, 1], yticklabels=["low", "high"], xlim=(-0.2, max(len(places) - 1, 0) + 0.2))
-    caption = "Designs run by the twin; better ones are more opaque, the best tenth is blue."
-    return figure, caption + (" Red: bounds on which a best design is." if marked else "")
+    axes.set_xticks(
+        places,
+        [f"{fill(label, 13)}\n{low:g} to {high:g}" for label, (low, high) in named],
+    )
+    axes.set(
+        yticks=[0, 1],
+        yticklabels=["low", "high"],
+        xlim=(-0.2, max(len(places) - 1, 0) + 0.2),
+    )
+    caption = (
+        "Designs run by the twin; better ones are more opaque, the best tenth is blue."
+    )
+    return figure, caption + (
+        " Red: bounds on which a best design is." if marked else ""
+    )
 
 
 BOUND_MARK = "†"
@@ -122,19 +190,31 @@ def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    columns = {name: pa.array(values, from_pandas=True) for name, values in result.table.items()}
+    columns = {
+        name: pa.array(values, from_pandas=True)
+        for name, values in result.table.items()
+    }
     write_table(folder / EVALUATIONS, pa.table(columns))
     written = [EVALUATIONS]
     study, scenario = result.study, result.study.scenario.document
     for k, design in enumerate(result.designs, start=1):
-        document = study.experiments["twin"].document(study.space.changes(design.run.shares))
-        document |= {"plants": scenario["plants"], "title": f"{study.title}: best {k}"[:200]}
+        document = study.experiments["twin"].document(
+            study.space.changes(design.run.shares)
+        )
+        document |= {
+            "plants": scenario["plants"],
+            "title": f"{study.title}: best {k}"[:200],
+        }
         (folder / "best").mkdir(parents=True, exist_ok=True)
         (folder / f"best/{k}.yaml").write_text(dump_yaml(document), "utf-8")
-        (folder / f"best/{k}.robot.yaml").write_text(dump_yaml(document["robot"]), "utf-8")
+        (folder / f"best/{k}.robot.yaml").write_text(
+            dump_yaml(document["robot"]), "utf-8"
+        )
         written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
     written += write_report(folder, result)
-    (folder / RESULT).write_text(json.dumps(result.document(), indent=2) + "\n", "utf-8")
+    (folder / RESULT).write_text(
+        json.dumps(result.document(), indent=2) + "\n", "utf-8"
+    )
     return (*written, RESULT)
 
 
@@ -146,7 +226,10 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     """
     study = result.study
     goals, initial = study.file.objectives, result.document()["begun"]
-    twin, best = [run for run in result.runs if run.part == "twin"], [entry.run for entry in result.designs]
+    twin, best = (
+        [run for run in result.runs if run.part == "twin"],
+        [entry.run for entry in result.designs],
+    )
     values = np.array([[run.metric(goal.metric) for goal in goals] for run in twin])
     labels = [metric_label(goal.metric) for goal in goals]
     start = [initial[goal.metric] for goal in goals]
@@ -161,7 +244,9 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
         front = np.array([[run.metric(goal.metric) for goal in goals] for run in best])
         figures["front"] = draw_front(values, front, labels, start)
     shares = np.array([run.shares for run in twin])
-    ranks = np.argsort(np.lexsort((costs(study, twin)[:, 0], violation)))  # infeasible runs rank last
+    ranks = np.argsort(
+        np.lexsort((costs(study, twin)[:, 0], violation))
+    )  # infeasible runs rank last
     ends = [(variable.low, variable.high) for variable in study.file.variables.values()]
     bounds = [study.space.bounds(run.shares) for run in best]
     marks = [[bound.get(name) for bound in bounds] for name in study.space.variables]
@@ -172,13 +257,18 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     for name, (figure, caption) in figures.items():
         save(figure, folder / f"{name}.png")
         pictures.append(image((folder / f"{name}.png").read_bytes(), "png", caption))
-    versions = [(name, str(value)) for name, value in result.document()["versions"].items()]
+    versions = [
+        (name, str(value)) for name, value in result.document()["versions"].items()
+    ]
     write_text(
         folder / "report.html",
         render(
             "studies/optimization/report.html",
             title=study.title,
-            subtitle=", ".join(f"{n} runs of {part}" for part, n in result.document()["evaluations"].items()),
+            subtitle=", ".join(
+                f"{n} runs of {part}"
+                for part, n in result.document()["evaluations"].items()
+            ),
             best=_best_table(result),
             plots=pictures,
             fidelities=_fidelity_text(result),
@@ -193,8 +283,14 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
 def _best_table(result: StudyResult) -> Table:
     """Return a row per best design, after one for the initial scenario."""
     study, document = result.study, result.document()
-    headings = ["", *map(field_label, study.space.variables), *map(metric_label, result.metrics)]
-    headings += [f"{metric_label(objective.metric)}, gain" for objective in study.file.objectives]
+    headings = [
+        "",
+        *map(field_label, study.space.variables),
+        *map(metric_label, result.metrics),
+    ]
+    headings += [
+        f"{metric_label(objective.metric)}, gain" for objective in study.file.objectives
+    ]
     headings += ["refined"]
     initial = [cell(document["begun"][name]) for name in result.metrics]
     rows = [["initial scenario", *[""] * study.space.size, *initial]]
@@ -203,7 +299,10 @@ def _best_table(result: StudyResult) -> Table:
         variables = design["variables"].items()
         row = [
             design["scenario"],
-            *(mark_bound(value, name in design["on_bound"]) for name, value in variables),
+            *(
+                mark_bound(value, name in design["on_bound"])
+                for name, value in variables
+            ),
         ]
         for name in result.metrics:
             ends = (design["intervals"] or {}).get(name)
@@ -211,13 +310,20 @@ def _best_table(result: StudyResult) -> Table:
             row.append(cell(design["metrics"][name]) + interval)
         for gain in design["gains"].values():
             ends = gain["interval_95"]
-            interval = f" ({percentage(ends[0])} to {percentage(ends[1])})" if ends else ""
+            interval = (
+                f" ({percentage(ends[0])} to {percentage(ends[1])})" if ends else ""
+            )
             row.append(percentage(gain["share"]) + interval)
-        row.append(f"changes by {percentage(max(filter(None, design['refined'].values()), default=0.0))}")
+        row.append(
+            "changes by"
+            f" {percentage(max(filter(None, design['refined'].values()), default=0.0))}"
+        )
         rows.append(row)
     notes = bound_lines(result)
     if result.initial.samples:
-        notes.insert(0, "In brackets: 95 % interval over the robot's uncertain parameters.")
+        notes.insert(
+            0, "In brackets: 95 % interval over the robot's uncertain parameters."
+        )
     return Table(headings, rows, range(1, len(headings)), " ".join(notes))
 
 
@@ -228,13 +334,20 @@ def bound_lines(result: StudyResult) -> list[str]:
     for design in result.document()["best"]:
         for name, row in design["on_bound"].items():
             key = name, f"{row['bound']} bound {row['value']:g}"
-            designs_on_bound.setdefault(key, []).append(design["scenario"].removesuffix(".yaml"))
+            designs_on_bound.setdefault(key, []).append(
+                design["scenario"].removesuffix(".yaml")
+            )
             sources[key] = f" ({row['source']})" if row["source"] else ""
     lines = [
-        f"{BOUND_MARK} {', '.join(designs)}: {field_label(name)} is on its {bound}{sources[name, bound]}."
+        f"{BOUND_MARK} {', '.join(designs)}: {field_label(name)} is on its"
+        f" {bound}{sources[name, bound]}."
         for (name, bound), designs in designs_on_bound.items()
     ]
-    return [*lines, "With a wider range the optimum may be beyond such a bound."] if lines else []
+    return (
+        [*lines, "With a wider range the optimum may be beyond such a bound."]
+        if lines
+        else []
+    )
 
 
 def mark_bound(value: float, on_bound: bool) -> str:
@@ -248,7 +361,9 @@ def _fidelity_text(result: StudyResult) -> str:
         if correlation is not None:
             label = metric_label(name)
             total, near = cell(correlation["all"]), cell(correlation["near"])
-            texts.append(f"{label}: {total} over all designs, {near} over the better half")
+            texts.append(
+                f"{label}: {total} over all designs, {near} over the better half"
+            )
     return "; ".join(texts)
 
 

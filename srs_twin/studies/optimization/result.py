@@ -47,8 +47,10 @@ class EvaluatedDesign:
 
     Attributes:
         run: run of the twin.
-        refined: with half the time step, and with twice the hinges; empty for the initial scenario.
-        samples: with draws of the robot's uncertain parameters, equal for all designs; may be empty.
+        refined: with half the time step, and with twice the hinges; empty for the
+            initial scenario.
+        samples: with draws of the robot's uncertain parameters, equal for all designs;
+            may be empty.
     """
 
     run: Run
@@ -63,7 +65,9 @@ class EvaluatedDesign:
         """Return the largest relative change of a metric by a refinement of the twin."""
         value = self.run.metric(name)
         refined = [metric_of(row, "twin", name) for row in self.refined]
-        return _number(max(abs(other - value) for other in refined) / max(abs(value), 1e-12))
+        return _number(
+            max(abs(other - value) for other in refined) / max(abs(value), 1e-12)
+        )
 
 
 @dataclass(frozen=True)
@@ -87,7 +91,9 @@ class StudyResult:
     improvement: float | None = None
 
     @classmethod
-    def evaluate(cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns) -> StudyResult:
+    def evaluate(
+        cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns
+    ) -> StudyResult:
         """Run the initial scenario, refinements and samples of the best designs.
 
         Raises:
@@ -100,22 +106,47 @@ class StudyResult:
         ]
         designs = [study.space.changes(run.shares) for run in optimum.best]
         initial = Run("twin", np.zeros(0), runs.rows("twin", [{}])[0])
-        refined = runs.rows("twin", [{**design, **fine} for design in designs for fine in refinements])
+        refined = runs.rows(
+            "twin", [{**design, **fine} for design in designs for fine in refinements]
+        )
         robots = _draw_robots(study, study.file.budget.uncertain)
-        samples = runs.rows("twin", [{**robot, **design} for design in ({}, *designs) for robot in robots])
+        samples = runs.rows(
+            "twin",
+            [{**robot, **design} for design in ({}, *designs) for robot in robots],
+        )
         evaluated = [EvaluatedDesign(initial, (), tuple(samples[: len(robots)]))]
         for k, run in enumerate(optimum.best):
             own = samples[(k + 1) * len(robots) : (k + 2) * len(robots)]
-            evaluated.append(EvaluatedDesign(run, tuple(refined[2 * k : 2 * k + 2]), tuple(own)))
+            evaluated.append(
+                EvaluatedDesign(run, tuple(refined[2 * k : 2 * k + 2]), tuple(own))
+            )
         designs_found = tuple(evaluated[1:])
-        result = cls(study, optimum.runs, evaluated[0], designs_found, improvement=optimum.improvement)
-        return result if study.file.objectives[0].quantile is None else result.ranked_by_quantile()
+        result = cls(
+            study,
+            optimum.runs,
+            evaluated[0],
+            designs_found,
+            improvement=optimum.improvement,
+        )
+        return (
+            result
+            if study.file.objectives[0].quantile is None
+            else result.ranked_by_quantile()
+        )
 
     def ranked_by_quantile(self) -> StudyResult:
         """Return the result with the best designs ranked by the objective's quantile over the samples."""
         objective = self.study.file.objectives[0]
-        sign, share = -1.0 if objective.goal == "maximize" else 1.0, objective.quantile or 0.5
-        order = np.argsort([sign * np.nanquantile(d.sampled(objective.metric), share) for d in self.designs])
+        sign, share = (
+            -1.0 if objective.goal == "maximize" else 1.0,
+            objective.quantile or 0.5,
+        )
+        order = np.argsort(
+            [
+                sign * np.nanquantile(d.sampled(objective.metric), share)
+                for d in self.designs
+            ]
+        )
         return replace(self, designs=tuple(self.designs[k] for k in order))
 
     def document(self) -> dict[str, Any]:
@@ -125,11 +156,18 @@ class StudyResult:
             "study": study.name,
             "title": study.title,
             "best": [self._design_document(k) for k in range(len(self.designs))],
-            "evaluations": {part: sum(run.part == part for run in self.runs) for part in study.experiments},
-            "begun": {name: _number(self.initial.run.metric(name)) for name in self.metrics},
+            "evaluations": {
+                part: sum(run.part == part for run in self.runs)
+                for part in study.experiments
+            },
+            "begun": {
+                name: _number(self.initial.run.metric(name)) for name in self.metrics
+            },
             "expected_improvement": self.improvement,
             "warning": self.warning,
-            "fidelities": {o.metric: self.fidelity_correlation(o.metric) for o in objectives},
+            "fidelities": {
+                o.metric: self.fidelity_correlation(o.metric) for o in objectives
+            },
             "seed": study.file.seed,
             "versions": versions(),
         }
@@ -141,8 +179,8 @@ class StudyResult:
             return None
         gain = f"{100 * self.improvement:.1f} %"
         return (
-            "The budget ended the search, although one more run of the twin is expected to improve the best "
-            f"result by {gain}; raise budget.twin."
+            "The budget ended the search, although one more run of the twin is"
+            f" expected to improve the best result by {gain}; raise budget.twin."
         )
 
     def _design_document(self, k: int) -> dict[str, object]:
@@ -153,14 +191,22 @@ class StudyResult:
         known = [changes[name] for name in objectives]
         intervals = {name: _interval_95(design.sampled(name)) for name in names}
         return {
-            "variables": dict(zip(study.space.variables, study.space.values(design.run.shares), strict=True)),
+            "variables": dict(
+                zip(
+                    study.space.variables,
+                    study.space.values(design.run.shares),
+                    strict=True,
+                )
+            ),
             "metrics": {name: _number(design.run.metric(name)) for name in names},
             "plant": "twin",
             "scenario": f"best/{k + 1}.yaml",
             "keeps_constraints": bool((excesses(study, [design.run]) <= 0).all()),
             "on_bound": self._on_bound(design),
             "refined": changes,
-            "survives": all(share is not None and share <= _MAX_REFINEMENT_CHANGE for share in known),
+            "survives": all(
+                share is not None and share <= _MAX_REFINEMENT_CHANGE for share in known
+            ),
             "intervals": intervals if design.samples else None,
             "beats_next": self._beats_next(k),
             "gains": {name: self._gain(design, name) for name in objectives},
@@ -170,10 +216,15 @@ class StudyResult:
         """Return the variables of a best design that are on a bound.
 
         Returns:
-            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the bounds or None.
+            Variable → `bound` ("low" or "high"), its `value`, and the `source` of the
+            bounds or None.
         """
         return {
-            name: {"bound": bound, "value": getattr(variable, bound), "source": variable.bounds_source}
+            name: {
+                "bound": bound,
+                "value": getattr(variable, bound),
+                "source": variable.bounds_source,
+            }
             for name, bound in self.study.space.bounds(design.run.shares).items()
             for variable in (self.study.file.variables[name],)
         }
@@ -190,14 +241,23 @@ class StudyResult:
         objective, *others = self.study.file.objectives
         if not self.designs[k].samples or others or k + 1 >= len(self.designs):
             return None
-        this, following = (design.sampled(objective.metric) for design in self.designs[k : k + 2])
-        return float(np.mean(this > following if objective.goal == "maximize" else this < following))
+        this, following = (
+            design.sampled(objective.metric) for design in self.designs[k : k + 2]
+        )
+        return float(
+            np.mean(
+                this > following if objective.goal == "maximize" else this < following
+            )
+        )
 
     def _gain(self, design: EvaluatedDesign, name: str) -> dict[str, object]:
         """Return the relative gain of a best design over the initial scenario, and its 95 % interval."""
         share = design.run.metric(name) / self.initial.run.metric(name) - 1
         ratios = design.sampled(name) / self.initial.sampled(name) - 1
-        return {"share": _number(share), "interval_95": _interval_95(ratios) if design.samples else None}
+        return {
+            "share": _number(share),
+            "interval_95": _interval_95(ratios) if design.samples else None,
+        }
 
     def fidelity_correlation(self, name: str) -> dict[str, float | None] | None:
         """Return the rank correlations of a metric between the fidelities, for all and the better designs.
@@ -206,13 +266,17 @@ class StudyResult:
         """
         from scipy.stats import spearmanr
 
-        compliant = {run.shares.tobytes(): run for run in self.runs if run.part == "compliant"}
+        compliant = {
+            run.shares.tobytes(): run for run in self.runs if run.part == "compliant"
+        }
         both = [
             (compliant[run.shares.tobytes()].metric(name), run.metric(name))
             for run in self.runs
             if run.part == "twin" and run.shares.tobytes() in compliant
         ]
-        pairs = np.array([pair for pair in both if all(map(math.isfinite, pair))]).reshape(-1, 2)
+        pairs = np.array(
+            [pair for pair in both if all(map(math.isfinite, pair))]
+        ).reshape(-1, 2)
         if len(pairs) < 2 * _MIN_RANKED:
             return None
         goal = next(o.goal for o in self.study.file.objectives if o.metric == name)
@@ -229,9 +293,17 @@ class StudyResult:
         study, runs = self.study, self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
         values = [study.space.values(run.shares) for run in runs]
-        columns |= {name: [float(row[i]) for row in values] for i, name in enumerate(study.space.variables)}
-        columns |= {"status": [run.row.status for run in runs], "reason": [run.row.reason for run in runs]}
-        names = dict.fromkeys(key.partition(".")[2] for run in runs for key in run.row.values)
+        columns |= {
+            name: [float(row[i]) for row in values]
+            for i, name in enumerate(study.space.variables)
+        }
+        columns |= {
+            "status": [run.row.status for run in runs],
+            "reason": [run.row.reason for run in runs],
+        }
+        names = dict.fromkeys(
+            key.partition(".")[2] for run in runs for key in run.row.values
+        )
         columns |= {name: [_number(run.metric(name)) for run in runs] for name in names}
         return columns
 
@@ -241,16 +313,25 @@ def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
     if not count:
         return []
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])
-    chosen = [name.removeprefix("robot.") for name in study.space.changes(np.full(study.space.size, 0.5))]
+    chosen = [
+        name.removeprefix("robot.")
+        for name in study.space.changes(np.full(study.space.size, 0.5))
+    ]
     priors = Priors.from_robot(
-        robot, without=[path for path in Priors.from_robot(robot).paths if path in chosen]
+        robot,
+        without=[path for path in Priors.from_robot(robot).paths if path in chosen],
     )
     values = priors.quantile(sobol_points(len(priors.paths), count, study.file.seed))
     names = [f"robot.{path}" for path in priors.paths]
-    robots: list[Changes] = [dict(zip(names, row, strict=True)) for row in values.tolist()]
+    robots: list[Changes] = [
+        dict(zip(names, row, strict=True)) for row in values.tolist()
+    ]
     if (name := "robot.bending.damping_time_s") in names:
         step = float(study.experiments["twin"].base["plants"]["twin"]["timestep_s"])
-        robots = [{**each, "plants.twin.timestep_s": stable_step(step, float(each[name]))} for each in robots]
+        robots = [
+            {**each, "plants.twin.timestep_s": stable_step(step, float(each[name]))}
+            for each in robots
+        ]
     return robots
 
 

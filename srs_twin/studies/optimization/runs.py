@@ -1,8 +1,9 @@
 """Runs of designs, each stored as soon as it is finished and never repeated.
 
-The order of the designs in a search depends only on the seed and on results. An interrupted search is
-therefore restarted from the beginning: it requests the same designs, and finished runs are read from the
-store. The number of workers changes only the speed.
+The order of the designs in a search depends only on the seed and on results. An
+interrupted search is therefore restarted from the beginning: it requests the same
+designs, and finished runs are read from the store. The number of workers changes only
+the speed.
 """
 
 from __future__ import annotations
@@ -79,10 +80,12 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             folder: folder of the runs; created if missing.
             engine: engine for new runs.
             on_row: called with each newly finished run.
-            changed: continue in the folder of another study, and keep the runs that are still valid.
+            changed: continue in the folder of another study, and keep the runs that are
+                still valid.
 
         Raises:
-            InputError: the folder cannot be written, is locked, or belongs to another study.
+            InputError: the folder cannot be written, is locked, or belongs to another
+                study.
         """
         self._study, self._engine, self._on_row = study, engine, on_row
         self.requested: list[Run] = []
@@ -90,7 +93,10 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self._requested_by_key: dict[str, Run] = {}
         check_output_folder(folder, ())
         with ExitStack() as opened:
-            self._stores = {part: opened.enter_context(RowStore(folder / part)) for part in study.experiments}
+            self._stores = {
+                part: opened.enter_context(RowStore(folder / part))
+                for part in study.experiments
+            }
             for part, store in self._stores.items():
                 self._check_identity(folder / part, part, store, changed=changed)
                 self._rows |= {row.key: row for row in store.rows()}
@@ -118,7 +124,10 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             InputError: a row cannot be written.
         """
         experiment, plant = self._study.experiments[part], PLANTS[part]
-        points = [Point(run_key(experiment.document(change), (plant,), RUNNER), change) for change in changes]
+        points = [
+            Point(run_key(experiment.document(change), (plant,), RUNNER), change)
+            for change in changes
+        ]
         missing = list({p.key: p for p in points if p.key not in self._rows}.values())
 
         def on_row(row: Row) -> None:
@@ -127,22 +136,35 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
                 self._on_row(part, row)
 
         if missing:  # starting an engine may take seconds
-            self._stores[part].collect(self._engine(experiment, missing), [p.key for p in missing], on_row)
+            self._stores[part].collect(
+                self._engine(experiment, missing), [p.key for p in missing], on_row
+            )
         return [self._rows[point.key] for point in points]
 
     def reset(self) -> None:
         """Start another search: clear the list of requested runs, but keep their results."""
         self.requested, self._requested_by_key = [], {}
 
-    def _check_identity(self, folder: Path, part: str, store: RowStore, *, changed: bool) -> None:
+    def _check_identity(
+        self, folder: Path, part: str, store: RowStore, *, changed: bool
+    ) -> None:
         """Refuse the folder of another study unless `changed`; store the identity of this one."""
-        experiment, names = self._study.experiments[part], list(self._study.space.variables)
-        rest: tuple[Mapping[str, object], ...] = (versions(), run_sources(experiment.base, RUNNER))
-        now = SweepIdentity("", *json.loads(json.dumps((experiment.base, names, *rest))))
+        experiment, names = (
+            self._study.experiments[part],
+            list(self._study.space.variables),
+        )
+        rest: tuple[Mapping[str, object], ...] = (
+            versions(),
+            run_sources(experiment.base, RUNNER),
+        )
+        now = SweepIdentity(
+            "", *json.loads(json.dumps((experiment.base, names, *rest)))
+        )
         before = store.identity()
         if before is not None and before != now and not changed:
             raise InputError(
-                f"{display_path(folder)}: its runs are of another study or another version of the program; "
-                "give --changed to keep those that still apply, or another --out"
+                f"{display_path(folder)}: its runs are of another study or another"
+                " version of the program; give --changed to keep those that still"
+                " apply, or another --out"
             )
         store.set_identity(now)

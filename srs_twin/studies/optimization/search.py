@@ -1,27 +1,31 @@
 r"""Two-fidelity design optimisation: many runs of the model `compliant`, few runs of the twin.
 
-**One objective.** CMA-ES (Hansen 2016) minimises the objective of the low-fidelity model. The twin first runs
-the best designs found. From then on, a Gaussian process predicts the twin's result from the design and the
-low-fidelity result (Kennedy and O'Hagan 2000). New designs maximise the expected improvement
+**One objective.** CMA-ES (Hansen 2016) minimises the objective of the low-fidelity
+model. The twin first runs the best designs found. From then on, a Gaussian process
+predicts the twin's result from the design and the low-fidelity result (Kennedy and
+O'Hagan 2000). New designs maximise the expected improvement
 
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z = (y^* - μ)/σ, $$
 
-two at a time; the second is chosen as if the first had given its expected result. Candidates are all designs
-that the low-fidelity model has run, and in every round new random neighbours of the best designs.
+two at a time; the second is chosen as if the first had given its expected result.
+Candidates are all designs that the low-fidelity model has run, and in every round new
+random neighbours of the best designs.
 
-**Constraints.** The low-fidelity model may violate a constraint where the twin does not, and CMA-ES avoids
-such designs. A Gaussian process for each constraint therefore predicts the twin's value, as for the
-objective. In every round, many new designs are judged with low-fidelity results that are interpolated between
-earlier runs. These designs include neighbours of designs that just miss a constraint. Only the most promising
-designs are run.
+**Constraints.** The low-fidelity model may violate a constraint where the twin does
+not, and CMA-ES avoids such designs. A Gaussian process for each constraint therefore
+predicts the twin's value, as for the objective. In every round, many new designs are
+judged with low-fidelity results that are interpolated between earlier runs. These
+designs include neighbours of designs that just miss a constraint. Only the most
+promising designs are run.
 
-**End.** After the last run, the largest expected improvement among new designs is computed. If it is above
-`MAX_IMPROVEMENT`, the result contains a warning.
+**End.** After the last run, the largest expected improvement among new designs is
+computed. If it is above `MAX_IMPROVEMENT`, the result contains a warning.
 
-**Two objectives.** The low-fidelity model is searched with several weights of a Tchebycheff scalarisation
-(Knowles 2006). New designs maximise the expected growth of the area dominated by the Pareto front (Emmerich
-et al. 2006). Every other round improves one end of the front instead: an end can move far with little gain in
-area, so the area alone would neglect it.
+**Two objectives.** The low-fidelity model is searched with several weights of a
+Tchebycheff scalarisation (Knowles 2006). New designs maximise the expected growth of
+the area dominated by the Pareto front (Emmerich et al. 2006). Every other round
+improves one end of the front instead: an end can move far with little gain in area, so
+the area alone would neglect it.
 
 If `compliant` cannot run a scenario, the search uses only the twin.
 """
@@ -97,11 +101,11 @@ class Optimum:
     """Result of a search.
 
     Attributes:
-        best: best run of the twin and more runs at a distance from it, best first; with two objectives the
-            Pareto front, sorted by the first one.
+        best: best run of the twin and more runs at a distance from it, best first; with
+            two objectives the Pareto front, sorted by the first one.
         runs: all runs in order.
-        improvement: largest expected improvement by a further run, as a fraction of the best result; None
-            with two objectives or without a feasible run.
+        improvement: largest expected improvement by a further run, as a fraction of the
+            best result; None with two objectives or without a feasible run.
     """
 
     best: tuple[Run, ...]
@@ -132,7 +136,13 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the objectives of runs, signed for minimisation, shape (runs, objectives); NaN if unknown."""
     goals = study.file.objectives
-    return _signed(runs, [(goal.metric, -1.0 if goal.goal == "maximize" else 1.0, 0.0) for goal in goals])
+    return _signed(
+        runs,
+        [
+            (goal.metric, -1.0 if goal.goal == "maximize" else 1.0, 0.0)
+            for goal in goals
+        ],
+    )
 
 
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
@@ -142,12 +152,19 @@ def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
         for constraint in study.file.constraints
         for sign, limit in ((1.0, constraint.below), (-1.0, constraint.above))
     )
-    return _signed(runs, [(name, sign, limit) for name, sign, limit in limits if limit is not None])
+    return _signed(
+        runs, [(name, sign, limit) for name, sign, limit in limits if limit is not None]
+    )
 
 
-def _signed(runs: Sequence[Run], terms: Sequence[tuple[str, float, float]]) -> np.ndarray:
+def _signed(
+    runs: Sequence[Run], terms: Sequence[tuple[str, float, float]]
+) -> np.ndarray:
     """Return sign · (metric − offset) of runs for each (metric, sign, offset), shape (runs, terms)."""
-    rows = [[sign * (run.metric(name) - offset) for name, sign, offset in terms] for run in runs]
+    rows = [
+        [sign * (run.metric(name) - offset) for name, sign, offset in terms]
+        for run in runs
+    ]
     return np.array(rows, dtype=float).reshape(len(runs), len(terms))
 
 
@@ -167,7 +184,9 @@ def _cma() -> Any:
     try:
         import cma
     except ImportError as error:
-        raise InputError("optimize needs cma; install it with: pip install 'srs-twin[optimize]'") from error
+        raise InputError(
+            "optimize needs cma; install it with: pip install 'srs-twin[optimize]'"
+        ) from error
     return cma
 
 
@@ -186,8 +205,11 @@ class _Search:
         """Search the low-fidelity model with CMA-ES, for two objectives with several weights."""
         cma = _cma()
         budget = int(_CMA_SHARE * self._study.file.budget.compliant)
-        weights = self._weights_of(np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1))
-        # Constraints divide the space, so the best designs may be in a part that one descent does not reach.
+        weights = self._weights_of(
+            np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
+        )
+        # Constraints divide the space, so the best designs may be in a part that one
+        # descent does not reach.
         sampled = budget // (2 if self._study.file.constraints else 10)
         self._run("compliant", self._sample_space(max(2 * self._size, sampled)))
         for k, weight in enumerate(weights):
@@ -200,7 +222,9 @@ class _Search:
                 "verbose": -9,
                 "popsize": _POPULATION,
             }
-            strategy = cma.CMAEvolutionStrategy(np.clip(start, 0.01, 0.99), 0.2, options)
+            strategy = cma.CMAEvolutionStrategy(
+                np.clip(start, 0.01, 0.99), 0.2, options
+            )
             while share >= _POPULATION and not strategy.stop():
                 designs = self._study.space.snapped(np.array(strategy.ask()))
                 before = len(self._compliant_runs)
@@ -211,7 +235,10 @@ class _Search:
 
     def run_initial_designs(self) -> None:
         """Run the twin at the best designs of the low-fidelity model and at some random designs."""
-        count = max(int(_INITIAL_SHARE * self._study.file.budget.twin), min(4, self._study.file.budget.twin))
+        count = max(
+            int(_INITIAL_SHARE * self._study.file.budget.twin),
+            min(4, self._study.file.budget.twin),
+        )
         if not self._compliant_runs:
             self._run("twin", self._sample_space(max(count, 2 * self._size)))
             return
@@ -220,7 +247,14 @@ class _Search:
         for weight in self._random_weights(count - len(random_designs)):
             order = np.argsort(self._scalarise(self._compliant_runs, weight))
             designs = (self._compliant_runs[k].shares for k in order)
-            new = next((design for design in designs if _is_far(design, chosen, _OPTIMUM_DISTANCE)), None)
+            new = next(
+                (
+                    design
+                    for design in designs
+                    if _is_far(design, chosen, _OPTIMUM_DISTANCE)
+                ),
+                None,
+            )
             if new is not None:
                 chosen.append(new)
         self._run("twin", np.array([*chosen, *random_designs]))
@@ -245,7 +279,9 @@ class _Search:
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
             # With two objectives, the first run of a round always maximises the area.
-            objective = self._improved_objective if k_batch or self._objectives == 1 else None
+            objective = (
+                self._improved_objective if k_batch or self._objectives == 1 else None
+            )
             if k_batch == 0 or self._objectives == 2:
                 mean, sd = self._predict(candidates, objective)
             score = self._improvement(mean, sd, assumed_costs, objective)
@@ -254,7 +290,9 @@ class _Search:
             if score[k] < 0:
                 break
             chosen.append(candidates[k].shares)
-            assumed_costs = np.vstack([assumed_costs, mean[k]])  # as if the run had given its expected result
+            assumed_costs = np.vstack(
+                [assumed_costs, mean[k]]
+            )  # as if the run had given its expected result
         self._run("twin", np.array(chosen))
         self._round += 1
         return True
@@ -269,7 +307,9 @@ class _Search:
         new = np.array([design for design in designs if _is_far(design, finished)])
         if not len(new):
             return 0.0
-        return float(self._scores(new).max() / max(abs(costs(self._study, best)[0, 0]), 1e-12))
+        return float(
+            self._scores(new).max() / max(abs(costs(self._study, best)[0, 0]), 1e-12)
+        )
 
     def best(self) -> tuple[Run, ...]:
         """Return the best runs of the twin, among those with the least violation of the constraints.
@@ -280,26 +320,34 @@ class _Search:
         if self._objectives == 1:
             return self._distinct_optima(0)
         feasible = self._most_feasible()
-        members = [feasible[k] for k in np.flatnonzero(front(costs(self._study, feasible)))]
+        members = [
+            feasible[k] for k in np.flatnonzero(front(costs(self._study, feasible)))
+        ]
         return tuple(sorted(members, key=lambda run: costs(self._study, [run])[0, 0]))
 
     def _most_feasible(self) -> list[Run]:
         """Return the runs of the twin with the least violation of the constraints; raises as `best`."""
-        finished = [run for run in self._twin_runs if np.isfinite(self._outputs([run])).all()]
+        finished = [
+            run for run in self._twin_runs if np.isfinite(self._outputs([run])).all()
+        ]
         if not finished:
             reasons = (run.row.reason for run in self._twin_runs if run.row.reason)
             why = next(reasons, "the metrics have no value")
             raise InputError(f"no run of the twin has a result: {why}")
         violations = np.maximum(excesses(self._study, finished), 0.0).sum(axis=1)
         return [
-            run for run, violation in zip(finished, violations, strict=True) if violation <= violations.min()
+            run
+            for run, violation in zip(finished, violations, strict=True)
+            if violation <= violations.min()
         ]
 
     def _distinct_optima(self, objective: int) -> tuple[Run, ...]:
         """Return the best runs of the twin by one objective, at a minimum distance from each other."""
         feasible, chosen = self._most_feasible(), list[Run]()
         for k in np.argsort(costs(self._study, feasible)[:, objective]):
-            is_far = _is_far(feasible[k].shares, [run.shares for run in chosen], _OPTIMUM_DISTANCE)
+            is_far = _is_far(
+                feasible[k].shares, [run.shares for run in chosen], _OPTIMUM_DISTANCE
+            )
             if is_far and len(chosen) < MAX_REPORTED:
                 chosen.append(feasible[k])
         return tuple(chosen)
@@ -308,42 +356,66 @@ class _Search:
         runs = self._runs.run(part, designs)
         known = self._compliant_runs if part == "compliant" else self._twin_runs
         known_ids = {id(run) for run in known}
-        known += [run for run in {id(run): run for run in runs}.values() if id(run) not in known_ids]
+        known += [
+            run
+            for run in {id(run): run for run in runs}.values()
+            if id(run) not in known_ids
+        ]
         return runs
 
     def _sample_space(self, count: int) -> np.ndarray:
         """Return Sobol points of the design space, some of them on bounds, shape (count, d)."""
-        wide = (1 + 2 * _EDGE_OVERDRAW) * sobol_points(self._size, count, self._rng) - _EDGE_OVERDRAW
+        wide = (1 + 2 * _EDGE_OVERDRAW) * sobol_points(
+            self._size, count, self._rng
+        ) - _EDGE_OVERDRAW
         return self._study.space.snapped(np.clip(wide, 0.0, 1.0))
 
     def _random_weights(self, count: int) -> list[np.ndarray]:
         """Return weights that are evenly distributed, in random order."""
         if self._objectives == 1:
             return self._weights_of(np.ones(count))
-        return self._weights_of(self._rng.permutation((np.arange(count) + self._rng.random()) / count))
+        return self._weights_of(
+            self._rng.permutation((np.arange(count) + self._rng.random()) / count)
+        )
 
     def _weights_of(self, shares: np.ndarray) -> list[np.ndarray]:
         """Return the weights of the objectives for each share of the first one."""
-        return [np.array([share, 1 - share] if self._objectives == 2 else [1.0]) for share in shares]
+        return [
+            np.array([share, 1 - share] if self._objectives == 2 else [1.0])
+            for share in shares
+        ]
 
     def _scalarise(
-        self, runs: Sequence[Run], weight: np.ndarray, relative_to: Sequence[Run] | None = None
+        self,
+        runs: Sequence[Run],
+        weight: np.ndarray,
+        relative_to: Sequence[Run] | None = None,
     ) -> np.ndarray:
         """Return the Tchebycheff scalarisation of runs, to be minimised, with penalties, shape (runs,)."""
         reference = runs if relative_to is None else relative_to
-        run_costs, reference_costs = costs(self._study, runs), costs(self._study, reference)
+        run_costs, reference_costs = (
+            costs(self._study, runs),
+            costs(self._study, reference),
+        )
         known = reference_costs[~np.isnan(reference_costs).any(axis=1)]
         if not len(known):
             return np.zeros(len(runs))
         low, std = known.min(axis=0), np.maximum(known.std(axis=0), 1e-12)
         scaled = (run_costs - low) / std
         value = (weight * scaled).max(axis=1) + 0.05 * (weight * scaled).sum(axis=1)
-        violations, reference_violations = excesses(self._study, runs), excesses(self._study, reference)
+        violations, reference_violations = (
+            excesses(self._study, runs),
+            excesses(self._study, reference),
+        )
         if violations.size:
             scale = np.maximum(np.nanstd(reference_violations, axis=0), 1e-12)
-            value = value + _FAILURE_PENALTY_SD * np.maximum(violations / scale, 0.0).sum(axis=1)
+            value = value + _FAILURE_PENALTY_SD * np.maximum(
+                violations / scale, 0.0
+            ).sum(axis=1)
         worst = np.nanmax(np.append(value, 0.0))
-        cost: np.ndarray = np.where(np.isnan(value), _FAILURE_PENALTY_SD * (1 + worst), value)
+        cost: np.ndarray = np.where(
+            np.isnan(value), _FAILURE_PENALTY_SD * (1 + worst), value
+        )
         return cost
 
     def _outputs(self, runs: Sequence[Run]) -> np.ndarray:
@@ -353,17 +425,26 @@ class _Search:
     def _candidates(self) -> list[Run]:
         """Return designs that the twin has not run: those of the low-fidelity model, and new neighbours."""
         count = _NEIGHBOURS[self._objectives]
-        constrained = self._compliant_runs and self._objectives == 1 and self._study.file.constraints
+        constrained = (
+            self._compliant_runs
+            and self._objectives == 1
+            and self._study.file.constraints
+        )
         if constrained:
             screened = self._screened_designs()
             new = screened[np.argsort(-self._scores(screened))[:count]]
         else:
             new = self._neighbours(count)
-        if self._compliant_runs and len(self._compliant_runs) + count <= self._study.file.budget.compliant:
+        if (
+            self._compliant_runs
+            and len(self._compliant_runs) + count <= self._study.file.budget.compliant
+        ):
             self._run("compliant", self._study.space.snapped(new))
         candidates = self._compliant_runs
         if not candidates:
-            designs = self._study.space.snapped(np.vstack([new, self._sample_space(256)]))
+            designs = self._study.space.snapped(
+                np.vstack([new, self._sample_space(256)])
+            )
             candidates = [Run("twin", shares, Row("", DONE)) for shares in designs]
         finished = [run.shares for run in self._twin_runs]
         return [run for run in candidates if _is_far(run.shares, finished)]
@@ -380,11 +461,16 @@ class _Search:
             # The best designs with a penalty: some of them just miss the constraints.
             order = np.argsort(self._scalarise(self._twin_runs, np.ones(1)))
             optima = tuple(self._twin_runs[k] for k in order[:MAX_REPORTED])
-        parents = [runs[k] for runs in (optima, best) for k in self._rng.integers(len(runs), size=count // 2)]
+        parents = [
+            runs[k]
+            for runs in (optima, best)
+            for k in self._rng.integers(len(runs), size=count // 2)
+        ]
         centres = np.array([run.shares for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # Redraw one variable of every third candidate, half of the time on a bound, to reach other optima.
+        # Redraw one variable of every third candidate, half of the time on a bound, to
+        # reach other optima.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
             self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
@@ -400,23 +486,32 @@ class _Search:
             known = np.isfinite(outputs).all(axis=1)
             low_fidelity = np.full((len(designs), outputs.shape[1]), np.nan)
             if known.sum() > self._size + 1:
-                low_fidelity = RBFInterpolator(shares[known], outputs[known], smoothing=_SMOOTHING)(designs)
+                low_fidelity = RBFInterpolator(
+                    shares[known], outputs[known], smoothing=_SMOOTHING
+                )(designs)
         runs = [Run("twin", design, Row("", DONE)) for design in designs]
         mean, sd = self._predict(runs, 0, low_fidelity)
         return self._improvement(mean, sd, self._outputs(self._twin_runs), 0)
 
     def _predict(
-        self, candidates: list[Run], objective: int | None, low_fidelity: np.ndarray | None = None
+        self,
+        candidates: list[Run],
+        objective: int | None,
+        low_fidelity: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Predict the twin's outputs; return means and standard deviations, shape (candidates, outputs).
 
         Args:
             candidates: designs to predict.
             objective: objective whose minimum is sought; None: the whole front.
-            low_fidelity: outputs of the low-fidelity model for the candidates; None: it is run if necessary.
+            low_fidelity: outputs of the low-fidelity model for the candidates; None: it
+                is run if necessary.
         """
         known = self._twin_runs
-        outputs, scaled = self._outputs(known), self._compliant_outputs(candidates, low_fidelity)
+        outputs, scaled = (
+            self._outputs(known),
+            self._compliant_outputs(candidates, low_fidelity),
+        )
         shares = 2 * np.array([run.shares for run in (*known, *candidates)]) - 1
         predictions = []
         for column in range(outputs.shape[1]):
@@ -425,9 +520,9 @@ class _Search:
                 x = np.column_stack([shares, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
-                # Leave out the worst third, because results far from the optimum would distort the fit near
-                # it. With constraints, these results are clipped instead, because the search must know where
-                # they are.
+                # Leave out the worst third, because results far from the optimum would
+                # distort the fit near it. With constraints, these results are clipped
+                # instead, because the search must know where they are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
                 if self._study.file.constraints:
@@ -436,12 +531,16 @@ class _Search:
                     rows = better
             remainder = bool(self._study.file.constraints)
             predictions.append(
-                _predict_with_process(x[rows], y[rows], x[len(known) :], with_remainder=remainder)
+                _predict_with_process(
+                    x[rows], y[rows], x[len(known) :], with_remainder=remainder
+                )
             )
         mean, sd = np.array(predictions).transpose(1, 2, 0)
         return mean, sd
 
-    def _compliant_outputs(self, candidates: list[Run], given: np.ndarray | None) -> np.ndarray | None:
+    def _compliant_outputs(
+        self, candidates: list[Run], given: np.ndarray | None
+    ) -> np.ndarray | None:
         """Return the scaled low-fidelity outputs of the twin's runs and the candidates, (runs, outputs)."""
         if not self._compliant_runs:
             return None
@@ -449,7 +548,10 @@ class _Search:
         known = {run.shares.tobytes(): run for run in self._compliant_runs}
         missing = [run.shares for run in runs if run.shares.tobytes() not in known]
         if missing:
-            known |= {run.shares.tobytes(): run for run in self._run("compliant", np.array(missing))}
+            known |= {
+                run.shares.tobytes(): run
+                for run in self._run("compliant", np.array(missing))
+            }
         outputs = self._outputs([known[run.shares.tobytes()] for run in runs])
         if given is not None:
             outputs = np.vstack([outputs, given])
@@ -460,7 +562,11 @@ class _Search:
         return np.asarray((outputs - median) / np.maximum(high - low, 1e-12))
 
     def _improvement(
-        self, mean: np.ndarray, sd: np.ndarray, known: np.ndarray, objective: int | None = None
+        self,
+        mean: np.ndarray,
+        sd: np.ndarray,
+        known: np.ndarray,
+        objective: int | None = None,
     ) -> np.ndarray:
         """Return the expected improvement of each candidate, shape (candidates,).
 
@@ -471,11 +577,15 @@ class _Search:
             objective: objective to improve; None: the area of the front.
         """
         count = self._objectives
-        is_feasible = (known[:, count:] <= 0).all(axis=1) & np.isfinite(known).all(axis=1)
+        is_feasible = (known[:, count:] <= 0).all(axis=1) & np.isfinite(known).all(
+            axis=1
+        )
         if is_feasible.any():
             feasible = known[is_feasible, :count]
             if objective is not None:
-                z = (feasible[:, objective].min() - mean[:, objective]) / sd[:, objective]
+                z = (feasible[:, objective].min() - mean[:, objective]) / sd[
+                    :, objective
+                ]
                 score = sd[:, objective] * (z * norm.cdf(z) + norm.pdf(z))
             else:
                 normal = self._rng.normal(size=(_IMPROVEMENT_DRAWS, 1, 2))
@@ -490,15 +600,17 @@ class _Search:
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the growth of the dominated area by each point, shape (…) of points (…, 2).
 
-    Both columns are costs. A reference point bounds the area. It lies beyond both ends of the front by the
-    extent of the front, so that moving an end is a gain as well.
+    Both columns are costs. A reference point bounds the area. It lies beyond both ends
+    of the front by the extent of the front, so that moving an end is a gain as well.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
-    extent = np.maximum(np.ptp(members, axis=0), 1e-9 + 1e-3 * np.abs(members).max(axis=0))
+    extent = np.maximum(
+        np.ptp(members, axis=0), 1e-9 + 1e-3 * np.abs(members).max(axis=0)
+    )
     reference = members.max(axis=0) + extent
-    # The dominated area is a staircase: between two neighbours of the front, its level is the second cost of
-    # the left one.
+    # The dominated area is a staircase: between two neighbours of the front, its level
+    # is the second cost of the left one.
     edges = np.concatenate([[-np.inf], members[:, 0], [reference[0]]])
     level = np.concatenate([[reference[1]], members[:, 1]])
     width = np.clip(edges[1:] - np.maximum(points[..., :1], edges[:-1]), 0.0, None)
@@ -515,8 +627,9 @@ def _predict_with_process(
         x: inputs of the samples, shape (samples, d).
         y: values of the samples, shape (samples,).
         at: inputs, shape (inputs, d).
-        with_remainder: whether the standard deviation includes what the process takes for noise. A simulation
-            has no noise, so the remainder is structure that a further run may find.
+        with_remainder: whether the standard deviation includes what the process takes
+            for noise. A simulation has no noise, so the remainder is structure that a
+            further run may find.
     """
     scale, mean = max(float(y.std()), 1e-12), float(y.mean())
     process = GaussianProcess(x, (y - mean) / scale)
@@ -526,6 +639,8 @@ def _predict_with_process(
     return mean + scale * process.at(at), scale * np.sqrt(np.maximum(variance, 1e-12))
 
 
-def _is_far(design: np.ndarray, others: Sequence[np.ndarray], distance: float = _MIN_DISTANCE) -> bool:
+def _is_far(
+    design: np.ndarray, others: Sequence[np.ndarray], distance: float = _MIN_DISTANCE
+) -> bool:
     """Return whether a design is farther than a distance from every other design."""
     return all(math.dist(design, other) > distance for other in others)

@@ -43,9 +43,12 @@ class StudyOptions:
     """Options of commands that run many points.
 
     Options:
-        --engine NAME: Engine for the runs: local, ray, or warp (twins on an accelerator).
-        --address HOST:PORT: Address of a Ray cluster, or Warp device, e.g. cuda:0. [default: local]
-        --changed: Resume in a folder of another version; keep the rows that still apply.
+        --engine NAME: Engine for the runs: local, ray, or warp (twins on an
+            accelerator).
+        --address HOST:PORT: Address of a Ray cluster, or Warp device, e.g. cuda:0.
+        [default: local]
+        --changed: Resume in a folder of another version; keep the rows that still
+            apply.
     """
 
     engine: str = "local"
@@ -58,7 +61,8 @@ class StudyOptions:
         if self.engine == "local":
             from srs_twin.compute.workers import start_server
 
-            # Start it first: it imports the modules of the workers while this process imports its own.
+            # Start it first: it imports the modules of the workers while this process
+            # imports its own.
             start_server("srs_twin.studies.sweep.warm")
         from srs_twin.studies.sweep.execution import make_engine
 
@@ -88,7 +92,8 @@ def sweep(
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
         --retry-failed: Run failed points again.
         --without FIELD=VALUE: Leave out the points with this value (repeatable).
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the sweep's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the
+            sweep's]
     """
     runner = study.make_engine()
     from srs_twin.scenario.modified import marked
@@ -103,7 +108,10 @@ def sweep(
 
         def follow(part: str, total: int, row: Row | None) -> None:
             if row is None and total < wanted:
-                say(f"{wanted - total} of {wanted} rows exist already, {total} to do", quiet=quiet)
+                say(
+                    f"{wanted - total} of {wanted} rows exist already, {total} to do",
+                    quiet=quiet,
+                )
             counting.follow(part, total, row)
 
         summary = run_sweep(
@@ -116,10 +124,16 @@ def sweep(
             progress=follow,
         )
     if as_json:
-        document = {"rows": summary.done, "failed": summary.failed, "sha256": summary.sha256}
+        document = {
+            "rows": summary.done,
+            "failed": summary.failed,
+            "sha256": summary.sha256,
+        }
         print_json(document | {"results": str(summary.folder / "results.parquet")})
     elif not quiet:
-        _print_summary(summary, marked(loaded.name, loaded.changes) if loaded.changes else None)
+        _print_summary(
+            summary, marked(loaded.name, loaded.changes) if loaded.changes else None
+        )
     say(f"files in {summary.folder}: {', '.join(summary.files)}", quiet=quiet)
     if summary.exit_code:
         _print_failures(summary)
@@ -161,4 +175,7 @@ def _print_failures(summary: Summary) -> None:
     for reason, count in list(summary.reasons.items())[:_MAX_REASONS]:
         say(f"{count} failed: {reason}")
     if len(summary.reasons) > _MAX_REASONS:
-        say(f"and for {len(summary.reasons) - _MAX_REASONS} other reasons: see results.parquet")
+        say(
+            f"and for {len(summary.reasons) - _MAX_REASONS} other reasons: see"
+            " results.parquet"
+        )

@@ -1,8 +1,8 @@
 """Execution of sweeps: an engine runs the missing points, rows are stored at once, then files are written.
 
-Engines run points in worker processes, on Ray, or together on an accelerator (`warp`), where metrics still
-use the CPU. Rows do not depend on the engine that ran them, except that those of `warp` are in single
-precision.
+Engines run points in worker processes, on Ray, or together on an accelerator (`warp`),
+where metrics still use the CPU. Rows do not depend on the engine that ran them, except
+that those of `warp` are in single precision.
 """
 
 from __future__ import annotations
@@ -24,7 +24,12 @@ from srs_twin.extensions import PLUGINS
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import StrPath, check_output_folder, display_path, folder_or_temporary
+from srs_twin.io.files import (
+    StrPath,
+    check_output_folder,
+    display_path,
+    folder_or_temporary,
+)
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
 from srs_twin.scenario.loading import parse_scenario
@@ -49,14 +54,16 @@ Engine = Callable[[Experiment, Sequence[Point]], Iterator[TaskResult[Row]]]
 def local(workers: int | None = None) -> Engine:
     """Return the engine that runs points in processes on this machine.
 
-    Threads, or `mujoco.batch` for twins of one model, would be no faster (see benchmarks/sweeps.py), and a
-    run that crashes would end the others as well.
+    Threads, or `mujoco.batch` for twins of one model, would be no faster (see
+    benchmarks/sweeps.py), and a run that crashes would end the others as well.
 
     Args:
         workers: number of processes; default: one per processor.
     """
 
-    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
+    def run(
+        experiment: Experiment, points: Sequence[Point]
+    ) -> Iterator[TaskResult[Row]]:
         start_server("srs_twin.studies.sweep.warm")
         return run_tasks(partial(run_point, experiment), points, workers=workers)
 
@@ -67,29 +74,43 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs points on a Ray cluster, or on a Ray instance started here.
 
     Args:
-        address: address of a cluster, as in `ray.init`; None starts an instance that ends with the sweep.
+        address: address of a cluster, as in `ray.init`; None starts an instance that
+            ends with the sweep.
         workers: number of processors of an instance started here; default: all.
 
     Raises:
-        InputError: Ray is not installed, or both an address and a number of workers are given.
+        InputError: Ray is not installed, or both an address and a number of workers are
+            given.
     """
     for name, value in (_RAY_SETTINGS | ({} if address else _LOOPBACK_ONLY)).items():
         os.environ.setdefault(name, value)
     try:
         import ray
     except ImportError as error:
-        raise InputError("--engine ray needs Ray; install it with: pip install 'srs-twin[ray]'") from error
+        raise InputError(
+            "--engine ray needs Ray; install it with: pip install 'srs-twin[ray]'"
+        ) from error
     if address is not None and workers is not None:
-        raise InputError("--workers is only for a Ray instance started here; remove it or --address")
+        raise InputError(
+            "--workers is only for a Ray instance started here; remove it or --address"
+        )
 
-    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
+    def run(
+        experiment: Experiment, points: Sequence[Point]
+    ) -> Iterator[TaskResult[Row]]:
         try:
-            options: dict[str, Any] = {} if address else {"num_cpus": workers, "include_dashboard": False}
+            options: dict[str, Any] = (
+                {} if address else {"num_cpus": workers, "include_dashboard": False}
+            )
             if plugins := os.environ.get(PLUGINS):
                 options["runtime_env"] = {"env_vars": {PLUGINS: plugins}}
-            ray.init(address, log_to_driver=False, logging_level=logging.ERROR, **options)
+            ray.init(
+                address, log_to_driver=False, logging_level=logging.ERROR, **options
+            )
         except (ConnectionError, RuntimeError, ValueError) as error:
-            raise InputError(f"Ray cannot be reached at {address or 'this machine'}: {error}") from error
+            raise InputError(
+                f"Ray cannot be reached at {address or 'this machine'}: {error}"
+            ) from error
         try:
             yield from _run_on_ray(experiment, points)
         finally:
@@ -98,7 +119,9 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     return run
 
 
-def _run_on_ray(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
+def _run_on_ray(
+    experiment: Experiment, points: Sequence[Point]
+) -> Iterator[TaskResult[Row]]:
     """Run points with two tasks per processor submitted at a time; yield them as they finish."""
     import ray
 
@@ -136,7 +159,9 @@ def quiet(part: str, total: int, row: Row | None) -> None:
     """Show no progress: the default of a `Progress`."""
 
 
-def make_engine(engine: str | Engine, workers: int | None = None, address: str | None = None) -> Engine:
+def make_engine(
+    engine: str | Engine, workers: int | None = None, address: str | None = None
+) -> Engine:
     """Return an engine by name; an engine is returned unchanged.
 
     Args:
@@ -175,7 +200,11 @@ def select_points(swept: Sweep, without: Sequence[str]) -> set[str]:
         values = {str(point.changes[field]) for point in swept.points}
         if value not in values:
             raise UnknownNameError(f"value of {field}", value, values)
-        selected = {key: changes for key, changes in selected.items() if str(changes[field]) != value}
+        selected = {
+            key: changes
+            for key, changes in selected.items()
+            if str(changes[field]) != value
+        }
     return set(selected)
 
 
@@ -195,7 +224,8 @@ def sweep(
 ) -> Summary:
     """Run a scenario over grids, lists or samples of its fields, as `srs-twin sweep`.
 
-    An interrupted sweep resumes in the same folder: the finished rows, their table and plots are kept.
+    An interrupted sweep resumes in the same folder: the finished rows, their table and
+    plots are kept.
 
     Args:
         sweep: name of a shipped sweep, path of a sweep file, or a loaded sweep.
@@ -210,19 +240,30 @@ def sweep(
         progress: function that follows the runs.
 
     Raises:
-        InputError: the sweep is not valid, the engine is not available, or the folder cannot be used.
+        InputError: the sweep is not valid, the engine is not available, or the folder
+            cannot be used.
     """
-    runner, loaded = make_engine(engine, workers), load_sweep(sweep, set=set, plants=plants)
+    runner, loaded = (
+        make_engine(engine, workers),
+        load_sweep(sweep, set=set, plants=plants),
+    )
     selected = select_points(loaded, without)
-    with folder_or_temporary(out) as folder, open_sweep(loaded, folder, changed=changed) as opened:
-        missing = tuple(p for p in opened.missing(retry_failed=retry_failed) if p.key in selected)
+    with (
+        folder_or_temporary(out) as folder,
+        open_sweep(loaded, folder, changed=changed) as opened,
+    ):
+        missing = tuple(
+            p for p in opened.missing(retry_failed=retry_failed) if p.key in selected
+        )
         progress(loaded.name, len(missing), None)
         try:
             opened.run(runner, missing, partial(progress, loaded.name, len(missing)))
         except KeyboardInterrupt as interrupt:
             kept = opened.finish()
             rows = kept.done + kept.failed
-            interrupt.add_note(f"{rows} of {kept.points} rows are kept; start again to resume")
+            interrupt.add_note(
+                f"{rows} of {kept.points} rows are kept; start again to resume"
+            )
             raise
         return opened.finish()
 
@@ -242,21 +283,26 @@ SCENARIO = "scenario.resolved.yaml"
 PLOTS = "plots"
 """Folder of the plots."""
 
-# The summary comes first, because the first file marks a complete set (`replace_files`).
+# The summary comes first, because the first file marks a complete set
+# (`replace_files`).
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
 @contextmanager
-def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> Iterator[OpenSweep]:
+def open_sweep(
+    sweep: Sweep, folder: Path, *, changed: bool = False
+) -> Iterator[OpenSweep]:
     """Open and lock a folder for a sweep.
 
     Args:
         sweep: sweep.
         folder: folder of rows and results; created if missing.
-        changed: continue in the folder of another version of the sweep; rows that still apply are kept.
+        changed: continue in the folder of another version of the sweep; rows that still
+            apply are kept.
 
     Raises:
-        InputError: the folder cannot be written, is locked, or belongs to another version of the sweep.
+        InputError: the folder cannot be written, is locked, or belongs to another
+            version of the sweep.
     """
     check_output_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
@@ -266,7 +312,9 @@ def open_sweep(sweep: Sweep, folder: Path, *, changed: bool = False) -> Iterator
 class OpenSweep:
     """Sweep with a locked folder."""
 
-    def __init__(self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool) -> None:
+    def __init__(
+        self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool
+    ) -> None:
         self.sweep, self.folder, self._store = sweep, folder, store
         self._check_identity(changed=changed)
 
@@ -280,7 +328,10 @@ class OpenSweep:
         return list(self._store.rows())
 
     def run(
-        self, engine: Engine, points: tuple[Point, ...], finished: Callable[[Row], object] | None = None
+        self,
+        engine: Engine,
+        points: tuple[Point, ...],
+        finished: Callable[[Row], object] | None = None,
     ) -> None:
         """Run points and store each row as it finishes, see `RowStore.collect`.
 
@@ -289,7 +340,9 @@ class OpenSweep:
             points: points of the sweep.
             finished: called with each row.
         """
-        self._store.collect(engine(self.sweep.experiment, points), [p.key for p in points], finished)
+        self._store.collect(
+            engine(self.sweep.experiment, points), [p.key for p in points], finished
+        )
 
     def finish(self) -> Summary:
         """Write table, plots and report of the present rows, and sweep.json last.
@@ -306,7 +359,10 @@ class OpenSweep:
         results.write(fresh / RESULTS, self.sweep)
         titles = self._draw(fresh, results)
         published = self.sweep.beside
-        for name, document in ((SWEEP, self.sweep.document), (SCENARIO, self.sweep.experiment.base)):
+        for name, document in (
+            (SWEEP, self.sweep.document),
+            (SCENARIO, self.sweep.experiment.base),
+        ):
             (fresh / name).write_text(dump_yaml(document), "utf-8")
         failed = [row for row in rows if row.status == FAILED]
         summary = Summary(
@@ -319,11 +375,24 @@ class OpenSweep:
             ranges=results.ranges(),
             results=results,
             files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
-            published=None if published is None else published_table(published, results),
+            published=(
+                None if published is None else published_table(published, results)
+            ),
         )
-        pictures = {title: (fresh / name).read_bytes() for name, title in titles.items()}
-        write_report(fresh / REPORT, self.sweep, summary, results, shown_metrics(self.sweep), pictures)
-        (fresh / SUMMARY).write_text(json.dumps(self._document(summary), indent=2) + "\n", "utf-8")
+        pictures = {
+            title: (fresh / name).read_bytes() for name, title in titles.items()
+        }
+        write_report(
+            fresh / REPORT,
+            self.sweep,
+            summary,
+            results,
+            shown_metrics(self.sweep),
+            pictures,
+        )
+        (fresh / SUMMARY).write_text(
+            json.dumps(self._document(summary), indent=2) + "\n", "utf-8"
+        )
         return summary
 
     def _draw(self, fresh: Path, results: SweepTable) -> dict[str, str]:
@@ -368,9 +437,10 @@ class OpenSweep:
         if before is not None and before.keys != now.keys:
             if not changed:
                 raise InputError(
-                    f"{display_path(self.folder)}: its rows are of another version of this sweep "
-                    f"({_describe_difference(before, now)}); give --changed to keep the rows that "
-                    f"still apply and run the others, or another --out"
+                    f"{display_path(self.folder)}: its rows are of another version of"
+                    f" this sweep ({_describe_difference(before, now)}); give --changed"
+                    " to keep the rows that still apply and run the others, or another"
+                    " --out"
                 )
             self._store.retain(point.key for point in self.sweep.points)
         if before != now:
@@ -394,7 +464,11 @@ def _describe_difference(before: SweepIdentity, now: SweepIdentity) -> str:
         (before.sources, now.sources, "the program has changed"),
         (before.files, now.files, "contents have changed"),
     ):
-        names = [name for name in dict.fromkeys((*new, *old)) if old.get(name) != new.get(name)]
+        names = [
+            name
+            for name in dict.fromkeys((*new, *old))
+            if old.get(name) != new.get(name)
+        ]
         if names:
             texts.append(f"{label}: {_abbreviate(names)}")
     if before.fields != now.fields:
@@ -414,9 +488,14 @@ def _value_changes(before: Any, now: Any, path: str) -> Any:
     """Yield 'field old → new' for each scalar value that differs."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in dict.fromkeys((*before, *now)):
-            yield from _value_changes(before.get(key), now.get(key), f"{path}.{key}" if path else key)
+            yield from _value_changes(
+                before.get(key), now.get(key), f"{path}.{key}" if path else key
+            )
     elif before != now:
-        old, new = (value if isinstance(value, str) else json.dumps(value) for value in (before, now))
+        old, new = (
+            value if isinstance(value, str) else json.dumps(value)
+            for value in (before, now)
+        )
         yield f"{path} {old} → {new}"
 
 
@@ -429,7 +508,8 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs twins with MuJoCo Warp, and all others with `local` and a warning.
 
     Args:
-        device: Warp device; None: an accelerator, or `local` for all points if there is none.
+        device: Warp device; None: an accelerator, or `local` for all points if there is
+            none.
         workers: number of workers of `local`.
 
     Raises:
@@ -437,11 +517,16 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     """
     batch_class = warp_batch()
     if device is None and not batch_class.accelerated():
-        message = "engine 'warp' finds no accelerator; all points run on the processor (engine 'local')"
+        message = (
+            "engine 'warp' finds no accelerator; all points run on the processor"
+            " (engine 'local')"
+        )
         warnings.warn(message, EngineWarning, stacklevel=1)
         return local(workers)
 
-    def run(experiment: Experiment, points: Sequence[Point]) -> Iterator[TaskResult[Row]]:
+    def run(
+        experiment: Experiment, points: Sequence[Point]
+    ) -> Iterator[TaskResult[Row]]:
         unsupported: dict[int, str] = {}
         for first in range(0, len(points), BATCH_SIZE):
             chunk = range(first, min(first + BATCH_SIZE, len(points)))
@@ -461,10 +546,15 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
                     unsupported |= dict.fromkeys([k for k, _, _ in group], str(error))
                     continue
                 for (k, _, _), trajectory in zip(group, trajectories, strict=True):
-                    yield TaskResult(k, run_point(experiment, points[k], {"twin": trajectory}), None)
+                    yield TaskResult(
+                        k, run_point(experiment, points[k], {"twin": trajectory}), None
+                    )
         if unsupported:
             why = next(iter(unsupported.values()))
-            message = f"{len(unsupported)} of {len(points)} points run on the processor: {why}"
+            message = (
+                f"{len(unsupported)} of {len(points)} points run on the processor:"
+                f" {why}"
+            )
             warnings.warn(message, EngineWarning, stacklevel=1)
             numbers = list(unsupported)
             for row in local(workers)(experiment, [points[k] for k in numbers]):
@@ -487,7 +577,9 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
     return tuple(timing[name] for name in ("duration", "seed", "record_hz"))
 
 
-def _run(batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenario, object]]) -> list[Any]:
+def _run(
+    batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenario, object]]
+) -> list[Any]:
     """Run scenarios with the same timing in one batch; raises InputError if the device cannot."""
     scenarios = [scenario for _, scenario, _ in group]
     timing = scenarios[0].timing
@@ -495,7 +587,9 @@ def _run(batch_class: Any, device: str | None, group: Sequence[tuple[int, Scenar
         run_scripts(
             batch_class([twin for _, _, twin in group], device=device),
             [scenario.build_controller() for scenario in scenarios],
-            timing["duration"], seed=timing["seed"], record_hz=timing["record_hz"],
+            timing["duration"],
+            seed=timing["seed"],
+            record_hz=timing["record_hz"],
             poses=[scenario.pose for scenario in scenarios],
         )
-    )  # fmt: skip
+    )

@@ -10,17 +10,42 @@ from typing import Any
 
 import numpy as np
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRICS_LISTED, metric_units
-from srs_twin.errors import InputError, InputFileError, UnknownNameError, did_you_mean, format_names
+from srs_twin.comparison.metrics import (
+    COMPARISON_UNITS,
+    LIST_METRIC_UNITS,
+    METRICS_LISTED,
+    metric_units,
+)
+from srs_twin.errors import (
+    InputError,
+    InputFileError,
+    UnknownNameError,
+    did_you_mean,
+    format_names,
+)
 from srs_twin.extensions import SECTIONS
-from srs_twin.io.documents import Document, Loc, Override, Overrides, format_path, load_yaml, parse_path
+from srs_twin.io.documents import (
+    Document,
+    Loc,
+    Override,
+    Overrides,
+    format_path,
+    load_yaml,
+    parse_path,
+)
 from srs_twin.io.files import StrPath, find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.fields import path_fields
 from srs_twin.scenario.loading import load_scenario, parse_scenario
-from srs_twin.scenario.modified import Changes, affects, changed_fields, marked, with_plants
+from srs_twin.scenario.modified import (
+    Changes,
+    affects,
+    changed_fields,
+    marked,
+    with_plants,
+)
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS, versions
 from srs_twin.scenario.scenario import Scenario
@@ -50,21 +75,29 @@ def check_published(document: Document, file: SweepFile, published: Published) -
         if field in file.vary:
             _check_published_fields(document, file, field, values)
         else:
-            document.report(("beside", "at", field), _not_varied(field, file), at_key=True)
+            document.report(
+                ("beside", "at", field), _not_varied(field, file), at_key=True
+            )
     units = metric_units()
-    columns = list(units) if file.metrics is None else [m for m in file.metrics if m in units]
+    columns = (
+        list(units) if file.metrics is None else [m for m in file.metrics if m in units]
+    )
     for metric in published.metrics:
         loc = ("beside", "metrics", metric)
         if metric not in units:
             text = str(UnknownNameError("metric", metric, units, METRICS_LISTED))
             document.report(loc, text, at_key=True)
         elif metric not in columns:
-            document.report(loc, "is not among the sweep's metrics; add it there", at_key=True)
+            document.report(
+                loc, "is not among the sweep's metrics; add it there", at_key=True
+            )
     _check_lengths(document, published)
 
 
 def _not_varied(field: str, file: SweepFile) -> str:
-    hint = did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
+    hint = (
+        did_you_mean(field, file.vary) or f"; varied: {format_names(list(file.vary))}"
+    )
     return f"is not varied{hint}"
 
 
@@ -79,7 +112,9 @@ def _check_lengths(document: Document, published: Published) -> None:
         counts = Counter(zip(*published.at.values(), strict=True))
         repeated = [settings for settings, count in counts.items() if count > 1]
         if repeated:
-            named = ", ".join(f"{n} {v}" for n, v in zip(published.at, repeated[0], strict=True))
+            named = ", ".join(
+                f"{n} {v}" for n, v in zip(published.at, repeated[0], strict=True)
+            )
             document.report(("beside", "at"), f"{named} is given twice; give it once")
 
 
@@ -88,14 +123,21 @@ def _check_published_fields(
 ) -> None:
     """Report published texts and booleans that no point has; `unmatched_values` warns about numbers."""
     varied = file.vary[field]
-    has_numbers = isinstance(varied, RangeFile) or any(is_number(value) for value in varied)
-    texts = [] if isinstance(varied, RangeFile) else [value for value in varied if not is_number(value)]
+    has_numbers = isinstance(varied, RangeFile) or any(
+        is_number(value) for value in varied
+    )
+    texts = (
+        []
+        if isinstance(varied, RangeFile)
+        else [value for value in varied if not is_number(value)]
+    )
     for i, value in enumerate(values):
         is_known = has_numbers if is_number(value) else value in texts
         if not is_known:
             allowed = ", ".join(map(str, texts[:10])) if texts else "numbers"
             document.report(
-                ("beside", "at", field, i), f"{field} never is {value!r}; it is varied over {allowed}"
+                ("beside", "at", field, i),
+                f"{field} never is {value!r}; it is varied over {allowed}",
             )
 
 
@@ -104,8 +146,14 @@ def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
     warnings = []
     for field, values in sweep.beside.at.items() if sweep.beside else ():
         column = [row[sweep.fields.index(field)] for row in sweep.values]
-        numbers = ColumnValues("", np.unique([float(value) for value in column if is_number(value)]))
-        missing = [value for value in values if is_number(value) and not numbers.rows_with(value).any()]
+        numbers = ColumnValues(
+            "", np.unique([float(value) for value in column if is_number(value)])
+        )
+        missing = [
+            value
+            for value in values
+            if is_number(value) and not numbers.rows_with(value).any()
+        ]
         if missing:
             named = ", ".join(f"{value:g}" for value in missing[:5])
             more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
@@ -123,11 +171,13 @@ def load_sweep(
 
     Args:
         sweep: name or path of the sweep; a loaded sweep is returned unchanged.
-        set: fields of the scenario to fix in addition to those of the file, by dotted path.
+        set: fields of the scenario to fix in addition to those of the file, by dotted
+            path.
         plants: plants that run, instead of the file's.
 
     Raises:
-        InputError: the file does not exist or cannot be read, or a loaded sweep is to be changed.
+        InputError: the file does not exist or cannot be read, or a loaded sweep is to
+            be changed.
         InputFileError: the file is invalid; lists all problems, one per line.
     """
     if isinstance(sweep, Sweep):
@@ -139,7 +189,9 @@ def load_sweep(
     for change in overrides:
         document.apply(replace(change, loc=("fixed", format_path(change.loc))))
     if plants is not None:
-        document.apply(Override(f"--plants {','.join(plants)}", ("plants",), list(plants)))
+        document.apply(
+            Override(f"--plants {','.join(plants)}", ("plants",), list(plants))
+        )
     complete = locate_files(document)
     file = validate(SweepFile, document, document.data)
     scenario, scenario_errors = base_scenario(document)
@@ -147,11 +199,17 @@ def load_sweep(
     if complete and file is not None and scenario is not None:
         loaded = _Loader(document, file, scenario).sweep(name)
     document.raise_problems(scenario_errors)
-    assert loaded is not None and scenario is not None, "a document without problems gives a sweep"
-    return _with_changes(loaded, scenario, written, [change.loc for change in overrides])
+    assert loaded is not None and scenario is not None, (
+        "a document without problems gives a sweep"
+    )
+    return _with_changes(
+        loaded, scenario, written, [change.loc for change in overrides]
+    )
 
 
-def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]) -> Sweep:
+def _with_changes(
+    sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], locs: Sequence[Loc]
+) -> Sweep:
     """Return a sweep with its changes named in the title, and without published values that they affect.
 
     Args:
@@ -161,17 +219,34 @@ def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], 
         locs: paths of the changed fields of the scenario.
     """
     changed = changed_base(sweep.experiment, scenario, written, locs)
-    plants = written["plants"] if written.get("plants") is not None else list(scenario.plants)
+    plants = (
+        written["plants"]
+        if written.get("plants") is not None
+        else list(scenario.plants)
+    )
     changes = with_plants(changed, plants, sweep.experiment.plants)
     if not changes:
         return sweep
     title, beside, warnings = marked(sweep.title, changes), sweep.beside, sweep.warnings
     if beside is not None:
-        affecting = {metric: _affecting_fields(changes, metric) for metric in beside.metrics}
-        kept = {metric: values for metric, values in beside.metrics.items() if not affecting[metric]}
+        affecting = {
+            metric: _affecting_fields(changes, metric) for metric in beside.metrics
+        }
+        kept = {
+            metric: values
+            for metric, values in beside.metrics.items()
+            if not affecting[metric]
+        }
         if left_out := [metric for metric in affecting if metric not in kept]:
-            fields = ", ".join(dict.fromkeys(field for metric in left_out for field in affecting[metric]))
-            text = f"published values of {', '.join(left_out)} are left out, because {fields} was changed"
+            fields = ", ".join(
+                dict.fromkeys(
+                    field for metric in left_out for field in affecting[metric]
+                )
+            )
+            text = (
+                f"published values of {', '.join(left_out)} are left out, because"
+                f" {fields} was changed"
+            )
             beside = beside.model_copy(update={"metrics": kept}) if kept else None
             warnings = (*warnings, f"beside: {text}")
     # The document becomes sweep.yaml, which must be loadable.
@@ -179,11 +254,21 @@ def _with_changes(sweep: Sweep, scenario: Scenario, written: Mapping[str, Any], 
     document |= {"title": title[:200]}
     if beside is not None:
         document |= {"beside": beside.model_dump(mode="json", exclude_none=True)}
-    return replace(sweep, title=title, changes=changes, beside=beside, warnings=warnings, document=document)
+    return replace(
+        sweep,
+        title=title,
+        changes=changes,
+        beside=beside,
+        warnings=warnings,
+        document=document,
+    )
 
 
 def changed_base(
-    experiment: Experiment, scenario: Scenario, written: Mapping[str, Any], locs: Iterable[Loc]
+    experiment: Experiment,
+    scenario: Scenario,
+    written: Mapping[str, Any],
+    locs: Iterable[Loc],
 ) -> list[dict[str, Any]]:
     """Return the fields of an experiment that differ from those of its file, see `changed_fields`.
 
@@ -199,7 +284,9 @@ def changed_base(
     return changed_fields(before, experiment.base, locs)
 
 
-def problems_at(points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]]) -> Iterator[tuple[Loc, str]]:
+def problems_at(
+    points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
+) -> Iterator[tuple[Loc, str]]:
     """Yield the problems of scenarios at some points, each once, with the location of its values.
 
     Args:
@@ -223,7 +310,11 @@ def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
 
 def _affecting_fields(changes: Changes, metric: str) -> list[str]:
     """Return the changed fields that affect a metric of any plant."""
-    return [change["field"] for change in changes if any(affects(change["field"], metric, p) for p in PLANTS)]
+    return [
+        change["field"]
+        for change in changes
+        if any(affects(change["field"], metric, p) for p in PLANTS)
+    ]
 
 
 def locate_files(document: Document) -> bool:
@@ -250,7 +341,9 @@ def refuse_changes(kind: str, *changes: object) -> None:
         InputError: a change is given.
     """
     if any(changes):
-        raise InputError(f"a loaded {kind} cannot be changed; give its name or path instead")
+        raise InputError(
+            f"a loaded {kind} cannot be changed; give its name or path instead"
+        )
 
 
 def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]:
@@ -283,7 +376,8 @@ class _Loader:
         self._plants = tuple(p for p in PLANTS if p in plants)
         self._scenario = dict(scenario.document)
         settings = self._scenario["plants"]
-        # A scenario that is only planned keeps its plants, because it must remain valid.
+        # A scenario that is only planned keeps its plants, because it must remain
+        # valid.
         self._scenario["plants"] = {
             plant: settings.get(plant, {}) for plant in self._plants or scenario.plants
         }
@@ -302,10 +396,15 @@ class _Loader:
             values = sample(file.vary, file.sampling)
         if values is None or len(self._document.problems) > before:
             return None
-        experiment = Experiment(self._scenario, self._plants, file.periods, robots, file.trajectories)
+        experiment = Experiment(
+            self._scenario, self._plants, file.periods, robots, file.trajectories
+        )
         base = experiment.with_fixed(file.fixed)
         if changes := changed_fields(
-            self._scenario, base, map(parse_path, file.fixed), self._scenario.get("changes", ())
+            self._scenario,
+            base,
+            map(parse_path, file.fixed),
+            self._scenario.get("changes", ()),
         ):
             base["changes"] = changes
         sweep = Sweep(
@@ -331,29 +430,45 @@ class _Loader:
             for field in getattr(self._file, section):
                 if field.partition(".")[0] in NOT_PHYSICS:
                     self._report(
-                        section, field, "is a name or expectation without effect on the simulation; remove it"
+                        section,
+                        field,
+                        "is a name or expectation without effect on the simulation;"
+                        " remove it",
                     )
                 elif field == "duration_s" and self._file.periods is not None:
-                    self._report(section, field, "is set by periods as well; remove one of them")
+                    self._report(
+                        section, field, "is set by periods as well; remove one of them"
+                    )
                 elif section == "fixed" and field in self._file.vary:
-                    self._report(section, field, "is varied as well; remove one of them")
+                    self._report(
+                        section, field, "is varied as well; remove one of them"
+                    )
                 first, *path = parse_path(field)
                 if first == "plants" and idle.intersection(path[:1]):
-                    self._report(section, field, f"{path[0]} does not run here; add it to plants")
+                    self._report(
+                        section, field, f"{path[0]} does not run here; add it to plants"
+                    )
 
     def _check_planning(self) -> None:
         """Check a sweep without plants, which must have a planner."""
         if self._plants:
             return
         if "planner" not in self._scenario:
-            text = "is empty, but the scenario has no planner: there is nothing to do; name a plant"
+            text = (
+                "is empty, but the scenario has no planner: there is nothing to do;"
+                " name a plant"
+            )
             self._document.report(("plants",), text)
         for key, text in _NEEDS_PLANTS.items():
             if getattr(self._file, key):
                 self._document.report((key,), text, at_key=True)
 
     def _check_metrics(self) -> None:
-        known = [*metric_units(), *LIST_METRIC_UNITS, *(COMPARISON_UNITS if len(self._plants) == 2 else ())]
+        known = [
+            *metric_units(),
+            *LIST_METRIC_UNITS,
+            *(COMPARISON_UNITS if len(self._plants) == 2 else ()),
+        ]
         known = known if self._plants else list(PLANNING_UNITS)
         for i, metric in enumerate(self._file.metrics or ()):
             self._check_metric(("metrics", i), metric, known)
@@ -362,24 +477,39 @@ class _Loader:
             self._check_metric(("plots", i, "metric"), plot.metric, plotted)
             for key in ("x", "y", "by"):
                 field = getattr(plot, key)
-                if field is None or field in self._file.vary or (plot.kind == "scatter" and field in plotted):
+                if (
+                    field is None
+                    or field in self._file.vary
+                    or (plot.kind == "scatter" and field in plotted)
+                ):
                     continue
-                self._document.report(("plots", i, key), f"'{field}' {_not_varied(field, self._file)}")
+                self._document.report(
+                    ("plots", i, key), f"'{field}' {_not_varied(field, self._file)}"
+                )
 
-    def _check_metric(self, loc: tuple[str | int, ...], metric: str, known: list[str]) -> None:
+    def _check_metric(
+        self, loc: tuple[str | int, ...], metric: str, known: list[str]
+    ) -> None:
         if metric in known:
             return
         if metric in COMPARISON_UNITS and len(self._plants) == 1:
-            self._document.report(loc, f"{metric} compares both plants; only {self._plants[0]} runs here")
+            self._document.report(
+                loc, f"{metric} compares both plants; only {self._plants[0]} runs here"
+            )
         else:
-            self._document.report(loc, str(UnknownNameError("metric", metric, known, METRICS_LISTED)))
+            self._document.report(
+                loc, str(UnknownNameError("metric", metric, known, METRICS_LISTED))
+            )
 
     def _robots(self) -> dict[str, Any]:
         """Return name → document of each named robot; keys of points depend on these contents."""
         robots = {}
         values = self._file.vary.get("robot", ())
         varied = () if isinstance(values, RangeFile) else values
-        names = [("fixed", self._file.fixed.get("robot")), *(("vary", value) for value in varied)]
+        names = [
+            ("fixed", self._file.fixed.get("robot")),
+            *(("vary", value) for value in varied),
+        ]
         for section, name in names:
             try:
                 if isinstance(name, str):
@@ -390,7 +520,10 @@ class _Loader:
 
     def _check_values(self, sweep: Sweep) -> None:
         """Validate the scenario with each varied value, together with the first values of other fields."""
-        points = ((loc, sweep.experiment, changes) for loc, changes in self._test_points(sweep))
+        points = (
+            (loc, sweep.experiment, changes)
+            for loc, changes in self._test_points(sweep)
+        )
         for loc, problem in problems_at(points):
             self._report_problem(loc, problem)
 
@@ -419,8 +552,12 @@ class _Loader:
             for field in getattr(self._file, section):
                 if path == field or path.startswith((f"{field}.", f"{field}[")):
                     field_loc = loc if loc[:2] == (section, field) else (section, field)
-                    message = with_suggestion(message, field, leaf_names(self._scenario))
-                    self._document.report(field_loc, message, at_key=message.startswith("unknown key"))
+                    message = with_suggestion(
+                        message, field, leaf_names(self._scenario)
+                    )
+                    self._document.report(
+                        field_loc, message, at_key=message.startswith("unknown key")
+                    )
                     return
         self._document.report(loc[:2], text)
 

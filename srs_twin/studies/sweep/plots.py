@@ -1,8 +1,9 @@
 """Plots of a sweep: a metric over two fields, along one field, or against another column.
 
-A metric over two fields is drawn as filled contours, of a regular grid or by triangulation of scattered
-points. Means are taken only over seeds. If other fields vary as well, there is a line, or a row of contours,
-for each combination of their values. A plot without any value contains a note instead.
+A metric over two fields is drawn as filled contours, of a regular grid or by
+triangulation of scattered points. Means are taken only over seeds. If other fields vary
+as well, there is a line, or a row of contours, for each combination of their values. A
+plot without any value contains a note instead.
 """
 
 from __future__ import annotations
@@ -24,10 +25,21 @@ from matplotlib.ticker import MaxNLocator
 from matplotlib.tri import TriAnalyzer, Triangulation
 
 from srs_twin.studies.sweep.points import Plot, Published
-from srs_twin.studies.sweep.table import COMPARISON, ColumnValues, SweepTable, group_means
+from srs_twin.studies.sweep.table import (
+    COMPARISON,
+    ColumnValues,
+    SweepTable,
+    group_means,
+)
 from srs_twin.studies.sweep.task import PLAN
 from srs_twin.viewing.plots.labels import field_label
-from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, side_by_side, style_of
+from srs_twin.viewing.plots.style import (
+    PUBLISHED_COLOR,
+    drawing,
+    finish,
+    side_by_side,
+    style_of,
+)
 
 _MAX_LINES = 12
 """Largest number of values in a legend; more values get a colour bar."""
@@ -36,8 +48,16 @@ _MAX_ROWS = 6
 """Largest number of rows of contours."""
 
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
-_ABOVE: dict[str, Any] = {"loc": "lower right", "bbox_to_anchor": (1.0, 0.99), "borderaxespad": 0.2}
-_SPACING: dict[str, Any] = {"handletextpad": 0.4, "columnspacing": 1.2, "handlelength": 2.8}
+_ABOVE: dict[str, Any] = {
+    "loc": "lower right",
+    "bbox_to_anchor": (1.0, 0.99),
+    "borderaxespad": 0.2,
+}
+_SPACING: dict[str, Any] = {
+    "handletextpad": 0.4,
+    "columnspacing": 1.2,
+    "handlelength": 2.8,
+}
 
 # Sizes of figures, inches.
 _WIDTH = 9.0
@@ -47,7 +67,12 @@ _BOTTOM = 0.5
 _KEY_WIDTH = 1.3
 """Right margin for a colour bar or legend."""
 
-_MARK: dict[str, Any] = {"linestyle": "none", "markersize": 4.5, "markerfacecolor": "none", "zorder": 4}
+_MARK: dict[str, Any] = {
+    "linestyle": "none",
+    "markersize": 4.5,
+    "markerfacecolor": "none",
+    "zorder": 4,
+}
 
 # Marks of failed runs; these colours occur neither in plants nor in colour scales.
 _MARKS = {"failed": ("x", "#CC3311"), "no value": ("o", "0.35")}
@@ -68,7 +93,11 @@ def draw(plot: Plot, results: SweepTable, published: Published | None = None) ->
     owners = results.owners(plot.metric)
     # If plants have the metric, the comparison is not shown.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
-    if plot.kind == "line" and plot.by is None and (separate := _separate_fields(plot, results)):
+    if (
+        plot.kind == "line"
+        and plot.by is None
+        and (separate := _separate_fields(plot, results))
+    ):
         plot = plot.model_copy(update={"by": separate[0]})
     if plot.kind == "contour":
         figure = _draw_contours(plot, results, owners)
@@ -88,7 +117,9 @@ def _separate_fields(plot: Plot, results: SweepTable) -> list[str]:
 def _title(plot: Plot, results: SweepTable, owners: list[str]) -> str:
     """Return the title, with notes on a second line."""
     labels = [results.metric(plot.metric, owners[0]).label]
-    labels += [results.values(name, owners[0]).label for name in (plot.x, plot.y) if name]
+    labels += [
+        results.values(name, owners[0]).label for name in (plot.x, plot.y) if name
+    ]
     metric, *names = (label.partition(" (")[0] for label in labels)
     against = "against" if plot.kind == "scatter" else "over"
     title = f"{metric[:1].upper()}{metric[1:]} {against} {' and '.join(names)}"
@@ -105,11 +136,23 @@ def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
     missing = sum(int((np.isnan(value) & ~results.failed).sum()) for value in values)
     notes = []
     if plot.kind != "scatter" and results.repeats:
-        notes.append(f"each value the mean over {', '.join(map(field_label, results.repeats))}")
+        notes.append(
+            f"each value the mean over {', '.join(map(field_label, results.repeats))}"
+        )
     if separate := _separate_fields(plot, results):
-        fields, count = ", ".join(map(field_label, separate)), len(results.groups(separate))
-        shown = f", {_MAX_ROWS} of {count} shown" if plot.kind == "contour" and count > _MAX_ROWS else ""
-        notes.append(f"one {'row' if plot.kind == 'contour' else 'line'} for each {fields}{shown}")
+        fields, count = (
+            ", ".join(map(field_label, separate)),
+            len(results.groups(separate)),
+        )
+        shown = (
+            f", {_MAX_ROWS} of {count} shown"
+            if plot.kind == "contour" and count > _MAX_ROWS
+            else ""
+        )
+        notes.append(
+            f"one {'row' if plot.kind == 'contour' else 'line'} for each"
+            f" {fields}{shown}"
+        )
     if failed:
         notes.append(f"{failed} of {len(results.failed)} runs failed")
     if missing:
@@ -121,10 +164,19 @@ def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
 
 def _panels(columns: int, rows: int = 1, *, key: bool) -> tuple[Figure, np.ndarray]:
     """Return a figure and its panels (rows, columns) with common axes, optionally with space for a key."""
-    height, space = (_HEIGHT, 0.08) if rows == 1 else (_TOP + _BOTTOM + 2.2 * rows, 0.16)
+    height, space = (
+        (_HEIGHT, 0.08) if rows == 1 else (_TOP + _BOTTOM + 2.2 * rows, 0.16)
+    )
     right = _KEY_WIDTH if key else 0.25
     figure, panels = side_by_side(
-        height, columns, rows, right=right, top=_TOP, space=space, sharex=True, sharey=True
+        height,
+        columns,
+        rows,
+        right=right,
+        top=_TOP,
+        space=space,
+        sharex=True,
+        sharey=True,
     )
     for axes in panels.flat:
         axes.tick_params(labelsize=8)
@@ -132,12 +184,21 @@ def _panels(columns: int, rows: int = 1, *, key: bool) -> tuple[Figure, np.ndarr
 
 
 def color_bar(
-    figure: Figure, norm: Normalize, cmap: str, values: ColumnValues, ticks: Sequence[float] | None = None
+    figure: Figure,
+    norm: Normalize,
+    cmap: str,
+    values: ColumnValues,
+    ticks: Sequence[float] | None = None,
 ) -> None:
     """Draw a colour bar in the right margin."""
     height = figure.get_figheight()
     bottom = _BOTTOM / height
-    rectangle = (1 - (_KEY_WIDTH - 0.12) / _WIDTH, bottom, 0.16 / _WIDTH, 1 - _TOP / height - bottom)
+    rectangle = (
+        1 - (_KEY_WIDTH - 0.12) / _WIDTH,
+        bottom,
+        0.16 / _WIDTH,
+        1 - _TOP / height - bottom,
+    )
     axes = figure.add_axes(rectangle, label="colors")
     bar = figure.colorbar(ScalarMappable(norm, cmap), cax=axes, ticks=ticks)
     bar.set_label(values.label, fontsize=9)
@@ -151,7 +212,9 @@ def legend_above(axes: Axes, handles: Sequence[Line2D] = ()) -> None:
     marked, _ = axes.get_legend_handles_labels()
     shown = [*handles, *(artist for artist in marked if isinstance(artist, Line2D))]
     if shown:
-        legend = axes.legend(handles=shown, ncols=len(shown), **_LEGEND, **_ABOVE, **_SPACING)
+        legend = axes.legend(
+            handles=shown, ncols=len(shown), **_LEGEND, **_ABOVE, **_SPACING
+        )
         axes.add_artist(legend)
 
 
@@ -164,7 +227,9 @@ def set_ticks(axis: Axis, values: ColumnValues) -> None:
         axis.set_major_locator(MaxNLocator(integer=True))
 
 
-def mark_rows(axes: Axes, x: np.ndarray, y: np.ndarray, label: str, *, relative: bool = False) -> None:
+def mark_rows(
+    axes: Axes, x: np.ndarray, y: np.ndarray, label: str, *, relative: bool = False
+) -> None:
     """Mark runs without a value.
 
     Args:
@@ -189,8 +254,17 @@ def write_empty_note(axes: Axes, failed: np.ndarray) -> None:
     elif failures == rows:
         text = "the run failed" if rows == 1 else f"all {rows} runs failed"
     else:
-        text = f"no value in {rows - failures} runs" + (f", {failures} failed" if failures else "")
-    axes.text(0.5, 0.5, f"nothing to draw: {text}", transform=axes.transAxes, ha="center", fontsize=10)
+        text = f"no value in {rows - failures} runs" + (
+            f", {failures} failed" if failures else ""
+        )
+    axes.text(
+        0.5,
+        0.5,
+        f"nothing to draw: {text}",
+        transform=axes.transAxes,
+        ha="center",
+        fontsize=10,
+    )
 
 
 def value_range(columns: Sequence[ColumnValues]) -> tuple[float, float]:
@@ -236,13 +310,22 @@ class Points:
     failed: np.ndarray
 
     @staticmethod
-    def from_rows(x: np.ndarray, y: np.ndarray, z: np.ndarray, failed: np.ndarray) -> Points:
+    def from_rows(
+        x: np.ndarray, y: np.ndarray, z: np.ndarray, failed: np.ndarray
+    ) -> Points:
         """Combine rows with the same coordinates."""
         known = np.isfinite(x) & np.isfinite(y)
-        points, which = np.unique(np.stack([y[known], x[known]], axis=-1), axis=0, return_inverse=True)
+        points, which = np.unique(
+            np.stack([y[known], x[known]], axis=-1), axis=0, return_inverse=True
+        )
         which = which.reshape(-1)
         all_failed = group_means(which, len(points), failed[known].astype(float)) == 1.0
-        return Points(points[:, 1], points[:, 0], group_means(which, len(points), z[known]), all_failed)
+        return Points(
+            points[:, 1],
+            points[:, 0],
+            group_means(which, len(points), z[known]),
+            all_failed,
+        )
 
     @property
     def known(self) -> np.ndarray:
@@ -256,7 +339,11 @@ class Points:
         columns, rows = np.unique(self.x), np.unique(self.y)
         if min(len(columns), len(rows)) < 2 or len(columns) * len(rows) != len(self.z):
             return None
-        return columns, rows, np.ma.masked_invalid(self.z.reshape(len(rows), len(columns)))
+        return (
+            columns,
+            rows,
+            np.ma.masked_invalid(self.z.reshape(len(rows), len(columns))),
+        )
 
 
 def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure:
@@ -268,14 +355,22 @@ def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure
     values = [results.metric(plot.metric, owner) for owner in owners]
     points = [
         [
-            Points.from_rows(*(column[k] for column in (x.numbers, y.numbers, value.numbers, results.failed)))
+            Points.from_rows(
+                *(
+                    column[k]
+                    for column in (x.numbers, y.numbers, value.numbers, results.failed)
+                )
+            )
             for value in values
         ]
         for _, k in groups
     ]
     levels, cmap = _levels_and_colors([cell.z for row in points for cell in row])
     for (texts, k), row, cells in zip(groups, panels, points, strict=True):
-        labels = [f"{field_label(name)}: {text}" for name, text in zip(separate, texts, strict=True)]
+        labels = [
+            f"{field_label(name)}: {text}"
+            for name, text in zip(separate, texts, strict=True)
+        ]
         for axes, owner, cell in zip(row, owners, cells, strict=True):
             if cell.known.any():
                 _fill(axes, cell, levels, cmap)
@@ -287,14 +382,18 @@ def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure
             axes.set_xlim(_with_margin(value_range([x])))
             axes.set_ylim(_with_margin(value_range([y])))
             legend_above(axes)
-            axes.set_title(", ".join((style_of(owner).label, *labels)), fontsize=9, loc="left")
+            axes.set_title(
+                ", ".join((style_of(owner).label, *labels)), fontsize=9, loc="left"
+            )
             set_ticks(axes.xaxis, x)
         finish(row[0], y.label)
         set_ticks(row[0].yaxis, y)
     for axes in panels[-1]:
         axes.set_xlabel(x.label, fontsize=9)
     if any(cell.known.any() for row in points for cell in row):
-        color_bar(figure, BoundaryNorm(levels, 256), cmap, values[0], levels[::2].tolist())
+        color_bar(
+            figure, BoundaryNorm(levels, 256), cmap, values[0], levels[::2].tolist()
+        )
     return figure
 
 
@@ -307,7 +406,12 @@ def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
     """Draw filled contours between points; if the points span no area, colour the points themselves."""
     grid, known = points.grid, points.known
     style: dict[str, Any] = {"levels": levels, "cmap": cmap}
-    thin: dict[str, Any] = {"levels": levels, "colors": "k", "linewidths": 0.3, "alpha": 0.5}
+    thin: dict[str, Any] = {
+        "levels": levels,
+        "colors": "k",
+        "linewidths": 0.3,
+        "alpha": 0.5,
+    }
     mesh = None if grid else _triangulate(points.x[known], points.y[known])
     dots: dict[str, Any] = {"s": 3.0, "color": "0.25", "linewidths": 0.0}
     if grid is not None and _has_complete_cell(grid[2]):
@@ -317,7 +421,13 @@ def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
         axes.tricontourf(mesh, points.z[known], **style)
         axes.tricontour(mesh, points.z[known], **thin)
     else:
-        dots = {"s": 45.0, "c": points.z[known], "cmap": cmap, "vmin": levels[0], "vmax": levels[-1]}
+        dots = {
+            "s": 45.0,
+            "c": points.z[known],
+            "cmap": cmap,
+            "vmin": levels[0],
+            "vmax": levels[-1],
+        }
     if "c" in dots or known.sum() <= _MAX_DOTS:
         axes.scatter(points.x[known], points.y[known], zorder=3, **dots)
 
@@ -325,14 +435,17 @@ def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
 def _has_complete_cell(values: np.ndarray) -> bool:
     """Return whether at least one cell of a grid has a value at all four corners."""
     known = ~np.ma.getmaskarray(values)
-    return bool((known[1:, 1:] & known[1:, :-1] & known[:-1, 1:] & known[:-1, :-1]).any())
+    return bool(
+        (known[1:, 1:] & known[1:, :-1] & known[:-1, 1:] & known[:-1, :-1]).any()
+    )
 
 
 def _triangulate(x: np.ndarray, y: np.ndarray) -> Triangulation | None:
     """Return a triangulation of points; None if they span no area."""
     if len(x) < 3:
         return None
-    # Fields have different units, so triangles are formed in coordinates scaled to the plot.
+    # Fields have different units, so triangles are formed in coordinates scaled to the
+    # plot.
     u, v = (((values - values.min()) / (np.ptp(values) or 1.0)) for values in (x, y))
     try:
         scaled = Triangulation(u, v)
@@ -370,9 +483,15 @@ class _Colors:
         self.column, self.groups = columns[0], np.unique(numbers[np.isfinite(numbers)])
         self.few = len(self.groups) <= _MAX_LINES
         self.norm = Normalize(*value_range(columns))
-        positions = np.linspace(0.0, 0.92, len(self.groups)) if self.few else self.norm(self.groups)
+        positions = (
+            np.linspace(0.0, 0.92, len(self.groups))
+            if self.few
+            else self.norm(self.groups)
+        )
         colors = map(to_hex, colormaps["viridis"](positions))
-        self.by_group = dict(zip(self.groups.tolist(), colors, strict=True)) if used else {}
+        self.by_group = (
+            dict(zip(self.groups.tolist(), colors, strict=True)) if used else {}
+        )
 
     def draw_key(self, figure: Figure, axes: Axes) -> None:
         """Draw the legend or the colour bar."""
@@ -380,10 +499,19 @@ class _Colors:
             color_bar(figure, self.norm, "viridis", self.column)
             return
         colors = self.by_group.items()
-        handles = [Line2D([], [], color=color, label=self.column.text(group)) for group, color in colors]
-        position: dict[str, Any] = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "alignment": "left"}
+        handles = [
+            Line2D([], [], color=color, label=self.column.text(group))
+            for group, color in colors
+        ]
+        position: dict[str, Any] = {
+            "loc": "upper left",
+            "bbox_to_anchor": (1.0, 1.0),
+            "alignment": "left",
+        }
         title = textwrap.fill(self.column.label, 18)
-        axes.legend(handles=handles, title=title, title_fontsize=8, **_LEGEND, **position)
+        axes.legend(
+            handles=handles, title=title, title_fontsize=8, **_LEGEND, **position
+        )
 
 
 def _draw_line_or_scatter(
@@ -395,13 +523,21 @@ def _draw_line_or_scatter(
     constant = ColumnValues("", np.zeros(len(results.failed)))
     by = [results.values(plot.by, owner) if plot.by else constant for owner in owners]
     colors = _Colors(by, used=is_colored)
-    x, values = results.values(plot.x, owners[0]), results.metric(plot.metric, owners[0])
+    x, values = (
+        results.values(plot.x, owners[0]),
+        results.metric(plot.metric, owners[0]),
+    )
     drawn = 0
     for owner, column in zip(owners, by, strict=True):
-        points = [results.values(plot.x, owner).numbers, results.metric(plot.metric, owner).numbers]
+        points = [
+            results.values(plot.x, owner).numbers,
+            results.metric(plot.metric, owner).numbers,
+        ]
         for _, k in results.groups(_separate_fields(plot, results)):
             columns = np.array([*points, column.numbers])[:, k]
-            drawn += (_draw_lines if is_line else _draw_dots)(axes, owner, columns, colors)
+            drawn += (_draw_lines if is_line else _draw_dots)(
+                axes, owner, columns, colors
+            )
     finish(axes, values.label)
     axes.set_xlabel(x.label, fontsize=9)
     set_ticks(axes.xaxis, x)
@@ -410,8 +546,17 @@ def _draw_line_or_scatter(
     if not drawn:
         write_empty_note(axes, results.failed)
     # A plan has no plant to distinguish, so it has no legend entry.
-    samples = [_sample(owner, line=is_line, plain=is_colored) for owner in owners if owner != PLAN]
-    if is_line and published is not None and plot.x in published.at and plot.metric in published.metrics:
+    samples = [
+        _sample(owner, line=is_line, plain=is_colored)
+        for owner in owners
+        if owner != PLAN
+    ]
+    if (
+        is_line
+        and published is not None
+        and plot.x in published.at
+        and plot.metric in published.metrics
+    ):
         samples.append(_draw_published(axes, published, plot, x, by[0], colors))
     legend_above(axes, samples)
     if is_colored:
@@ -430,12 +575,15 @@ def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) ->
     """
     drawn, (x, y, by) = 0, columns
     for i, group in enumerate(colors.groups):
-        # Markers become smaller from line to line, so that coinciding lines stay visible.
+        # Markers become smaller from line to line, so that coinciding lines stay
+        # visible.
         steps = len(colors.groups) - 1 - i if colors.column.names and colors.few else 0
         rows = (by == group) & np.isfinite(x)
         positions, which = np.unique(x[rows], return_inverse=True)
         means = group_means(which.reshape(-1), len(positions), y[rows])
-        style = _line_style(owner) | ({"color": colors.by_group[group]} if colors.by_group else {})
+        style = _line_style(owner) | (
+            {"color": colors.by_group[group]} if colors.by_group else {}
+        )
         style |= {"markersize": (3.5 if colors.few else 2.0) + 2.0 * steps}
         axes.plot(positions, means, linewidth=1.3 if colors.few else 0.9, **style)
         drawn += int(np.isfinite(means).sum())
@@ -451,26 +599,45 @@ def _draw_dots(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> 
         color = {"c": [colors.by_group[level] for level in by[order]]}
     elif colors.by_group:
         color = {"c": by[order], "cmap": "viridis", "norm": colors.norm}
-    axes.scatter(x[order], y[order], s=16, marker=style.marker, alpha=0.85, linewidths=0, **color)
+    axes.scatter(
+        x[order], y[order], s=16, marker=style.marker, alpha=0.85, linewidths=0, **color
+    )
     return len(order)
 
 
 def _draw_published(
-    axes: Axes, published: Published, plot: Plot, x: ColumnValues, by: ColumnValues, colors: _Colors
+    axes: Axes,
+    published: Published,
+    plot: Plot,
+    x: ColumnValues,
+    by: ColumnValues,
+    colors: _Colors,
 ) -> Line2D:
     """Mark the published values of a metric along x, in the colour of their line if it is known.
 
     Returns:
         Legend entry.
     """
-    style: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 10, "markeredgecolor": "white"}
+    style: dict[str, Any] = {
+        "linestyle": "none",
+        "marker": "*",
+        "markersize": 10,
+        "markeredgecolor": "white",
+    }
     groups = published.at.get(plot.by, ()) if plot.by and colors.few else ()
     points = zip(published.at[plot.x], published.metrics[plot.metric], strict=True)
     for i, (position, value) in enumerate(points):
         color = colors.by_group.get(by.number(groups[i])) if groups else None
         if value is not None:
             color = color or PUBLISHED_COLOR
-            axes.plot(x.number(position), value, color=color, markeredgewidth=0.6, zorder=5, **style)
+            axes.plot(
+                x.number(position),
+                value,
+                color=color,
+                markeredgewidth=0.6,
+                zorder=5,
+                **style,
+            )
     # An unescaped dollar sign would start a formula.
     label = f"published, {published.source}".replace("$", r"\$")
     return Line2D([], [], color=PUBLISHED_COLOR, label=label, **style)
@@ -478,7 +645,11 @@ def _draw_published(
 
 def _sample(owner: str, *, line: bool = True, plain: bool = False) -> Line2D:
     """Return the legend entry of an owner."""
-    style = _line_style(owner) | ({} if line else {"linestyle": "none"}) | ({"color": "0.3"} if plain else {})
+    style = (
+        _line_style(owner)
+        | ({} if line else {"linestyle": "none"})
+        | ({"color": "0.3"} if plain else {})
+    )
     return Line2D([], [], **style, markersize=4, label=style_of(owner).label)
 
 

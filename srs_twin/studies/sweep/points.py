@@ -38,7 +38,8 @@ Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 FieldName = Annotated[str, Field(min_length=1, max_length=200)]
 FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
 PublishedValues = Annotated[
-    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None], Field(min_length=1, max_length=10_000)
+    list[Annotated[float, Field(ge=-1e12, le=1e12)] | None],
+    Field(min_length=1, max_length=10_000),
 ]
 
 
@@ -61,7 +62,10 @@ class Plot(Section):
         if self.kind == "contour" and self.y is None:
             raise ValueError("a contour needs y")
         if self.kind != "contour" and self.y is not None:
-            raise ValueError(f"y is only for contour, not for {self.kind}, whose vertical axis is metric")
+            raise ValueError(
+                f"y is only for contour, not for {self.kind}, whose vertical axis is"
+                " metric"
+            )
         if self.kind == "contour" and self.by is not None:
             raise ValueError("by is only for line and scatter, not for contour")
         return self
@@ -74,22 +78,33 @@ class Published(Section):
     """Source of the values (Table 8)."""
     note: Annotated[str, Field(min_length=1, max_length=1000)] | None = None
     """Note on the comparison (signs, method of measurement)."""
-    at: Annotated[dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)]
+    at: Annotated[
+        dict[FieldName, FieldValues], Field(min_length=1, max_length=MAX_FIELDS)
+    ]
     """Varied fields → their values at each published point; lists of equal length."""
-    metrics: Annotated[dict[MetricName, PublishedValues], Field(min_length=1, max_length=64)]
+    metrics: Annotated[
+        dict[MetricName, PublishedValues], Field(min_length=1, max_length=64)
+    ]
     """Metrics of the plants → their published values at each point; null if missing."""
 
     @property
     def settings(self) -> list[dict[str, Value]]:
         """Values of the fields at each published point."""
-        return [dict(zip(self.at, values, strict=True)) for values in zip(*self.at.values(), strict=True)]
+        return [
+            dict(zip(self.at, values, strict=True))
+            for values in zip(*self.at.values(), strict=True)
+        ]
 
 
 class RangeFile(Section):
     """Range of values, both ends included."""
 
-    start: float = Field(alias="from", ge=-1e12, le=1e12, title="From", description="First value.")
-    stop: float = Field(alias="to", ge=-1e12, le=1e12, title="To", description="Last value.")
+    start: float = Field(
+        alias="from", ge=-1e12, le=1e12, title="From", description="First value."
+    )
+    stop: float = Field(
+        alias="to", ge=-1e12, le=1e12, title="To", description="Last value."
+    )
     count: int | None = quantity(2, 10_000, None)
     """Number of values (grid, list)."""
     scale: Literal["linear", "log"] = "linear"
@@ -98,9 +113,13 @@ class RangeFile(Section):
     @model_validator(mode="after")
     def _ascending(self) -> RangeFile:
         if not self.start < self.stop:
-            raise ValueError(f"from must be below to, but {self.start:g} is not below {self.stop:g}")
+            raise ValueError(
+                f"from must be below to, but {self.start:g} is not below {self.stop:g}"
+            )
         if self.scale == "log" and self.start <= 0:
-            raise ValueError(f"scale: log needs values above 0, but from is {self.start:g}")
+            raise ValueError(
+                f"scale: log needs values above 0, but from is {self.start:g}"
+            )
         return self
 
 
@@ -130,11 +149,18 @@ class SamplingFile(Section):
             raise ValueError(f"{self.kind} needs a count")
         for name in ("count", "seed"):
             if not is_random and getattr(self, name) is not None:
-                raise ValueError(f"{name} is only for latin_hypercube and sobol, not for {self.kind}")
-        if self.kind == "sobol" and self.count is not None and self.count & (self.count - 1):
+                raise ValueError(
+                    f"{name} is only for latin_hypercube and sobol, not for {self.kind}"
+                )
+        if (
+            self.kind == "sobol"
+            and self.count is not None
+            and self.count & (self.count - 1)
+        ):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
-                f"sobol points are balanced in powers of 2 only: {below} or {2 * below}, not {self.count}"
+                f"sobol points are balanced in powers of 2 only: {below} or"
+                f" {2 * below}, not {self.count}"
             )
         return self
 
@@ -146,17 +172,23 @@ class SweepFile(Section):
     """Title, one line (default: the name)."""
     scenario: PathOrName
     """Scenario, a shipped name or the path of a file."""
-    plants: Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None = None
+    plants: (
+        Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None
+    ) = None
     """Plants that run (default: those of the scenario); []: none, the scenario is only planned."""
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods of the gait or the reference, instead of duration_s, in whole ticks."""
     fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = {}
     """Fields with a different value than in the scenario."""
-    vary: Annotated[dict[FieldName, VariedField], Field(min_length=1, max_length=MAX_FIELDS)]
+    vary: Annotated[
+        dict[FieldName, VariedField], Field(min_length=1, max_length=MAX_FIELDS)
+    ]
     """Varied fields of the scenario, dotted (supply.pressure_kpa); each a list, or from, to, count."""
     sampling: SamplingFile = SamplingFile()
     """Combination of the values."""
-    metrics: Annotated[list[MetricName], Field(min_length=1, max_length=64)] | None = None
+    metrics: Annotated[list[MetricName], Field(min_length=1, max_length=64)] | None = (
+        None
+    )
     """Metrics that become columns (default: all)."""
     trajectories: bool = False
     """Whether trajectories are stored as well."""
@@ -178,7 +210,8 @@ def sweep_json_schema() -> dict[str, object]:
 
 
 RUNNER = "srs_twin.studies.sweep.task"
-"""Module that runs a point; a row's key includes its sources and those of its imports."""
+"""Module that runs a point; a row's key includes its sources and those of its imports.
+"""
 
 Changes = Mapping[str, Value]
 
@@ -206,7 +239,8 @@ class Experiment:
     Attributes:
         base: scenario with defaults, robot and `fixed` fields, as plain data.
         plants: plants that run; empty: the scenario is only planned.
-        periods: simulated time in periods of the gait or the reference; None: the scenario's duration_s.
+        periods: simulated time in periods of the gait or the reference; None: the
+            scenario's duration_s.
         robots: name → robot as plain data, for each value of the field `robot`.
         trajectories: whether trajectories are stored.
     """
@@ -288,7 +322,9 @@ class Sweep:
         points: dict[str, Point] = {}
         for row in self.values:
             changes = dict(zip(self.fields, row, strict=True))
-            key = run_key(self.experiment.document(changes), self.experiment.plants, RUNNER)
+            key = run_key(
+                self.experiment.document(changes), self.experiment.plants, RUNNER
+            )
             points.setdefault(key, Point(key, changes))
         return tuple(points.values())
 
@@ -299,16 +335,24 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
     if not isinstance(planner, Mapping) or kind not in PLANNER_FILES:
         return document
     known = PLANNER_FILES[str(kind)].model_fields
-    return {**document, "planner": {key: value for key, value in planner.items() if key in known}}
+    return {
+        **document,
+        "planner": {key: value for key, value in planner.items() if key in known},
+    }
 
 
 def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     """Return plain data with one value replaced; containers on its path are copied, others shared.
 
-    If a number replaces a robot record, the unit stays, and status and source name the sweep.
+    If a number replaces a robot record, the unit stays, and status and source name the
+    sweep.
     """
     if not loc:
-        if isinstance(data, Mapping) and {"value", "unit"} <= data.keys() and not isinstance(value, Mapping):
+        if (
+            isinstance(data, Mapping)
+            and {"value", "unit"} <= data.keys()
+            and not isinstance(value, Mapping)
+        ):
             return replace_value(data, value, None, BY_A_SWEEP)
         return value
     first, rest = loc[0], loc[1:]
@@ -326,11 +370,16 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
         yield prefix
 
 
-def _duration(document: Mapping[str, Any], plants: tuple[str, ...], periods: float) -> Any:
+def _duration(
+    document: Mapping[str, Any], plants: tuple[str, ...], periods: float
+) -> Any:
     """Return a number of gait or reference periods in whole ticks, s; the given duration without periods."""
     controller = document.get("controller", {})
     frequency = (controller.get("reference") or controller).get("frequency_hz")
-    ticks = [document.get("plants", {}).get(plant, {}).get("tick_s", 0.02) for plant in plants]
+    ticks = [
+        document.get("plants", {}).get(plant, {}).get("tick_s", 0.02)
+        for plant in plants
+    ]
     numbers = [frequency, *ticks]
     if not all(is_number(number) and 0 < number < math.inf for number in numbers):
         return document.get("duration_s")
@@ -345,7 +394,8 @@ def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
     """Return the points, one row each with a value per field.
 
     Raises:
-        InputError: lists have different lengths, a range has no count, or there are too many points.
+        InputError: lists have different lengths, a range has no count, or there are too
+            many points.
     """
     if sampling.kind in ("latin_hypercube", "sobol"):
         return _space_filling_points(list(vary.values()), sampling)
@@ -355,12 +405,15 @@ def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise InputError(
-                f"sampling: list needs the same number of values of each field, but there are {counts}"
+                "sampling: list needs the same number of values of each field, but"
+                f" there are {counts}"
             )
         return list(zip(*lists, strict=True))
     count = math.prod(len(values) for values in lists)
     if count > MAX_POINTS:
-        raise InputError(f"the grid has {count} points; at most {MAX_POINTS} are allowed")
+        raise InputError(
+            f"the grid has {count} points; at most {MAX_POINTS} are allowed"
+        )
     return list(product(*lists))
 
 
@@ -368,16 +421,24 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
     if not isinstance(values, RangeFile):
         return list(values)
     if values.count is None:
-        raise InputError(f"{name}: a range needs a count here, or sampling: latin_hypercube or sobol")
+        raise InputError(
+            f"{name}: a range needs a count here, or sampling: latin_hypercube or sobol"
+        )
     spaced = np.geomspace if values.scale == "log" else np.linspace
     return [float(value) for value in spaced(values.start, values.stop, values.count)]
 
 
-def sobol_points(dimensions: int, count: int, rng: np.random.Generator | int) -> np.ndarray:
+def sobol_points(
+    dimensions: int, count: int, rng: np.random.Generator | int
+) -> np.ndarray:
     """Return the first points of a scrambled Sobol sequence in the unit cube, shape (count, dimensions)."""
     from scipy.stats import qmc
 
-    return np.asarray(qmc.Sobol(dimensions, rng=rng).random_base2(max(count - 1, 1).bit_length())[:count])
+    return np.asarray(
+        qmc.Sobol(dimensions, rng=rng).random_base2(max(count - 1, 1).bit_length())[
+            :count
+        ]
+    )
 
 
 def _space_filling_points(
@@ -389,7 +450,10 @@ def _space_filling_points(
     assert sampling.count is not None, "checked by the file's model"
     engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
     unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
-    columns = [_values_at(values, shares) for values, shares in zip(fields, unit.T, strict=True)]
+    columns = [
+        _values_at(values, shares)
+        for values, shares in zip(fields, unit.T, strict=True)
+    ]
     return list(zip(*columns, strict=True))
 
 

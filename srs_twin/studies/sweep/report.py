@@ -81,26 +81,47 @@ class _Column:
         if not len(known):
             return cell(None)
         std = f" ± {known.std(ddof=1):.2g}" if len(known) > 1 else ""
-        return f"{known.mean():.4g}{std}" + (f" ({len(known)})" if len(known) < len(numbers) else "")
+        return f"{known.mean():.4g}{std}" + (
+            f" ({len(known)})" if len(known) < len(numbers) else ""
+        )
 
 
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return tables with one row per run, ordered by the fields' values, with a few metrics each.
 
     Args:
-        results: results of a sweep; a table of more than `MAX_RUNS` runs is replaced by a note.
-        metrics: metrics to show for each plant and the comparison; a list metric is shown by its mean.
+        results: results of a sweep; a table of more than `MAX_RUNS` runs is replaced by
+            a note.
+        metrics: metrics to show for each plant and the comparison; a list metric is
+            shown by its mean.
     """
     if len(results.failed) > MAX_RUNS:
-        return [Table((), (), note=f"{len(results.failed)} runs; their rows are in results.parquet.")]
-    fields, failed = [results.values(name, "") for name in results.fields], results.failed
+        return [
+            Table(
+                (),
+                (),
+                note=f"{len(results.failed)} runs; their rows are in results.parquet.",
+            )
+        ]
+    fields, failed = (
+        [results.values(name, "") for name in results.fields],
+        results.failed,
+    )
     order = np.lexsort([field.numbers for field in reversed(fields)])
     columns, note = _metric_columns(results, metrics)
-    headings = (*(field.label for field in fields), *(["status"] if failed.any() else []))
+    headings = (
+        *(field.label for field in fields),
+        *(["status"] if failed.any() else []),
+    )
     starts = [tuple(field.text(field.numbers[i]) for field in fields) for i in order]
     if failed.any():
-        starts = [(*start, "failed" if failed[i] else "done") for start, i in zip(starts, order, strict=True)]
-    return _split_tables(headings, zip(starts, order, strict=True), columns, _Column.text, note)
+        starts = [
+            (*start, "failed" if failed[i] else "done")
+            for start, i in zip(starts, order, strict=True)
+        ]
+    return _split_tables(
+        headings, zip(starts, order, strict=True), columns, _Column.text, note
+    )
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
@@ -116,7 +137,13 @@ def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     if len(groups) == len(results.failed):
         return []
     if len(groups) > MAX_RUNS:
-        return [Table((), (), note=f"{len(groups)} combinations; their runs are in results.parquet.")]
+        return [
+            Table(
+                (),
+                (),
+                note=f"{len(groups)} combinations; their runs are in results.parquet.",
+            )
+        ]
     successful = [(texts, rows[~results.failed[rows]]) for texts, rows in groups]
     lines = [((*texts, str(len(rows))), rows) for texts, rows in successful]
     columns, note = _metric_columns(results, metrics)
@@ -124,17 +151,25 @@ def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     return _split_tables(headings, lines, columns, _Column.mean_text, note)
 
 
-def _metric_columns(results: SweepTable, metrics: Sequence[str]) -> tuple[list[_Column], str]:
+def _metric_columns(
+    results: SweepTable, metrics: Sequence[str]
+) -> tuple[list[_Column], str]:
     """Return the columns of metrics, owners side by side, and a note if some are left out."""
     columns = []
     for metric in dict.fromkeys(metrics):
         for owner in results.owners_if_any(metric):
             values = results.metric(metric, owner)
-            heading = values.label if owner in (COMPARISON, PLAN) else f"{values.label}, {owner}"
+            heading = (
+                values.label
+                if owner in (COMPARISON, PLAN)
+                else f"{values.label}, {owner}"
+            )
             columns.append(_Column(heading, values.numbers))
     if len(columns) <= _MAX_COLUMNS:
         return columns, ""
-    note = f"{_MAX_COLUMNS} of {len(columns)} columns are shown; results.parquet has all."
+    note = (
+        f"{_MAX_COLUMNS} of {len(columns)} columns are shown; results.parquet has all."
+    )
     return columns[:_MAX_COLUMNS], note
 
 
@@ -157,7 +192,9 @@ def _split_tables(
     tables, lines = [], list(lines)
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):
         chunk = columns[first : first + _COLUMNS_PER_TABLE]
-        rows = tuple((*start, *(text(column, runs) for column in chunk)) for start, runs in lines)
+        rows = tuple(
+            (*start, *(text(column, runs) for column in chunk)) for start, runs in lines
+        )
         all_headings = (*headings, *(column.heading for column in chunk))
         tables.append(Table(all_headings, rows, range(len(all_headings)), note))
     return tables
@@ -200,7 +237,9 @@ def write_report(
         subtitle=_counts(summary),
         warnings=sweep.warnings,
         failures=_failures(summary),
-        scenario=f"{sweep.document['scenario']} ({sweep.experiment.base.get('title', '')})",
+        scenario=(
+            f"{sweep.document['scenario']} ({sweep.experiment.base.get('title', '')})"
+        ),
         varied=_varied(sweep),
         published=summary.published,
         plots=[image(content, "png", title) for title, content in pictures.items()],
@@ -219,7 +258,10 @@ def _counts(summary: Summary) -> str:
 
 
 def _failures(summary: Summary) -> Table:
-    rows = [(reason, str(count)) for reason, count in list(summary.reasons.items())[:_MAX_REASONS]]
+    rows = [
+        (reason, str(count))
+        for reason, count in list(summary.reasons.items())[:_MAX_REASONS]
+    ]
     more = len(summary.reasons) - len(rows)
     note = f"And {more} other reasons: see results.parquet." if more else ""
     return Table(["reason", "runs"], rows, numbers=[1], note=note)
@@ -229,11 +271,15 @@ def _varied(sweep: Sweep) -> Table:
     """Return the table of varied and fixed fields."""
     rows = []
     for name, column in zip(sweep.fields, zip(*sweep.values, strict=True), strict=True):
-        rows.append((field_label(name), name, _values_text(list(dict.fromkeys(column)))))
+        rows.append(
+            (field_label(name), name, _values_text(list(dict.fromkeys(column))))
+        )
     for name, value in sweep.document.get("fixed", {}).items():
         rows.append((field_label(name), name, f"{_value_text(value)} (fixed)"))
     if sweep.experiment.periods is not None:
-        rows.append(("simulated time", "periods", f"{sweep.experiment.periods:g} periods"))
+        rows.append(
+            ("simulated time", "periods", f"{sweep.experiment.periods:g} periods")
+        )
     rows.append(("plants", "plants", " and ".join(sweep.experiment.plants)))
     return Table(["quantity", "field", "values"], rows)
 
@@ -242,8 +288,14 @@ def _values_text(values: list[Any]) -> str:
     if len(values) <= _MAX_VALUES:
         return ", ".join(map(_value_text, values))
     if all(map(is_number, values)):
-        return f"{_value_text(min(values))} to {_value_text(max(values))}, {len(values)} values"
-    return f"{', '.join(map(_value_text, values[:_MAX_VALUES]))} and {len(values) - _MAX_VALUES} more"
+        return (
+            f"{_value_text(min(values))} to {_value_text(max(values))}, {len(values)}"
+            " values"
+        )
+    return (
+        f"{', '.join(map(_value_text, values[:_MAX_VALUES]))} and"
+        f" {len(values) - _MAX_VALUES} more"
+    )
 
 
 def _value_text(value: Any) -> str:

@@ -1,8 +1,9 @@
 """Storage of rows as soon as they are finished.
 
-Rows are in an SQLite file in the sweep's folder. A row is written completely or not at all, and only one
-process can write. The log is not flushed to disk after every row: rows of a killed process are kept, but a
-power failure may lose the last ones, which are then run again.
+Rows are in an SQLite file in the sweep's folder. A row is written completely or not at
+all, and only one process can write. The log is not flushed to disk after every row:
+rows of a killed process are kept, but a power failure may lose the last ones, which are
+then run again.
 """
 
 from __future__ import annotations
@@ -21,7 +22,12 @@ from pydantic import TypeAdapter, ValidationError
 
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write, display_path, missing_folders, remove_empty_folders
+from srs_twin.io.files import (
+    atomic_write,
+    display_path,
+    missing_folders,
+    remove_empty_folders,
+)
 from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 
 FILE = "rows.sqlite"
@@ -42,7 +48,8 @@ class SweepIdentity:
         scenario: scenario of the experiment.
         fields: varied fields.
         versions: package → version.
-        sources: module that computes rows → hash of its source; empty in files of older versions.
+        sources: module that computes rows → hash of its source; empty in files of older
+            versions.
         files: file that points read → hash of its contents.
     """
 
@@ -54,9 +61,13 @@ class SweepIdentity:
     files: dict[str, str] = field(default_factory=dict)
 
 
-_DAMAGE = (sqlite3.Error, UnicodeDecodeError)  # SQLite may quote damaged text in its message
+_DAMAGE = (
+    sqlite3.Error,
+    UnicodeDecodeError,
+)  # SQLite may quote damaged text in its message
 
-# Set exclusive locking first: the log then needs no shared memory, so network drives work.
+# Set exclusive locking first: the log then needs no shared memory, so network drives
+# work.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",
@@ -64,15 +75,23 @@ _OPENING = (
     "PRAGMA trusted_schema=OFF",
     "BEGIN EXCLUSIVE",
     "CREATE TABLE IF NOT EXISTS about (name TEXT PRIMARY KEY, value TEXT NOT NULL)",
-    "CREATE TABLE IF NOT EXISTS rows (key TEXT PRIMARY KEY, status TEXT, row TEXT NOT NULL)",
+    (
+        "CREATE TABLE IF NOT EXISTS rows (key TEXT PRIMARY KEY, status TEXT, row TEXT"
+        " NOT NULL)"
+    ),
     "COMMIT",
 )
 _DISK_FULL = "cannot be written ({}); finished rows are kept, start again to resume"
 _NOT_A_STORE = "not the rows of a sweep ({}); give another --out"
 _MESSAGES = {
-    sqlite3.SQLITE_BUSY: "another sweep works in this folder; wait for it or give another --out",
+    sqlite3.SQLITE_BUSY: (
+        "another sweep works in this folder; wait for it or give another --out"
+    ),
     **dict.fromkeys((sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR), _DISK_FULL),
-    **dict.fromkeys((sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR), _NOT_A_STORE),
+    **dict.fromkeys(
+        (sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_ERROR),
+        _NOT_A_STORE,
+    ),
 }
 """SQLite error code → message."""
 _IDENTITY = TypeAdapter(SweepIdentity)
@@ -86,7 +105,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         """Open or create the file, and the folder.
 
         Raises:
-            InputError: the folder cannot be written, another sweep works in it, or the file is not a store.
+            InputError: the folder cannot be written, another sweep works in it, or the
+                file is not a store.
         """
         self._path = folder / FILE
         self._is_new = not os.path.lexists(self._path)
@@ -94,9 +114,13 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             self._missing = missing_folders(folder)
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise InputError(f"{display_path(folder)}: cannot be created ({error.strerror})") from error
+            raise InputError(
+                f"{display_path(folder)}: cannot be created ({error.strerror})"
+            ) from error
         try:
-            self._database = sqlite3.connect(self._path, timeout=0, isolation_level=None)
+            self._database = sqlite3.connect(
+                self._path, timeout=0, isolation_level=None
+            )
             self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_BYTES)
             for statement in _OPENING:
                 self._database.execute(statement)
@@ -105,10 +129,13 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def __exit__(self, *error: object) -> None:
         """Unlock the folder; delete a new file without rows."""
-        # Closing copies the log into the database. On a full disk this fails, but the rows are safe in the
-        # log.
+        # Closing copies the log into the database. On a full disk this fails, but the
+        # rows are safe in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
-            is_empty = self._is_new and not self._database.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
+            is_empty = (
+                self._is_new
+                and not self._database.execute("SELECT 1 FROM rows LIMIT 1").fetchall()
+            )
             self._database.close()
             if is_empty:
                 self._path.unlink()
@@ -125,7 +152,10 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def set_identity(self, identity: SweepIdentity) -> None:
         """Store the identity of the sweep to which the rows belong."""
-        self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", json.dumps(asdict(identity)))
+        self._write(
+            "INSERT OR REPLACE INTO about VALUES ('sweep', ?)",
+            json.dumps(asdict(identity)),
+        )
 
     def add(self, row: Row) -> None:
         """Store a row and its files; replace one with the same key.
@@ -138,7 +168,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             with atomic_write(self.trajectory_file(row.key, plant)) as part:
                 part.write_bytes(parquet)
         content = json.dumps([row.values, row.wall_s, row.reason, row.exit_code])
-        self._write("INSERT OR REPLACE INTO rows VALUES (?, ?, ?)", row.key, row.status, content)
+        self._write(
+            "INSERT OR REPLACE INTO rows VALUES (?, ?, ?)", row.key, row.status, content
+        )
 
     def collect(
         self,
@@ -171,7 +203,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def rows(self) -> Iterator[Row]:
         """Yield all rows in the order of their keys."""
-        for key, status, content in self._read("SELECT key, status, row FROM rows ORDER BY key"):
+        for key, status, content in self._read(
+            "SELECT key, status, row FROM rows ORDER BY key"
+        ):
             values, wall, reason, exit_code = self._parse(_ROW, content)
             yield Row(key, status, values, wall, reason, exit_code)
 
@@ -183,7 +217,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
     def retain(self, keys: Iterable[str]) -> None:
         """Delete all rows except those with the given keys."""
         kept = set(keys)
-        removed = [(key,) for (key,) in self._read("SELECT key FROM rows") if key not in kept]
+        removed = [
+            (key,) for (key,) in self._read("SELECT key FROM rows") if key not in kept
+        ]
         with self._errors_translated():
             self._database.execute("BEGIN")
             self._database.executemany("DELETE FROM rows WHERE key = ?", removed)
@@ -194,7 +230,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             return adapter.validate_json(content)
         except ValidationError as error:
             raise InputError(
-                f"{display_path(self._path)}: not the rows of a sweep; give another --out"
+                f"{display_path(self._path)}: not the rows of a sweep; give another"
+                " --out"
             ) from error
 
     def _read(self, query: str, *arguments: Any) -> list[Any]:
@@ -222,7 +259,9 @@ def rows_digest(rows: Sequence[Row]) -> str:
     """Return the SHA-256 of rows, hexadecimal, independent of their order and without wall times."""
     digest = hashlib.sha256()
     for row in sorted(rows, key=lambda row: row.key):
-        values = {name: value for name, value in row.values.items() if name != PLAN_TIME}
+        values = {
+            name: value for name, value in row.values.items() if name != PLAN_TIME
+        }
         content = [row.key, row.status, values, row.reason, row.exit_code]
         digest.update(json.dumps(content, sort_keys=True).encode())
     return digest.hexdigest()

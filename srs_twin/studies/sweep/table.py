@@ -61,7 +61,8 @@ class ColumnValues:
 
     Attributes:
         label: axis label.
-        numbers: values, shape (rows,), NaN if missing; for texts their index in `names`.
+        numbers: values, shape (rows,), NaN if missing; for texts their index in
+            `names`.
         names: distinct texts, sorted; empty for numbers.
     """
 
@@ -73,7 +74,11 @@ class ColumnValues:
         """Return a value as text."""
         if self.names:
             return self.names[int(number)]
-        return f"{number:.0f}" if float(number).is_integer() and abs(number) < _EXACT else f"{number:.4g}"
+        return (
+            f"{number:.0f}"
+            if float(number).is_integer() and abs(number) < _EXACT
+            else f"{number:.4g}"
+        )
 
     def number(self, value: Value) -> float:
         """Return the number that represents a value of the field; NaN for an unknown text."""
@@ -86,8 +91,16 @@ class ColumnValues:
     def rows_with(self, value: Value) -> np.ndarray:
         """Return a mask of the rows with a value of the field, shape (rows,)."""
         number = self.number(value)
-        largest = float(np.max(np.abs(self.numbers), initial=abs(number), where=np.isfinite(self.numbers)))
-        return np.asarray(np.abs(self.numbers - number) <= _RELATIVE_TOLERANCE * largest)
+        largest = float(
+            np.max(
+                np.abs(self.numbers),
+                initial=abs(number),
+                where=np.isfinite(self.numbers),
+            )
+        )
+        return np.asarray(
+            np.abs(self.numbers - number) <= _RELATIVE_TOLERANCE * largest
+        )
 
 
 @dataclass(frozen=True)
@@ -104,9 +117,10 @@ class SweepTable:
     def from_rows(sweep: Sweep, rows: Iterable[Row]) -> SweepTable:
         """Return the results with one row per point, ordered by key.
 
-        Columns: ``key``, the varied fields by their dotted names, ``status``, ``reason``, ``exit_code``, the
-        metrics as ``<plant>.<metric>`` and ``comparison.<metric>``, or as ``plan.<metric>`` if the scenario
-        is only planned (None if missing), ``wall_s``.
+        Columns: ``key``, the varied fields by their dotted names, ``status``,
+        ``reason``, ``exit_code``, the metrics as ``<plant>.<metric>`` and
+        ``comparison.<metric>``, or as ``plan.<metric>`` if the scenario is only planned
+        (None if missing), ``wall_s``.
 
         Args:
             sweep: sweep.
@@ -115,9 +129,18 @@ class SweepTable:
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
         columns: dict[str, list[Any]] = {"key": [row.key for row in rows]}
-        columns |= {name: _of_one_type([changes[row.key][name] for row in rows]) for name in sweep.fields}
-        columns |= {name: [getattr(row, name) for row in rows] for name in ("status", "reason", "exit_code")}
-        columns |= {name: [row.values.get(name) for row in rows] for name in _metrics(sweep, rows)}
+        columns |= {
+            name: _of_one_type([changes[row.key][name] for row in rows])
+            for name in sweep.fields
+        }
+        columns |= {
+            name: [getattr(row, name) for row in rows]
+            for name in ("status", "reason", "exit_code")
+        }
+        columns |= {
+            name: [row.values.get(name) for row in rows]
+            for name in _metrics(sweep, rows)
+        }
         return SweepTable(columns | {"wall_s": [row.wall_s for row in rows]})
 
     def write(self, path: Path, sweep: Sweep) -> None:
@@ -128,12 +151,22 @@ class SweepTable:
         """
         import pyarrow as pa
 
-        fields = {name: None if len(self.failed) else pa.bool_() for name in self.fields}
+        fields = {
+            name: None if len(self.failed) else pa.bool_() for name in self.fields
+        }
         texts = dict.fromkeys(("key", "status", "reason"), pa.string())
         types = {**fields, **texts, "exit_code": pa.int8()}
-        columns = [pa.array(values, types.get(name, pa.float64())) for name, values in self.columns.items()]
+        columns = [
+            pa.array(values, types.get(name, pa.float64()))
+            for name, values in self.columns.items()
+        ]
         metadata = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
-        write_table(path, pa.table(columns, list(self.columns), metadata={"srs_twin.sweep": metadata}))
+        write_table(
+            path,
+            pa.table(
+                columns, list(self.columns), metadata={"srs_twin.sweep": metadata}
+            ),
+        )
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
         """Return (minimum, median, maximum) of the summary metrics that are present."""
@@ -143,19 +176,29 @@ class SweepTable:
             if metric in (_PLAN_SUMMARY_METRICS if owner == PLAN else _SUMMARY_METRICS):
                 values = np.array([value for value in column if value is not None])
                 if len(values):
-                    ranges[name] = float(values.min()), float(np.median(values)), float(values.max())
+                    ranges[name] = (
+                        float(values.min()),
+                        float(np.median(values)),
+                        float(values.max()),
+                    )
         return ranges
 
     @cached_property
     def failed(self) -> np.ndarray:
         """Whether the run of each row failed, shape (rows,)."""
-        return np.array([status == "failed" for status in self.columns["status"]], dtype=bool)
+        return np.array(
+            [status == "failed" for status in self.columns["status"]], dtype=bool
+        )
 
     @cached_property
     def fields(self) -> list[str]:
         """Varied fields."""
         prefixes = tuple(f"{owner}." for owner in OWNERS)
-        return [name for name in self.columns if name not in _ROW_COLUMNS and not name.startswith(prefixes)]
+        return [
+            name
+            for name in self.columns
+            if name not in _ROW_COLUMNS and not name.startswith(prefixes)
+        ]
 
     def owners(self, metric: str) -> list[str]:
         """Return the results that contain a metric: plants, comparison or plan.
@@ -166,7 +209,9 @@ class SweepTable:
         owners = self.owners_if_any(metric)
         if not owners:
             names = (name.partition(".") for name in self.columns)
-            raise UnknownNameError("metric", metric, {rest for owner, _, rest in names if owner in OWNERS})
+            raise UnknownNameError(
+                "metric", metric, {rest for owner, _, rest in names if owner in OWNERS}
+            )
         return owners
 
     def owners_if_any(self, metric: str) -> list[str]:
@@ -179,7 +224,9 @@ class SweepTable:
         if names == [f"{owner}.{metric}"]:
             return ColumnValues(metric_label(metric), _numbers(self.columns[names[0]]))
         elements = np.array([_numbers(self.columns[name]) for name in names])
-        return ColumnValues(f"{metric_label(metric)}, mean over {len(names)}", elements.mean(axis=0))
+        return ColumnValues(
+            f"{metric_label(metric)}, mean over {len(names)}", elements.mean(axis=0)
+        )
 
     def values(self, name: str, owner: str) -> ColumnValues:
         """Return a varied field, or a metric of an owner or of the comparison.
@@ -222,7 +269,10 @@ class SweepTable:
         combinations, which = np.unique(numbers, axis=1, return_inverse=True)
         order = np.argsort(which.reshape(-1), kind="stable")
         rows = np.split(order, np.cumsum(np.bincount(which.reshape(-1)))[:-1])
-        texts = ([c.text(n) for c, n in zip(columns, row, strict=True)] for row in combinations.T)
+        texts = (
+            [c.text(n) for c, n in zip(columns, row, strict=True)]
+            for row in combinations.T
+        )
         return [(tuple(text), row) for text, row in zip(texts, rows, strict=True)]
 
     def _names(self, owner: str, metric: str) -> list[str]:
@@ -232,7 +282,9 @@ class SweepTable:
             return [name]
         stem = f"{name}_"
         return [
-            column for column in self.columns if column.startswith(stem) and column[len(stem) :].isdigit()
+            column
+            for column in self.columns
+            if column.startswith(stem) and column[len(stem) :].isdigit()
         ]
 
 
@@ -254,15 +306,23 @@ def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
         return sweep.metrics
     published = sweep.beside.metrics if sweep.beside else ()
     summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
-    return tuple(dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *summary)))
+    return tuple(
+        dict.fromkeys((*(plot.metric for plot in sweep.plots), *published, *summary))
+    )
 
 
 def _metrics(sweep: Sweep, rows: Iterable[Row]) -> list[str]:
     """Return the metrics that become columns, in their order in the rows."""
-    names = dict.fromkeys(name for row in rows for name in row.values) or _plotted_columns(sweep)
+    names = dict.fromkeys(
+        name for row in rows for name in row.values
+    ) or _plotted_columns(sweep)
     if sweep.metrics is None:
         return list(names)
-    stems = {f"{metric}{side}" for metric in sweep.metrics for side in ("", "_plus", "_minus")}
+    stems = {
+        f"{metric}{side}"
+        for metric in sweep.metrics
+        for side in ("", "_plus", "_minus")
+    }
     return [name for name in names if _ELEMENT.sub("", name.partition(".")[2]) in stems]
 
 
@@ -295,13 +355,17 @@ def _field(name: str, column: Sequence[object]) -> ColumnValues:
     texts = ["" if value is None else str(value) for value in column]
     names = tuple(sorted(set(texts)))
     return ColumnValues(
-        field_label(name), np.array([names.index(text) for text in texts], dtype=float), names
+        field_label(name),
+        np.array([names.index(text) for text in texts], dtype=float),
+        names,
     )
 
 
 def _numbers(column: Sequence[Any]) -> np.ndarray:
     """Return numbers, NaN for missing and infinite ones."""
-    numbers = np.array([np.nan if value is None else float(value) for value in column], dtype=float)
+    numbers = np.array(
+        [np.nan if value is None else float(value) for value in column], dtype=float
+    )
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
 
@@ -331,16 +395,24 @@ def published_table(published: Published, results: SweepTable) -> Table:
     plants = [
         owner
         for owner in OWNERS
-        if owner != COMPARISON and any(owner in results.owners_if_any(metric) for metric in published.metrics)
+        if owner != COMPARISON
+        and any(owner in results.owners_if_any(metric) for metric in published.metrics)
     ]
     further = results.unplotted_settings(published.at)
     runs = [_runs_at(results, further, setting) for setting in published.settings]
     is_mean = any(len(chosen) > 1 for groups in runs for _, chosen in groups)
     rows = []
     for metric, values in published.metrics.items():
-        for setting, groups, value in zip(published.settings, runs, values, strict=True):
+        for setting, groups, value in zip(
+            published.settings, runs, values, strict=True
+        ):
             for texts, chosen in groups:
-                row = [metric_label(metric), *map(cell, setting.values()), *texts, cell(value)]
+                row = [
+                    metric_label(metric),
+                    *map(cell, setting.values()),
+                    *texts,
+                    cell(value),
+                ]
                 for plant in plants:
                     mean = _mean(results, metric, plant, chosen)
                     row += [cell(mean), _difference_text(metric, value, mean)]
@@ -349,7 +421,9 @@ def published_table(published: Published, results: SweepTable) -> Table:
     headings += [heading for plant in plants for heading in (plant, "difference")]
     headings += ["runs"] * is_mean
     numbers = range(1, len(headings))
-    return Table(tuple(headings), tuple(rows), numbers, published.note or "", published.source)
+    return Table(
+        tuple(headings), tuple(rows), numbers, published.note or "", published.source
+    )
 
 
 def _runs_at(
@@ -364,7 +438,9 @@ def _runs_at(
     return [group for group in groups if len(group[1])] or [none]
 
 
-def _mean(results: SweepTable, metric: str, plant: str, chosen: np.ndarray) -> float | None:
+def _mean(
+    results: SweepTable, metric: str, plant: str, chosen: np.ndarray
+) -> float | None:
     if plant not in results.owners_if_any(metric):
         return None
     numbers = results.metric(metric, plant).numbers[chosen]

@@ -33,7 +33,8 @@ PLAN = "plan"
 PLAN_TIME = f"{PLAN}.plan_s"
 """Column of the planning time, which differs between equal runs."""
 
-# Wall times of metrics are left out, because they differ between equal runs; the column wall_s has the total.
+# Wall times of metrics are left out, because they differ between equal runs; the column
+# wall_s has the total.
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()
@@ -47,7 +48,8 @@ class Row:
     Attributes:
         key: key of the point.
         status: "done" or "failed".
-        values: ``<plant>.<metric>``, ``comparison.<metric>`` and ``plan.<metric>`` → value, None if missing.
+        values: ``<plant>.<metric>``, ``comparison.<metric>`` and ``plan.<metric>`` →
+            value, None if missing.
         wall_s: wall time, s.
         reason: reason of a failure.
         exit_code: exit code of the failure on the command line; 0 without a failure.
@@ -64,7 +66,9 @@ class Row:
 
 
 def run_point(
-    experiment: Experiment, point: Point, ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({})
+    experiment: Experiment,
+    point: Point,
+    ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({}),
 ) -> Row:
     """Run the plants of a point, or only plan it, and compute its metrics; an error gives a failed row.
 
@@ -86,15 +90,23 @@ def run_point(
             if isinstance(result, SrsError):
                 raise result
             if result is None:
-                result = rollout(scenario.build_plant(plant), scenario.build_controller(), **scenario.timing)
+                result = rollout(
+                    scenario.build_plant(plant),
+                    scenario.build_controller(),
+                    **scenario.timing,
+                )
             trajectories[plant] = result
             metrics = plant_metrics(trajectories[plant])
             if scenario.measured is not None:
-                metrics |= MeasuredDifference.between(scenario.measured, trajectories[plant]).metrics
+                metrics |= MeasuredDifference.between(
+                    scenario.measured, trajectories[plant]
+                ).metrics
             values |= flat_metrics(plant, metrics)
         if len(trajectories) == 2:
             analytical, twin = (trajectories[plant] for plant in PLANTS)
-            comparison = compare(analytical, twin, gap_factor=scenario.file.comparison.gap_factor)
+            comparison = compare(
+                analytical, twin, gap_factor=scenario.file.comparison.gap_factor
+            )
             values |= flat_metrics("comparison", comparison.metrics)
     except SrsError as error:
         trajectories |= _partial_trajectory(error, experiment.plants, trajectories)
@@ -102,13 +114,17 @@ def run_point(
     stored = trajectories if experiment.trajectories else {}
     files = {plant: _parquet(trajectory) for plant, trajectory in stored.items()}
     wall = time.perf_counter() - start
-    return Row(point.key, FAILED if reason else DONE, values, wall, reason, exit_code, files)
+    return Row(
+        point.key, FAILED if reason else DONE, values, wall, reason, exit_code, files
+    )
 
 
 def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
     """Return the row of a point that ended with an error or whose worker crashed."""
     code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
-    return Row(key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code)
+    return Row(
+        key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code
+    )
 
 
 def _plan_metrics(scenario: Scenario) -> dict[str, object]:
@@ -119,13 +135,18 @@ def _plan_metrics(scenario: Scenario) -> dict[str, object]:
     """
     planner = scenario.planner
     if planner is None:
-        raise InputError("there is no planner; give planner, and controller.kind: follow")
+        raise InputError(
+            "there is no planner; give planner, and controller.kind: follow"
+        )
     if planner.file.kind not in _warmed_planners:
-        # The first plan includes imports and compilation, which must not count as planning time.
+        # The first plan includes imports and compilation, which must not count as
+        # planning time.
         planner.plan_uncached()
         _warmed_planners.add(planner.file.kind)
     result = planner.plan_uncached()
-    return plan_metrics(result.found, result.segments, result.expanded) | {"plan_s": result.seconds}
+    return plan_metrics(result.found, result.segments, result.expanded) | {
+        "plan_s": result.seconds
+    }
 
 
 def _partial_trajectory(
@@ -149,7 +170,9 @@ def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float 
         if name in _TIMES:
             continue
         for ending, number in _scalars(value):
-            scalars[f"{prefix}.{name}{ending}"] = None if number is None else float(number)
+            scalars[f"{prefix}.{name}{ending}"] = (
+                None if number is None else float(number)
+            )
     return scalars
 
 
@@ -162,11 +185,20 @@ def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
         if not isinstance(entry, list | tuple):
             yield f"_{i}", entry
         elif entry and isinstance(entry[0], list | tuple):
-            yield from ((f"{ending}_period_{i}", number) for ending, number in _scalars(entry))
+            yield from (
+                (f"{ending}_period_{i}", number) for ending, number in _scalars(entry)
+            )
         else:
             # A segment of a spatial robot has more chambers than + and −.
-            sides = ("plus", "minus") if len(entry) == len("+-") else range(1, len(entry) + 1)
-            yield from ((f"_{side}_{i}", number) for side, number in zip(sides, entry, strict=True))
+            sides = (
+                ("plus", "minus")
+                if len(entry) == len("+-")
+                else range(1, len(entry) + 1)
+            )
+            yield from (
+                (f"_{side}_{i}", number)
+                for side, number in zip(sides, entry, strict=True)
+            )
 
 
 def _parquet(trajectory: Trajectory) -> bytes:

@@ -1,7 +1,7 @@
 """Imports and kernels that every run of a sweep needs, loaded once by the server that forks workers.
 
-A short run of the analytical model loads the compiled kernels and the metrics, which saves each worker half a
-second. MuJoCo is imported only by workers that need it.
+A short run of the analytical model loads the compiled kernels and the metrics, which
+saves each worker half a second. MuJoCo is imported only by workers that need it.
 """
 
 from srs_twin.comparison.metrics import plant_metrics

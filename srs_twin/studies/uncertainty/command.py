@@ -48,16 +48,20 @@ def uncertainty(
 ) -> None:
     """Compute prediction intervals of a scenario's metrics.
 
-    The uncertain parameters of the robot file are propagated to every metric. The output also ranks the
-    causes and suggests what to measure next. An interrupted study resumes in the same folder.
+    The uncertain parameters of the robot file are propagated to every metric. The
+    output also ranks the causes and suggests what to measure next. An interrupted study
+    resumes in the same folder.
 
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
-        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the scenario's]
+        --plants LIST: Plants: analytical, twin or analytical,twin. [default: the
+            scenario's]
         --samples N: Number of robots drawn from the distributions.
         --twin N: Number of runs of the twin, if the model compliant runs all samples.
-        --without NAME: Parameter to keep at its value in the robot file, e.g. friction.drag_n (repeatable).
-        --form FIELD=A,B: Equally likely values of a field, e.g. pneumatics.kind=lag,orifice (repeatable).
+        --without NAME: Parameter to keep at its value in the robot file, e.g.
+            friction.drag_n (repeatable).
+        --form FIELD=A,B: Equally likely values of a field, e.g.
+            pneumatics.kind=lag,orifice (repeatable).
         --write: Write the intervals to calibration/intervals, for expectations.
     """
     runner = options.make_engine()
@@ -101,7 +105,8 @@ def _parse_choices(options: Sequence[str]) -> dict[str, tuple[Any, ...]]:
     for text in options:
         name, _, values = text.partition("=")
         choices[name] = tuple(
-            Override.parse(f"--form {text}", name, value).value for value in values.split(",")
+            Override.parse(f"--form {text}", name, value).value
+            for value in values.split(",")
         )
     return choices
 
@@ -127,28 +132,43 @@ def _print_result(result: Propagation) -> None:
 
     marks = "".join([_print_plant(result, plant) for plant in result.plants])
     print("± at 95 %: standard errors of the two ends of the 95 % interval")
-    if any(entry.verdict for entries in result.plants.values() for entry in entries.values()):
+    if any(
+        entry.verdict
+        for entries in result.plants.values()
+        for entry in entries.values()
+    ):
         print(
-            "published: within or outside the 95 % interval; undecided within two standard errors of an end"
+            "published: within or outside the 95 % interval; undecided within two"
+            " standard errors of an end"
         )
     if marks:
         print("* outside its 50 % interval, ** outside its 95 % interval")
     study = result.study
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.runs.items())
-    print(f"{len(study.priors.parameters)} uncertain numbers of {study.scenario.robot.name}; {runs}")
+    print(
+        f"{len(study.priors.parameters)} uncertain numbers of"
+        f" {study.scenario.robot.name}; {runs}"
+    )
     failed = {part: count for part, count in result.failed.items() if count}
     if failed:
-        print("without a result: " + ", ".join(f"{count} of {part}" for part, count in failed.items()))
+        print(
+            "without a result: "
+            + ", ".join(f"{count} of {part}" for part, count in failed.items())
+        )
     for text in result.limits["remarks"]:
         print(text)
     for name, (low, high) in (result.segments or {}).items():
         varied = name.replace("_", " ")
-        print(f"varying only {varied} within 95 % intervals, the twin crawls at {low:.3g} to {high:.3g} m/s")
+        print(
+            f"varying only {varied} within 95 % intervals, the twin crawls at {low:.3g}"
+            f" to {high:.3g} m/s"
+        )
     plant, metric = result.target
     for entry in result.measure_next()[:_MAX_MEASUREMENTS]:
         print(
-            f"measuring {entry['parameter']} to ±10 % would narrow the {plant}'s {metric_label(metric)} "
-            f"from {entry['width_now']:.3g} to {entry['width']:.3g}"
+            f"measuring {entry['parameter']} to ±10 % would narrow the {plant}'s"
+            f" {metric_label(metric)} from {entry['width_now']:.3g} to"
+            f" {entry['width']:.3g}"
         )
 
 
@@ -167,11 +187,14 @@ def _print_plant(result: Propagation, plant: str) -> str:
             continue
         ends = [uncertainty.interval(name) for name in ("interval_50", "interval_95")]
         value = _short(uncertainty.value)
-        # Do not mark a value as outside if it is printed with the same digits as the end of its interval.
+        # Do not mark a value as outside if it is printed with the same digits as the
+        # end of its interval.
         mark = "" if value in map(_short, ends[0]) else outside_marks(uncertainty)
         marks += mark
         count, verdict = _count_text(uncertainty), uncertainty.verdict
-        published = "" if uncertainty.published is None else _short(uncertainty.published)
+        published = (
+            "" if uncertainty.published is None else _short(uncertainty.published)
+        )
         published += "" if verdict is None else f" {verdict.value}"
         rows.append(
             (
@@ -182,7 +205,14 @@ def _print_plant(result: Propagation, plant: str) -> str:
                 published,
             )
         )
-    headings = (f"{plant}, {usual_count}", "value", "50 %", "95 %", "± at 95 %", "published")
+    headings = (
+        f"{plant}, {usual_count}",
+        "value",
+        "50 %",
+        "95 %",
+        "± at 95 %",
+        "published",
+    )
     print_table(headings, rows, left=(0,))
     return marks
 
@@ -192,5 +222,7 @@ def _print_warnings(result: Propagation, *, quiet: bool) -> None:
     limits = result.limits
     say(*(f"warning: {text}" for text in limits["warnings"]), quiet=quiet)
     if limits["remedy"]:
-        options = " ".join(f"--{name} {count}" for name, count in limits["remedy"].items())
+        options = " ".join(
+            f"--{name} {count}" for name, count in limits["remedy"].items()
+        )
         say(f"`{options}` should be enough", quiet=quiet)

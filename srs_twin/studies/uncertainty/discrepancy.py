@@ -4,10 +4,11 @@ $$ y_i = m(x_i, \theta) + \delta(x_i) + \varepsilon_i, \qquad
 \delta \sim \mathcal{GP}\bigl(0,\ s^2 e^{-|x - x'|^2 / 2\ell^2}\bigr), \qquad
 \varepsilon \sim \mathcal N(0, \sigma^2), $$
 
-with θ on a grid, and s and ℓ on grids of log-normal priors that the user states. Such data alone cannot
-separate parameters from discrepancy, as they determine only the sum m + δ (Brynjarsdóttir and O'Hagan 2014,
-Inverse Problems 30). The priors of s and ℓ determine how much of a misfit θ has to explain. With s near 0
-this is an ordinary fit, whose intervals are too narrow if the model is wrong.
+with θ on a grid, and s and ℓ on grids of log-normal priors that the user states. Such
+data alone cannot separate parameters from discrepancy, as they determine only the sum m
++ δ (Brynjarsdóttir and O'Hagan 2014, Inverse Problems 30). The priors of s and ℓ
+determine how much of a misfit θ has to explain. With s near 0 this is an ordinary fit,
+whose intervals are too narrow if the model is wrong.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class Discrepancy:
     """Joint posterior of a model's parameters and its discrepancy.
 
     Attributes:
-        settings: settings x of the measurements, scaled to a common length ℓ, shape (n, d).
+        settings: settings x of the measurements, scaled to a common length ℓ, shape (n,
+            d).
         measured: measurements y, shape (n,).
         predicted: model m at each θ of the grid, shape (grid, n).
         noise: σ, in the unit of y.
@@ -54,13 +56,20 @@ class Discrepancy:
         """Return s, ℓ, the posterior weights of the θ grid and the inverse covariance, for each s and ℓ."""
         cases, log_posteriors = [], []
         log_prior = (
-            np.zeros(len(self.predicted)) if self.prior is None else np.log(np.maximum(self.prior, 1e-300))
+            np.zeros(len(self.predicted))
+            if self.prior is None
+            else np.log(np.maximum(self.prior, 1e-300))
         )
         for (a, wa), (b, wb) in product(zip(_FACTORS, _WEIGHTS, strict=True), repeat=2):
             size, length = self.size * a, self.length * b
             covariance = _kernel(self.settings, self.settings, size, length)
-            covariance += (self.noise**2 + 1e-12 * self.size**2) * np.eye(len(self.measured))
-            residual, inverse = self.measured - self.predicted, np.linalg.inv(covariance)
+            covariance += (self.noise**2 + 1e-12 * self.size**2) * np.eye(
+                len(self.measured)
+            )
+            residual, inverse = (
+                self.measured - self.predicted,
+                np.linalg.inv(covariance),
+            )
             misfit = np.einsum("ti,ij,tj->t", residual, inverse, residual) / 2
             negative_log_likelihood = misfit + np.linalg.slogdet(covariance)[1] / 2
             log_posteriors.append(log_prior - negative_log_likelihood + np.log(wa * wb))
@@ -68,14 +77,19 @@ class Discrepancy:
         largest = max(log_posterior.max() for log_posterior in log_posteriors)
         weights = [np.exp(log_posterior - largest) for log_posterior in log_posteriors]
         total = sum(float(weight.sum()) for weight in weights)
-        return [(*case[:2], weight / total, case[2]) for case, weight in zip(cases, weights, strict=True)]
+        return [
+            (*case[:2], weight / total, case[2])
+            for case, weight in zip(cases, weights, strict=True)
+        ]
 
     @property
     def weights(self) -> np.ndarray:
         """Posterior probability of each θ of the grid, shape (grid,)."""
         return np.asarray(sum(weights for _, _, weights, _ in self._cases()))
 
-    def draw(self, settings: np.ndarray, predicted: np.ndarray, seed: int = 0) -> np.ndarray:
+    def draw(
+        self, settings: np.ndarray, predicted: np.ndarray, seed: int = 0
+    ) -> np.ndarray:
         """Return draws of noise-free measurements at other settings.
 
         Args:
@@ -92,8 +106,12 @@ class Discrepancy:
             if not count:
                 continue
             cross = _kernel(settings, self.settings, size, length)
-            covariance = _kernel(settings, settings, size, length) - cross @ inverse @ cross.T
-            root = scipy.linalg.cholesky(covariance + 1e-9 * size**2 * np.eye(len(covariance)), lower=True)
+            covariance = (
+                _kernel(settings, settings, size, length) - cross @ inverse @ cross.T
+            )
+            root = scipy.linalg.cholesky(
+                covariance + 1e-9 * size**2 * np.eye(len(covariance)), lower=True
+            )
             which = rng.choice(len(weights), count, p=weights / weights.sum())
             residual = self.measured - self.predicted[which]
             mean = predicted[which] + residual @ inverse @ cross.T

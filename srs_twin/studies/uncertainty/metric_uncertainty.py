@@ -5,14 +5,16 @@ The ends of an interval are sample quantiles q. Their standard errors have two p
 $$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2, \qquad
 \mathrm{se}_\text{surrogate}^2 = \frac{G-1}{G} \sum_g (q_{-g} - \bar q)^2 . $$
 
-The first is estimated by the bootstrap (Efron 1979, Annals of Statistics 7), which draws samples with
-replacement. Points of a Sobol sequence fill the space more evenly than independent ones, so it is an upper
-bound. The second applies to metrics that a surrogate predicts at most samples. It is a delete-a-group
-jackknife over the twin's runs, with random groups, because consecutive Sobol points form a pattern.
+The first is estimated by the bootstrap (Efron 1979, Annals of Statistics 7), which
+draws samples with replacement. Points of a Sobol sequence fill the space more evenly
+than independent ones, so it is an upper bound. The second applies to metrics that a
+surrogate predicts at most samples. It is a delete-a-group jackknife over the twin's
+runs, with random groups, because consecutive Sobol points form a pattern.
 
-The bootstrap cannot represent values beyond the outermost samples. The probability that all n samples lie
-above the quantile of probability p is (1 − p)^n. With fewer than `MIN_BOUNDING_SAMPLES` samples this exceeds
-2.5 % for the ends of a 95 % interval, so the samples may not reach these ends.
+The bootstrap cannot represent values beyond the outermost samples. The probability that
+all n samples lie above the quantile of probability p is (1 − p)^n. With fewer than
+`MIN_BOUNDING_SAMPLES` samples this exceeds 2.5 % for the ends of a 95 % interval, so
+the samples may not reach these ends.
 """
 
 from __future__ import annotations
@@ -61,13 +63,16 @@ class SobolIndices:
     def ranks(self) -> list[tuple[int, int]]:
         """Return the best and the worst possible rank of each parameter as a cause.
 
-        Two total indices differ if their difference exceeds their half widths, added in quadrature.
+        Two total indices differ if their difference exceeds their half widths, added in
+        quadrature.
         """
         limit = np.hypot(self.half_width[1][:, None], self.half_width[1])
         is_larger = self.total[:, None] - self.total > limit
         return [
             (1 + int(above), len(self.total) - int(below))
-            for above, below in zip(is_larger.sum(axis=0), is_larger.sum(axis=1), strict=True)
+            for above, below in zip(
+                is_larger.sum(axis=0), is_larger.sum(axis=1), strict=True
+            )
         ]
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
@@ -90,9 +95,11 @@ class MetricUncertainty:
         at_medians: value with all uncertain parameters at their medians.
         samples: values at the samples of the priors, shape (samples,); NaN if unknown.
         runs: number of samples that the plant itself ran, without those of a surrogate.
-        sampling: standard errors of the ends of the 50 and 95 % intervals by sampling, shape (4,).
+        sampling: standard errors of the ends of the 50 and 95 % intervals by sampling,
+            shape (4,).
         surrogate: standard errors of these ends by the surrogate, shape (4,).
-        indices: sensitivity indices; None for a constant metric or correlated parameters.
+        indices: sensitivity indices; None for a constant metric or correlated
+            parameters.
         published: published value, if any.
     """
 
@@ -136,7 +143,9 @@ class MetricUncertainty:
         """Verdict on the published value by the 95 % interval; None without a published value."""
         if self.published is None:
             return None
-        return interval_verdict(self.published, self.interval("interval_95"), self.errors[2:].tolist())
+        return interval_verdict(
+            self.published, self.interval("interval_95"), self.errors[2:].tolist()
+        )
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
         """Return the distribution as JSON values.
@@ -146,14 +155,30 @@ class MetricUncertainty:
         """
         row: dict[str, object] = {"value": self.value}
         row |= {name: list(self.interval(name)) for name in RANGES}
-        row |= {"interval_50_error": self.errors[:2].tolist(), "interval_95_error": self.errors[2:].tolist()}
+        row |= {
+            "interval_50_error": self.errors[:2].tolist(),
+            "interval_95_error": self.errors[2:].tolist(),
+        }
         row |= {"median": self.median}
-        row["value_at_medians"] = self.at_medians if math.isfinite(self.at_medians) else None
-        row |= {"samples": self.count, "runs": self.runs, "u_input": float(np.nanstd(self.samples))}
-        row["u_num"] = self.numerical_error if math.isfinite(self.half_timestep) else None
-        row["sensitivity"] = None if self.indices is None else self.indices.document(names)
+        row["value_at_medians"] = (
+            self.at_medians if math.isfinite(self.at_medians) else None
+        )
+        row |= {
+            "samples": self.count,
+            "runs": self.runs,
+            "u_input": float(np.nanstd(self.samples)),
+        }
+        row["u_num"] = (
+            self.numerical_error if math.isfinite(self.half_timestep) else None
+        )
+        row["sensitivity"] = (
+            None if self.indices is None else self.indices.document(names)
+        )
         verdict = self.verdict
-        return row | {"published": self.published, "verdict": None if verdict is None else verdict.value}
+        return row | {
+            "published": self.published,
+            "verdict": None if verdict is None else verdict.value,
+        }
 
 
 def sampling_errors(samples: Array) -> Array:
@@ -184,13 +209,17 @@ def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
-        return samples, np.zeros(len(_PROBABILITIES))  # all samples were run, so nothing is predicted
+        return samples, np.zeros(
+            len(_PROBABILITIES)
+        )  # all samples were run, so nothing is predicted
     group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
     predicted = np.arange(len(runs), len(y))
     ends = []
     for g in range(_GROUPS):
         stay, leave = np.flatnonzero(group != g), np.flatnonzero(group == g)
         order = np.concatenate([stay, leave, predicted])
-        prediction, _ = predict_high_fidelity(x[order], y[order], runs[stay], hyperparameters)
+        prediction, _ = predict_high_fidelity(
+            x[order], y[order], runs[stay], hyperparameters
+        )
         ends.append(np.nanquantile(prediction, _PROBABILITIES))
     return samples, np.sqrt((_GROUPS - 1) * np.var(ends, axis=0))

@@ -42,7 +42,12 @@ _KEY = (
     "Hatched bars: causes whose order is not resolved."
 )
 _WARNING_COLOR = "#b03030"
-_ERROR: dict[str, Any] = {"ecolor": "#333333", "elinewidth": 0.9, "capsize": 3, "fmt": "none"}
+_ERROR: dict[str, Any] = {
+    "ecolor": "#333333",
+    "elinewidth": 0.9,
+    "capsize": 3,
+    "fmt": "none",
+}
 
 
 @drawing
@@ -54,7 +59,11 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
         document: result, see `Propagation.document`.
     """
     plant, metric = document["target"]["plant"], document["target"]["metric"]
-    rows = {name: metrics[metric] for name, metrics in document["plants"].items() if metric in metrics}
+    rows = {
+        name: metrics[metric]
+        for name, metrics in document["plants"].items()
+        if metric in metrics
+    }
     swings = document["swings"][:_MAX_SWINGS]
     lines = _text_lines(document)
     below = 0.6 + _LINE_HEIGHT * len(lines)
@@ -69,37 +78,70 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     )
     _draw_intervals(upper, rows, metric)
     _draw_swings(lower, swings, plant, rows[plant], metric)
-    # Headings begin at the left edge of the figure, where they have more room than above the panels.
-    headings = ["50 and 95 %; tick: value; line: published", f"{style_of(plant).label}: {_EFFECT}"]
+    # Headings begin at the left edge of the figure, where they have more room than
+    # above the panels.
+    headings = [
+        "50 and 95 %; tick: value; line: published",
+        f"{style_of(plant).label}: {_EFFECT}",
+    ]
     for bottom, panel, heading in zip(bottoms, heights, headings, strict=True):
-        figure.text(0.02, (bottom + panel + 0.08) / height, heading, fontsize=9, va="bottom")
-    figure.text(0.02, 1 - 0.1 / height, textwrap.fill(title, 50), fontsize=10.5, va="top")
+        figure.text(
+            0.02, (bottom + panel + 0.08) / height, heading, fontsize=9, va="bottom"
+        )
+    figure.text(
+        0.02, 1 - 0.1 / height, textwrap.fill(title, 50), fontsize=10.5, va="top"
+    )
     for k, (line, color) in enumerate(reversed(lines)):
-        figure.text(0.02, (0.08 + _LINE_HEIGHT * k) / height, line, fontsize=7.5, color=color, va="bottom")
+        figure.text(
+            0.02,
+            (0.08 + _LINE_HEIGHT * k) / height,
+            line,
+            fontsize=7.5,
+            color=color,
+            va="bottom",
+        )
     return figure
 
 
-def _draw_intervals(axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: str) -> None:
+def _draw_intervals(
+    axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: str
+) -> None:
     """Draw the 50 and 95 % intervals, the ends of the latter with two standard errors."""
     for y, (name, row) in enumerate(rows.items()):
         color, wide = style_of(name).color, row["interval_95"]
         axes.plot(wide, [y, y], color=color, linewidth=1.5)
-        axes.plot(row["interval_50"], [y, y], color=color, linewidth=7, solid_capstyle="butt")
+        axes.plot(
+            row["interval_50"], [y, y], color=color, linewidth=7, solid_capstyle="butt"
+        )
         errors = [2 * error for error in row["interval_95_error"]]
         axes.errorbar(wide, [y, y], xerr=errors, **_ERROR)
-        axes.plot([row["value"]], [y], "|", color="white", markersize=9, markeredgewidth=3.5)
-        axes.plot([row["value"]], [y], "|", color="black", markersize=9, markeredgewidth=1)
+        axes.plot(
+            [row["value"]], [y], "|", color="white", markersize=9, markeredgewidth=3.5
+        )
+        axes.plot(
+            [row["value"]], [y], "|", color="black", markersize=9, markeredgewidth=1
+        )
         if row["published"] is not None:
-            axes.plot([row["published"]] * 2, [y - 0.3, y + 0.3], color=PUBLISHED_COLOR, linewidth=2)
+            axes.plot(
+                [row["published"]] * 2,
+                [y - 0.3, y + 0.3],
+                color=PUBLISHED_COLOR,
+                linewidth=2,
+            )
     axes.set_yticks(
-        range(len(rows)), [f"{style_of(name).label}\n{_count_text(row)}" for name, row in rows.items()]
+        range(len(rows)),
+        [f"{style_of(name).label}\n{_count_text(row)}" for name, row in rows.items()],
     )
     axes.set_ylim(-0.5, len(rows) - 0.5)
     finish(axes, "", metric_label(metric))
 
 
 def _draw_swings(
-    axes: Axes, swings: Sequence[Mapping[str, Any]], plant: str, row: Mapping[str, Any], metric: str
+    axes: Axes,
+    swings: Sequence[Mapping[str, Any]],
+    plant: str,
+    row: Mapping[str, Any],
+    metric: str,
 ) -> None:
     """Draw the effect of each quantity alone; hatched if its rank among the causes is not resolved."""
     style, labels = style_of(plant), []
@@ -109,9 +151,15 @@ def _draw_swings(
         best, worst = index["rank"]
         is_tied = best < worst
         axes.barh(
-            y, high - low, left=low, height=0.65, facecolor=style.color if not is_tied else "white",
-            edgecolor=style.color, hatch="////" if is_tied else None, alpha=0.6,
-        )  # fmt: skip
+            y,
+            high - low,
+            left=low,
+            height=0.65,
+            facecolor=style.color if not is_tied else "white",
+            edgecolor=style.color,
+            hatch="////" if is_tied else None,
+            alpha=0.6,
+        )
         axes.errorbar([low, high], [y, y], xerr=swing["error"], **_ERROR)
         rank = f"{best} to {worst}" if is_tied else f"{best}"
         error = min(100 * index["total_error"], 100.0)
@@ -120,7 +168,10 @@ def _draw_swings(
     axes.axvline(row["value"], color="#888888", linewidth=0.8)
     axes.set_yticks(range(len(labels)), labels)
     ends = [
-        swing[end] + sign * swing["error"] for swing in swings for end in ("low", "high") for sign in (-1, 1)
+        swing[end] + sign * swing["error"]
+        for swing in swings
+        for end in ("low", "high")
+        for sign in (-1, 1)
     ]
     ends = ends or [row["value"]]
     width = max(max(ends) - min(ends), 1e-9)
@@ -139,7 +190,9 @@ def _text_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the lines below the panels, with their colours."""
     warnings = [f"Warning: {text}" for text in document["warnings"]]
     if document["remedy"]:
-        options = " ".join(f"--{name} {count}" for name, count in document["remedy"].items())
+        options = " ".join(
+            f"--{name} {count}" for name, count in document["remedy"].items()
+        )
         warnings.append(f"{options} should be enough.")
     notes = [_KEY, *document["remarks"]]
     return [

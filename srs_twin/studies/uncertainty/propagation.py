@@ -1,9 +1,10 @@
 """Propagation of a robot's uncertain parameters to all metrics of a scenario on each plant.
 
-Each plant runs at quasi-random samples of the uncertain parameters, as a sweep, so an interrupted study
-resumes. If the analytical model `compliant` can run the scenario, it is the low-fidelity plant of the twin
-and runs at all samples. The twin runs only at the first of them; `predict_twin` predicts the rest.
-`metric_uncertainty` computes the intervals and their errors, `remarks` the limitations of a result.
+Each plant runs at quasi-random samples of the uncertain parameters, as a sweep, so an
+interrupted study resumes. If the analytical model `compliant` can run the scenario, it
+is the low-fidelity plant of the twin and runs at all samples. The twin runs only at the
+first of them; `predict_twin` predicts the rest. `metric_uncertainty` computes the
+intervals and their errors, `remarks` the limitations of a result.
 """
 
 from __future__ import annotations
@@ -24,13 +25,24 @@ from srs_twin.identification.priors import Priors
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides
 from srs_twin.io.file_sets import remove_completion_mark, replace_files
-from srs_twin.io.files import StrPath, check_output_folder, folder_or_temporary, write_text
+from srs_twin.io.files import (
+    StrPath,
+    check_output_folder,
+    folder_or_temporary,
+    write_text,
+)
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import judged_digest
 from srs_twin.scenario.scenario import Scenario
-from srs_twin.studies.sweep.execution import Engine, Progress, make_engine, open_sweep, quiet
+from srs_twin.studies.sweep.execution import (
+    Engine,
+    Progress,
+    make_engine,
+    open_sweep,
+    quiet,
+)
 from srs_twin.studies.sweep.points import Value
 from srs_twin.studies.sweep.table import write_table
 from srs_twin.studies.uncertainty.metric_uncertainty import (
@@ -41,7 +53,13 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
     sampling_errors,
 )
 from srs_twin.studies.uncertainty.remarks import Remarks, remedy
-from srs_twin.studies.uncertainty.study import COMPLIANT, DAMPING, LEAD, SEGMENTS, UncertaintyStudy
+from srs_twin.studies.uncertainty.study import (
+    COMPLIANT,
+    DAMPING,
+    LEAD,
+    SEGMENTS,
+    UncertaintyStudy,
+)
 from srs_twin.studies.uncertainty.surrogates import PolynomialChaos
 from srs_twin.viewing.plots.labels import metric_label
 
@@ -84,8 +102,14 @@ def check_can_be_kept(scenario: Scenario) -> None:
         InputError: the scenario is modified, or the folder cannot be written.
     """
     if scenario.left_out:
-        fields = ", ".join(dict.fromkeys(field for entry in scenario.left_out for field in entry["because"]))
-        raise InputError(f"--write keeps intervals of unmodified scenarios, but {fields} was changed")
+        fields = ", ".join(
+            dict.fromkeys(
+                field for entry in scenario.left_out for field in entry["because"]
+            )
+        )
+        raise InputError(
+            f"--write keeps intervals of unmodified scenarios, but {fields} was changed"
+        )
     check_output_folder(INTERVALS, (f"{scenario.name}.json",), option="")
 
 
@@ -95,8 +119,8 @@ class Propagation:
 
     Attributes:
         study: study.
-        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`. The key `SEGMENTS` has
-            the runs over stiffness and damping.
+        rows: fidelity → metric → value at each sample, then at the `REFERENCE_ROWS`.
+            The key `SEGMENTS` has the runs over stiffness and damping.
     """
 
     study: UncertaintyStudy
@@ -117,12 +141,17 @@ class Propagation:
             low = runs
             if low_fidelity is not None:
                 low = low_fidelity.get(metric, np.full(1, np.nan))[: self.study.samples]
-            if not np.isfinite(column[-2]) or min(map(_known_share, (runs, low))) < _MIN_KNOWN:
+            if (
+                not np.isfinite(column[-2])
+                or min(map(_known_share, (runs, low))) < _MIN_KNOWN
+            ):
                 continue
             samples = runs
             if low_fidelity is not None:
                 samples, surrogate = predict_twin(self.study.shares, low, runs)
-            at_medians, value, half_timestep = (float(entry) for entry in column[-REFERENCE_ROWS:])
+            at_medians, value, half_timestep = (
+                float(entry) for entry in column[-REFERENCE_ROWS:]
+            )
             uncertainties[metric] = MetricUncertainty(
                 value,
                 half_timestep,
@@ -135,12 +164,18 @@ class Propagation:
             )
         return self._with_indices(uncertainties)
 
-    def _with_indices(self, uncertainties: dict[str, MetricUncertainty]) -> dict[str, MetricUncertainty]:
+    def _with_indices(
+        self, uncertainties: dict[str, MetricUncertainty]
+    ) -> dict[str, MetricUncertainty]:
         """Return uncertainties with Sobol indices, which do not exist for correlated parameters."""
-        names = [name for name, entry in uncertainties.items() if _varies(entry.samples)]
+        names = [
+            name for name, entry in uncertainties.items() if _varies(entry.samples)
+        ]
         if not names or not self.study.priors.independent:
             return uncertainties
-        results = np.stack([_fill_missing(uncertainties[name].samples) for name in names], axis=1)
+        results = np.stack(
+            [_fill_missing(uncertainties[name].samples) for name in names], axis=1
+        )
         chaos = PolynomialChaos.fit(self.study.shares, results)
         for k, name in enumerate(names):
             first, total = chaos.indices[..., k]
@@ -159,10 +194,12 @@ class Propagation:
         names = self.plants[plants[-1]]
         if not names:
             raise InputError(
-                f"{self.study.scenario.name}: no metric of the {plants[-1]} plant has a value in "
-                f"{100 * _MIN_KNOWN:.0f} % of the samples"
+                f"{self.study.scenario.name}: no metric of the {plants[-1]} plant has a"
+                f" value in {100 * _MIN_KNOWN:.0f} % of the samples"
             )
-        return plants[-1], "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))
+        return plants[-1], (
+            "com_speed_m_s" if "com_speed_m_s" in names else next(iter(names))
+        )
 
     def measure_next(self) -> list[dict[str, Any]]:
         """Return the interval of the target after measuring each parameter to ±10 %, the narrowest first."""
@@ -171,7 +208,8 @@ class Propagation:
         if not width_now > 0 or uncertainty.indices is None:
             return []
         shares = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
-        # Add residuals of the surrogate, so that the predicted intervals contain its error.
+        # Add residuals of the surrogate, so that the predicted intervals contain its
+        # error.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
         entries = []
@@ -202,19 +240,27 @@ class Propagation:
     def swings(self) -> list[dict[str, object]]:
         """Return the effect of each uncertain quantity alone on the target, by total index.
 
-        An entry has the `parameter`, the metric with it at the `low` and the `high` end of its 95 % interval
-        and all others at their medians, and the `error` of both: two standard deviations of left-out samples.
+        An entry has the `parameter`, the metric with it at the `low` and the `high` end
+        of its 95 % interval and all others at their medians, and the `error` of both:
+        two standard deviations of left-out samples.
         """
         names, chaos, indices = self.study.names, self._chaos, self._target.indices
         if indices is None:
             return []
         count = len(names)
         shares = np.full((2 * count, count), 0.5 - 1e-9)
-        shares[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(RANGES["interval_95"], count)
+        shares[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
+            RANGES["interval_95"], count
+        )
         ends = chaos.at(self.study.snapped(shares))[:, 0].reshape(count, 2).tolist()
         error = 2 * float(np.sqrt((chaos.residuals[:, 0] ** 2).mean()))
         return [
-            {"parameter": names[i], "low": ends[i][0], "high": ends[i][1], "error": error}
+            {
+                "parameter": names[i],
+                "low": ends[i][0],
+                "high": ends[i][1],
+                "error": error,
+            }
             for i in np.argsort(-indices.total, kind="stable")
         ]
 
@@ -222,22 +268,27 @@ class Propagation:
     def segments(self) -> dict[str, list[float]] | None:
         """Lowest and highest speed of the twin over the 95 % intervals of stiffness and damping time, m/s.
 
-        The key `stiffness_and_damping` is for runs with both numbers varied, `damping` for runs with only the
-        damping time varied. None if the runs are missing.
+        The key `stiffness_and_damping` is for runs with both numbers varied, `damping`
+        for runs with only the damping time varied. None if the runs are missing.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
             return None
         # The first three runs have the stiffness of the robot file.
         ranges = {"stiffness_and_damping": speeds, "damping": speeds[:3]}
-        return {name: [float(values.min()), float(values.max())] for name, values in ranges.items()}
+        return {
+            name: [float(values.min()), float(values.max())]
+            for name, values in ranges.items()
+        }
 
     @cached_property
     def remarks(self) -> dict[str, Remarks]:
         """Plant → limitations of its result for the target's metric."""
         metric = self.target[1]
         return {
-            plant: Remarks(plant, metric_label(metric), uncertainties[metric], self.study)
+            plant: Remarks(
+                plant, metric_label(metric), uncertainties[metric], self.study
+            )
             for plant, uncertainties in self.plants.items()
             if metric in uncertainties
         }
@@ -245,7 +296,11 @@ class Propagation:
     @cached_property
     def limits(self) -> dict[str, Any]:
         """Warnings about large errors, options that reduce them, and further remarks."""
-        shortfalls = [shortfall for remarks in self.remarks.values() for shortfall in remarks.shortfalls()]
+        shortfalls = [
+            shortfall
+            for remarks in self.remarks.values()
+            for shortfall in remarks.shortfalls()
+        ]
         texts = [
             text
             for remarks in self.remarks.values()
@@ -266,13 +321,18 @@ class Propagation:
     @cached_property
     def _chaos(self) -> PolynomialChaos:
         """Chaos expansion of the target's metric."""
-        return PolynomialChaos.fit(self.study.shares, _fill_missing(self._target.samples)[:, None])
+        return PolynomialChaos.fit(
+            self.study.shares, _fill_missing(self._target.samples)[:, None]
+        )
 
     def document(self) -> dict[str, object]:
         """Return the result as JSON values, as `--json` prints it."""
         names = self.study.names
         plants = {
-            plant: {metric: uncertainty.document(names) for metric, uncertainty in uncertainties.items()}
+            plant: {
+                metric: uncertainty.document(names)
+                for metric, uncertainty in uncertainties.items()
+            }
             for plant, uncertainties in self.plants.items()
         }
         plant, metric = self.target
@@ -289,7 +349,10 @@ class Propagation:
             "target": {"plant": plant, "metric": metric},
             "fidelity": {"evaluations": self.study.runs, "failed": self.failed},
             "priors": self.study.priors.document(),
-            "forms": {name: list(values) for name, values in self.study.discrete_choices.items()},
+            "forms": {
+                name: list(values)
+                for name, values in self.study.discrete_choices.items()
+            },
         }
 
     def write(self, folder: Path) -> None:
@@ -304,11 +367,21 @@ class Propagation:
         from srs_twin.studies.uncertainty.plots import draw_intervals
         from srs_twin.viewing.plots.style import save
 
-        parameters = self.study.priors.quantile(self.study.shares[:, : len(self.study.priors.parameters)])
+        parameters = self.study.priors.quantile(
+            self.study.shares[:, : len(self.study.priors.parameters)]
+        )
         columns = dict(zip(self.study.priors.paths, parameters.T, strict=True))
         for plant, uncertainties in self.plants.items():
-            columns |= {f"{plant}.{name}": entry.samples for name, entry in uncertainties.items()}
-        samples = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+            columns |= {
+                f"{plant}.{name}": entry.samples
+                for name, entry in uncertainties.items()
+            }
+        samples = pa.table(
+            {
+                name: pa.array(column, from_pandas=True)
+                for name, column in columns.items()
+            }
+        )
         document = self.document()
         figure = draw_intervals(self.study.scenario.title, document)
         with replace_files(folder, FILES) as fresh:
@@ -324,7 +397,10 @@ class Propagation:
         """
         check_can_be_kept(self.study.scenario)
         path = INTERVALS / f"{self.study.scenario.name}.json"
-        document = {"digest": judged_digest(self.study.scenario.document), **self.document()}
+        document = {
+            "digest": judged_digest(self.study.scenario.document),
+            **self.document(),
+        }
         write_text(path, json.dumps(_rounded(document), indent=1) + "\n")
         return path
 
@@ -332,9 +408,15 @@ class Propagation:
     def failed(self) -> dict[str, int]:
         """Fidelity → number of samples without any value."""
         return {
-            part: int(np.isnan([column[:-REFERENCE_ROWS] for column in rows.values()]).all(axis=0).sum())
-            if rows
-            else 0
+            part: (
+                int(
+                    np.isnan([column[:-REFERENCE_ROWS] for column in rows.values()])
+                    .all(axis=0)
+                    .sum()
+                )
+                if rows
+                else 0
+            )
             for part, rows in self.rows.items()
             if part != SEGMENTS
         }
@@ -357,7 +439,9 @@ def _known_share(samples: np.ndarray) -> float:
 def _varies(samples: np.ndarray) -> bool:
     """Return whether enough samples have a value and these are not all equal."""
     known = samples[np.isfinite(samples)]
-    return _known_share(samples) >= _MIN_KNOWN and bool(np.std(known) > 1e-9 * abs(known.mean()))
+    return _known_share(samples) >= _MIN_KNOWN and bool(
+        np.std(known) > 1e-9 * abs(known.mean())
+    )
 
 
 def _fill_missing(samples: np.ndarray) -> np.ndarray:
@@ -428,15 +512,17 @@ def uncertainty(
         samples: number of robots drawn from the distributions.
         twin: number of runs of the twin if the model `compliant` runs all samples.
         without: parameters of the robot to keep at their values in the robot file.
-        choices: field of the scenario → its equally likely values, in addition to the two readings of the
-            delay of the bends (`bending.lead`) if their damping is uncertain.
+        choices: field of the scenario → its equally likely values, in addition to the
+            two readings of the delay of the bends (`bending.lead`) if their damping is
+            uncertain.
         engine: "local", "ray" or "warp", or an engine.
         workers: number of parallel runs; None: one per processor.
         changed: see `propagate`.
         progress: function that follows the runs.
 
     Raises:
-        InputError: the scenario is not valid, the engine is not available, or the folder cannot be used.
+        InputError: the scenario is not valid, the engine is not available, or the
+            folder cannot be used.
     """
     loaded = load_scenario(scenario, set=set)
     robot = RobotFile.model_validate(loaded.document["robot"])
@@ -453,7 +539,9 @@ def uncertainty(
         discrete_choices=choices,
     )
     with folder_or_temporary(out) as folder:
-        result = propagate(study, folder, make_engine(engine, workers), progress, changed=changed)
+        result = propagate(
+            study, folder, make_engine(engine, workers), progress, changed=changed
+        )
         if out is not None:
             result.write(folder)
     return result
@@ -465,6 +553,8 @@ def _columns(sweep: Sweep, rows: Iterable[Row]) -> dict[str, np.ndarray]:
     names = dict.fromkeys(name for values in by_key.values() for name in values)
     points = [by_key.get(point.key, {}) for point in sweep.points]
     return {
-        name.partition(".")[2]: np.array([values.get(name) for values in points], dtype=float)
+        name.partition(".")[2]: np.array(
+            [values.get(name) for values in points], dtype=float
+        )
         for name in names
     }

@@ -1,9 +1,10 @@
 r"""Limitations of a result as text: large errors, an unresolved ranking, a value outside its interval.
 
-The end of a 95 % interval is inaccurate if its standard error exceeds 5 % of the interval's width; the width
-is then uncertain by more than 2 √2 · 5 % = 14 %. A total index is inaccurate if half its 95 % interval
-exceeds 0.1; causes that differ by less than 0.14 cannot then be distinguished. Standard errors decrease with
-the square root of the number of samples, which gives the number that is needed.
+The end of a 95 % interval is inaccurate if its standard error exceeds 5 % of the
+interval's width; the width is then uncertain by more than 2 √2 · 5 % = 14 %. A total
+index is inaccurate if half its 95 % interval exceeds 0.1; causes that differ by less
+than 0.14 cannot then be distinguished. Standard errors decrease with the square root of
+the number of samples, which gives the number that is needed.
 """
 
 from __future__ import annotations
@@ -14,7 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES, RANGES, MetricUncertainty
+from srs_twin.studies.uncertainty.metric_uncertainty import (
+    MIN_BOUNDING_SAMPLES,
+    RANGES,
+    MetricUncertainty,
+)
 from srs_twin.studies.uncertainty.study import UncertaintyStudy
 from srs_twin.studies.uncertainty.surrogates import quadratic_samples
 
@@ -81,7 +86,11 @@ class Remarks:
         low, high = self.uncertainty.interval("interval_95")
         if not high > low:
             return []
-        shortfalls = (self._bounding_shortfall(), self._end_shortfall(high - low), self._index_shortfall())
+        shortfalls = (
+            self._bounding_shortfall(),
+            self._end_shortfall(high - low),
+            self._index_shortfall(),
+        )
         return [shortfall for shortfall in shortfalls if shortfall]
 
     def _bounding_shortfall(self) -> Shortfall | None:
@@ -89,11 +98,13 @@ class Remarks:
         if count >= MIN_BOUNDING_SAMPLES:
             return None
         words = (
-            f"{self.subject}: {count} samples do not bound the 95 % interval; with a probability of "
-            f"{100 * (1 - tail) ** count:.0f} % none of them is beyond its true lower end, and likewise "
-            f"for the upper end ({MIN_BOUNDING_SAMPLES} samples make that {100 * tail:g} %)"
+            f"{self.subject}: {count} samples do not bound the 95 % interval; with a"
+            f" probability of {100 * (1 - tail) ** count:.0f} % none of them is beyond"
+            " its true lower end, and likewise for the upper end"
+            f" ({MIN_BOUNDING_SAMPLES} samples make that {100 * tail:g} %)"
         )
-        # Suggest twice as many, because few samples underestimate the errors of the ends.
+        # Suggest twice as many, because few samples underestimate the errors of the
+        # ends.
         return self._sample_shortfall(words, 2 * MIN_BOUNDING_SAMPLES)
 
     def _end_shortfall(self, width: float) -> Shortfall | None:
@@ -102,12 +113,14 @@ class Remarks:
             return None
         shares = " and ".join(f"{100 * error / width:.0f} %" for error in errors)
         words = (
-            f"{self.subject}: standard errors of the ends of the 95 % interval are {shares} of its width; "
-            f"above {100 * MAX_END_ERROR:.0f} % the width is uncertain by more than "
-            f"{100 * 2 * math.sqrt(2) * MAX_END_ERROR:.0f} %"
+            f"{self.subject}: standard errors of the ends of the 95 % interval are"
+            f" {shares} of its width; above {100 * MAX_END_ERROR:.0f} % the width is"
+            f" uncertain by more than {100 * 2 * math.sqrt(2) * MAX_END_ERROR:.0f} %"
         )
         if not self._is_predicted:
-            needed = _MARGIN * self.uncertainty.count * float((errors.max() / limit) ** 2)
+            needed = (
+                _MARGIN * self.uncertainty.count * float((errors.max() / limit) ** 2)
+            )
             return self._sample_shortfall(words, needed)
         samples, runs = (
             _next_power_of_two(_MARGIN * count * growth) if growth > 1 else 0
@@ -124,14 +137,19 @@ class Remarks:
             return None
         error = min(float(indices.half_width[1].max()), 1.0)
         words = (
-            f"{self.subject}: total indices have errors of up to ±{100 * error:.0f} %; above "
-            f"±{100 * MAX_INDEX_ERROR:.0f} % causes that differ by less than "
-            f"{100 * math.sqrt(2) * MAX_INDEX_ERROR:.0f} % cannot be distinguished"
+            f"{self.subject}: total indices have errors of up to ±{100 * error:.0f} %;"
+            f" above ±{100 * MAX_INDEX_ERROR:.0f} % causes that differ by less than"
+            f" {100 * math.sqrt(2) * MAX_INDEX_ERROR:.0f} % cannot be distinguished"
         )
-        count, smallest = self.uncertainty.count, quadratic_samples(len(self.study.names))
+        count, smallest = (
+            self.uncertainty.count,
+            quadratic_samples(len(self.study.names)),
+        )
         growth = (error / MAX_INDEX_ERROR) ** 2
         if self._is_predicted and count >= smallest:
-            return Shortfall(words, runs=_next_power_of_two(self.uncertainty.runs * growth))
+            return Shortfall(
+                words, runs=_next_power_of_two(self.uncertainty.runs * growth)
+            )
         return self._sample_shortfall(words, max(count * growth, smallest))
 
     @property
@@ -158,11 +176,18 @@ class Remarks:
         first = [self.study.names[i] for i in order if ranks[i][0] == 1]
         tied = sum(best < worst for best, worst in ranks)
         if len(first) > 1:
-            words = f"{self._samples_text} do not resolve the largest cause; it is {_alternatives(first)}"
+            words = (
+                f"{self._samples_text} do not resolve the largest cause; it is"
+                f" {_alternatives(first)}"
+            )
         else:
             share = _percent(total[order[0]], indices.half_width[1, order[0]])
             words = f"{first[0]} matters most (total index {share})"
-            words += f"; {self._samples_text} do not resolve the order of {tied} others" if tied else ""
+            words += (
+                f"; {self._samples_text} do not resolve the order of {tied} others"
+                if tied
+                else ""
+            )
         return f"{self.subject}: {words}"
 
     @property
@@ -173,25 +198,29 @@ class Remarks:
     def outside_text(self) -> str:
         """Return the reason for a value outside its own interval; empty for a value inside."""
         uncertainty = self.uncertainty
-        name = next((key for key in reversed(RANGES) if _is_outside(uncertainty, key)), None)
+        name = next(
+            (key for key in reversed(RANGES) if _is_outside(uncertainty, key)), None
+        )
         if name is None:
             return ""
         low, high = uncertainty.interval(name)
         side = "above" if uncertainty.value > high else "below"
         share = name.removeprefix("interval_")
         words = (
-            f"{self.subject}: the value {uncertainty.value:.3g} is {side} its {share} % interval "
-            f"({low:.3g} to {high:.3g}), because it belongs to the numbers in the robot file and the "
-            "interval to numbers drawn from their distributions"
+            f"{self.subject}: the value {uncertainty.value:.3g} is {side} its {share} %"
+            f" interval ({low:.3g} to {high:.3g}), because it belongs to the numbers in"
+            " the robot file and the interval to numbers drawn from their"
+            " distributions"
         )
         if not math.isfinite(uncertainty.at_medians):
             return words
         by_skewness = uncertainty.value - uncertainty.at_medians
         by_nonlinearity = uncertainty.at_medians - uncertainty.median
         return (
-            f"{words}. The file's numbers instead of the medians of their distributions change it by "
-            f"{by_skewness:+.2g}{self._skewed_parameters()}; nonlinearity changes it by "
-            f"{by_nonlinearity:+.2g} (median of the samples: {uncertainty.median:.3g})"
+            f"{words}. The file's numbers instead of the medians of their distributions"
+            f" change it by {by_skewness:+.2g}{self._skewed_parameters()}; nonlinearity"
+            f" changes it by {by_nonlinearity:+.2g} (median of the samples:"
+            f" {uncertainty.median:.3g})"
         )
 
     def _skewed_parameters(self) -> str:
@@ -217,9 +246,16 @@ def outside_marks(uncertainty: MetricUncertainty) -> str:
 def remedy(shortfalls: Sequence[Shortfall], study: UncertaintyStudy) -> dict[str, int]:
     """Return the options (name → number) with which a study would have no shortfalls; empty if unknown."""
     runs = max((shortfall.runs for shortfall in shortfalls), default=0)
-    needed = {"samples": max([runs, *(shortfall.samples for shortfall in shortfalls)]), "twin": runs}
+    needed = {
+        "samples": max([runs, *(shortfall.samples for shortfall in shortfalls)]),
+        "twin": runs,
+    }
     present = {"samples": study.samples, "twin": study.twin_samples}
-    return {name: count for name, count in needed.items() if present[name] < count <= MAX_SAMPLES}
+    return {
+        name: count
+        for name, count in needed.items()
+        if present[name] < count <= MAX_SAMPLES
+    }
 
 
 def _is_outside(uncertainty: MetricUncertainty, name: str) -> bool:

@@ -39,7 +39,8 @@ class UncertaintyStudy:
     Attributes:
         scenario: scenario.
         priors: priors of the robot's parameters.
-        discrete_choices: field of the scenario → equally likely values, such as two models of the chambers.
+        discrete_choices: field of the scenario → equally likely values, such as two
+            models of the chambers.
         plants: plants that run.
         samples: number of samples of the low-fidelity plants.
         twin_samples: number of samples of the twin if it has a low-fidelity plant.
@@ -66,7 +67,9 @@ class UncertaintyStudy:
     def snapped(self, shares: np.ndarray) -> np.ndarray:
         """Return points with each discrete choice at the middle of its value's interval."""
         snapped = shares.copy()
-        for i, values in enumerate(self.discrete_choices.values(), start=len(self.priors.parameters)):
+        for i, values in enumerate(
+            self.discrete_choices.values(), start=len(self.priors.parameters)
+        ):
             snapped[:, i] = (np.floor(shares[:, i] * len(values)) + 0.5) / len(values)
         return snapped
 
@@ -90,7 +93,10 @@ class UncertaintyStudy:
     @property
     def parts(self) -> tuple[str, ...]:
         """The fidelities, and `SEGMENTS` if both plants run and stiffness and damping time are uncertain."""
-        both = {"analytical", "twin"} <= set(self.plants) and {STIFFNESS, DAMPING} <= set(self.priors.paths)
+        both = {"analytical", "twin"} <= set(self.plants) and {
+            STIFFNESS,
+            DAMPING,
+        } <= set(self.priors.paths)
         return (*self.runs, *([SEGMENTS] if both else []))
 
     @cached_property
@@ -107,11 +113,20 @@ class UncertaintyStudy:
             document = parse_scenario(alone, name=self.scenario.name).document
         assert document is not None, "a fidelity in `runs` has a scenario"
         step = f"plants.{plant}.timestep_s"
-        fields = (*(f"robot.{path}" for path in self.priors.paths), *self.discrete_choices, step)
+        fields = (
+            *(f"robot.{path}" for path in self.priors.paths),
+            *self.discrete_choices,
+            step,
+        )
         h = float(document["plants"][plant]["timestep_s"])
-        shares, count = self.shares[: self.runs.get(part, 0)], len(self.priors.parameters)
+        shares, count = (
+            self.shares[: self.runs.get(part, 0)],
+            len(self.priors.parameters),
+        )
         columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
-        for share, values in zip(shares[:, count:].T, self.discrete_choices.values(), strict=True):
+        for share, values in zip(
+            shares[:, count:].T, self.discrete_choices.values(), strict=True
+        ):
             columns.append([values[int(fraction * len(values))] for fraction in share])
         own_choices = [
             values[0] if name == LEAD else _field_value(document, name)
@@ -143,13 +158,17 @@ class UncertaintyStudy:
             document={"scenario": self.scenario.name, "priors": self.priors.document()},
         )
 
-    def _over_segments(self, nominal: Sequence[Any], step: float) -> Iterator[list[Any]]:
+    def _over_segments(
+        self, nominal: Sequence[Any], step: float
+    ) -> Iterator[list[Any]]:
         """Yield rows for all pairs of stiffness and damping time, each at its value, low end and high end."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for place in places:
             prior = self.priors.parameters[place]
-            levels.append([prior.value, *prior.quantile(np.array(RANGES["interval_95"])).tolist()])
+            levels.append(
+                [prior.value, *prior.quantile(np.array(RANGES["interval_95"])).tolist()]
+            )
         for pair in product(*levels):
             values = list(nominal)
             for place, value in zip(places, pair, strict=True):
@@ -158,7 +177,9 @@ class UncertaintyStudy:
 
 
 def on_plant(
-    document: Mapping[str, Any], plant: str, settings: Mapping[str, object] | None = None
+    document: Mapping[str, Any],
+    plant: str,
+    settings: Mapping[str, object] | None = None,
 ) -> dict[str, Any]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
@@ -178,7 +199,9 @@ def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}
     try:
-        compliant = parse_scenario(on_plant(scenario.document, "analytical", settings), name=scenario.name)
+        compliant = parse_scenario(
+            on_plant(scenario.document, "analytical", settings), name=scenario.name
+        )
         compliant.build_plant("analytical")
     except InputError:
         return None
@@ -193,6 +216,8 @@ def _field_value(document: object, name: str) -> object:
     """
     for key in name.split("."):
         if not isinstance(document, Mapping) or key not in document:
-            raise UnknownNameError("field", name, document if isinstance(document, Mapping) else ())
+            raise UnknownNameError(
+                "field", name, document if isinstance(document, Mapping) else ()
+            )
         document = document[key]
     return document

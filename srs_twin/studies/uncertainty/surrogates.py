@@ -1,19 +1,20 @@
 r"""Surrogate models: polynomial chaos, which gives sensitivity indices, and a Gaussian process.
 
-**Polynomial chaos** (Sudret 2008, Reliability Engineering & System Safety 93). With Legendre polynomials ψ
-that are orthonormal over independent u ∈ (0, 1),
+**Polynomial chaos** (Sudret 2008, Reliability Engineering & System Safety 93). With
+Legendre polynomials ψ that are orthonormal over independent u ∈ (0, 1),
 
 $$ y(u) \approx \sum_\alpha c_\alpha \prod_i \psi_{\alpha_i}(u_i), \qquad
 S_i = \frac{\sum_{\alpha \in A_i} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, \qquad
 T_i = \frac{\sum_{\alpha_i > 0} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, $$
 
-with A_i the terms in u_i alone: Sobol's first-order and total indices. The degree is selected by
-leave-one-out cross-validation. The error of an index includes the unexplained variance of left-out samples
-and the scatter under bootstrap resampling.
+with A_i the terms in u_i alone: Sobol's first-order and total indices. The degree is
+selected by leave-one-out cross-validation. The error of an index includes the
+unexplained variance of left-out samples and the scatter under bootstrap resampling.
 
-**Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87: one fidelity predicts the other). The
-high-fidelity result is a linear function of the low-fidelity result and the inputs, plus a smooth remainder.
-Variances and lengths have log-normal priors and take their most probable values.
+**Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87: one fidelity predicts the
+other). The high-fidelity result is a linear function of the low-fidelity result and the
+inputs, plus a smooth remainder. Variances and lengths have log-normal priors and take
+their most probable values.
 """
 
 from __future__ import annotations
@@ -78,10 +79,11 @@ class PolynomialChaos:
     Attributes:
         terms: exponents, shape (terms, d).
         coefficients: coefficients, shape (terms, results).
-        unexplained: unexplained fraction of each result's variance, by cross-validation, shape (results,).
+        unexplained: unexplained fraction of each result's variance, by
+            cross-validation, shape (results,).
         residuals: leave-one-out residuals, shape (samples, results).
-        index_std: standard deviation of first-order and total indices under resampling, shape (2, d,
-            results).
+        index_std: standard deviation of first-order and total indices under resampling,
+            shape (2, d, results).
     """
 
     terms: np.ndarray
@@ -108,10 +110,15 @@ class PolynomialChaos:
         assert best is not None
         _, terms, coefficients, residuals = best
         ridge = 1e-9 * count * np.eye(len(terms))
-        rng, design, indices = np.random.default_rng(seed), _design_matrix(shares, terms), []
+        rng, design, indices = (
+            np.random.default_rng(seed),
+            _design_matrix(shares, terms),
+            [],
+        )
         for _ in range(_RESAMPLINGS):
             rows = rng.integers(count, size=count)
-            # Normal equations are accurate enough here, as the columns are nearly orthonormal.
+            # Normal equations are accurate enough here, as the columns are nearly
+            # orthonormal.
             drawn = design[rows]
             fitted = np.linalg.solve(drawn.T @ drawn + ridge, drawn.T @ results[rows])
             indices.append(_indices(terms, fitted))
@@ -136,7 +143,9 @@ class PolynomialChaos:
 def _design_matrix(shares: Array, terms: np.ndarray) -> Array:
     """Return each term at each sample, shape (samples, terms)."""
     orders = np.arange(terms.max(initial=0) + 1)
-    polynomials = eval_legendre(orders, 2 * shares[..., None] - 1) * np.sqrt(2 * orders + 1)
+    polynomials = eval_legendre(orders, 2 * shares[..., None] - 1) * np.sqrt(
+        2 * orders + 1
+    )
     design = np.ones((len(shares), len(terms)))
     for i in range(terms.shape[1]):
         design *= polynomials[:, i, terms[:, i]]
@@ -154,7 +163,10 @@ def _cross_validate(design: Array, results: Array) -> tuple[Array, Array]:
 def _indices(terms: np.ndarray, coefficients: Array) -> Array:
     power, has_one_variable = coefficients**2, (terms > 0).sum(axis=1) == 1
     variance = np.maximum(power[1:].sum(axis=0), 1e-300)
-    first = [power[has_one_variable & (terms[:, i] > 0)].sum(axis=0) for i in range(terms.shape[1])]
+    first = [
+        power[has_one_variable & (terms[:, i] > 0)].sum(axis=0)
+        for i in range(terms.shape[1])
+    ]
     total = [power[terms[:, i] > 0].sum(axis=0) for i in range(terms.shape[1])]
     indices: Array = np.array([first, total]) / variance
     return indices
@@ -185,7 +197,9 @@ class GaussianProcess:
         """
         self._x, self._y = x, y
         centre = np.log([*_TYPICAL, *np.full(x.shape[1], _TYPICAL_LENGTH)])
-        self.log_hyperparameters = centre if log_hyperparameters is None else log_hyperparameters
+        self.log_hyperparameters = (
+            centre if log_hyperparameters is None else log_hyperparameters
+        )
         if log_hyperparameters is None:
             result = scipy.optimize.minimize(
                 self._negative_log_posterior,
@@ -196,7 +210,9 @@ class GaussianProcess:
                 options={"maxiter": 60},
             )
             self.log_hyperparameters = result.x
-        self._factor = scipy.linalg.cho_factor(self._covariance(self.log_hyperparameters), lower=True)
+        self._factor = scipy.linalg.cho_factor(
+            self._covariance(self.log_hyperparameters), lower=True
+        )
         self._weights = scipy.linalg.cho_solve(self._factor, y)
 
     def at(self, x: Array) -> Array:
@@ -217,12 +233,18 @@ class GaussianProcess:
 
     def _covariance(self, log_hyperparameters: Array) -> Array:
         kernel = _kernel(log_hyperparameters, self._x, self._x)
-        return np.asarray(kernel + (np.exp(2 * log_hyperparameters[2]) + 1e-9) * np.eye(len(self._y)))
+        return np.asarray(
+            kernel + (np.exp(2 * log_hyperparameters[2]) + 1e-9) * np.eye(len(self._y))
+        )
 
-    def _negative_log_posterior(self, log_hyperparameters: Array, centre: Array) -> float:
+    def _negative_log_posterior(
+        self, log_hyperparameters: Array, centre: Array
+    ) -> float:
         """Return the negative logarithm of the posterior density, up to a constant."""
         try:
-            factor = scipy.linalg.cholesky(self._covariance(log_hyperparameters), lower=True)
+            factor = scipy.linalg.cholesky(
+                self._covariance(log_hyperparameters), lower=True
+            )
         except scipy.linalg.LinAlgError:
             return 1e12
         white = scipy.linalg.solve_triangular(factor, self._y, lower=True)
@@ -246,12 +268,14 @@ def predict_high_fidelity(
         shares: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
         high: high-fidelity result at the first samples, shape (fewer,).
-        log_hyperparameters: hyperparameters of the Gaussian process, to skip their search.
+        log_hyperparameters: hyperparameters of the Gaussian process, to skip their
+            search.
 
     Returns:
-        High-fidelity result at all samples, unchanged where it is known, and the hyperparameters. Predictions
-        include random leave-one-out residuals, so that quantiles contain the error of the surrogate. They are
-        NaN if the surrogate explains less than half of the variance of left-out samples.
+        High-fidelity result at all samples, unchanged where it is known, and the
+        hyperparameters. Predictions include random leave-one-out residuals, so that
+        quantiles contain the error of the surrogate. They are NaN if the surrogate
+        explains less than half of the variance of left-out samples.
     """
     count = len(high)
     scale, mean = max(float(high.std()), 1e-300), float(high.mean())

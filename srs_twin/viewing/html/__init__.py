@@ -65,7 +65,9 @@ def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> 
     macros: Any = _environment().get_template("viewing/html/parts.html").module
     pictures = macros.pictures([plot]) if plot else ""
     return str(
-        Markup("<p><b>{}</b></p>{}{}").format(escape_unprintable(summary), macros.table(table), pictures)
+        Markup("<p><b>{}</b></p>{}{}").format(
+            escape_unprintable(summary), macros.table(table), pictures
+        )
     )
 
 
@@ -73,13 +75,22 @@ def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> 
 def _environment() -> Environment:
     folder = FileSystemLoader(Path(__file__).parents[2])
     return Environment(
-        loader=folder, autoescape=True, undefined=StrictUndefined, finalize=_clean, trim_blocks=True
+        loader=folder,
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_clean,
+        trim_blocks=True,
     )
 
 
 def _clean(value: object) -> object:
-    # HTML does not allow control characters, and a terminal that prints the file would execute them.
-    return value if isinstance(value, Markup) else escape_unprintable(str(value), keep="\t\n")
+    # HTML does not allow control characters, and a terminal that prints the file would
+    # execute them.
+    return (
+        value
+        if isinstance(value, Markup)
+        else escape_unprintable(str(value), keep="\t\n")
+    )
 
 
 def colored(text: str, color: str) -> Markup:
@@ -100,7 +111,9 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
     """Return an image from the content of its file, of kind "svg+xml" or "png"."""
-    return Picture(f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption)
+    return Picture(
+        f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption
+    )
 
 
 def cell(value: Any) -> str:
@@ -114,6 +127,7 @@ def cell(value: Any) -> str:
             return json.dumps(value, ensure_ascii=False)
         case list() | tuple():
             return ", ".join(
-                f"[{cell(item)}]" if isinstance(item, list | tuple) else cell(item) for item in value
+                f"[{cell(item)}]" if isinstance(item, list | tuple) else cell(item)
+                for item in value
             )
     return str(value)

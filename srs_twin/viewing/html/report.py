@@ -28,7 +28,15 @@ from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
 from srs_twin.viewing.content import RunContent, events_of
-from srs_twin.viewing.html import Picture, Table, cell, colored, notebook_output, picture, render
+from srs_twin.viewing.html import (
+    Picture,
+    Table,
+    cell,
+    colored,
+    notebook_output,
+    picture,
+    render,
+)
 from srs_twin.viewing.plots.from_above import lines_plot, plan_view
 from srs_twin.viewing.plots.labels import metric_title
 from srs_twin.viewing.plots.runs import (
@@ -78,7 +86,9 @@ def write_report(
     page = render(
         "viewing/html/report.html",
         title=scenario_title,
-        subtitle=f"{spec.title}, {duration:g} s simulated, {' and '.join(trajectories)}",
+        subtitle=(
+            f"{spec.title}, {duration:g} s simulated, {' and '.join(trajectories)}"
+        ),
         headline=headline(metrics),
         changes=_changes(metrics.get("changes") or ()),
         results=_results(metrics, chosen(metrics["plants"])),
@@ -96,12 +106,17 @@ def write_report(
 
 
 def notebook_run(
-    title: str, metrics: Mapping[str, Any], trajectories: Mapping[str, Trajectory], spec: RobotSpec
+    title: str,
+    metrics: Mapping[str, Any],
+    trajectories: Mapping[str, Trajectory],
+    spec: RobotSpec,
 ) -> str:
     """Return a run as HTML for a notebook: headline, table of metrics and plan view."""
     view = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
     return notebook_output(
-        f"{title}: {headline(metrics)}", _results(metrics, chosen(metrics["plants"])), view
+        f"{title}: {headline(metrics)}",
+        _results(metrics, chosen(metrics["plants"])),
+        view,
     )
 
 
@@ -109,8 +124,13 @@ def page_of_run(trajectory: Trajectory) -> str:
     """Return a trajectory as HTML for a notebook."""
     plant = str(trajectory.metadata.get("plant", "run"))
     metrics = {"plants": {plant: plant_metrics(trajectory)}}
-    lines = {"centre of mass": trajectory.com, "body at the end": trajectory.position[-1]}
-    path = picture(lines_plot(lines), "Path of the centre of mass, and the body at the end.")
+    lines = {
+        "centre of mass": trajectory.com,
+        "body at the end": trajectory.position[-1],
+    }
+    path = picture(
+        lines_plot(lines), "Path of the centre of mass, and the body at the end."
+    )
     summary = f"{plant}, {trajectory.time[-1]:g} s, {len(trajectory)} samples"
     return notebook_output(summary, _results(metrics, chosen(metrics["plants"])), path)
 
@@ -121,12 +141,17 @@ def page_of_comparison(comparison: Comparison) -> str:
         [metric_title(name), COMPARISON_UNITS[name], cell(value)]
         for name, value in comparison.metrics.items()
     ]
-    return notebook_output("Twin − analytical model", Table(["metric", "unit", "value"], rows, [2]))
+    return notebook_output(
+        "Twin − analytical model", Table(["metric", "unit", "value"], rows, [2])
+    )
 
 
 def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
     """Return a table of metrics: one column per plant, differences, and the published value."""
-    plants, published_values = metrics["plants"], published(metrics.get("expectations") or ())
+    plants, published_values = (
+        metrics["plants"],
+        published(metrics.get("expectations") or ()),
+    )
     both = {"analytical", "twin"} <= plants.keys()
     headings = ["metric", "unit", *plants, *["difference", "%"] * both]
     headings += ["published"] * bool(published_values)
@@ -135,26 +160,50 @@ def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
         row = [metric_title(name), unit, *values, *differences * both]
         if published_values:
             value, source = published_values.get(name, (None, ""))
-            row.append(f"{cell(tidy(name, value))} ({source})" if name in published_values else "")
+            row.append(
+                f"{cell(tidy(name, value))} ({source})"
+                if name in published_values
+                else ""
+            )
         rows.append(row)
     return Table(headings, rows, range(2, len(headings)))
 
 
 def _changes(changes: Changes) -> Table:
     """Return the table of the fields that differ from the scenario file."""
-    rows = [[change["field"], text_of(change["from"]), text_of(change["to"])] for change in changes]
+    rows = [
+        [change["field"], text_of(change["from"]), text_of(change["to"])]
+        for change in changes
+    ]
     return Table(["changed field", "in the scenario", "in this run"], rows)
 
 
-def _expectations(expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[str]) -> Table:
+def _expectations(
+    expectations: Sequence[Mapping[str, Any]], verdicts: Sequence[str]
+) -> Table:
     keys = ["allowed", "source", *["known"] * bool({"known", "holds"} & set(verdicts))]
     keys += ["reason"] * ("not_judged" in verdicts)
     rows = []
     for state, row in zip(verdicts, expectations, strict=True):
         color = "missed" if state == "missed" else "met" if row["met"] else "sub"
-        texts = [row["of"], allowed_text(row), *(row.get(key) or "" for key in keys[1:])]
-        title, value = metric_title(row["metric"]), cell(tidy(row["metric"], row.get("value")))
-        rows.append([colored(state.replace("_", " "), color), title, texts[0], value, *texts[1:]])
+        texts = [
+            row["of"],
+            allowed_text(row),
+            *(row.get(key) or "" for key in keys[1:]),
+        ]
+        title, value = (
+            metric_title(row["metric"]),
+            cell(tidy(row["metric"], row.get("value"))),
+        )
+        rows.append(
+            [
+                colored(state.replace("_", " "), color),
+                title,
+                texts[0],
+                value,
+                *texts[1:],
+            ]
+        )
     return Table(["", "metric", "of", "value", *keys], rows, numbers=[3])
 
 
@@ -162,9 +211,19 @@ def _attribution(attribution: Attribution | None) -> dict[str, Any]:
     """Return the content of the section on the attribution: plot, table and identical assumptions."""
     if attribution is None:
         return {"attribution": None}
-    headings = ["assumption", "description", "method", *(f"{t}, {u}" for t, u in MEASURES.values())]
+    headings = [
+        "assumption",
+        "description",
+        "method",
+        *(f"{t}, {u}" for t, u in MEASURES.values()),
+    ]
     rows = [
-        [share.name, share.title, share.how, *map(_contribution, share.value, share.low, share.high)]
+        [
+            share.name,
+            share.title,
+            share.how,
+            *map(_contribution, share.value, share.low, share.high),
+        ]
         for share in attribution.shares
     ]
     matched = "remaining difference with stiff bends and equal friction in both plants"
@@ -177,7 +236,10 @@ def _attribution(attribution: Attribution | None) -> dict[str, Any]:
     changes = "change of the difference if the bends of the twin have this damping time"
     for name, change in attribution.damping.items():
         rows.append([name, changes, "", *map(_signed, change)])
-    caption = "Contributions to twin − analytical; thin lines: minimum and maximum over all orders."
+    caption = (
+        "Contributions to twin − analytical; thin lines: minimum and maximum over all"
+        " orders."
+    )
     if attribution.extent:
         caption = f"{attribution.extent.capitalize()}. {caption}"
     return {
@@ -189,7 +251,9 @@ def _attribution(attribution: Attribution | None) -> dict[str, Any]:
 
 
 def _contribution(value: float, low: float, high: float) -> str:
-    return _signed(value) + ("" if low == high else f" [{_signed(low)}, {_signed(high)}]")
+    return _signed(value) + (
+        "" if low == high else f" [{_signed(low)}, {_signed(high)}]"
+    )
 
 
 def _signed(value: float) -> str:
@@ -204,22 +268,32 @@ def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
     added = next(filter(None, map(added_to, runs.values())), None)
     learning = "Learning: amplitudes and duties of each module per period."
     figures: dict[str, Figure | None] = {
-        "Difference of each plant from the measured robot over time.": measured_plot(content.measured),
+        "Difference of each plant from the measured robot over time.": measured_plot(
+            content.measured
+        ),
         **(added.figures(runs, spec) if added else {}),
         learning: learning_plot(runs) if is_learning_run else None,
-        "Bend of the first segment and its reference.": tracking_plot(runs) if tracked else None,
-        "Paths and bodies from above. Forward is from tail to head.": plan_view(runs, spec, content.world)
-        if spec.segments > 1
-        else None,
+        "Bend of the first segment and its reference.": (
+            tracking_plot(runs) if tracked else None
+        ),
+        "Paths and bodies from above. Forward is from tail to head.": (
+            plan_view(runs, spec, content.world) if spec.segments > 1 else None
+        ),
         "Speed of the centre of mass.": None if tracked else speed_plot(runs),
-        "Bend of each segment; positive bends the head end to the left.": bend_plot(runs),
+        "Bend of each segment; positive bends the head end to the left.": bend_plot(
+            runs
+        ),
         "Pressure of the + chamber minus that of the − chamber.": pressure_plot(runs),
         "Sensor reading of the first segment over its bend.": reading_plot(runs),
-        "Distance between the twin and the analytical model.": error_plot(compared, spec)
-        if compared
-        else None,
+        "Distance between the twin and the analytical model.": (
+            error_plot(compared, spec) if compared else None
+        ),
     }
-    return [picture(figure, caption) for caption, figure in figures.items() if figure is not None]
+    return [
+        picture(figure, caption)
+        for caption, figure in figures.items()
+        if figure is not None
+    ]
 
 
 def _settings(
@@ -227,7 +301,10 @@ def _settings(
 ) -> dict[str, Table]:
     settings = {plant: run.metadata for plant, run in trajectories.items()}
     keys = dict.fromkeys(key for metadata in settings.values() for key in metadata)
-    rows = [[key, *(cell(metadata.get(key)) for metadata in settings.values())] for key in keys]
+    rows = [
+        [key, *(cell(metadata.get(key)) for metadata in settings.values())]
+        for key in keys
+    ]
     return {
         "Plants and controller": Table(["setting", *settings], rows),
         f"Robot {spec.name}": robot_table(spec),
@@ -237,8 +314,11 @@ def _settings(
 
 def _events(trajectories: Mapping[str, Trajectory]) -> Table:
     """Return the table of the events of all plants, ordered by time."""
-    rows = [(event.time, plant, event.kind.replace("_", " "), event.text)
-            for plant, run in trajectories.items() for event in events_of(run)]  # fmt: skip
+    rows = [
+        (event.time, plant, event.kind.replace("_", " "), event.text)
+        for plant, run in trajectories.items()
+        for event in events_of(run)
+    ]
     ordered = [[f"{time:.2f}", *rest] for time, *rest in sorted(rows)]
     return Table(["time, s", "plant", "event", "details"], ordered, [0])
 
@@ -246,16 +326,26 @@ def _events(trajectories: Mapping[str, Trajectory]) -> Table:
 def robot_table(spec: RobotSpec) -> Table:
     """Return the table of the parameters of a robot, with units."""
     units = _robot_units()
-    rows = [[name, units.get(name, ""), cell(value)] for name, value in _leaves(asdict(spec))]
+    rows = [
+        [name, units.get(name, ""), cell(value)]
+        for name, value in _leaves(asdict(spec))
+    ]
     return Table(["parameter", "unit", "value"], rows)
 
 
 def _robot_units() -> dict[str, str]:
     """Return parameter of a `RobotSpec` → SI unit, for the keys of robot files and for derived parameters."""
-    units = {"actuator.gain": "rad/Pa", "chamber.displacement": "m³/rad", "friction.mu_back": "1"}
+    units = {
+        "actuator.gain": "rad/Pa",
+        "chamber.displacement": "m³/rad",
+        "friction.mu_back": "1",
+    }
     for section in RobotFile.model_fields:
         prefix = {"modules": "variation.", "gait": ""}.get(section, f"{section}.")
-        units |= {f"{prefix}{split_unit(key)[0]}": si_unit(key) for key in section_units(section)}
+        units |= {
+            f"{prefix}{split_unit(key)[0]}": si_unit(key)
+            for key in section_units(section)
+        }
     return {name: unit.replace("*", "·") for name, unit in units.items()}
 
 

@@ -45,7 +45,9 @@ class Label(NamedTuple):
 class Canvas:
     """Renderer of a model for images of one size; a context manager that frees the OpenGL resources."""
 
-    def __init__(self, model: mujoco.MjModel, width: int, height: int, *, opengl: str = "") -> None:
+    def __init__(
+        self, model: mujoco.MjModel, width: int, height: int, *, opengl: str = ""
+    ) -> None:
         """Create the OpenGL context and its buffers.
 
         Args:
@@ -58,7 +60,9 @@ class Canvas:
             InputError: no backend works.
         """
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW_FACTOR * max(width, height))
+        model.vis.quality.shadowsize = min(
+            model.vis.quality.shadowsize, _SHADOW_FACTOR * max(width, height)
+        )
         self._model = model
         self._frame = mujoco.MjrRect(0, 0, width, height)
         self._scene = mujoco.MjvScene(model, maxgeom=_MAX_GEOMS)
@@ -68,8 +72,8 @@ class Canvas:
         font = 50 * int(np.clip(round(height / _FONT_PIXELS), 1, 6))
         self._context = mujoco.MjrContext(model, font)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
-        # Free the context before the interpreter unloads OpenGL: exit handlers run in reverse order of
-        # registration.
+        # Free the context before the interpreter unloads OpenGL: exit handlers run in
+        # reverse order of registration.
         self._close = weakref.finalize(self, _free, self._context, self._opengl)
         self._close.atexit = False
         atexit.register(self._close)
@@ -97,7 +101,9 @@ class Canvas:
             labels: labels, side by side at the lower edge.
         """
         all_categories = mujoco.mjtCatBit.mjCAT_ALL.value
-        mujoco.mjv_updateScene(self._model, data, self._option, None, camera, all_categories, self._scene)
+        mujoco.mjv_updateScene(
+            self._model, data, self._option, None, camera, all_categories, self._scene
+        )
         if decorate is not None:
             decorate(self._scene)
         self._opengl.make_current()
@@ -105,10 +111,16 @@ class Canvas:
         mujoco.mjr_render(self._frame, self._scene, self._context)
         drawn = labels if self._frame.width >= _MIN_LABELS_WIDTH else labels[:1]
         for k, (text, color) in enumerate(drawn):
-            left, right = (self._frame.width * index // len(labels) for index in (k, k + 1))
-            box = mujoco.MjrRect(left, 0, right - left, int(_LABEL_HEIGHT * self._frame.height))
+            left, right = (
+                self._frame.width * index // len(labels) for index in (k, k + 1)
+            )
+            box = mujoco.MjrRect(
+                left, 0, right - left, int(_LABEL_HEIGHT * self._frame.height)
+            )
             font = mujoco.mjtFont.mjFONT_NORMAL.value
-            mujoco.mjr_label(box, font, text, *unit_rgba(color), 1.0, 1.0, 1.0, self._context)
+            mujoco.mjr_label(
+                box, font, text, *unit_rgba(color), 1.0, 1.0, 1.0, self._context
+            )
         mujoco.mjr_readPixels(pixels, None, self._frame, self._context)
         return pixels[::-1]
 

@@ -1,8 +1,9 @@
 """A twin in real time in a window of MuJoCo's viewer, under the controller of a scenario or the keyboard.
 
-Left and right change the offset, up and down the frequency, page up and page down the supply pressure; home
-resets the offset, space pauses, backspace restarts. The first of these that steers takes over from the
-controller of a scenario. Key codes are those of GLFW, which the viewer reports.
+Left and right change the offset, up and down the frequency, page up and page down the
+supply pressure; home resets the offset, space pauses, backspace restarts. The first of
+these that steers takes over from the controller of a scenario. Key codes are those of
+GLFW, which the viewer reports.
 """
 
 from __future__ import annotations
@@ -46,8 +47,9 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Key → command and number of steps between its limits. The steps are 0.05 (offset), 0.1 Hz and about 1
-kPa."""
+"""Key → command and number of steps between its limits.
+
+The steps are 0.05 (offset), 0.1 Hz and about 1 kPa."""
 
 MAX_LAG_S = 0.25
 """Largest delay of the simulation that is recovered by simulating faster, s."""
@@ -57,13 +59,15 @@ class LiveSnake:
     """Twin controlled by the controller of a scenario or by keys.
 
     Attributes:
-        scenario: scenario that is played; None: the keys steer a robot on an empty floor.
+        scenario: scenario that is played; None: the keys steer a robot on an empty
+            floor.
         twin: plant.
         state: current state of the plant.
         limits: limits of the commands.
         command: current command.
         paused: whether the simulation is paused.
-        floor_lines: goal of the scenario and the plan that its controller follows, as lines on the floor.
+        floor_lines: goal of the scenario and the plan that its controller follows, as
+            lines on the floor.
     """
 
     state: SnakeState
@@ -74,13 +78,18 @@ class LiveSnake:
     _controller: Controller | None
 
     def __init__(
-        self, spec: RobotSpec | None = None, *, scenario: Scenario | None = None, modified: str = ""
+        self,
+        spec: RobotSpec | None = None,
+        *,
+        scenario: Scenario | None = None,
+        modified: str = "",
     ) -> None:
         """Create a twin, either of a robot with a gait in the middle of its limits, or of a scenario.
 
         Args:
             spec: robot.
-            scenario: scenario with robot, world, start and controller, instead of a robot.
+            scenario: scenario with robot, world, start and controller, instead of a
+                robot.
             modified: overridden fields, shown in the window.
 
         Raises:
@@ -92,12 +101,19 @@ class LiveSnake:
             limits = GaitLimits.for_robot(self.twin.spec)
             # The pneumatics of the scenario are made for its supply pressure.
             highest = min(limits.pressure[1], scenario.supply_pa)
-            limits = replace(limits, pressure=(min(limits.pressure[0], highest), highest))
-            self._steerable = not scenario.file.bench and self.twin.layout in Gait.layouts
+            limits = replace(
+                limits, pressure=(min(limits.pressure[0], highest), highest)
+            )
+            self._steerable = (
+                not scenario.file.bench and self.twin.layout in Gait.layouts
+            )
         else:
             assert spec is not None, "a robot or a scenario"
             limits = GaitLimits.for_robot(spec)
-            self.twin, self._steerable = TwinSnake(spec, supply_pa=limits.pressure[1]), True
+            self.twin, self._steerable = (
+                TwinSnake(spec, supply_pa=limits.pressure[1]),
+                True,
+            )
         self.limits = limits
         pressure = sum(limits.pressure) / 2 if scenario is None else limits.pressure[1]
         self._initial_command = GaitCommand(0.0, sum(limits.frequency) / 2, pressure)
@@ -110,7 +126,10 @@ class LiveSnake:
         return self._controller is not None and self._controller.finished
 
     def press(self, key: int) -> None:
-        """Queue a key, from any thread, for the next control tick. Unknown keys are ignored."""
+        """Queue a key, from any thread, for the next control tick.
+
+        Unknown keys are ignored.
+        """
         self._keys.append(key)
 
     def advance(self) -> SnakeState:
@@ -129,7 +148,9 @@ class LiveSnake:
                 self._find_floor_lines()
         else:
             assert self._gait is not None, "see _take_over"
-            self.state = self.twin.step(self._gait.valves(float(self.state.time), self.command))
+            self.state = self.twin.step(
+                self._gait.valves(float(self.state.time), self.command)
+            )
         return self.state
 
     def status_lines(self) -> list[tuple[str, str]]:
@@ -141,8 +162,13 @@ class LiveSnake:
             ("pressure (page up, page down)", f"{command.pressure / 1e3:.1f} kPa"),
         ]
         if self._controller is not None:
-            keys = "arrows, page up, page down: steer by keys" if self._steerable else ""
-            by_keys = [("controller", self._controller.kind), *([(keys, "")] if keys else [])]
+            keys = (
+                "arrows, page up, page down: steer by keys" if self._steerable else ""
+            )
+            by_keys = [
+                ("controller", self._controller.kind),
+                *([(keys, "")] if keys else []),
+            ]
         drawn = [line.name.rpartition("/")[-1] for line in self.floor_lines]
         note = ", paused" if self.paused else ", finished" if self.finished else ""
         return [
@@ -156,21 +182,31 @@ class LiveSnake:
         ]
 
     def _reset(self) -> None:
-        self.command, self.paused, scenario = self._initial_command, False, self.scenario
+        self.command, self.paused, scenario = (
+            self._initial_command,
+            False,
+            self.scenario,
+        )
         self.floor_lines = []
         if scenario is None:
             self.state = self.twin.reset()
             self._take_over()
             return
         begin, seed, twin = scenario.begin, scenario.seed, self.twin
-        self.state = twin.reset(pose=scenario.pose, seed=seed) if begin is None else begin(twin, seed)
+        self.state = (
+            twin.reset(pose=scenario.pose, seed=seed)
+            if begin is None
+            else begin(twin, seed)
+        )
         self._gait, self._controller = None, scenario.build_controller()
         self._controller.reset(twin.spec, twin.tick, seed=seed)
         self._find_floor_lines()
 
     def _find_floor_lines(self) -> None:
         """Update the lines on the floor."""
-        assert self.scenario is not None and self._controller is not None, "a scenario is played"
+        assert self.scenario is not None and self._controller is not None, (
+            "a scenario is played"
+        )
         goal = self.scenario.world.goal
         run = Trajectory({}, metadata={"control": self._controller.describe()})
         if pictures := added_to(run):
@@ -182,7 +218,9 @@ class LiveSnake:
     def _take_over(self) -> None:
         """Let the keys steer, instead of the controller of the scenario."""
         twin = self.twin
-        self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, self._initial_command)
+        self._gait = CommandedGait(
+            twin.spec, twin.tick, twin.pneumatics, self._initial_command
+        )
         self._controller = None
 
     def _handle(self, key: int) -> None:
@@ -212,7 +250,8 @@ def steer(
 ) -> None:
     """Simulate and draw a snake in real time until the window is closed.
 
-    If drawing takes too long, ticks are simulated without drawing until the simulation is in time again.
+    If drawing takes too long, ticks are simulated without drawing until the simulation
+    is in time again.
 
     Args:
         snake: snake to simulate.
@@ -266,7 +305,11 @@ class MujocoWindow:
         model, data = physics.model, physics.data
         try:
             self._viewer = mujoco.viewer.launch_passive(
-                model, data, key_callback=snake.press, show_left_ui=False, show_right_ui=False
+                model,
+                data,
+                key_callback=snake.press,
+                show_left_ui=False,
+                show_right_ui=False,
             )
         except RuntimeError as error:
             raise InputError(f"cannot open MuJoCo's viewer: {error}") from error
@@ -291,7 +334,9 @@ class MujocoWindow:
 
     def show(self, snake: LiveSnake) -> None:
         """Draw the current state."""
-        names, values = ("\n".join(column) for column in zip(*snake.status_lines(), strict=True))
+        names, values = (
+            "\n".join(column) for column in zip(*snake.status_lines(), strict=True)
+        )
         self._skins.show(snake.state.pressure, snake.twin.spec.supply.nominal)
         self._viewer.set_texts((None, None, names, values))
         self._draw_floor_lines(snake.floor_lines)
@@ -319,8 +364,9 @@ def require_display() -> None:
     """
     if lacks_display():
         raise InputError(
-            "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set); run this command on a machine "
-            "with a screen, or use `srs-twin run SCENARIO`, which needs no display"
+            "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set); run this"
+            " command on a machine with a screen, or use `srs-twin run SCENARIO`, which"
+            " needs no display"
         )
     import warnings
 
@@ -332,4 +378,7 @@ def require_display() -> None:
     if not usable:
         reason = str(caught[-1].message) if caught else "GLFW cannot be used"
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        raise InputError(f"the display {display} does not respond ({reason}); set DISPLAY to one that does")
+        raise InputError(
+            f"the display {display} does not respond ({reason}); set DISPLAY to one"
+            " that does"
+        )

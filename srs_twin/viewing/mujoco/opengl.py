@@ -1,9 +1,10 @@
 """Selection of an OpenGL backend for off-screen rendering.
 
-MuJoCo reads its backend from the variable MUJOCO_GL; simulations without rendering use "disabled". The
-backend is selected before the first image, whether MuJoCo has been imported or not. An installed library need
-not work, so each candidate renders a small image in a separate process: a faulty library may crash its
-process, and PyOpenGL cannot change its backend within a process.
+MuJoCo reads its backend from the variable MUJOCO_GL; simulations without rendering use
+"disabled". The backend is selected before the first image, whether MuJoCo has been
+imported or not. An installed library need not work, so each candidate renders a small
+image in a separate process: a faulty library may crash its process, and PyOpenGL cannot
+change its backend within a process.
 """
 
 from __future__ import annotations
@@ -22,9 +23,26 @@ from srs_twin.errors import InputError
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Backend → packages of Debian and Ubuntu."""
 
-_MODULES = {"egl": "mujoco.egl", "osmesa": "mujoco.osmesa", "glfw": "mujoco.glfw", "cgl": "mujoco.cgl"}
+_MODULES = {
+    "egl": "mujoco.egl",
+    "osmesa": "mujoco.osmesa",
+    "glfw": "mujoco.glfw",
+    "cgl": "mujoco.cgl",
+}
 _CANDIDATES = {"linux": ("egl", "osmesa"), "darwin": ("cgl",)}
-_UNSPECIFIED = ("", "0", "off", "false", "disable", "disabled", "on", "true", "1", "enable", "enabled")
+_UNSPECIFIED = (
+    "",
+    "0",
+    "off",
+    "false",
+    "disable",
+    "disabled",
+    "on",
+    "true",
+    "1",
+    "enable",
+    "enabled",
+)
 """Values of MUJOCO_GL that do not select a backend."""
 
 _TIMEOUT_S = 60.0
@@ -35,14 +53,19 @@ _TIMEOUT_S = 60.0
 def usable_opengl() -> str:
     """Return a working OpenGL backend, and set MUJOCO_GL to it.
 
-    The backend is the one that MUJOCO_GL selects, if it works. Without a selection it is the first working
-    one of egl and osmesa.
+    The backend is the one that MUJOCO_GL selects, if it works. Without a selection it
+    is the first working one of egl and osmesa.
 
     Raises:
-        InputError: no backend works; the message has the reasons and the packages to install.
+        InputError: no backend works; the message has the reasons and the packages to
+            install.
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
-    candidates = _CANDIDATES.get(sys.platform, ("glfw",)) if selected in _UNSPECIFIED else (selected,)
+    candidates = (
+        _CANDIDATES.get(sys.platform, ("glfw",))
+        if selected in _UNSPECIFIED
+        else (selected,)
+    )
     failures = {}
     for name in candidates:
         failure = _test(name)
@@ -52,11 +75,16 @@ def usable_opengl() -> str:
         failures[name] = failure
     reasons = "; ".join(f"{name}: {failure}" for name, failure in failures.items())
     if selected in _UNSPECIFIED:
-        remedy = "; or ".join(f"apt-get install {packages}" for packages in PACKAGES.values())
-        raise InputError(f"no OpenGL backend renders off screen ({reasons}); on Debian and Ubuntu: {remedy}")
+        remedy = "; or ".join(
+            f"apt-get install {packages}" for packages in PACKAGES.values()
+        )
+        raise InputError(
+            f"no OpenGL backend renders off screen ({reasons}); on Debian and Ubuntu:"
+            f" {remedy}"
+        )
     raise InputError(
-        f"the OpenGL backend in MUJOCO_GL does not work ({reasons}); unset the variable to choose "
-        f"{' or '.join(PACKAGES)} automatically"
+        f"the OpenGL backend in MUJOCO_GL does not work ({reasons}); unset the variable"
+        f" to choose {' or '.join(PACKAGES)} automatically"
     )
 
 
@@ -73,13 +101,20 @@ def _test(name: str) -> str:
     environment = {**os.environ, "MUJOCO_GL": name}
     try:
         done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, errors="replace", timeout=_TIMEOUT_S
+            command,
+            env=environment,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_TIMEOUT_S,
         )
     except subprocess.TimeoutExpired:
         return f"no image within {_TIMEOUT_S:g} s"
     if done.returncode == 0:
         return ""
-    lines = [line for line in done.stderr.splitlines() if line and not line.startswith(" ")]
+    lines = [
+        line for line in done.stderr.splitlines() if line and not line.startswith(" ")
+    ]
     errors = [line for line in lines if "Error" in line]
     return (errors or lines or [f"ended with code {done.returncode}"])[0]
 
@@ -91,20 +126,28 @@ def draw_box(name: str) -> None:
         name: OpenGL backend, named as in MUJOCO_GL.
 
     Raises:
-        InputError: all pixels have the same colour. Libraries may raise errors of any type.
+        InputError: all pixels have the same colour. Libraries may raise errors of any
+            type.
     """
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
         # Shadows and multisampling would dominate the time of software rendering.
-        "<mujoco><visual><quality shadowsize='0' offsamples='0'/></visual>"
-        "<worldbody><geom type='box' size='.1 .1 .1' rgba='1 1 1 1'/></worldbody></mujoco>"
+        "<mujoco><visual><quality shadowsize='0'"
+        " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
+        " 1 1 1'/></worldbody></mujoco>"
     )
-    data, camera, scene = mujoco.MjData(model), mujoco.MjvCamera(), mujoco.MjvScene(model, maxgeom=10)
+    data, camera, scene = (
+        mujoco.MjData(model),
+        mujoco.MjvCamera(),
+        mujoco.MjvScene(model, maxgeom=10),
+    )
     mujoco.mj_forward(model, data)
     mujoco.mjv_defaultFreeCamera(model, camera)
     all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
-    mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, camera, all_kinds, scene)
+    mujoco.mjv_updateScene(
+        model, data, mujoco.MjvOption(), None, camera, all_kinds, scene
+    )
     size, pixels = mujoco.MjrRect(0, 0, 16, 16), np.empty((16, 16, 3), dtype=np.uint8)
     context = new_context(name, 16, 16)
     context.make_current()

@@ -1,8 +1,8 @@
 """Off-screen videos, images and stroboscopic figures of the twin, rendered by MuJoCo.
 
-The camera follows the period-averaged path of the snake. Videos are MP4 files with the codec H.264, which
-all browsers support. A stroboscopic figure shows the snake at several times of a run in one plan view (after
-Fig. 36).
+The camera follows the period-averaged path of the snake. Videos are MP4 files with the
+codec H.264, which all browsers support. A stroboscopic figure shows the snake at
+several times of a run in one plan view (after Fig. 36).
 """
 
 from __future__ import annotations
@@ -43,14 +43,16 @@ def encoder() -> Any:
         import av
     except ImportError as error:
         raise InputError(
-            "videos need the encoder PyAV; install the extra with `uv sync --extra video`, or "
-            f"`pip install 'srs-twin[video]'` ({error})"
+            "videos need the encoder PyAV; install the extra with `uv sync --extra"
+            f" video`, or `pip install 'srs-twin[video]'` ({error})"
         ) from error
     return av
 
 
 @contextmanager
-def video_writer(path: Path, *, width: int, height: int, fps: int) -> Iterator[AddFrame]:
+def video_writer(
+    path: Path, *, width: int, height: int, fps: int
+) -> Iterator[AddFrame]:
     """Yield a function that appends a frame, shape (height, width, 3), bytes; the file is written atomically.
 
     Args:
@@ -65,20 +67,26 @@ def video_writer(path: Path, *, width: int, height: int, fps: int) -> Iterator[A
     av = encoder()
     with atomic_write(path) as temporary:
         try:
-            with av.open(str(temporary), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+            with av.open(
+                str(temporary), "w", format="mp4", options={"movflags": "+faststart"}
+            ) as container:
                 stream = container.add_stream(
                     "libx264", rate=fps, options={"crf": "20", "preset": "veryfast"}
                 )
                 stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
 
                 def add(pixels: np.ndarray) -> None:
-                    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+                    frame = av.VideoFrame.from_ndarray(
+                        np.ascontiguousarray(pixels), format="rgb24"
+                    )
                     container.mux(stream.encode(frame))
 
                 yield add
                 container.mux(stream.encode(None))
         except av.FFmpegError as error:
-            raise InputError(f"{display_path(path)}: the video cannot be written ({error})") from error
+            raise InputError(
+                f"{display_path(path)}: the video cannot be written ({error})"
+            ) from error
 
 
 _SMOOTHING_S = 0.5
@@ -98,12 +106,17 @@ _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
 class FollowCamera:
     """Camera on the right of the snake that follows its centre of mass, averaged over a gait period.
 
-    With a ghost, the camera follows the midpoint of both bodies, at a distance that shows both. A snake on a
-    bench is viewed from above by a fixed camera.
+    With a ghost, the camera follows the midpoint of both bodies, at a distance that
+    shows both. A snake on a bench is viewed from above by a fixed camera.
     """
 
     def __init__(
-        self, run: Trajectory, body_length: float, *, bench: bool, ghost: Trajectory | None = None
+        self,
+        run: Trajectory,
+        body_length: float,
+        *,
+        bench: bool,
+        ghost: Trajectory | None = None,
     ) -> None:
         """Compute the camera path of a run.
 
@@ -114,17 +127,25 @@ class FollowCamera:
             ghost: trajectory of another plant.
         """
         setup = "bench" if bench else "floor"
-        self._target = np.tile(run.position[0].mean(axis=0), (len(run), 1)) if bench else _smooth_path(run)
+        self._target = (
+            np.tile(run.position[0].mean(axis=0), (len(run), 1))
+            if bench
+            else _smooth_path(run)
+        )
         distance = _DISTANCE_LENGTHS[setup] * body_length
         if ghost is not None and not bench:
             path = _smooth_path(ghost)
-            other = np.column_stack([np.interp(run.time, ghost.time, coordinate) for coordinate in path.T])
+            other = np.column_stack(
+                [np.interp(run.time, ghost.time, coordinate) for coordinate in path.T]
+            )
             separation = float(np.linalg.norm(other - self._target, axis=1).max())
             distance += _DISTANCE_PER_SEPARATION * separation
             self._target = (self._target + other) / 2
         self._camera = mujoco.MjvCamera()
         self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-        self._camera.azimuth = math.degrees(float(run["heading"][0])) + 90.0 - _FORWARD_DEG
+        self._camera.azimuth = (
+            math.degrees(float(run["heading"][0])) + 90.0 - _FORWARD_DEG
+        )
         self._camera.elevation, self._camera.distance = _ELEVATION_DEG[setup], distance
 
     def at(self, row: int) -> mujoco.MjvCamera:
@@ -140,10 +161,14 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
     half = min(window, duration) / 2
     if half <= 0:
         return run.com
-    # Compute the mean from the integral of the path, because samples may not be equally spaced.
+    # Compute the mean from the integral of the path, because samples may not be equally
+    # spaced.
     steps = np.diff(time)[:, None] * (run.com[1:] + run.com[:-1]) / 2
     integral = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    begin, end = np.clip(time - half, time[0], None), np.clip(time + half, None, time[-1])
+    begin, end = (
+        np.clip(time - half, time[0], None),
+        np.clip(time + half, None, time[-1]),
+    )
     mean = [np.interp(end, time, a) - np.interp(begin, time, a) for a in integral.T]
     return np.column_stack(mean) / (end - begin)[:, None]
 
@@ -180,7 +205,8 @@ def write_video(
         progress: callback with the completed fraction, 0 to 1.
 
     Raises:
-        InputError: there is nothing to draw, no OpenGL or no encoder, or the file cannot be written.
+        InputError: there is nothing to draw, no OpenGL or no encoder, or the file
+            cannot be written.
     """
     encoder()  # report a missing encoder before the frames are rendered
     stage, camera = _scene(scenario, run, ghost)
@@ -222,14 +248,19 @@ def write_image(
     stage, camera = _scene(scenario, run, ghost)
     first, last = float(run.time[0]), float(run.time[-1])
     if not first - 1e-9 <= time <= last + 1e-9:
-        raise InputError(f"t = {time:g} s is outside the run, which lasts from {first:g} to {last:g} s")
+        raise InputError(
+            f"t = {time:g} s is outside the run, which lasts from {first:g} to"
+            f" {last:g} s"
+        )
     with Canvas(stage.model, size.width, size.height) as canvas:
         row = stage.row_at(time)
         pixels = stage.render(canvas, camera.at(row), row)
     write_png(path, pixels)
 
 
-def _scene(scenario: Scenario, run: Trajectory, ghost: Ghost | None) -> tuple[Stage, FollowCamera]:
+def _scene(
+    scenario: Scenario, run: Trajectory, ghost: Ghost | None
+) -> tuple[Stage, FollowCamera]:
     stage = Stage(scenario, run, ghost)
     other = None if ghost is None else ghost[1]
     length = scenario.robot.geometry.body_length
@@ -266,10 +297,13 @@ _MARGIN_LENGTHS = 0.35
 
 
 @drawing
-def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280) -> None:
+def write_strobe(
+    path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280
+) -> None:
     """Write the stroboscopic figure of a run as PNG.
 
-    The projection is orthographic, so that the axes in metres hold everywhere on the floor.
+    The projection is orthographic, so that the axes in metres hold everywhere on the
+    floor.
 
     Args:
         path: output file.
@@ -278,7 +312,8 @@ def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int 
         width: width of the figure, pixels.
 
     Raises:
-        InputError: there is nothing to draw or no OpenGL, or the file cannot be written.
+        InputError: there is nothing to draw or no OpenGL, or the file cannot be
+            written.
     """
     stage = Stage(scenario, run)
     times = strobe_times({"twin": run}, scenario.robot.geometry)
@@ -288,15 +323,30 @@ def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int 
     axes_width = width / _DPI - _LEFT - _RIGHT
     axes_height = axes_width * floor_height / floor_width
     pixels = 2 * round(axes_width * _DPI / 2), 2 * round(axes_height * _DPI / 2)
-    image = _render_from_above(stage, rows, (low + high) / 2, float(floor_height), pixels)
+    image = _render_from_above(
+        stage, rows, (low + high) / 2, float(floor_height), pixels
+    )
     figure = Figure(figsize=(width / _DPI, axes_height + _TOP + _BOTTOM), dpi=_DPI)
     size = figure.get_size_inches()
-    axes = figure.add_axes((_LEFT / size[0], _BOTTOM / size[1], axes_width / size[0], axes_height / size[1]))
-    axes.imshow(image, extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased")
+    axes = figure.add_axes(
+        (
+            _LEFT / size[0],
+            _BOTTOM / size[1],
+            axes_width / size[0],
+            axes_height / size[1],
+        )
+    )
+    axes.imshow(
+        image, extent=(low[0], high[0], low[1], high[1]), interpolation="antialiased"
+    )
     for time, row in zip(times, rows, strict=True):
         x, y = run.com[row]
-        label_offset = run.position[row, :, 1].max() - y + 1.8 * scenario.robot.geometry.half_track
-        axes.annotate(f"{time:.3g} s", (x, y + label_offset), ha="center", va="bottom", fontsize=8)
+        label_offset = (
+            run.position[row, :, 1].max() - y + 1.8 * scenario.robot.geometry.half_track
+        )
+        axes.annotate(
+            f"{time:.3g} s", (x, y + label_offset), ha="center", va="bottom", fontsize=8
+        )
     axes.set_xlabel("x (m)", fontsize=9)
     axes.set_ylabel("y (m)", fontsize=9)
     axes.tick_params(labelsize=8)
@@ -306,26 +356,43 @@ def write_strobe(path: Path, scenario: Scenario, run: Trajectory, *, width: int 
         figure.savefig(temporary, dpi=_DPI)
 
 
-def _floor_corners(scenario: Scenario, run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+def _floor_corners(
+    scenario: Scenario, run: Trajectory
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower left and upper right corner of a floor that contains the run and the world, m."""
     points = [run.position.reshape(-1, 2)]
     points += [np.array(polygon.corners) for polygon in scenario.world.polygons]
     if run.has("object_x"):
-        points.append(np.stack([run.stack("object_x"), run.stack("object_y")], axis=-1).reshape(-1, 2))
-    circles: list[Any] = [*scenario.world.obstacles, *filter(None, [scenario.world.goal])]
+        points.append(
+            np.stack([run.stack("object_x"), run.stack("object_y")], axis=-1).reshape(
+                -1, 2
+            )
+        )
+    circles: list[Any] = [
+        *scenario.world.obstacles,
+        *filter(None, [scenario.world.goal]),
+    ]
     for circle in circles:
-        points += [np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)]
+        points += [
+            np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)
+        ]
     corners = np.concatenate(points)
     low, high = corners.min(axis=0), corners.max(axis=0)
     margin = _MARGIN_LENGTHS * scenario.robot.geometry.body_length
     low, high = low - margin, high + margin
     size, centre = high - low, (low + high) / 2
-    size = np.array([max(size[0], _MIN_ASPECT * size[1]), max(size[1], size[0] / _MAX_ASPECT)])
+    size = np.array(
+        [max(size[0], _MIN_ASPECT * size[1]), max(size[1], size[0] / _MAX_ASPECT)]
+    )
     return centre - size / 2, centre + size / 2
 
 
 def _render_from_above(
-    stage: Stage, rows: list[int], centre: np.ndarray, height: float, pixels: tuple[int, int]
+    stage: Stage,
+    rows: list[int],
+    centre: np.ndarray,
+    height: float,
+    pixels: tuple[int, int],
 ) -> np.ndarray:
     """Return an orthographic image from above that shows several samples at once.
 
@@ -349,7 +416,9 @@ def _render_from_above(
         stage.add_lines(scene, last, _LINE_PIXELS / 2 * height / pixels[1])
         for row in earlier:
             stage.show(row)
-            mujoco.mjv_addGeoms(stage.model, stage.data, option, mujoco.MjvPerturb(), moving, scene)
+            mujoco.mjv_addGeoms(
+                stage.model, stage.data, option, mujoco.MjvPerturb(), moving, scene
+            )
 
     with Canvas(stage.model, *pixels) as canvas:
         stage.show(last)
@@ -359,8 +428,17 @@ def _render_from_above(
 def _add_legend(figure: Figure, floor_lines: Mapping[str, str]) -> None:
     handles = [
         Line2D([], [], color=STYLES["twin"].color, label="CoM"),
-        *(Line2D([], [], color=color, label=name) for name, color in floor_lines.items()),
+        *(
+            Line2D([], [], color=color, label=name)
+            for name, color in floor_lines.items()
+        ),
         Patch(color=PLUS_COLOR, label="$p^+ > p^-$ (left)"),
         Patch(color=MINUS_COLOR, label="$p^+ < p^-$ (right)"),
     ]
-    figure.legend(handles=handles, loc="lower center", ncols=len(handles), frameon=False, fontsize=8)
+    figure.legend(
+        handles=handles,
+        loc="lower center",
+        ncols=len(handles),
+        frameon=False,
+        fontsize=8,
+    )

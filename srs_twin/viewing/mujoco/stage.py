@@ -50,8 +50,9 @@ _LINE_M = 0.001
 class Stage:
     """Scene of a run: robot and world of the scenario at the recorded positions.
 
-    The colour of a segment shows its pressure difference. The scene contains the trail of the centre of
-    mass, the lines on the floor that extensions add, and optionally another plant as a ghost.
+    The colour of a segment shows its pressure difference. The scene contains the trail
+    of the centre of mass, the lines on the floor that extensions add, and optionally
+    another plant as a ghost.
 
     Attributes:
         run: trajectory of the twin.
@@ -61,7 +62,9 @@ class Stage:
         ghost: another plant; None: no ghost.
     """
 
-    def __init__(self, scenario: Scenario, run: Trajectory, ghost: Ghost | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, run: Trajectory, ghost: Ghost | None = None
+    ) -> None:
         """Build the scene.
 
         Args:
@@ -70,23 +73,30 @@ class Stage:
             ghost: name and trajectory of another plant.
 
         Raises:
-            InputError: the run has no samples or no ``qpos`` columns, or those of another robot.
+            InputError: the run has no samples or no ``qpos`` columns, or those of
+                another robot.
         """
         if not run.has("qpos") or not len(run):
-            raise InputError("nothing to draw: the run has no positions of the twin (columns qpos_1…)")
+            raise InputError(
+                "nothing to draw: the run has no positions of the twin (columns"
+                " qpos_1…)"
+            )
         self.run, self.bench = run, scenario.file.bench
         self.ghost = ghost
         self._labels = _legend(run, ghost, bench=self.bench)
         if ghost is not None:
-            self._ghost_line = body_line(ghost[1], scenario.robot.geometry, _GHOST_CHORDS)
+            self._ghost_line = body_line(
+                ghost[1], scenario.robot.geometry, _GHOST_CHORDS
+            )
         plant: Any = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
         self.model = plant.physics.model
         self.data = mujoco.MjData(self.model)
         self._qpos = run.stack("qpos")
         if self._qpos.shape[1] != self.model.nq:
             raise InputError(
-                f"the trajectory has {self._qpos.shape[1]} columns qpos_1…, but the twin of the scenario has "
-                f"{self.model.nq} positions; run the scenario again"
+                f"the trajectory has {self._qpos.shape[1]} columns qpos_1…, but the"
+                f" twin of the scenario has {self.model.nq} positions; run the scenario"
+                " again"
             )
         self._skins = Skins(self.model, scenario.robot.segments)
         make_obstacles_translucent(self.model)
@@ -133,29 +143,46 @@ class Stage:
         time = Label(f"t = {self.run.time[row]:.2f} s", _TEXT_COLOR)
         return canvas.draw(self.data, camera, add, [time, *self._labels])
 
-    def add_lines(self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M) -> None:
+    def add_lines(
+        self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M
+    ) -> None:
         """Add the trail up to a sample and the lines on the floor; half_width: m."""
         if not self.bench:
             rows = np.append(self._trail_rows[self._trail_rows < row], row)
-            add_line(scene, self.run.com[rows], STYLES["twin"].color, half_width, level=2)
+            add_line(
+                scene, self.run.com[rows], STYLES["twin"].color, half_width, level=2
+            )
         for points, color in self._floor_lines:
             add_line(scene, points, color, half_width)
 
     def _add_marks(self, scene: mujoco.MjvScene, row: int) -> None:
         """Add the places where connectors of a spatial snake pressed on the floor up to a sample."""
         rows, points = self._marks
-        disc, rgba = mujoco.mjtGeom.mjGEOM_CYLINDER, np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32)
+        disc, rgba = (
+            mujoco.mjtGeom.mjGEOM_CYLINDER,
+            np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32),
+        )
         size = [self._mark_radius, self._mark_radius, _LINE_M / 2]
         for x, y in points[rows <= row]:
             if scene.ngeom == scene.maxgeom:
                 return
-            mujoco.mjv_initGeom(scene.geoms[scene.ngeom], disc, size, [x, y, 0.0], np.eye(3).ravel(), rgba)
+            mujoco.mjv_initGeom(
+                scene.geoms[scene.ngeom],
+                disc,
+                size,
+                [x, y, 0.0],
+                np.eye(3).ravel(),
+                rgba,
+            )
             scene.ngeom += 1
 
     def _add_scale_bar(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
         """Add a scale bar of 0.1 m with a label, between the camera and its target."""
         azimuth = math.radians(camera.azimuth)
-        forward, right = (np.array([math.cos(a), math.sin(a)]) for a in (azimuth, azimuth - math.pi / 2))
+        forward, right = (
+            np.array([math.cos(a), math.sin(a)])
+            for a in (azimuth, azimuth - math.pi / 2)
+        )
         centre = np.array(camera.lookat[:2]) - 0.25 * camera.distance * forward
         first = scene.ngeom
         ends = centre + _SCALE_BAR_M * np.array([[-0.5], [0.5]]) * right
@@ -169,16 +196,22 @@ class Stage:
             return
         plant, run = self.ghost
         line = self._ghost_line[int(np.abs(run.time - self.run.time[row]).argmin())]
-        color = np.array(unit_rgba(style_of(plant).color, _GHOST_ALPHA), dtype=np.float32)
+        color = np.array(
+            unit_rgba(style_of(plant).color, _GHOST_ALPHA), dtype=np.float32
+        )
         skin = self._skins.geoms[0][0]
-        points = np.pad(line, ((0, 0), (0, 1)), constant_values=self.data.geom_xpos[skin, 2])
+        points = np.pad(
+            line, ((0, 0), (0, 1)), constant_values=self.data.geom_xpos[skin, 2]
+        )
         # Slightly thinner than the twin, so that coincident surfaces do not flicker.
         radius = 0.92 * self.model.geom_size[skin, 0]
         for begin, end in zip(points, points[1:], strict=False):
             if scene.ngeom == scene.maxgeom:
                 return
             geom, capsule = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
-            mujoco.mjv_initGeom(geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), color)
+            mujoco.mjv_initGeom(
+                geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), color
+            )
             mujoco.mjv_connector(geom, capsule, radius, begin, end)
             scene.ngeom += 1
 
@@ -187,23 +220,32 @@ def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return the places where connectors of a spatial snake press on the floor; none for a planar one.
 
     Returns:
-        Samples, shape (marks,), and points, shape (marks, 2), m; the samples are thinned out to `_MAX_MARKS`.
+        Samples, shape (marks,), and points, shape (marks, 2), m; the samples are
+        thinned out to `_MAX_MARKS`.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
     touches = run.stack("load") > 0.0
     step = max(1, -(-int(touches.sum()) // _MAX_MARKS))
     rows, connectors = np.nonzero(touches[::step])
-    return rows * step, np.stack([run.stack("x"), run.stack("y")], axis=-1)[rows * step, connectors]
+    return (
+        rows * step,
+        np.stack([run.stack("x"), run.stack("y")], axis=-1)[rows * step, connectors],
+    )
 
 
 def add_line(
-    scene: mujoco.MjvScene, points: np.ndarray, color: str, half_width: float, level: int = 1
+    scene: mujoco.MjvScene,
+    points: np.ndarray,
+    color: str,
+    half_width: float,
+    level: int = 1,
 ) -> None:
     """Add a line on the floor to a scene, until the scene is full.
 
-    The line consists of flat boxes, because capsules would take longer to draw than the rest of the scene.
-    Each box is slightly higher than the previous one, because MuJoCo lights coincident faces twice.
+    The line consists of flat boxes, because capsules would take longer to draw than the
+    rest of the scene. Each box is slightly higher than the previous one, because MuJoCo
+    lights coincident faces twice.
 
     Args:
         scene: scene of an image.
@@ -219,8 +261,18 @@ def add_line(
             return
         (x, y), length = end - begin, math.hypot(*(end - begin))
         c, s = (x / length, y / length) if length else (1.0, 0.0)
-        size, position = [length / 2 + half_width, half_width, _LINE_M / 2], [*(begin + end) / 2, height]
-        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, position, [c, -s, 0, s, c, 0, 0, 0, 1], rgba)
+        size, position = (
+            [length / 2 + half_width, half_width, _LINE_M / 2],
+            [*(begin + end) / 2, height],
+        )
+        mujoco.mjv_initGeom(
+            scene.geoms[scene.ngeom],
+            box,
+            size,
+            position,
+            [c, -s, 0, s, c, 0, 0, 0, 1],
+            rgba,
+        )
         scene.ngeom += 1
 
 
@@ -232,7 +284,9 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
     labels += [Label("contacts", CONTACT_COLOR)] if run.has("load") else []
     if pictures := added_to(run):
         labels += [Label(name, color) for name, color in pictures.legend.items()]
-    return labels + ([] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)])
+    return labels + (
+        [] if ghost is None else [Label(ghost[0], style_of(ghost[0]).color)]
+    )
 
 
 def make_obstacles_translucent(model: mujoco.MjModel) -> None:
@@ -272,12 +326,17 @@ class Skins:
             pressure: pressures, shape (segments, 2), any unit.
             full_scale: pressure difference that is drawn in the full colour.
         """
-        self.paint(pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale) / np.float32(255))
+        self.paint(
+            pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
+            / np.float32(255)
+        )
 
 
 def _floor_lines(run: Trajectory) -> list[tuple[np.ndarray, str]]:
     """Return points and colour of the lines on the floor that extensions add and list in their legend."""
     pictures = added_to(run)
     lines = [] if pictures is None else pictures.floor_lines(run)
-    listed = [line for line in lines if pictures and line.color in pictures.legend.values()]
+    listed = [
+        line for line in lines if pictures and line.color in pictures.legend.values()
+    ]
     return [(strip, line.color) for line in listed for strip in line.strips]

@@ -4,8 +4,11 @@ from srs_twin.errors import InputError
 
 try:
     import matplotlib  # noqa: F401
-except (ValueError, OSError) as error:  # matplotlib reads the user's settings when it is imported
+except (
+    ValueError,
+    OSError,
+) as error:  # matplotlib reads the user's settings when it is imported
     raise InputError(
-        f"matplotlib cannot start: {error}; correct or remove your file matplotlibrc, and the environment "
-        "variable MPLBACKEND"
+        f"matplotlib cannot start: {error}; correct or remove your file matplotlibrc,"
+        " and the environment variable MPLBACKEND"
     ) from error

@@ -16,7 +16,14 @@ from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.plots.signals import body_line
-from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, drawing, finish, panels, style_of
+from srs_twin.viewing.plots.style import (
+    OBJECT_COLOR,
+    Style,
+    drawing,
+    finish,
+    panels,
+    style_of,
+)
 
 _MAX_BODIES = 6
 """Largest number of bodies in a plan view."""
@@ -26,40 +33,66 @@ _MIN_SPACING = 1.35
 
 
 @drawing
-def plan_view(trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None) -> Figure:
+def plan_view(
+    trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None
+) -> Figure:
     """Plot the paths of the centres of mass, with the bodies at a few equal times (after Fig. 36).
 
     Args:
-        trajectories: plant → trajectory; bodies of the twin are filled, those of other plants are outlines.
+        trajectories: plant → trajectory; bodies of the twin are filled, those of other
+            plants are outlines.
         spec: robot.
-        world: adds the obstacles in view, and the movable objects at the times of the bodies.
+        world: adds the obstacles in view, and the movable objects at the times of the
+            bodies.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
     low, high = bounds(trajectories, spec.geometry, times)
-    objects = [line for run in trajectories.values() for line in object_outlines(run, times, world)]
+    objects = [
+        line
+        for run in trajectories.values()
+        for line in object_outlines(run, times, world)
+    ]
     if objects:
         points = np.concatenate(objects)
-        low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
-    height = float(np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 1.2, 2.4, 7.0))
+        low, high = (
+            np.minimum(low, points.min(axis=0)),
+            np.maximum(high, points.max(axis=0)),
+        )
+    height = float(
+        np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 1.2, 2.4, 7.0)
+    )
     figure, (axes,) = panels(height)
     for index, (plant, run) in enumerate(trajectories.items()):
-        draw_run(axes, run, style_of(plant, index), spec.geometry, times, filled=plant == "twin")
+        draw_run(
+            axes,
+            run,
+            style_of(plant, index),
+            spec.geometry,
+            times,
+            filled=plant == "twin",
+        )
     for outline in objects:
-        axes.add_patch(Polygon(outline, fill=False, edgecolor=OBJECT_COLOR, linewidth=1.2))
+        axes.add_patch(
+            Polygon(outline, fill=False, edgecolor=OBJECT_COLOR, linewidth=1.2)
+        )
     axes.autoscale_view()
     circles = ((item.x, item.y, item.radius) for item in world.obstacles)
     for patch in obstacle_patches(circles, (item.corners for item in world.polygons)):
         axes.add_artist(patch)  # unlike add_patch, leaves far obstacles out of view
     axes.set_aspect("equal", adjustable="datalim")
     listed = ", ".join(f"{time:.3g}" for time in times)
-    title = f"Plan view: paths of the centre of mass, bodies (dot: head) at t = {listed} s"
+    title = (
+        f"Plan view: paths of the centre of mass, bodies (dot: head) at t = {listed} s"
+    )
     finish(axes, "y (m)", "x (m)", title=title)
     figure.legend(loc="lower right", ncols=len(trajectories), fontsize=9, frameon=False)
     return figure
 
 
-def strobe_times(trajectories: Mapping[str, Trajectory], geometry: Geometry) -> list[float]:
+def strobe_times(
+    trajectories: Mapping[str, Trajectory], geometry: Geometry
+) -> list[float]:
     """Return equally spaced times, s, at which the drawn bodies do not overlap; at most six.
 
     Args:
@@ -79,11 +112,20 @@ def strobe_times(trajectories: Mapping[str, Trajectory], geometry: Geometry) -> 
 def samples_at(run: Trajectory, times: list[float]) -> list[Trajectory]:
     """Return the samples at given times, s, as trajectories of one sample."""
     rows = np.searchsorted(run.time, np.array(times) - 1e-9).clip(max=len(run) - 1)
-    return [Trajectory({name: column[[row]] for name, column in run.columns.items()}) for row in rows]
+    return [
+        Trajectory({name: column[[row]] for name, column in run.columns.items()})
+        for row in rows
+    ]
 
 
 def draw_run(
-    axes: Axes, run: Trajectory, style: Style, geometry: Geometry, times: list[float], *, filled: bool
+    axes: Axes,
+    run: Trajectory,
+    style: Style,
+    geometry: Geometry,
+    times: list[float],
+    *,
+    filled: bool,
 ) -> None:
     """Draw the path of the centre of mass and the body at given times, s."""
     for sample in samples_at(run, times):
@@ -92,15 +134,21 @@ def draw_run(
 
 
 def obstacle_patches(
-    circles: Iterable[tuple[float, float, float]], polygons: Iterable[Iterable[tuple[float, float]]]
+    circles: Iterable[tuple[float, float, float]],
+    polygons: Iterable[Iterable[tuple[float, float]]],
 ) -> list[Patch]:
     """Return patches of round obstacles (x, y and radius, m) and of polygons (corners, m)."""
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     round_ones = [Circle((x, y), radius, **style) for x, y, radius in circles]
-    return [*round_ones, *(Polygon(np.array(list(corners)), **style) for corners in polygons)]
+    return [
+        *round_ones,
+        *(Polygon(np.array(list(corners)), **style) for corners in polygons),
+    ]
 
 
-def object_outlines(run: Trajectory, times: list[float], world: World) -> list[np.ndarray]:
+def object_outlines(
+    run: Trajectory, times: list[float], world: World
+) -> list[np.ndarray]:
     """Return the outlines of the movable objects at given times, s; each of shape (k, 2), m.
 
     A radius in the outline of a cylinder shows its rotation.
@@ -112,24 +160,43 @@ def object_outlines(run: Trajectory, times: list[float], world: World) -> list[n
         for k, item in enumerate(world.objects, start=1):
             turn = float(sample[f"object_heading_{k}"][0])
             angle = np.linspace(0.0, 2 * np.pi, 49)
-            line = np.vstack([np.zeros(2), item.size[0] * np.column_stack([np.cos(angle), np.sin(angle)])])
+            line = np.vstack(
+                [
+                    np.zeros(2),
+                    item.size[0] * np.column_stack([np.cos(angle), np.sin(angle)]),
+                ]
+            )
             if item.is_box:
-                line = np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)]) * np.array(item.size) / 2
-            axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-            outlines.append(line @ axes + [sample[f"object_x_{k}"][0], sample[f"object_y_{k}"][0]])
+                line = (
+                    np.array([(1, 1), (-1, 1), (-1, -1), (1, -1)])
+                    * np.array(item.size)
+                    / 2
+                )
+            axes = np.array(
+                [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+            )
+            outlines.append(
+                line @ axes + [sample[f"object_x_{k}"][0], sample[f"object_y_{k}"][0]]
+            )
     return outlines
 
 
-def draw_body(axes: Axes, sample: Trajectory, geometry: Geometry, style: Style, *, filled: bool) -> None:
+def draw_body(
+    axes: Axes, sample: Trajectory, geometry: Geometry, style: Style, *, filled: bool
+) -> None:
     """Draw the outline of a body, with a dot at the head."""
     shape = LineString(body_line(sample, geometry)[0]).buffer(geometry.width / 2)
     # A body that touches itself encloses holes.
     rings = [np.asarray(ring.coords) for ring in (shape.exterior, *shape.interiors)]
     if filled:
         outline = Path.make_compound_path(*map(Path, rings))
-        axes.add_patch(PathPatch(outline, facecolor=style.color, alpha=0.25, linewidth=0))
+        axes.add_patch(
+            PathPatch(outline, facecolor=style.color, alpha=0.25, linewidth=0)
+        )
     for ring in rings:
-        axes.plot(*ring.T, color=style.color, linestyle=style.dash, linewidth=1.0, zorder=5)
+        axes.plot(
+            *ring.T, color=style.color, linestyle=style.dash, linewidth=1.0, zorder=5
+        )
     axes.plot(*sample.position[0, 0], "o", color=style.color, markersize=2.5, zorder=5)
 
 
@@ -137,7 +204,11 @@ def bounds(
     trajectories: Mapping[str, Trajectory], geometry: Geometry, times: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the lower left and upper right corner of the bodies at given times, with a margin, m."""
-    bodies = [row.position[0] for run in trajectories.values() for row in samples_at(run, times)]
+    bodies = [
+        row.position[0]
+        for run in trajectories.values()
+        for row in samples_at(run, times)
+    ]
     points = np.concatenate(bodies)
     margin = 1.6 * geometry.half_track + geometry.width
     return points.min(axis=0) - margin, points.max(axis=0) + margin

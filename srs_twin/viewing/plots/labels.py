@@ -89,7 +89,11 @@ def metric_title(metric: str) -> str:
     name, _ = split_metric(metric)
     for suffix, text in _SUFFIXES.items():
         if name.endswith(suffix):
-            text = ", relative" if suffix == "_rel" and metric not in COMPARISON_UNITS else text
+            text = (
+                ", relative"
+                if suffix == "_rel" and metric not in COMPARISON_UNITS
+                else text
+            )
             name = name.removesuffix(suffix) + text
     return _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
 
@@ -109,7 +113,11 @@ def _title(path: str) -> str:
     """Return the title of a field in the schema of scenario files; empty without a title."""
     nodes = [_schema()]
     for key in path.split("."):
-        children = (option.get("properties", {}).get(key) for node in nodes for option in _options(node))
+        children = (
+            option.get("properties", {}).get(key)
+            for node in nodes
+            for option in _options(node)
+        )
         nodes = [node for node in children if node is not None]
     return str(next((node["title"] for node in nodes if "title" in node), ""))
 

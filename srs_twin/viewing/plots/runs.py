@@ -1,7 +1,8 @@
 """Plots of runs: signals over time, learning, tracking, sensor readings, and differences of the plants.
 
-The figures use the object-oriented interface of matplotlib, which has no global state. Lines differ in colour
-(a palette for colour-blind readers), dash and width, so that they remain distinguishable in greyscale.
+The figures use the object-oriented interface of matplotlib, which has no global state.
+Lines differ in colour (a palette for colour-blind readers), dash and width, so that
+they remain distinguishable in greyscale.
 """
 
 from __future__ import annotations
@@ -67,14 +68,18 @@ _MEASURED_SIGNALS = {
 @drawing
 def bend_plot(trajectories: Runs) -> Figure:
     """Plot the bend of each segment over the last gait periods, or over a whole run without a gait."""
-    return _by_segment(trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends")
+    return _by_segment(
+        trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends"
+    )
 
 
 @drawing
 def pressure_plot(trajectories: Runs) -> Figure:
     """Plot p⁺ − p⁻ of each segment over the same time as `bend_plot`."""
     title = "Pressure differences $p^+ - p^-$ (kPa)"
-    return _by_segment(trajectories, lambda run: 1e-3 * pressure_difference(run), "segment {}", title)
+    return _by_segment(
+        trajectories, lambda run: 1e-3 * pressure_difference(run), "segment {}", title
+    )
 
 
 @drawing
@@ -83,16 +88,24 @@ def speed_plot(trajectories: Runs) -> Figure:
     figure, (axes,) = panels(3.0)
     for style, run in runs_with_styles(trajectories):
         period = gait_period(run)
-        time, mean = period_speed(run, period) if period else (run.time[:0], run.time[:0])
+        time, mean = (
+            period_speed(run, period) if period else (run.time[:0], run.time[:0])
+        )
         thin = style.line | {"label": f"{style.label}, along the heading"}
         if len(time):
             thin = {"color": style.color, "linewidth": 0.7, "alpha": 0.35}
         axes.plot(run.time, forward_speed(run), **thin)
         if len(time):
-            thick = style.line | {"label": f"{style.label}, mean of one gait period", "linewidth": 2.0}
+            thick = style.line | {
+                "label": f"{style.label}, mean of one gait period",
+                "linewidth": 2.0,
+            }
             axes.plot(time, mean, **thick, zorder=style.zorder)
     axes.axhline(0.0, color="0.5", linewidth=0.6)
-    title = "Speed of the centre of mass, forward positive (thin: instantaneous, along the heading)"
+    title = (
+        "Speed of the centre of mass, forward positive (thin: instantaneous, along the"
+        " heading)"
+    )
     finish(axes, "speed (m/s)", "time (s)", title=title)
     axes.legend(loc="best", fontsize=8.5)
     return figure
@@ -104,13 +117,19 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
 
-    conversions = (lambda mm: mm * 100 / length), (lambda percent: percent * length / 100)
+    conversions = (
+        (lambda mm: mm * 100 / length),
+        (lambda percent: percent * length / 100),
+    )
     for axes, error in ((shape, comparison.shape_error), (path, comparison.path_error)):
         axes.plot(comparison.time, 1e3 * error, color="0.15", linewidth=1.2)
         axes.set_ylim(0, 1.08e3 * max(float(error.max()), 1e-6))
         percent_axis = axes.secondary_yaxis("right", functions=conversions)
         percent_axis.set_ylabel("% of body length")
-    title = "Differences: body shapes (RMS over connectors, CoM frame, zero mean heading) and CoM positions"
+    title = (
+        "Differences: body shapes (RMS over connectors, CoM frame, zero mean heading)"
+        " and CoM positions"
+    )
     finish(shape, "shape (mm)", title=title)
     finish(path, "CoM distance (mm)", "time (s)")
     return figure
@@ -118,24 +137,38 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
 
 def runs_with_styles(trajectories: Runs) -> list[tuple[Style, Trajectory]]:
     """Return the runs with the styles of their plants."""
-    return [(style_of(plant, index), run) for index, (plant, run) in enumerate(trajectories.items())]
+    return [
+        (style_of(plant, index), run)
+        for index, (plant, run) in enumerate(trajectories.items())
+    ]
 
 
 def _by_segment(
-    trajectories: Runs, signal: Callable[[Trajectory], np.ndarray], label: str, title: str
+    trajectories: Runs,
+    signal: Callable[[Trajectory], np.ndarray],
+    label: str,
+    title: str,
 ) -> Figure:
     """Plot one panel per segment from head to tail, for at most eight segments spread over the body."""
     signals = [signal(run) for run in trajectories.values()]
     segments = min(values.shape[1] for values in signals)
-    plotted = np.unique(np.linspace(0, segments - 1, min(segments, _MAX_ROWS)).round().astype(int))
+    plotted = np.unique(
+        np.linspace(0, segments - 1, min(segments, _MAX_ROWS)).round().astype(int)
+    )
     figure, rows = panels(0.9 + 1.1 * len(plotted), len(plotted), share_y=True)
     first, last, remark = _window(trajectories)
     for axes, j in zip(rows, plotted, strict=True):
-        for (style, run), values in zip(runs_with_styles(trajectories), signals, strict=True):
+        for (style, run), values in zip(
+            runs_with_styles(trajectories), signals, strict=True
+        ):
             window = _in_window(run, first, last)
-            axes.plot(run.time[window], values[window, j], **style.line, zorder=style.zorder)
+            axes.plot(
+                run.time[window], values[window, j], **style.line, zorder=style.zorder
+            )
         finish(axes, label.format(j + 1))
-    selection = "" if len(plotted) == segments else f", {len(plotted)} of {segments} segments"
+    selection = (
+        "" if len(plotted) == segments else f", {len(plotted)} of {segments} segments"
+    )
     set_title(rows[0], f"{title}, head first{selection}{remark}", "left")
     _finish_time(figure, rows, first, last)
     return figure
@@ -145,10 +178,14 @@ def _in_window(run: Trajectory, first: float, last: float) -> np.ndarray:
     return (run.time >= first - 1e-9) & (run.time <= last + 1e-9)
 
 
-def _finish_time(figure: Figure, rows: Sequence[Axes], first: float, last: float) -> None:
+def _finish_time(
+    figure: Figure, rows: Sequence[Axes], first: float, last: float
+) -> None:
     """Add a legend above the first panel, and set the range of the time axis."""
     handles, labels = rows[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="upper right", ncols=len(labels), fontsize=8, frameon=False)
+    figure.legend(
+        handles, labels, loc="upper right", ncols=len(labels), fontsize=8, frameon=False
+    )
     rows[-1].set_xlabel("time (s)")
     rows[-1].set_xlim(first, last if last > first else first + 1.0)
 
@@ -160,13 +197,23 @@ def _window(trajectories: Runs) -> tuple[float, float, str]:
     """
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
-    period = max((gait_period(run) or 0.0 for run in trajectories.values()), default=0.0)
+    period = max(
+        (gait_period(run) or 0.0 for run in trajectories.values()), default=0.0
+    )
     if not period or max(ends) - first <= (_PERIODS_SHOWN + 1) * period:
         return first, max(ends), ""
     last = max(min(ends), first + _PERIODS_SHOWN * period)
     if last < max(ends):
-        return last - _PERIODS_SHOWN * period, last, f" ({_PERIODS_SHOWN} gait periods before the first end)"
-    return last - _PERIODS_SHOWN * period, last, f" (last {_PERIODS_SHOWN} gait periods)"
+        return (
+            last - _PERIODS_SHOWN * period,
+            last,
+            f" ({_PERIODS_SHOWN} gait periods before the first end)",
+        )
+    return (
+        last - _PERIODS_SHOWN * period,
+        last,
+        f" (last {_PERIODS_SHOWN} gait periods)",
+    )
 
 
 @drawing
@@ -175,10 +222,21 @@ def learning_plot(trajectories: Runs) -> Figure:
 
     Colours distinguish the chambers, dashes the plants; targets are thin dotted lines.
     """
-    runs = [(style, PeriodAmplitudes.from_trajectory(run)) for style, run in runs_with_styles(trajectories)]
+    runs = [
+        (style, PeriodAmplitudes.from_trajectory(run))
+        for style, run in runs_with_styles(trajectories)
+    ]
     rows = min(_MAX_ROWS, max(run.duty.shape[1] for _, run in runs))
     figure, grid = side_by_side(
-        1.35 * rows + 0.95, 2, rows, left=0.75, right=0.2, top=0.45, space=0.18, sharex=True, sharey="col"
+        1.35 * rows + 0.95,
+        2,
+        rows,
+        left=0.75,
+        right=0.2,
+        top=0.45,
+        space=0.18,
+        sharex=True,
+        sharey="col",
     )
     chambers = {"+": PLUS_COLOR, "\u2212": MINUS_COLOR}
     for j, (bends, duties) in enumerate(grid):
@@ -187,7 +245,13 @@ def learning_plot(trajectories: Runs) -> Figure:
             for side, color in enumerate(chambers.values()):
                 line = {"color": color, "linestyle": style.dash, "linewidth": 1.4}
                 bends.plot(periods, run.amplitude[:, j, side], **line)
-                bends.plot(periods, run.target[:, j, side], color=color, linestyle=":", linewidth=0.8)
+                bends.plot(
+                    periods,
+                    run.target[:, j, side],
+                    color=color,
+                    linestyle=":",
+                    linewidth=0.8,
+                )
                 duties.plot(periods, run.duty[:, j, side], **line)
         duties.set_ylim(-0.04, 1.04)
         finish(bends, f"segment {j + 1}\n(rad)")
@@ -197,9 +261,17 @@ def learning_plot(trajectories: Runs) -> Figure:
     for axes in grid[-1]:
         axes.set_xlabel("period of the chamber")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    handles = [Line2D([], [], color=color, label=f"{side} chamber") for side, color in chambers.items()]
-    handles += [Line2D([], [], color="0.4", linestyle=style.dash, label=style.label) for style, _ in runs]
-    figure.legend(handles=handles, loc="upper right", ncols=4, fontsize=8, frameon=False)
+    handles = [
+        Line2D([], [], color=color, label=f"{side} chamber")
+        for side, color in chambers.items()
+    ]
+    handles += [
+        Line2D([], [], color="0.4", linestyle=style.dash, label=style.label)
+        for style, _ in runs
+    ]
+    figure.legend(
+        handles=handles, loc="upper right", ncols=4, fontsize=8, frameon=False
+    )
     return figure
 
 
@@ -207,22 +279,33 @@ def learning_plot(trajectories: Runs) -> Figure:
 def tracking_plot(trajectories: Runs) -> Figure:
     """Plot reference, bends and sensor readings of the first segment, and the valve state of each plant.
 
-    The plot shows the last four periods of a periodic reference, else the whole run. The valve state is
-    defined as in the dissertation: 1 if the valves drive positive bends, −1 negative bends, 0 if both hold.
+    The plot shows the last four periods of a periodic reference, else the whole run.
+    The valve state is defined as in the dissertation: 1 if the valves drive positive
+    bends, −1 negative bends, 0 if both hold.
     """
     count = len(trajectories)
-    figure, (bends, *valves) = panels(2.9 + 0.75 * count, 1 + count, heights=[2.6, *[0.75] * count])
+    figure, (bends, *valves) = panels(
+        2.9 + 0.75 * count, 1 + count, heights=[2.6, *[0.75] * count]
+    )
     run = next(iter(trajectories.values()))
     first, last = float(run.time[0]), float(run.time[-1])
     if (period := reference_period(run)) is not None:
         first = max(first, last - _PERIODS_SHOWN * period)
     window = _in_window(run, first, last)
     bends.plot(run.time[window], run["reference_1"][window], **REFERENCE.line, zorder=3)
-    for (style, run), axes, plant in zip(runs_with_styles(trajectories), valves, trajectories, strict=True):
+    for (style, run), axes, plant in zip(
+        runs_with_styles(trajectories), valves, trajectories, strict=True
+    ):
         window = _in_window(run, first, last)
         time = run.time[window]
         if run.has("sensed_1"):
-            bends.plot(time, run["sensed_1"][window], color=style.color, linewidth=0.4, alpha=0.3)
+            bends.plot(
+                time,
+                run["sensed_1"][window],
+                color=style.color,
+                linewidth=0.4,
+                alpha=0.3,
+            )
         bends.plot(time, run["bend_1"][window], **style.line, zorder=style.zorder)
         state = (run["valve_plus_1"] - run["valve_minus_1"])[window] / 2
         # The valve states of a sample hold since the previous sample.
@@ -242,9 +325,12 @@ def reading_plot(trajectories: Runs) -> Figure | None:
     Returns None if all sensors are ideal.
     """
     all_curves = [
-        (style, run, ReadingCurve.from_trajectory(run)) for style, run in runs_with_styles(trajectories)
+        (style, run, ReadingCurve.from_trajectory(run))
+        for style, run in runs_with_styles(trajectories)
     ]
-    curves = [(style, run, curve) for style, run, curve in all_curves if curve is not None]
+    curves = [
+        (style, run, curve) for style, run, curve in all_curves if curve is not None
+    ]
     if not curves:
         return None
     figure, (readings, errors) = panels(4.6, 2)
@@ -256,7 +342,9 @@ def reading_plot(trajectories: Runs) -> Figure | None:
         dots = np.degrees(run["bend_1"][subset]), np.degrees(run["sensed_1"][subset])
         readings.plot(*dots, ".", color=style.color, markersize=1.5, alpha=0.3)
         readings.plot(np.degrees(curve.bend), np.degrees(curve.reading), **style.line)
-        errors.plot(np.degrees(curve.bend), np.degrees(curve.reading - curve.bend), **style.line)
+        errors.plot(
+            np.degrees(curve.bend), np.degrees(curve.reading - curve.bend), **style.line
+        )
     title = "Sensor reading of the first segment (dots: single readings; lines: means)"
     finish(readings, "sensed (°)", title=title, loc="left")
     finish(errors, "mean − bend (°)", "bend (°)")
@@ -274,13 +362,19 @@ def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | Non
         return None
     signals = {plant: difference.signals() for plant, difference in differences.items()}
     available = set.intersection(*(set(signal) for signal in signals.values()))
-    plotted = {name: entry for name, entry in _MEASURED_SIGNALS.items() if name in available}
+    plotted = {
+        name: entry for name, entry in _MEASURED_SIGNALS.items() if name in available
+    }
     figure, rows = panels(0.9 + 1.45 * (len(plotted) + 1), len(plotted) + 1)
     for index, (plant, difference) in enumerate(differences.items()):
-        values = [factor * signals[plant][name] for name, (_, factor) in plotted.items()]
+        values = [
+            factor * signals[plant][name] for name, (_, factor) in plotted.items()
+        ]
         for axes, value in zip(rows, [*values, difference.bend_rms], strict=True):
             axes.plot(difference.comparison.time, value, **style_of(plant, index).line)
-    for axes, label in zip(rows, [*(label for label, _ in plotted.values()), "bends (rad)"], strict=True):
+    for axes, label in zip(
+        rows, [*(label for label, _ in plotted.values()), "bends (rad)"], strict=True
+    ):
         finish(axes, label)
     distances = "shapes and paths as distances, " if plotted else ""
     set_title(rows[0], f"Plant − measured: {distances}bends RMS over segments")
@@ -302,27 +396,52 @@ _PANEL_GAP = 0.7
 def attribution_plot(attribution: Attribution) -> Figure:
     """Plot the contributions of the assumptions as bars, largest first, one panel per measure.
 
-    Thin lines show the range of a contribution over the orders in which assumptions are replaced. The last
-    two bars are the part that is not explained, and the difference, which is the sum of the bars above it.
+    Thin lines show the range of a contribution over the orders in which assumptions are
+    replaced. The last two bars are the part that is not explained, and the difference,
+    which is the sum of the bars above it.
     """
     # Each of shape (measures, assumptions).
     value, low, high = (
         np.array([getattr(share, bound) for share in attribution.shares]).T
         for bound in ("value", "low", "high")
     )
-    order = np.argsort(-(np.abs(value) / np.abs(value).max(axis=1, keepdims=True).clip(1e-12)).sum(axis=0))
-    names = [*(attribution.shares[i].name for i in order), "not explained", "twin − analytical"]
+    order = np.argsort(
+        -(np.abs(value) / np.abs(value).max(axis=1, keepdims=True).clip(1e-12)).sum(
+            axis=0
+        )
+    )
+    names = [
+        *(attribution.shares[i].name for i in order),
+        "not explained",
+        "twin − analytical",
+    ]
     rows = len(MEASURES) // 2
     height = rows * (_BAR_PITCH * len(names) + _PANEL_GAP) + 0.3
     left = 0.35 + 0.07 * max(map(len, names))  # inches, for labels of 9.5 pt
     figure, grid = side_by_side(
-        height, 2, rows, left=left, right=0.15, top=0.6, bottom=0.3, space=0.17, sharey=True
+        height,
+        2,
+        rows,
+        left=left,
+        right=0.15,
+        top=0.6,
+        bottom=0.3,
+        space=0.17,
+        sharey=True,
     )
-    caption = "Contribution of each assumption; the bars above the line add up to the bar below it"
+    caption = (
+        "Contribution of each assumption; the bars above the line add up to the bar"
+        " below it"
+    )
     figure.suptitle(caption, x=0.01, ha="left", fontsize=11)
-    for m, (axes, (title, unit)) in enumerate(zip(grid.flat, MEASURES.values(), strict=True)):
+    for m, (axes, (title, unit)) in enumerate(
+        zip(grid.flat, MEASURES.values(), strict=True)
+    ):
         totals = [attribution.remainder[m], attribution.gap[m]]
-        bars, ends = np.array([*value[m, order], *totals]), np.array([low[m, order], high[m, order]])
+        bars, ends = (
+            np.array([*value[m, order], *totals]),
+            np.array([low[m, order], high[m, order]]),
+        )
         scale, prefix = (1e3, "m") if np.abs(bars).max() < 0.1 else (1.0, "")
         colors = [
             *np.where(bars[:-2] < 0, _NEGATIVE_COLOR, _POSITIVE_COLOR),
@@ -356,5 +475,9 @@ def _write_values(axes: Axes, bars: np.ndarray, ends: np.ndarray) -> None:
     axes.set_xlim(low.min() - 0.24 * span, high.max() + 0.24 * span)
     for row, bar in enumerate(bars):
         text = f"{bar:+.{digits}f}".replace("-", "−") if round(bar, digits) else "0"
-        x, alignment = (low[row] - 0.02 * span, "right") if bar < 0 else (high[row] + 0.02 * span, "left")
+        x, alignment = (
+            (low[row] - 0.02 * span, "right")
+            if bar < 0
+            else (high[row] + 0.02 * span, "left")
+        )
         axes.text(x, row, text, ha=alignment, va="center", fontsize=9)

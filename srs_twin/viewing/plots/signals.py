@@ -18,7 +18,8 @@ from srs_twin.viewing.additions import added_to
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
     """Return the centre line from head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
-    # Without a rigid gap the ends of an arc coincide with the connectors; omit the duplicate points.
+    # Without a rigid gap the ends of an arc coincide with the connectors; omit the
+    # duplicate points.
     unique = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 2)
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
@@ -42,8 +43,12 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
     centres, theta = wheel_centres(trajectory, geometry), trajectory.stack("theta")
     mean_theta = (theta[1:] + theta[:-1]) / 2
     forward = np.stack([np.cos(mean_theta), np.sin(mean_theta)], axis=-1)[:, :, None]
-    increments = (np.diff(centres, axis=0) * forward).sum(axis=-1) / geometry.wheel_radius
-    return np.concatenate([np.zeros((1, *increments.shape[1:])), np.cumsum(increments, axis=0)])
+    increments = (np.diff(centres, axis=0) * forward).sum(
+        axis=-1
+    ) / geometry.wheel_radius
+    return np.concatenate(
+        [np.zeros((1, *increments.shape[1:])), np.cumsum(increments, axis=0)]
+    )
 
 
 def pressure_difference(trajectory: Trajectory) -> Array:
@@ -56,7 +61,9 @@ def pressure_difference(trajectory: Trajectory) -> Array:
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
     """Return the kind of experiment: gait, bench, learning, or a kind of an extension."""
     runs = trajectories.values()
-    if any(run.has("reference_1") or run.metadata.get("base") == "clamped" for run in runs):
+    if any(
+        run.has("reference_1") or run.metadata.get("base") == "clamped" for run in runs
+    ):
         return "bench"
     for run in runs:
         if pictures := added_to(run):
@@ -96,15 +103,18 @@ def forward_speed(trajectory: Trajectory) -> Array:
 def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     """Return times, s, and the speed of the period-averaged path at these times, m/s.
 
-    The speed is the displacement over one gait period centred at each time, divided by the period; it is
-    negative if the displacement is opposite to the heading. Times exclude the first and last half period.
-    Both arrays are empty if the run is shorter than a period.
+    The speed is the displacement over one gait period centred at each time, divided by
+    the period; it is negative if the displacement is opposite to the heading. Times
+    exclude the first and last half period. Both arrays are empty if the run is shorter
+    than a period.
     """
     time, heading = trajectory.time, trajectory["heading"]
     first, last = time[0] + period / 2, time[-1] - period / 2
     centres = time[(time >= first - 1e-9) & (time <= last + 1e-9)]
     begin, end = centres - period / 2, centres + period / 2
-    displacement = [np.interp(end, time, c) - np.interp(begin, time, c) for c in trajectory.com.T]
+    displacement = [
+        np.interp(end, time, c) - np.interp(begin, time, c) for c in trajectory.com.T
+    ]
     direction = np.interp(centres, time, heading)
     forward = displacement[0] * np.cos(direction) + displacement[1] * np.sin(direction)
     return centres, np.copysign(np.hypot(*displacement), forward) / period

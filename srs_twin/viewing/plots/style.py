@@ -1,7 +1,8 @@
 """Colours, line styles, settings and margins of all plots, and figures as image files.
 
-The settings are the defaults of matplotlib, so that a `matplotlibrc` or a style sheet changes no picture.
-Margins are fixed, in inches, because the automatic layouts of matplotlib double the drawing time.
+The settings are the defaults of matplotlib, so that a `matplotlibrc` or a style sheet
+changes no picture. Margins are fixed, in inches, because the automatic layouts of
+matplotlib double the drawing time.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ _NO_PRESSURE = (225, 225, 222)
 """Colour of a segment without pressure difference, RGB."""
 
 PLUS_COLOR = "#aa3377"
-"""Colour of a higher pressure in the + chamber; differs from the colours of the plants."""
+"""Colour of a higher pressure in the + chamber; differs from the colours of the plants.
+"""
 
 MINUS_COLOR = "#009e73"
 """Colour of a higher pressure in the − chamber."""
@@ -78,7 +80,12 @@ class Style:
     @property
     def line(self) -> dict[str, Any]:
         """Arguments of `Axes.plot`."""
-        return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "label": self.label}
+        return {
+            "color": self.color,
+            "linestyle": self.dash,
+            "linewidth": self.width,
+            "label": self.label,
+        }
 
     @property
     def zorder(self) -> float:
@@ -104,18 +111,25 @@ _FURTHER_COLORS = ("#CC79A7", "#56B4E9", "#E69F00")
 
 def style_of(plant: str, index: int = 0) -> Style:
     """Return the style of a plant; the index selects a further colour for unknown names."""
-    return STYLES.get(plant) or Style(plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5)
+    return STYLES.get(plant) or Style(
+        plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5
+    )
 
 
-def pressure_colors(difference: np.ndarray, full_scale: float | None = None) -> np.ndarray:
+def pressure_colors(
+    difference: np.ndarray, full_scale: float | None = None
+) -> np.ndarray:
     """Return RGBA bytes, shape (…, 4): from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
 
     Args:
         difference: p⁺ − p⁻, any unit; NaN becomes grey.
-        full_scale: magnitude that is drawn in the full colour; default: the largest one.
+        full_scale: magnitude that is drawn in the full colour; default: the largest
+            one.
     """
     finite = np.nan_to_num(difference)
-    full_scale = float(np.max(np.abs(finite), initial=0.0)) if full_scale is None else full_scale
+    full_scale = (
+        float(np.max(np.abs(finite), initial=0.0)) if full_scale is None else full_scale
+    )
     fraction = np.clip(finite / max(full_scale, 1e-12), -1.0, 1.0)[..., None]
     full = np.where(fraction > 0, PLUS_RGB, MINUS_RGB)
     rgb = np.rint(_NO_PRESSURE + np.abs(fraction) * (full - np.array(_NO_PRESSURE)))
@@ -123,7 +137,9 @@ def pressure_colors(difference: np.ndarray, full_scale: float | None = None) -> 
 
 
 # The backend is not a setting of pictures, and reading it would import one.
-_SETTINGS = {name: value for name, value in rcParamsDefault.items() if name != "backend"}
+_SETTINGS = {
+    name: value for name, value in rcParamsDefault.items() if name != "backend"
+}
 # Equal figures give equal bytes, and text stays text.
 _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
@@ -132,7 +148,9 @@ _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 def own_settings() -> Iterator[None]:
     """Draw with the settings of this program within a `with` block; the user's settings return afterwards."""
     # Setting all of them would take a millisecond.
-    with rc_context({name: value for name, value in _SETTINGS.items() if rcParams[name] != value}):
+    with rc_context(
+        {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}
+    ):
         yield
 
 
@@ -153,7 +171,12 @@ _BOTTOM = 0.5
 
 
 def panels(
-    height: float, rows: int = 1, *, right: float = 0.2, share_y: bool = False, heights: Sequence[float] = ()
+    height: float,
+    rows: int = 1,
+    *,
+    right: float = 0.2,
+    share_y: bool = False,
+    heights: Sequence[float] = (),
 ) -> tuple[Figure, list[Axes]]:
     """Return a figure with panels in one column that share the x axis, and the panels from top to bottom.
 
@@ -165,7 +188,14 @@ def panels(
         heights: relative heights of the panels; default: equal heights.
     """
     figure, grid = side_by_side(
-        height, 1, rows, right=right, space=0.18, sharex=True, sharey=share_y, height_ratios=heights or None
+        height,
+        1,
+        rows,
+        right=right,
+        space=0.18,
+        sharex=True,
+        sharey=share_y,
+        height_ratios=heights or None,
     )
     return figure, list(grid[:, 0])
 
@@ -204,7 +234,9 @@ def side_by_side(
         "hspace": space,
         "wspace": space,
     }
-    return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=margins, **options)
+    return figure, figure.subplots(
+        rows, columns, squeeze=False, gridspec_kw=margins, **options
+    )
 
 
 def set_title(axes: Axes, title: str, loc: Alignment = "center") -> None:
@@ -212,7 +244,14 @@ def set_title(axes: Axes, title: str, loc: Alignment = "center") -> None:
     axes.set_title(title, fontsize=10, loc=loc, y=1.0)
 
 
-def finish(axes: Axes, label: str, x_label: str = "", *, title: str = "", loc: Alignment = "center") -> None:
+def finish(
+    axes: Axes,
+    label: str,
+    x_label: str = "",
+    *,
+    title: str = "",
+    loc: Alignment = "center",
+) -> None:
     """Set the labels and the title of a panel, and add a grid.
 
     Args:
@@ -248,7 +287,9 @@ def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
     """
     target = Path(path)
     if target.suffix not in FORMATS:
-        raise InputError(f"{target.name}: the name of an image must end in {' or '.join(FORMATS)}")
+        raise InputError(
+            f"{target.name}: the name of an image must end in {' or '.join(FORMATS)}"
+        )
     metadata = {"Software": None} if target.suffix == ".png" else {"Date": None}
     with atomic_write(target) as temporary:
         figure.savefig(temporary, format=target.suffix[1:], dpi=dpi, metadata=metadata)

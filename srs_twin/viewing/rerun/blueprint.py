@@ -32,8 +32,10 @@ class Layout:
         start: start position, shape (2,), m.
         heading: heading at the start, rad.
         body_length: length of the body, m.
-        separation: largest distance between two centres of mass, m; determines the camera distance.
-        period: gait period, s; plots show a few periods around the cursor. None: plots show the whole run.
+        separation: largest distance between two centres of mass, m; determines the
+            camera distance.
+        period: gait period, s; plots show a few periods around the cursor. None: plots
+            show the whole run.
         compared: whether there are differences between the plants to plot.
         kind: kind of experiment; selects the plots.
         signals: signals of an extension, plotted first.
@@ -71,11 +73,17 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
     shares = [2] * (len(rows) - 1) + [3]
     if layout.events:
         # The colour of an event shows its plant.
-        columns = rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"])
+        columns = rrb.TextLogColumns(
+            timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
+        )
         rows.append(rrb.TextLogView(origin="events", name="Events", columns=columns))
         shares.append(2)
     return _with_collapsed_panels(
-        rrb.Horizontal(scene_view(layout), rrb.Vertical(*rows, row_shares=shares), column_shares=[3, 2])
+        rrb.Horizontal(
+            scene_view(layout),
+            rrb.Vertical(*rows, row_shares=shares),
+            column_shares=[3, 2],
+        )
     )
 
 
@@ -92,7 +100,9 @@ def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
             _plot(f"{layout.root}/body/heading", "Heading (rad)"),
             _plot(f"{layout.root}/module/1/bend", "Bend 1 (rad)"),
         )
-        columns.append(rrb.Vertical(scene_view(layout, name=name), body, row_shares=[3, 1]))
+        columns.append(
+            rrb.Vertical(scene_view(layout, name=name), body, row_shares=[3, 1])
+        )
     return _with_collapsed_panels(rrb.Grid(*columns, grid_columns=min(3, len(columns))))
 
 
@@ -111,19 +121,32 @@ def _plots(layout: Layout) -> Rows:
     def modules(signal: str, name: str, **options: Any) -> rrb.Tabs:
         """Return one tab per module; the middle one is active because the first hardly shows differences."""
         numbers = range(1, layout.segments + 1)
-        views = [_plot(f"module/{j}{signal}", name.format(j), **options) for j in numbers]
-        return rrb.Tabs(*views, active_tab=layout.segments // 2, name=name.partition(" {")[0])
+        views = [
+            _plot(f"module/{j}{signal}", name.format(j), **options) for j in numbers
+        ]
+        return rrb.Tabs(
+            *views, active_tab=layout.segments // 2, name=name.partition(" {")[0]
+        )
 
     periods = _periods_axis(layout)
     bends = modules("/bend", "Bend {} (rad)", axis_x=periods)
     pressures = "Pressure {} (kPa)"
     # Differences from the measured robot; on a bench, often only bends are measured.
     distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
-    measured = [_plot("/", "Distance from the measured robot (mm)", contents=distances)] if distances else []
+    measured = (
+        [_plot("/", "Distance from the measured robot (mm)", contents=distances)]
+        if distances
+        else []
+    )
     if "bend" in layout.measured:
-        measured.append(_plot("measured/bend", "Bends from the measured robot, RMS (rad)"))
+        measured.append(
+            _plot("measured/bend", "Bends from the measured robot, RMS (rad)")
+        )
     speed_axis = None if layout.speeds is None else rrb.ScalarAxis(range=layout.speeds)
-    body = [_plot("body/speed", "Speed (m/s)", axis_y=speed_axis), _plot("body/heading", "Heading (rad)")]
+    body = [
+        _plot("body/speed", "Speed (m/s)", axis_y=speed_axis),
+        _plot("body/heading", "Heading (rad)"),
+    ]
     if layout.compared:
         body.append(_plot("comparison", "Difference (mm)"))
     body += measured
@@ -136,34 +159,50 @@ def _plots(layout: Layout) -> Rows:
             *([rrb.Tabs(*reversed(measured))] if measured else []),
         ]
     if layout.signals:
-        plots = [_plot(f"follow/{signal.entity}", signal.title) for signal in layout.signals]
+        plots = [
+            _plot(f"follow/{signal.entity}", signal.title) for signal in layout.signals
+        ]
         return [*plots, rrb.Tabs(*body, bends)]
     learns = layout.kind == "learning"
     duties = modules("/duty", "Duties {}")
-    return [bends, duties if learns else modules("/pressure", pressures, axis_x=periods), rrb.Tabs(*body)]
+    return [
+        bends,
+        duties if learns else modules("/pressure", pressures, axis_x=periods),
+        rrb.Tabs(*body),
+    ]
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
     """Return the 3-D view: the camera follows on the right of the snakes; trails end at the cursor."""
-    name = name or ("Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m")
+    name = name or (
+        "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
+    )
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])
-    distance = max(1.25 * layout.body_length, 0.75 * (layout.body_length + layout.separation))
+    distance = max(
+        1.25 * layout.body_length, 0.75 * (layout.body_length + layout.separation)
+    )
     eye = layout.start + distance * right
     until_cursor = rrb.VisibleTimeRanges(
-        timeline=TIMELINE, start=rrb.TimeRangeBoundary.infinite(), end=rrb.TimeRangeBoundary.cursor_relative()
+        timeline=TIMELINE,
+        start=rrb.TimeRangeBoundary.infinite(),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
     )
     return rrb.Spatial3DView(
         origin=layout.world,
         name=name,
         background=rrb.Background(color=[245, 246, 248]),
-        line_grid=rrb.LineGrid3D(visible=True, spacing=0.1, stroke_width=1.0, color=[150, 155, 165, 110]),
+        line_grid=rrb.LineGrid3D(
+            visible=True, spacing=0.1, stroke_width=1.0, color=[150, 155, 165, 110]
+        ),
         eye_controls=rrb.EyeControls3D(
             position=[*eye, 0.96 * distance],
             look_target=[*layout.start, 0.0],
             eye_up=[0.0, 0.0, 1.0],
             tracking_entity=f"{layout.world}/{layout.camera_target}",
         ),
-        overrides={f"{layout.world}/{plant}/trail": until_cursor for plant in layout.plants},
+        overrides={
+            f"{layout.world}/{plant}/trail": until_cursor for plant in layout.plants
+        },
     )
 
 
@@ -172,7 +211,10 @@ def _periods_axis(layout: Layout) -> rrb.TimeAxis | None:
     if layout.period is None:
         return None
     half = _PERIODS_SHOWN / 2 * layout.period
-    ends = (rrb.TimeRangeBoundary.cursor_relative(rr.TimeInt(seconds=offset)) for offset in (-half, half))
+    ends = (
+        rrb.TimeRangeBoundary.cursor_relative(rr.TimeInt(seconds=offset))
+        for offset in (-half, half)
+    )
     return rrb.TimeAxis(view_range=rrb.TimeRange(*ends))
 
 
@@ -186,5 +228,10 @@ def _plot(
 ) -> rrb.TimeSeriesView:
     corner = rrb.PlotLegend(rrb.Corner2D.RightBottom)
     return rrb.TimeSeriesView(
-        origin=origin, name=name, plot_legend=corner, axis_x=axis_x, axis_y=axis_y, contents=contents
+        origin=origin,
+        name=name,
+        plot_legend=corner,
+        axis_x=axis_x,
+        axis_y=axis_y,
+        contents=contents,
     )

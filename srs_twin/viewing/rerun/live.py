@@ -1,9 +1,9 @@
 """Live view of a robot in Rerun: estimate with its uncertainty, prediction, innovations and detected faults.
 
-Entities: `world/floor`, `world/robot/{body, connectors, spread, trail}`, `world/next/{path, fan}`, `lamps`
-    (text with the
-detected faults), `bend/segment_j`, `off/{bends, poses, pressures}` (innovations in standard deviations). The
-timeline is `sim_time`, seconds since the start.
+Entities: `world/floor`, `world/robot/{body, connectors, spread, trail}`,
+    `world/next/{path, fan}`, `lamps` (text with the
+detected faults), `bend/segment_j`, `off/{bends, poses, pressures}` (innovations in
+standard deviations). The timeline is `sim_time`, seconds since the start.
 """
 
 from __future__ import annotations
@@ -25,7 +25,13 @@ from srs_twin.viewing.plots.signals import body_line
 from srs_twin.viewing.plots.style import STYLES, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.viewing.rerun.recording import APPLICATION
-from srs_twin.viewing.rerun.viewer import HOST, free_port, lacks_display, running_rerun, serve_recordings
+from srs_twin.viewing.rerun.viewer import (
+    HOST,
+    free_port,
+    lacks_display,
+    running_rerun,
+    serve_recordings,
+)
 
 _BODY_HEIGHT_M = 0.02
 _FLOOR_HEIGHT_M = 0.003
@@ -102,17 +108,27 @@ class LiveView:
         self._log, self._spec, self._start = log, spec, float("nan")
         self._trail: list[list[float]] = []
         self._logged_faults: tuple[tuple[str, str, float], ...] | None = None
-        scene = rrb.Spatial3DView(origin="world", name="Robot, estimate (orange: next second)")
-        bends = rrb.TimeSeriesView(origin="bend", name="Bends, rad", axis_y=rrb.ScalarAxis(range=(-1.6, 1.6)))
-        innovations = rrb.TimeSeriesView(origin="off", name="Innovations, standard deviations")
+        scene = rrb.Spatial3DView(
+            origin="world", name="Robot, estimate (orange: next second)"
+        )
+        bends = rrb.TimeSeriesView(
+            origin="bend", name="Bends, rad", axis_y=rrb.ScalarAxis(range=(-1.6, 1.6))
+        )
+        innovations = rrb.TimeSeriesView(
+            origin="off", name="Innovations, standard deviations"
+        )
         faults = rrb.TextDocumentView(origin="lamps", name="Faults")
         right = rrb.Vertical(faults, bends, innovations, row_shares=[1, 2, 2])
         log.send_blueprint(
-            rrb.Blueprint(rrb.Horizontal(scene, right, column_shares=[3, 2]), collapse_panels=True)
+            rrb.Blueprint(
+                rrb.Horizontal(scene, right, column_shares=[3, 2]), collapse_panels=True
+            )
         )
         log.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for j in range(1, spec.segments + 1):
-            log.log(f"bend/segment_{j}", rr.SeriesLines(names=f"segment {j}"), static=True)
+            log.log(
+                f"bend/segment_{j}", rr.SeriesLines(names=f"segment {j}"), static=True
+            )
 
     def __call__(self, estimate: LiveEstimate, prediction: LiveForecast | None) -> None:
         """Log an estimate and a prediction."""
@@ -121,22 +137,41 @@ class LiveView:
             self._start = estimate.time
         log.set_time(TIMELINE, duration=estimate.time - self._start)
         width, poses = self._spec.geometry.width, estimate.connectors
-        names = [f"{column}_{i}" for i in range(1, len(poses) + 1) for column in ("x", "y", "theta")]
+        names = [
+            f"{column}_{i}"
+            for i in range(1, len(poses) + 1)
+            for column in ("x", "y", "theta")
+        ]
         line = body_line(
-            Trajectory(dict(zip(names, poses.reshape(-1, 1), strict=True))), self._spec.geometry
+            Trajectory(dict(zip(names, poses.reshape(-1, 1), strict=True))),
+            self._spec.geometry,
         )[0]
         color = _LOST_COLOR if estimate.lost else rgb(STYLES["twin"].color)
         log.log(
             "world/robot/body",
-            rr.LineStrips3D([_at_height(line, _BODY_HEIGHT_M)], colors=[color], radii=width / 4),
+            rr.LineStrips3D(
+                [_at_height(line, _BODY_HEIGHT_M)], colors=[color], radii=width / 4
+            ),
         )
-        spread = np.full(len(poses), _Z95 * float(np.hypot(*estimate.pose_sd[:2])) + width / 4)
+        spread = np.full(
+            len(poses), _Z95 * float(np.hypot(*estimate.pose_sd[:2])) + width / 4
+        )
         log.log(
             "world/robot/spread",
-            rr.Points3D(_at_height(poses[:, :2], _FLOOR_HEIGHT_M), radii=spread, colors=[(*color, 50)]),
+            rr.Points3D(
+                _at_height(poses[:, :2], _FLOOR_HEIGHT_M),
+                radii=spread,
+                colors=[(*color, 50)],
+            ),
         )
-        self._trail = [*self._trail[-_MAX_TRAIL_POINTS:], [*estimate.pose[:2].tolist(), _FLOOR_HEIGHT_M]]
-        log.log("world/robot/trail", rr.LineStrips3D([self._trail], colors=[color], radii=0.001))
+        self._trail = [
+            *self._trail[-_MAX_TRAIL_POINTS:],
+            [*estimate.pose[:2].tolist(), _FLOOR_HEIGHT_M],
+        ]
+        log.log(
+            "world/robot/trail",
+            rr.LineStrips3D([self._trail], colors=[color], radii=0.001),
+        )
         if prediction is not None:
             points = _at_height(prediction.pose[:, :2], _FLOOR_HEIGHT_M)
             log.log(
@@ -145,14 +180,20 @@ class LiveView:
             )
             radii = _Z95 * np.hypot(prediction.pose_sd[:, 0], prediction.pose_sd[:, 1])
             color_of_fan = (*_PREDICTION_COLOR, _PREDICTION_ALPHA)
-            log.log("world/next/fan", rr.Points3D(points, radii=radii, colors=[color_of_fan]))
+            log.log(
+                "world/next/fan",
+                rr.Points3D(points, radii=radii, colors=[color_of_fan]),
+            )
         for j, bend in enumerate(estimate.bend.tolist(), start=1):
             log.log(f"bend/segment_{j}", rr.Scalars(bend))
         for kind, innovation in estimate.off.items():
             log.log(f"off/{kind}", rr.Scalars(innovation))
         if estimate.faults != self._logged_faults:
             self._logged_faults = estimate.faults
-            lines = [f"- 🔴 **{name}**: {fault} ({share:.0%})" for name, fault, share in estimate.faults]
+            lines = [
+                f"- 🔴 **{name}**: {fault} ({share:.0%})"
+                for name, fault, share in estimate.faults
+            ]
             lost = f"\n\n🔴 {estimate.lost}" if estimate.lost else ""
             text = "\n".join(lines or ["🟢 none"]) + lost
             log.log("lamps", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
@@ -174,11 +215,15 @@ def live_view(
         InputError: Rerun does not start, or there is no display for a window.
     """
     log = rr.RecordingStream(APPLICATION)
-    sinks: list[rr.FileSink | rr.GrpcSink] = [] if recording is None else [rr.FileSink(str(recording))]
+    sinks: list[rr.FileSink | rr.GrpcSink] = (
+        [] if recording is None else [rr.FileSink(str(recording))]
+    )
     port = free_port()
     address = f"rerun+http://{HOST}:{port}/proxy"
     if window and lacks_display():
-        raise InputError("no display found for the viewer; use --web to serve it to a browser")
+        raise InputError(
+            "no display found for the viewer; use --web to serve it to a browser"
+        )
     viewer = running_rerun("--port", str(port)) if window else nullcontext()
     page = serve_recordings((), data_port=port) if web else nullcontext(("", None))
     with viewer, page as (url, serve):

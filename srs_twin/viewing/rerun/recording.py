@@ -2,15 +2,17 @@
 
 Entities:
 
-- `world/floor`, `world/eye` (target of the camera), `world/obstacles`, `world/plan/{path, edges, goal}`
+- `world/floor`, `world/eye` (target of the camera), `world/obstacles`,
+  `world/plan/{path, edges, goal}`
 - `world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`
 - `module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`
 - `body/{speed, heading}/<plant>`, `follow/{cross_track, offset}/<plant>`
 - `comparison/{shape, path}`, `measured/{shape, path, bend}/<plant>`
 - `events/<plant>`: text of controller events and contacts with obstacles
 
-The timeline is `sim_time`, the simulated time in seconds. Values have SI units, except pressures in kPa and
-differences in mm. A recording of several runs has one parent entity per run and shows the runs side by side.
+The timeline is `sim_time`, the simulated time in seconds. Values have SI units, except
+pressures in kPa and differences in mm. A recording of several runs has one parent
+entity per run and shows the runs side by side.
 """
 
 from __future__ import annotations
@@ -39,8 +41,18 @@ from srs_twin.viewing.plots.signals import (
     period_speed,
     pressure_difference,
 )
-from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, REFERENCE, Style, style_of
-from srs_twin.viewing.rerun.blueprint import Layout, run_blueprint, side_by_side_blueprint
+from srs_twin.viewing.plots.style import (
+    MINUS_COLOR,
+    PLUS_COLOR,
+    REFERENCE,
+    Style,
+    style_of,
+)
+from srs_twin.viewing.rerun.blueprint import (
+    Layout,
+    run_blueprint,
+    side_by_side_blueprint,
+)
 from srs_twin.viewing.rerun.scene import (
     Entities,
     line_height,
@@ -82,29 +94,52 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
         content: content of the run.
         title: name of the recording in the viewer; default: title of the robot.
     """
-    spec, trajectories, comparison = content.spec, content.trajectories, content.comparison
+    spec, trajectories, comparison = (
+        content.spec,
+        content.trajectories,
+        content.comparison,
+    )
     world, measured = content.world, content.measured
-    residuals = {plant: _residuals(difference) for plant, difference in measured.items()}
-    quantities = list(dict.fromkeys(name for errors in residuals.values() for name in errors))
+    residuals = {
+        plant: _residuals(difference) for plant, difference in measured.items()
+    }
+    quantities = list(
+        dict.fromkeys(name for errors in residuals.values() for name in errors)
+    )
     log = rr.RecordingStream(APPLICATION)
-    # Do not use `log.save`: on a full disk it leaves an incomplete recording, sometimes without an error.
+    # Do not use `log.save`: on a full disk it leaves an incomplete recording, sometimes
+    # without an error.
     memory = log.memory_recording()
-    send_blueprint(log, run_blueprint(_layout(trajectories, spec, comparison is not None, quantities)))
+    send_blueprint(
+        log,
+        run_blueprint(_layout(trajectories, spec, comparison is not None, quantities)),
+    )
     log.set_log_time_enabled(False)
     log.set_log_tick_enabled(False)
     log.send_recording_name(title or spec.title)
     scene = Entities(log, np.zeros(0), "world/")
     _send_floor(scene, trajectories, spec)
     send_obstacles(scene, world)
-    send_lines(scene, next((added.floor_lines(run) for run, added in _additions(trajectories)), []))
+    send_lines(
+        scene,
+        next((added.floor_lines(run) for run, added in _additions(trajectories)), []),
+    )
     _send_camera_target(log, trajectories)
     for index, (plant, run) in enumerate(trajectories.items()):
         style = replace(style_of(plant, index), label=plant)
         ghost = plant != "twin" and "twin" in trajectories
         shapes = subsample(run, SCENE_HZ)
-        send_snake(Entities(log, shapes.time, f"world/{plant}/"), shapes, spec, style, ghost=ghost)
+        send_snake(
+            Entities(log, shapes.time, f"world/{plant}/"),
+            shapes,
+            spec,
+            style,
+            ghost=ghost,
+        )
         send_objects(Entities(log, shapes.time, f"world/{plant}/"), shapes, world)
-        send_contacts(Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry))
+        send_contacts(
+            Entities(log, run.time, f"world/{plant}/"), run, line_height(spec.geometry)
+        )
         _send_modules(Entities(log, run.time), plant, run, style)
         _send_motion(Entities(log, run.time), plant, run, style)
         _send_events(log, plant, run, style)
@@ -120,7 +155,9 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
     Path(path).write_bytes(_drain(log, memory))
 
 
-def write_floor(path: str | Path, title: str, world: World, lines: Sequence[FloorLine]) -> None:
+def write_floor(
+    path: str | Path, title: str, world: World, lines: Sequence[FloorLine]
+) -> None:
     """Write a recording of a world with lines on its floor, e.g. a plan.
 
     Args:
@@ -144,7 +181,8 @@ def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
     """Return the content of a stream, and close the stream."""
     content: bytes = memory.drain_as_bytes()
     log.disconnect()
-    # Without this call, Rerun keeps the threads and the memory of streams that are no longer referenced.
+    # Without this call, Rerun keeps the threads and the memory of streams that are no
+    # longer referenced.
     bindings.flush_and_cleanup_orphaned_recordings()
     return content
 
@@ -152,24 +190,33 @@ def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
 def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
     """Return the differences of measured shape and path, mm, and bends, RMS over segments, rad; (T,)."""
     signals = difference.signals()
-    errors = {name: 1e3 * signals[f"{name}_m"] for name in ("shape", "path") if f"{name}_m" in signals}
+    errors = {
+        name: 1e3 * signals[f"{name}_m"]
+        for name in ("shape", "path")
+        if f"{name}_m" in signals
+    }
     return errors | {"bend": difference.bend_rms}
 
 
 def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     """Send a blueprint like `log.send_blueprint`, and close the stream that carries it.
 
-    Rerun 0.41 does not close it: each recording of a process would leave two threads and 2 MB of memory.
+    Rerun 0.41 does not close it: each recording of a process would leave two threads
+    and 2 MB of memory.
     """
     carrier = rr.RecordingStream._from_native(
         bindings.new_blueprint(
-            application_id=APPLICATION, make_default=False, make_thread_default=False, default_enabled=True
+            application_id=APPLICATION,
+            make_default=False,
+            make_thread_default=False,
+            default_enabled=True,
         )
     )
     carrier.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(carrier)
     content = carrier.memory_recording()
-    # Make the layout active, not only the default, so that the viewer does not reuse that of another robot.
+    # Make the layout active, not only the default, so that the viewer does not reuse
+    # that of another robot.
     bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
@@ -177,12 +224,16 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
 def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     """Return every n-th sample, so that the sample rate is about `rate_hz`."""
     steps = np.diff(trajectory.time[:2])
-    stride = max(1, round(1 / (rate_hz * steps[0]))) if len(steps) and steps[0] > 0 else 1
+    stride = (
+        max(1, round(1 / (rate_hz * steps[0]))) if len(steps) and steps[0] > 0 else 1
+    )
     columns = {name: column[::stride] for name, column in trajectory.columns.items()}
     return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
 
 
-def _additions(trajectories: Mapping[str, Trajectory]) -> Iterator[tuple[Trajectory, RunPictures]]:
+def _additions(
+    trajectories: Mapping[str, Trajectory],
+) -> Iterator[tuple[Trajectory, RunPictures]]:
     """Yield runs with the additions of extensions."""
     for run in trajectories.values():
         if added := added_to(run):
@@ -190,12 +241,17 @@ def _additions(trajectories: Mapping[str, Trajectory]) -> Iterator[tuple[Traject
 
 
 def _layout(
-    trajectories: Mapping[str, Trajectory], spec: RobotSpec, compared: bool, measured: Sequence[str]
+    trajectories: Mapping[str, Trajectory],
+    spec: RobotSpec,
+    compared: bool,
+    measured: Sequence[str],
 ) -> Layout:
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
     # Include zero, because a truncated axis exaggerates differences.
-    speeds = np.concatenate([[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())])
+    speeds = np.concatenate(
+        [[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())]
+    )
     return Layout(
         plants=list(trajectories),
         camera_target=_CAMERA_TARGET,
@@ -219,7 +275,10 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
     time = max((run.time for run in trajectories.values()), key=lambda times: times[-1])
     runs = trajectories.values()
     coms = [
-        np.column_stack([np.interp(time, run.time, coordinate) for coordinate in run.com.T]) for run in runs
+        np.column_stack(
+            [np.interp(time, run.time, coordinate) for coordinate in run.com.T]
+        )
+        for run in runs
     ]
     return time, np.array(coms)
 
@@ -229,23 +288,36 @@ def _separation(coms: np.ndarray) -> float:
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
-def _send_camera_target(log: rr.RecordingStream, trajectories: Mapping[str, Trajectory]) -> None:
+def _send_camera_target(
+    log: rr.RecordingStream, trajectories: Mapping[str, Trajectory]
+) -> None:
     """Log the target of the camera: the mean position of all plants, as an invisible point."""
     time, coms = _coms(trajectories)
-    to, positions = Entities(log, time, "world/"), np.pad(coms.mean(axis=0), ((0, 0), (0, 1)))
+    to, positions = (
+        Entities(log, time, "world/"),
+        np.pad(coms.mean(axis=0), ((0, 0), (0, 1))),
+    )
     to.static(_CAMERA_TARGET, rr.Points3D.from_fields(radii=[1e-5]))
     to.send(_CAMERA_TARGET, rr.Points3D.columns(positions=positions))
 
 
-def _send_floor(to: Entities, trajectories: Mapping[str, Trajectory], spec: RobotSpec) -> None:
-    points = np.concatenate([run.position.reshape(-1, 2) for run in trajectories.values()])
+def _send_floor(
+    to: Entities, trajectories: Mapping[str, Trajectory], spec: RobotSpec
+) -> None:
+    points = np.concatenate(
+        [run.position.reshape(-1, 2) for run in trajectories.values()]
+    )
     margin = spec.geometry.half_track + spec.geometry.pitch
     low, high = np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
     border = 0.25 * float(np.hypot(*(high - low)))
     (x0, y0), (x1, y1) = low - border, high + border
     corners = [[x0, y0, -0.001], [x1, y0, -0.001], [x1, y1, -0.001], [x0, y1, -0.001]]
     triangles = [[0, 1, 2], [0, 2, 3]]
-    floor = rr.Mesh3D(vertex_positions=corners, triangle_indices=triangles, albedo_factor=[228, 230, 233])
+    floor = rr.Mesh3D(
+        vertex_positions=corners,
+        triangle_indices=triangles,
+        albedo_factor=[228, 230, 233],
+    )
     replace(to, root="").static("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
     to.static("floor", floor)
 
@@ -253,11 +325,18 @@ def _send_floor(to: Entities, trajectories: Mapping[str, Trajectory], spec: Robo
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
     """Log `module/<j>/{bend, pressure, valve}/<plant>`, and `sensed` and `duty` if they are recorded.
 
-    The valve state of a module is 1 if its valves drive positive bends, −1 for negative bends, and 0 if both
-    valves are in the same state. Readings of an ideal sensor are omitted.
+    The valve state of a module is 1 if its valves drive positive bends, −1 for negative
+    bends, and 0 if both valves are in the same state. Readings of an ideal sensor are
+    omitted.
     """
 
-    def send(signal: str, values: np.ndarray, style: Style, name: str = plant, steps: bool = False) -> None:
+    def send(
+        signal: str,
+        values: np.ndarray,
+        style: Style,
+        name: str = plant,
+        steps: bool = False,
+    ) -> None:
         for j, value in enumerate(values.T, start=1):
             to.line(f"module/{j}/{signal}/{name}", value, style, steps=steps)
 
@@ -268,14 +347,25 @@ def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> No
     if run.has("reference_1"):
         send("bend", run.stack("reference"), _REFERENCE, "reference")
     if run.has("valve_plus"):
-        send("valve", (run.stack("valve_plus") - run.stack("valve_minus")) / 2, style, steps=True)
+        send(
+            "valve",
+            (run.stack("valve_plus") - run.stack("valve_minus")) / 2,
+            style,
+            steps=True,
+        )
     if run.has("sensed") and not np.array_equal(run.stack("sensed"), bends):
         thin = replace(style, label=f"{style.label}, sensed", width=_READING_WIDTH)
         send("sensed", run.stack("sensed"), thin)
     for side, color in _CHAMBER_COLORS.items():
         if run.has(f"duty_{side}"):
             chamber_style = replace(style, label=f"{style.label}, {side}", color=color)
-            send("duty", run.stack(f"duty_{side}"), chamber_style, f"{plant}/{side}", steps=True)
+            send(
+                "duty",
+                run.stack(f"duty_{side}"),
+                chamber_style,
+                f"{plant}/{side}",
+                steps=True,
+            )
 
 
 def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
@@ -283,7 +373,11 @@ def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> Non
     for added in additions():
         for signal in added.signals:
             if run.has(signal.column):
-                to.line(f"follow/{signal.entity}/{plant}", signal.factor * run[signal.column], style)
+                to.line(
+                    f"follow/{signal.entity}/{plant}",
+                    signal.factor * run[signal.column],
+                    style,
+                )
     to.line(f"body/heading/{plant}", run["heading"], style)
     time, speed = _speed(run)
     replace(to, time=time).line(f"body/speed/{plant}", speed, style)
@@ -292,10 +386,14 @@ def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> Non
 def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return times, s, and forward speeds, m/s; averaged over a gait period if there is a gait."""
     period = gait_period(run)
-    return (run.time, forward_speed(run)) if period is None else period_speed(run, period)
+    return (
+        (run.time, forward_speed(run)) if period is None else period_speed(run, period)
+    )
 
 
-def _send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: Style) -> None:
+def _send_events(
+    log: rr.RecordingStream, plant: str, run: Trajectory, style: Style
+) -> None:
     """Log the events of a run as `events/<plant>`; nothing without events."""
     events = events_of(run)
     if not events:
@@ -305,7 +403,9 @@ def _send_events(log: rr.RecordingStream, plant: str, run: Trajectory, style: St
         level=["WARN" if event.kind in _WARNINGS else "INFO" for event in events],
         color=[style.rgb] * len(events),
     )
-    Entities(log, np.array([event.time for event in events])).send(f"events/{plant}", columns)
+    Entities(log, np.array([event.time for event in events])).send(
+        f"events/{plant}", columns
+    )
 
 
 @dataclass(frozen=True)
@@ -329,7 +429,9 @@ class _StoredRun:
     def snakes(self) -> list[str]:
         """Names of the plants: entities below `world/` with a centre of mass."""
         paths = (chunk.entity_path.split("/") for chunk in self.chunks)
-        return list(dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"]))
+        return list(
+            dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"])
+        )
 
     def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
         """Return the first rows (None: all rows) of a component with points, shape (n, 3)."""
@@ -338,23 +440,38 @@ class _StoredRun:
                 batch = chunk.to_record_batch()
                 if component in batch.schema.names:
                     points = batch.column(component).slice(0, rows).flatten().flatten()
-                    return np.asarray(points.to_numpy(zero_copy_only=False)).reshape(-1, 3)
-        raise InputError(f"{self.name}: not a recording of srs-twin ({entity} has no {component})")
+                    return np.asarray(points.to_numpy(zero_copy_only=False)).reshape(
+                        -1, 3
+                    )
+        raise InputError(
+            f"{self.name}: not a recording of srs-twin ({entity} has no {component})"
+        )
 
     def layout(self) -> Layout:
         """Return the layout of the run."""
         snakes = self.snakes
         if not snakes:
-            raise InputError(f"{self.name}: not a recording of srs-twin (it contains no snake)")
+            raise InputError(
+                f"{self.name}: not a recording of srs-twin (it contains no snake)"
+            )
         followed = "twin" if "twin" in snakes else snakes[0]
-        connectors = self.points(f"/world/{followed}/connectors", "Boxes3D:centers")[:, :2]
+        connectors = self.points(f"/world/{followed}/connectors", "Boxes3D:centers")[
+            :, :2
+        ]
         along = connectors[0] - connectors[-1]
-        paths = [self.points(f"/world/{plant}/com", "Points3D:positions", None)[:, :2] for plant in snakes]
+        paths = [
+            self.points(f"/world/{plant}/com", "Points3D:positions", None)[:, :2]
+            for plant in snakes
+        ]
         coms = np.array([path[: min(map(len, paths))] for path in paths])
-        has_target = any(chunk.entity_path == f"/world/{_CAMERA_TARGET}" for chunk in self.chunks)
+        has_target = any(
+            chunk.entity_path == f"/world/{_CAMERA_TARGET}" for chunk in self.chunks
+        )
         return Layout(
             plants=snakes,
-            camera_target=_CAMERA_TARGET if has_target else f"{followed}/com",  # absent before 2026-11
+            camera_target=(
+                _CAMERA_TARGET if has_target else f"{followed}/com"
+            ),  # absent before 2026-11
             segments=len(connectors) - 1,
             start=coms[:, 0].mean(axis=0),
             heading=float(np.arctan2(along[1], along[0])),
@@ -374,7 +491,8 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
         recordings: name of a run → recording of `write_recording`.
 
     Raises:
-        InputError: a file is not a recording of srs-twin, or the output file cannot be written.
+        InputError: a file is not a recording of srs-twin, or the output file cannot be
+            written.
     """
     from rerun.chunk import RrdReader
 
@@ -382,16 +500,27 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
     for name, recording in recordings.items():
         verify_recording(recording)
         reader = RrdReader(recording)
-        (stored, *_) = reader.recordings()
+        stored, *_ = reader.recordings()
         # Entities with a leading `__` are properties of the file.
-        chunks = (c for c in reader.stream(store=stored).to_chunks() if not c.entity_path.startswith("/__"))
+        chunks = (
+            c
+            for c in reader.stream(store=stored).to_chunks()
+            if not c.entity_path.startswith("/__")
+        )
         runs.append(_StoredRun(name, tuple(chunks)))
     log = rr.RecordingStream(APPLICATION)
     memory = log.memory_recording()
-    send_blueprint(log, side_by_side_blueprint({run.name: run.layout() for run in runs}))
+    send_blueprint(
+        log, side_by_side_blueprint({run.name: run.layout() for run in runs})
+    )
     log.send_recording_name(" | ".join(recordings))
     for run in runs:
-        log.send_chunks([chunk.with_entity_path(f"/{run.root}{chunk.entity_path}") for chunk in run.chunks])
+        log.send_chunks(
+            [
+                chunk.with_entity_path(f"/{run.root}{chunk.entity_path}")
+                for chunk in run.chunks
+            ]
+        )
     content = _drain(log, memory)
     with atomic_write(path) as temporary:
         temporary.write_bytes(content)

@@ -15,7 +15,11 @@ from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine
-from srs_twin.viewing.plots.signals import pressure_difference, wheel_centres, wheel_turns
+from srs_twin.viewing.plots.signals import (
+    pressure_difference,
+    wheel_centres,
+    wheel_turns,
+)
 from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, pressure_colors, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
@@ -46,22 +50,33 @@ class Entities:
         """Log static components; a static component overrides the same component sent by `send`."""
         self.log.log(f"{self.root}{name}", shape, static=True)
 
-    def send(self, name: str, columns: rr.ComponentColumnList, count: int | np.ndarray = 1) -> None:
+    def send(
+        self, name: str, columns: rr.ComponentColumnList, count: int | np.ndarray = 1
+    ) -> None:
         """Send columns with `count` values per sample."""
         rows = columns.partition(np.broadcast_to(count, len(self.time)))
-        self.log.send_columns(f"{self.root}{name}", [rr.TimeColumn(TIMELINE, duration=self.time)], rows)
+        self.log.send_columns(
+            f"{self.root}{name}", [rr.TimeColumn(TIMELINE, duration=self.time)], rows
+        )
 
-    def line(self, name: str, values: np.ndarray, style: Style, *, steps: bool = False) -> None:
+    def line(
+        self, name: str, values: np.ndarray, style: Style, *, steps: bool = False
+    ) -> None:
         """Send a signal; with `steps`, only the samples at which it changes and the last one."""
         entities = self
         if steps:
-            changes = np.append(np.flatnonzero(np.append(True, values[1:] != values[:-1])), len(values) - 1)
+            changes = np.append(
+                np.flatnonzero(np.append(True, values[1:] != values[:-1])),
+                len(values) - 1,
+            )
             # The value of a sample has been valid since the previous sample.
             begins = np.append(np.maximum(changes[:-1] - 1, 0), changes[-1])
             entities, values = replace(self, time=self.time[begins]), values[changes]
         mode = rr.components.InterpolationMode.StepAfter if steps else None
         colors, names, widths = [style.rgb], [style.label], [style.width]
-        line = rr.SeriesLines(colors=colors, names=names, widths=widths, interpolation_mode=mode)
+        line = rr.SeriesLines(
+            colors=colors, names=names, widths=widths, interpolation_mode=mode
+        )
         entities.static(name, line)
         entities.send(name, rr.Scalars.columns(scalars=np.asarray(values, dtype=float)))
 
@@ -97,15 +112,23 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
         if item.is_box:
             size = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
         centres = _at_height(np.stack([x, y], axis=-1), half)
-        _send_solids(to, f"object_{k}", shape, centres, rotation, colors=[rgb(OBJECT_COLOR)], **size)
+        _send_solids(
+            to,
+            f"object_{k}",
+            shape,
+            centres,
+            rotation,
+            colors=[rgb(OBJECT_COLOR)],
+            **size,
+        )
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     """Log the contact forces of obstacles on a snake as arrows, entity `contact`; nothing without contacts.
 
-    An arrow starts at the centre of a connector and is the force on the connector and the adjacent halves of
-    its segments. All samples are used, because a contact may be shorter than the sample interval of the
-    shapes.
+    An arrow starts at the centre of a connector and is the force on the connector and
+    the adjacent halves of its segments. All samples are used, because a contact may be
+    shorter than the sample interval of the shapes.
 
     Args:
         to: entities of the snake, with the sample times of the run.
@@ -115,17 +138,23 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     """
     if not run.has("obstacle_force_x"):
         return
-    force = np.stack([run.stack("obstacle_force_x"), run.stack("obstacle_force_y")], axis=-1)
+    force = np.stack(
+        [run.stack("obstacle_force_x"), run.stack("obstacle_force_y")], axis=-1
+    )
     touched = np.hypot(force[..., 0], force[..., 1]) > TOUCH_N
     in_contact = np.any(touched, axis=1)
     if not in_contact.any():
         return
-    # The viewer shows a row until the next one; the first sample after a contact removes the arrows.
+    # The viewer shows a row until the next one; the first sample after a contact
+    # removes the arrows.
     ended = np.append(False, in_contact[:-1]) & ~in_contact
     rows = np.flatnonzero(in_contact | ended)
     origins = _at_height(run.position[rows][touched[rows]], height)
     vectors = _at_height(METRES_PER_NEWTON * force[rows][touched[rows]], 0.0)
-    to.static("contact", rr.Arrows3D.from_fields(colors=[rgb(FORCE_COLOR)], radii=[_FORCE_RADIUS_M]))
+    to.static(
+        "contact",
+        rr.Arrows3D.from_fields(colors=[rgb(FORCE_COLOR)], radii=[_FORCE_RADIUS_M]),
+    )
     arrows = rr.Arrows3D.columns(origins=origins, vectors=vectors)
     replace(to, time=run.time[rows]).send("contact", arrows, touched[rows].sum(axis=1))
 
@@ -145,7 +174,9 @@ _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
 
 
-def send_snake(to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *, ghost: bool) -> None:
+def send_snake(
+    to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *, ghost: bool
+) -> None:
     """Log a snake: a ghost is translucent in the colour of its plant; otherwise, colours show pressures."""
     geometry, wheeled = spec.geometry, spec.skin is None
     ghost_color = (*style.rgb, _GHOST_ALPHA)
@@ -153,9 +184,14 @@ def send_snake(to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *
         _send_hull(to, snake, geometry, ghost_color)
     else:
         _send_tubes(to, snake, geometry)
-    connectors, wheels = (ghost_color, ghost_color) if ghost else (_CONNECTOR_COLOR, _WHEEL_COLOR)
+    connectors, wheels = (
+        (ghost_color, ghost_color) if ghost else (_CONNECTOR_COLOR, _WHEEL_COLOR)
+    )
     _send_connectors(
-        to, snake, geometry, [(*style.rgb, connectors[3])] + [connectors] * (geometry.connectors - 1)
+        to,
+        snake,
+        geometry,
+        [(*style.rgb, connectors[3])] + [connectors] * (geometry.connectors - 1),
     )
     if wheeled:
         _send_wheels(to, snake, geometry, wheels)
@@ -170,33 +206,47 @@ def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
     """Log the places where connectors press on the floor during the whole run."""
     places = snake.position[snake.stack("load") > 0.0]
     points = _at_height(places[:: -(-len(places) // _MAX_TRACKS) or 1], _LINE_HEIGHT_M)
-    to.static("tracks", rr.Points3D(points, colors=[style.rgb], radii=[_FORCE_RADIUS_M]))
+    to.static(
+        "tracks", rr.Points3D(points, colors=[style.rgb], radii=[_FORCE_RADIUS_M])
+    )
 
 
 def _heights(snake: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the heights of the drawn connectors, shape (samples, N), m."""
     raised = line_height(geometry) - geometry.com_height
     return (
-        snake.stack("z") + raised if snake.has("z") else np.full_like(snake.stack("x"), line_height(geometry))
+        snake.stack("z") + raised
+        if snake.has("z")
+        else np.full_like(snake.stack("x"), line_height(geometry))
     )
 
 
 def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the centre line of every segment, front first, shape (samples, segments, points, 3), m.
 
-    Segments of a spatial snake are cubic curves between the connectors, along the axes of both.
+    Segments of a spatial snake are cubic curves between the connectors, along the axes
+    of both.
     """
     if not snake.has("z"):
         flat = centre_lines(snake, geometry, CHORDS)
-        return np.concatenate([flat, np.full_like(flat[..., :1], line_height(geometry))], axis=-1)
-    place = np.concatenate([snake.position, _heights(snake, geometry)[..., None]], axis=-1)
+        return np.concatenate(
+            [flat, np.full_like(flat[..., :1], line_height(geometry))], axis=-1
+        )
+    place = np.concatenate(
+        [snake.position, _heights(snake, geometry)[..., None]], axis=-1
+    )
     x, y, z, w = np.moveaxis(_orientations(snake), -1, 0)
-    axis = np.stack([1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
+    axis = np.stack(
+        [1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1
+    )
     t = np.linspace(0.0, 1.0, CHORDS + 3)[:, None]
     front, rear = place[:, :-1, None], place[:, 1:, None]
     tangents = -geometry.pitch * axis
     blend = t**2 * (3 - 2 * t)
-    curve = t * (1 - t) ** 2 * tangents[:, :-1, None] + t**2 * (t - 1) * tangents[:, 1:, None]
+    curve = (
+        t * (1 - t) ** 2 * tangents[:, :-1, None]
+        + t**2 * (t - 1) * tangents[:, 1:, None]
+    )
     line: np.ndarray = front + blend * (rear - front) + curve
     return line
 
@@ -217,9 +267,12 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     for j in range(geometry.segments):
         name, line = f"body/segment_{j + 1}", lines[:, j]
         step = np.diff(line, axis=1)
-        # The chord lengths change by only 0.3 % up to a bend of 90°, so they are static.
+        # The chord lengths change by only 0.3 % up to a bend of 90°, so they are
+        # static.
         lengths = np.linalg.norm(step[0], axis=-1)
-        tube = rr.Capsules3D.from_fields(lengths=lengths, radii=[geometry.width / 2], fill_mode="solid")
+        tube = rr.Capsules3D.from_fields(
+            lengths=lengths, radii=[geometry.width / 2], fill_mode="solid"
+        )
         to.static(name, tube)
         poses = rr.Capsules3D.columns(
             translations=line[:, :-1].reshape(-1, 3).astype(np.float32),
@@ -229,10 +282,13 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
         to.send(name, rr.Capsules3D.columns(colors=_packed(colors[:, j])))
 
 
-def _send_hull(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
+def _send_hull(
+    to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
+) -> None:
     """Log the body as one hexagonal tube; overlapping capsules would not look translucent."""
     lines = _lines(snake, geometry)
-    # Segments share their ends, and without a rigid gap the ends of an arc coincide with the connectors.
+    # Segments share their ends, and without a rigid gap the ends of an arc coincide
+    # with the connectors.
     unique = slice(0, -1) if geometry.rigid_gap or snake.has("z") else slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 3)
     line = np.concatenate([inner, lines[:, -1, -1:]], axis=1)
@@ -246,9 +302,15 @@ def _send_hull(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba)
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
     vertices = (line[:, :, None] + radius * around).astype(np.float32)
     triangles = _tube_triangles(line.shape[1])
-    hull = rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=color, face_rendering="front")
+    hull = rr.Mesh3D.from_fields(
+        triangle_indices=triangles, albedo_factor=color, face_rendering="front"
+    )
     to.static("body", hull)
-    to.send("body", rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)), 6 * line.shape[1])
+    to.send(
+        "body",
+        rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3)),
+        6 * line.shape[1],
+    )
 
 
 def _tube_triangles(rings: int) -> np.ndarray:
@@ -259,20 +321,53 @@ def _tube_triangles(rings: int) -> np.ndarray:
     return quads.reshape(-1, 3)
 
 
-def _send_connectors(to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]) -> None:
-    track, radius, width = geometry.half_track, geometry.wheel_radius, 0.35 * geometry.width
-    half = [max(geometry.rigid_gap / 4, 0.1 * track), max(track - 0.2 * radius, width), width]
-    centres = np.concatenate([snake.position, _heights(snake, geometry)[..., None]], axis=-1)
+def _send_connectors(
+    to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]
+) -> None:
+    track, radius, width = (
+        geometry.half_track,
+        geometry.wheel_radius,
+        0.35 * geometry.width,
+    )
+    half = [
+        max(geometry.rigid_gap / 4, 0.1 * track),
+        max(track - 0.2 * radius, width),
+        width,
+    ]
+    centres = np.concatenate(
+        [snake.position, _heights(snake, geometry)[..., None]], axis=-1
+    )
     centres = centres.reshape(-1, 3).astype(np.float32)
     rotation = _orientations(snake)
-    _send_solids(to, "connectors", rr.Boxes3D, centres, rotation, half_sizes=[half], colors=colors)
+    _send_solids(
+        to,
+        "connectors",
+        rr.Boxes3D,
+        centres,
+        rotation,
+        half_sizes=[half],
+        colors=colors,
+    )
 
 
-def _send_wheels(to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba) -> None:
-    radius, axle = geometry.wheel_radius, np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
+def _send_wheels(
+    to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
+) -> None:
+    radius, axle = (
+        geometry.wheel_radius,
+        np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1),
+    )
     centres = _at_height(wheel_centres(snake, geometry), radius)
     size: dict[str, object] = {"lengths": [0.4 * radius], "radii": [radius]}
-    _send_solids(to, "wheels", rr.Cylinders3D, centres, _yaw_quaternions(axle), colors=[color], **size)
+    _send_solids(
+        to,
+        "wheels",
+        rr.Cylinders3D,
+        centres,
+        _yaw_quaternions(axle),
+        colors=[color],
+        **size,
+    )
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
@@ -281,13 +376,29 @@ def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
     yaw, turn = snake.stack("theta")[:, :, None] / 2, wheel_turns(snake, geometry) / 2
     c, s = np.cos(yaw), np.sin(yaw)
-    rotation = np.stack([-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)], axis=-1)
+    rotation = np.stack(
+        [-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)],
+        axis=-1,
+    )
     centres = _at_height(wheel_centres(snake, geometry), radius)
-    _send_solids(to, "spokes", rr.Boxes3D, centres, rotation, half_sizes=[half], colors=[_SPOKE_COLOR])
+    _send_solids(
+        to,
+        "spokes",
+        rr.Boxes3D,
+        centres,
+        rotation,
+        half_sizes=[half],
+        colors=[_SPOKE_COLOR],
+    )
 
 
 def _send_solids(
-    to: Entities, name: str, shape: Any, centres: np.ndarray, rotations: np.ndarray, **appearance: Any
+    to: Entities,
+    name: str,
+    shape: Any,
+    centres: np.ndarray,
+    rotations: np.ndarray,
+    **appearance: Any,
 ) -> None:
     """Log solids, equally many per sample.
 
@@ -300,13 +411,17 @@ def _send_solids(
         appearance: static components.
     """
     to.static(name, shape.from_fields(fill_mode="solid", **appearance))
-    poses = shape.columns(centers=centres, quaternions=rotations.reshape(-1, 4).astype(np.float32))
+    poses = shape.columns(
+        centers=centres, quaternions=rotations.reshape(-1, 4).astype(np.float32)
+    )
     to.send(name, poses, len(centres) // len(to.time))
 
 
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
     """Log the centre of mass and its trail, one line per sample; the view shows those up to the cursor."""
-    ends = np.stack([np.concatenate([snake.com[:1], snake.com[:-1]]), snake.com], axis=1)
+    ends = np.stack(
+        [np.concatenate([snake.com[:1], snake.com[:-1]]), snake.com], axis=1
+    )
     strips = _at_height(ends, 0.002).reshape(-1, 2, 3)
     to.static("trail", rr.LineStrips3D.from_fields(colors=[style.rgb], radii=[0.002]))
     to.send("trail", rr.LineStrips3D.columns(strips=strips))
@@ -323,7 +438,10 @@ def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
     """Log lines on the floor."""
     for line in lines:
         strips = [_at_height(strip, _LINE_HEIGHT_M) for strip in line.strips]
-        to.static(line.name, rr.LineStrips3D(strips, colors=[rgb(line.color)], radii=[line.radius]))
+        to.static(
+            line.name,
+            rr.LineStrips3D(strips, colors=[rgb(line.color)], radii=[line.radius]),
+        )
 
 
 def _at_height(points: np.ndarray, height: float) -> np.ndarray:
@@ -335,7 +453,9 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 def _along(steps: np.ndarray) -> np.ndarray:
     """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to the steps (…, 3)."""
     # Without a rigid gap the first and the last step of a segment have no length.
-    x, y, z = np.moveaxis(steps / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12), -1, 0)
+    x, y, z = np.moveaxis(
+        steps / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12), -1, 0
+    )
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
     turn /= np.maximum(np.linalg.norm(turn, axis=-1, keepdims=True), 1e-9)
     return turn.reshape(-1, 4).astype(np.float32)

@@ -1,10 +1,12 @@
 """The Rerun viewer as a child process and in a browser, and the verification of recordings.
 
-The viewer accepts connections from this machine only. It ends when the `with` block that started it ends.
+The viewer accepts connections from this machine only. It ends when the `with` block
+that started it ends.
 
-Rerun serves its viewer and the recording, but its page loads fonts from the internet, which delays it offline
-and discloses its use online. A proxy server therefore removes these links and adds a Content-Security-Policy
-that makes the browser block all requests to other hosts.
+Rerun serves its viewer and the recording, but its page loads fonts from the internet,
+which delays it offline and discloses its use online. A proxy server therefore removes
+these links and adds a Content-Security-Policy that makes the browser block all requests
+to other hosts.
 """
 
 from __future__ import annotations
@@ -36,9 +38,14 @@ def rerun_executable() -> Path:
     Raises:
         InputError: the program is missing.
     """
-    program = Path(sys.executable).parent / ("rerun.exe" if os.name == "nt" else "rerun")
+    program = Path(sys.executable).parent / (
+        "rerun.exe" if os.name == "nt" else "rerun"
+    )
     if not program.is_file():
-        raise InputError(f"{program} is missing; install it with: pip install 'rerun-sdk>=0.41,<0.42'")
+        raise InputError(
+            f"{program} is missing; install it with: pip install"
+            " 'rerun-sdk>=0.41,<0.42'"
+        )
     return program
 
 
@@ -58,15 +65,19 @@ def open_recording(path: str | Path) -> None:
     program = rerun_executable()
     if lacks_display():
         raise InputError(
-            "no display found for the viewer (neither DISPLAY nor WAYLAND_DISPLAY is set); "
-            f"open {recording.parent / 'report.html'} in a browser, serve the recording with "
-            f"`srs-twin view {recording} --web`, or copy {recording} to a machine with a "
-            f"screen and run 'rerun {recording.name}' there"
+            "no display found for the viewer (neither DISPLAY nor WAYLAND_DISPLAY is"
+            f" set); open {recording.parent / 'report.html'} in a browser, serve the"
+            f" recording with `srs-twin view {recording} --web`, or copy {recording} to"
+            f" a machine with a screen and run 'rerun {recording.name}' there"
         )
     # The default address would accept connections from the network.
-    exit_code = subprocess.run([program, "--bind", "127.0.0.1", recording], check=False).returncode
+    exit_code = subprocess.run(
+        [program, "--bind", "127.0.0.1", recording], check=False
+    ).returncode
     if exit_code > 0:
-        raise InputError(f"the viewer ended with exit code {exit_code}; see its message above")
+        raise InputError(
+            f"the viewer ended with exit code {exit_code}; see its message above"
+        )
 
 
 def verify_recording(path: str | Path) -> None:
@@ -82,14 +93,17 @@ def verify_recording(path: str | Path) -> None:
     if "1 file verified" not in done.stdout + done.stderr:
         lines = (done.stderr or done.stdout).strip().splitlines()
         raise InputError(
-            f"{path}: incomplete or damaged recording ({lines[-1] if lines else 'no output of rerun'})"
+            f"{path}: incomplete or damaged recording"
+            f" ({lines[-1] if lines else 'no output of rerun'})"
         )
 
 
 def _recording(path: str | Path) -> Path:
     recording = Path(path)
     if not recording.is_file():
-        raise InputError(f"{path}: no such recording; `srs-twin run SCENARIO` writes one")
+        raise InputError(
+            f"{path}: no such recording; `srs-twin run SCENARIO` writes one"
+        )
     return recording
 
 
@@ -116,9 +130,14 @@ def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
     """
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
-        # `rerun` is a script that starts the actual program; a process group allows stopping both.
+        # `rerun` is a script that starts the actual program; a process group allows
+        # stopping both.
         rerun = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
         )
         try:
             yield rerun, output
@@ -153,7 +172,8 @@ def _stop(rerun: Rerun) -> None:
 
 _START_TIMEOUT_S = 30.0
 _FETCH_TIMEOUT_S = 30.0
-# The viewer is WebAssembly, is started by an inline script, and connects to the port of the recording.
+# The viewer is WebAssembly, is started by an inline script, and connects to the port of
+# the recording.
 _POLICY = "; ".join(
     (
         "default-src 'self'",
@@ -178,7 +198,8 @@ def serve_recordings(
     Args:
         recordings: recordings of `write_recording`.
         port: port of the page; 0: a free port.
-        data_port: port to which a running program may stream data; default: a free port.
+        data_port: port to which a running program may stream data; default: a free
+            port.
 
     Raises:
         InputError: the port is in use, or Rerun does not start.
@@ -188,12 +209,21 @@ def serve_recordings(
     recording = quote(f"rerun+http://{HOST}:{data_port}/proxy", safe="")
     upstream = f"http://{HOST}:{viewer_port}"
     try:
-        server = ThreadingHTTPServer((HOST, port), partial(_ProxyHandler, upstream, f"url={recording}"))
+        server = ThreadingHTTPServer(
+            (HOST, port), partial(_ProxyHandler, upstream, f"url={recording}")
+        )
     except (OSError, OverflowError) as error:
-        raise InputError(f"cannot use port {port} ({error}); omit --port to use a free one") from error
-    with server, running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, output):
+        raise InputError(
+            f"cannot use port {port} ({error}); omit --port to use a free one"
+        ) from error
+    with (
+        server,
+        running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, output),
+    ):
         if not is_served(rerun, [f"{upstream}/"], _START_TIMEOUT_S):
-            raise InputError(f"Rerun does not serve its viewer: {output_lines(output)[-1]}")
+            raise InputError(
+                f"Rerun does not serve its viewer: {output_lines(output)[-1]}"
+            )
         yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
 
@@ -220,7 +250,9 @@ class _ProxyHandler(BaseHTTPRequestHandler):
             self.end_headers()
             return
         try:
-            with _opener().open(self.source + quote(url.path), timeout=_FETCH_TIMEOUT_S) as response:
+            with _opener().open(
+                self.source + quote(url.path), timeout=_FETCH_TIMEOUT_S
+            ) as response:
                 kind, content = response.headers.get_content_type(), response.read()
         except (urllib.error.URLError, OSError) as error:
             self.send_error(getattr(error, "code", 502))
@@ -244,13 +276,17 @@ def _opener() -> urllib.request.OpenerDirector:
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def is_served(server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float) -> bool:
+def is_served(
+    server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
+) -> bool:
     """Wait until a server answers requests to all addresses; return False if it ends or the time runs out."""
     deadline = time.monotonic() + timeout_s
     while server.poll() is None and time.monotonic() < deadline:
         try:
             for address in addresses:
-                _opener().open(urllib.request.Request(address, method="HEAD"), timeout=2.0).close()
+                _opener().open(
+                    urllib.request.Request(address, method="HEAD"), timeout=2.0
+                ).close()
             return True
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)

@@ -38,11 +38,17 @@ SPEED = "{metric: com_speed_m_s, goal: maximize}"
 COST = "{metric: cost_of_transport, goal: minimize}"
 
 
-def study(tmp_path, *, objectives=SPEED, constraints="", twin=24, compliant=150, seed=0):
+def study(
+    tmp_path, *, objectives=SPEED, constraints="", twin=24, compliant=150, seed=0
+):
     path = tmp_path / "question.yaml"
     path.write_text(
         STUDY.format(
-            objectives=objectives, constraints=constraints, twin=twin, compliant=compliant, seed=seed
+            objectives=objectives,
+            constraints=constraints,
+            twin=twin,
+            compliant=compliant,
+            seed=seed,
         ),
         "utf-8",
     )
@@ -52,7 +58,10 @@ def study(tmp_path, *, objectives=SPEED, constraints="", twin=24, compliant=150,
 def speed(f, p, part):
     """Return a Gaussian peak; that of the low-fidelity model is shifted, lower and tilted."""
     if part == "compliant":
-        return 0.3 * math.exp(-(((f - 1.7) / 0.7) ** 2) - ((p - 1.3) / 0.5) ** 2) + 0.01 * f
+        return (
+            0.3 * math.exp(-(((f - 1.7) / 0.7) ** 2) - ((p - 1.3) / 0.5) ** 2)
+            + 0.01 * f
+        )
     return 0.4 * math.exp(-(((f - 2.0) / 0.6) ** 2) - ((p - 1.45) / 0.4) ** 2)
 
 
@@ -75,10 +84,13 @@ class Engine:
             self._left -= 1
             self.keys.append(point.key)
             f, p = (
-                point.changes.get(f"controller.{name}", 1.0) for name in ("frequency_hz", "phase_step_rad")
+                point.changes.get(f"controller.{name}", 1.0)
+                for name in ("frequency_hz", "phase_step_rad")
             )
             if f > 2.9:
-                yield TaskResult(number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None)
+                yield TaskResult(
+                    number, Row(point.key, FAILED, {}, 0.0, "diverged", 3), None
+                )
                 continue
             values = {
                 f"{plant}.com_speed_m_s": self._speed(f, p, part),
@@ -96,14 +108,18 @@ def run_search(question, folder, engine=None):
 def test_the_function_gives_the_result_of_the_search(tmp_path):
     question, folder = study(tmp_path, twin=8, compliant=40), tmp_path / "out"
     seen, engine = [], Engine()
-    found = srs.optimize(question, engine=engine, progress=lambda *each: seen.append(each))
+    found = srs.optimize(
+        question, engine=engine, progress=lambda *each: seen.append(each)
+    )
     with StudyRuns(question, folder, Engine()) as runs:
         expected = StudyResult.evaluate(question, search(question, runs), runs)
     assert found.document() == expected.document()
     assert seen[0] == ("question", 8 + 40 + 1 + 3 * 2, None)
     assert [row.key for _, _, row in seen[1:]] == engine.keys and not found.files
     assert {part for part, _, _ in seen[1:]} == {"compliant", "twin"}
-    assert not [path for path in tmp_path.iterdir() if path.name not in ("question.yaml", "out")]
+    assert not [
+        path for path in tmp_path.iterdir() if path.name not in ("question.yaml", "out")
+    ]
 
 
 def test_an_interrupted_function_keeps_its_runs(tmp_path):
@@ -130,16 +146,26 @@ def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
     _print_result(result)
     printed = capsys.readouterr().out
     numbers = {
-        label: [float(cell) for cell in re.search(rf"{re.escape(label)} +(.*)", printed)[1].split()]
+        label: [
+            float(cell)
+            for cell in re.search(rf"{re.escape(label)} +(.*)", printed)[1].split()
+        ]
         for label in (
-            "gait frequency (Hz)", "controller phase step (rad)", "CoM speed (m/s)", "cost of transport"
+            "gait frequency (Hz)",
+            "controller phase step (rad)",
+            "CoM speed (m/s)",
+            "cost of transport",
         )
-    }  # fmt: skip
+    }
     frequencies, phase_steps, (begun, *speeds), (first_cost, *costs) = numbers.values()
-    assert [begun, first_cost] == pytest.approx([speed(1.0, 1.0, "twin"), cost(1.0, 1.0, "twin")], rel=1e-3)
+    assert [begun, first_cost] == pytest.approx(
+        [speed(1.0, 1.0, "twin"), cost(1.0, 1.0, "twin")], rel=1e-3
+    )
     assert len(frequencies) == min(5, len(result.document()["best"]))
     for f, p, v, c in zip(frequencies, phase_steps, speeds, costs, strict=True):
-        assert [v, c] == pytest.approx([speed(f, p, "twin"), cost(f, p, "twin")], rel=0.01)
+        assert [v, c] == pytest.approx(
+            [speed(f, p, "twin"), cost(f, p, "twin")], rel=0.01
+        )
     for name, values, before in (
         ("CoM speed (m/s)", speeds, begun),
         ("cost of transport", costs, first_cost),
@@ -148,11 +174,18 @@ def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
         assert gain == pytest.approx(100 * (values[0] / before - 1), rel=2e-3)
     counts = re.search(r"(\d+) runs of compliant, (\d+) runs of twin", printed).groups()
     ran = [run.part for run in found.runs]
-    assert [int(count) for count in counts] == [ran.count("compliant"), ran.count("twin")]
+    assert [int(count) for count in counts] == [
+        ran.count("compliant"),
+        ran.count("twin"),
+    ]
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))])
-def test_few_runs_of_the_twin_find_an_optimum_that_the_cheap_model_misses(tmp_path, seed):
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))]
+)
+def test_few_runs_of_the_twin_find_an_optimum_that_the_cheap_model_misses(
+    tmp_path, seed
+):
     question = study(tmp_path, seed=seed)
     result = run_search(question, tmp_path / "out")
     best, *others = result.best
@@ -160,7 +193,8 @@ def test_few_runs_of_the_twin_find_an_optimum_that_the_cheap_model_misses(tmp_pa
     assert best.metric("com_speed_m_s") > 0.98 * 0.4
     assert all(math.dist(best.shares, run.shares) > 0.1 for run in others)
     cheap = max(
-        (run for run in result.runs if run.part == "compliant"), key=lambda run: run.metric("com_speed_m_s")
+        (run for run in result.runs if run.part == "compliant"),
+        key=lambda run: run.metric("com_speed_m_s"),
     )
     assert speed(*question.space.values(cheap.shares), "twin") < 0.9 * 0.4
 
@@ -200,13 +234,18 @@ def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
     row = {"bound": "high", "value": 2.8, "source": "highest frequency measured"}
     assert best["on_bound"] == {"controller.frequency_hz": row}
     first, *_, last = bound_lines(answer)
-    assert "best/1" in first and "is on its high bound 2.8 (highest frequency measured)" in first
+    assert (
+        "best/1" in first
+        and "is on its high bound 2.8 (highest frequency measured)" in first
+    )
     assert "beyond such a bound" in last
     write_result(answer, tmp_path / "written")
     assert "2.8†" in (tmp_path / "written/report.html").read_text("utf-8")
 
 
-@pytest.mark.parametrize(("share", "bound"), [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")])
+@pytest.mark.parametrize(
+    ("share", "bound"), [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")]
+)
 @pytest.mark.parametrize("scale", ["linear", "log"])
 def test_a_design_within_one_per_cent_of_the_range_is_on_the_bound(share, bound, scale):
     space = DesignSpace({"a": VariableFile(low=1, high=100, scale=scale)}, {})
@@ -221,8 +260,14 @@ def test_shares_map_to_both_bounds_and_back(scale, whole):
         for name, low, high in (("a", 1, 7), ("b", 3, 4000), ("c", 20, 21))
     }
     space = DesignSpace(ranges, {})
-    assert space.values(np.zeros(3)) == (1, 3, 20) and space.values(np.ones(3)) == (7, 4000, 21)
-    assert space.values(np.full(3, -0.1)) == (1, 3, 20) and space.values(np.full(3, 1.1)) == (7, 4000, 21)
+    assert space.values(np.zeros(3)) == (1, 3, 20) and space.values(np.ones(3)) == (
+        7,
+        4000,
+        21,
+    )
+    assert space.values(np.full(3, -0.1)) == (1, 3, 20) and space.values(
+        np.full(3, 1.1)
+    ) == (7, 4000, 21)
     for share in np.linspace(0, 1, 11):
         values = space.values(np.full(3, share))
         back = space.values(space.shares(values))
@@ -230,25 +275,33 @@ def test_shares_map_to_both_bounds_and_back(scale, whole):
         if not whole:
             assert space.shares(values) == pytest.approx(share, abs=1e-4)
     middle = space.values(np.full(3, 0.5))
-    assert middle[0] == pytest.approx({"linear": 4, "log": math.sqrt(7)}[scale], abs=0.5 if whole else 1e-5)
+    assert middle[0] == pytest.approx(
+        {"linear": 4, "log": math.sqrt(7)}[scale], abs=0.5 if whole else 1e-5
+    )
 
 
 @pytest.mark.slow
 def test_constraints_are_met(tmp_path):
     """The fastest gait with a cost of 0.4 has f = √2."""
-    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=30)
+    question = study(
+        tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=30
+    )
     best, *_ = run_search(question, tmp_path / "out").best
     assert best.metric("cost_of_transport") <= 0.4
     assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
 
 
-def test_an_optimum_that_violates_a_constraint_of_the_low_fidelity_model_is_found(tmp_path):
+def test_an_optimum_that_violates_a_constraint_of_the_low_fidelity_model_is_found(
+    tmp_path,
+):
     """The twin allows f = √2, at which the cost of the low-fidelity model is 0.56."""
 
     def dear(f, p, part):
         return 0.2 + (0.1 if part == "twin" else 0.18) * f**2
 
-    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=24)
+    question = study(
+        tmp_path, constraints="{metric: cost_of_transport, below: 0.4}", twin=24
+    )
     result = run_search(question, tmp_path / "out", Engine(cost=dear))
     best, *_ = result.best
     assert best.metric("cost_of_transport") <= 0.4
@@ -267,11 +320,17 @@ def test_expected_improvement_is_the_mean_of_the_feasible_gains(tmp_path):
     question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
     with StudyRuns(question, tmp_path / "out", Engine()) as runs:
         state = _Search(question, runs)
-        mean, sd, known = np.array([[-0.30, -0.02]]), np.array([[0.05, 0.03]]), np.array([[-0.31, -0.1]])
+        mean, sd, known = (
+            np.array([[-0.30, -0.02]]),
+            np.array([[0.05, 0.03]]),
+            np.array([[-0.31, -0.1]]),
+        )
         found = state._improvement(mean, sd, known, 0)[0]
     draws = mean + sd * np.random.default_rng(1).normal(size=(400_000, 2))
     gains = np.maximum(-0.31 - draws[:, 0], 0.0) * (draws[:, 1] <= 0)
-    assert found == pytest.approx(gains.mean(), abs=5 * gains.std() / math.sqrt(len(gains)))
+    assert found == pytest.approx(
+        gains.mean(), abs=5 * gains.std() / math.sqrt(len(gains))
+    )
 
 
 def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
@@ -283,18 +342,28 @@ def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
             results[twin] = StudyResult.evaluate(question, search(question, runs), runs)
     early, late = results[6], results[30]
     assert early.improvement > 0.005 > late.improvement
-    reached = [result.designs[0].run.metric("com_speed_m_s") for result in (early, late)]
+    reached = [
+        result.designs[0].run.metric("com_speed_m_s") for result in (early, late)
+    ]
     assert reached[1] > 1.02 * reached[0]
     document = early.document()
     assert document["expected_improvement"] == early.improvement
-    expected = f"expected to improve the best result by {100 * early.improvement:.1f} %; raise budget.twin."
-    assert document["warning"].startswith("The budget ended the search, although one more run")
+    expected = (
+        f"expected to improve the best result by {100 * early.improvement:.1f} %; raise"
+        " budget.twin."
+    )
+    assert document["warning"].startswith(
+        "The budget ended the search, although one more run"
+    )
     assert document["warning"].endswith(expected)
     assert late.document()["warning"] is None
     _print_result(early)
     printed = capsys.readouterr().out
     assert f"warning: {document['warning']}" in printed
-    assert f"expected to improve the best result by {100 * early.improvement:.2g} %\n" in printed
+    assert (
+        f"expected to improve the best result by {100 * early.improvement:.2g} %\n"
+        in printed
+    )
     write_result(early, tmp_path / "written")
     assert document["warning"] in (tmp_path / "written/report.html").read_text("utf-8")
 
@@ -303,15 +372,21 @@ def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
 def test_searches_with_infeasible_constraints_or_exhausted_spaces_end(tmp_path):
     question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.1}")
     best, *_ = run_search(question, tmp_path / "out").best
-    assert best.metric("cost_of_transport") == pytest.approx(cost(0.5, 0, "twin"), rel=0.01)
+    assert best.metric("cost_of_transport") == pytest.approx(
+        cost(0.5, 0, "twin"), rel=0.01
+    )
     few = tmp_path / "few.yaml"
     few.write_text(
-        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 4, whole: true}\n"
-        f"objectives: [{SPEED}]\n",
+        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 4,"
+        f" whole: true}}\nobjectives: [{SPEED}]\n",
         "utf-8",
     )
     result = run_search(load_study(few), tmp_path / "few")
-    assert {load_study(few).space.values(run.shares) for run in result.runs} == {(2,), (3,), (4,)}
+    assert {load_study(few).space.values(run.shares) for run in result.runs} == {
+        (2,),
+        (3,),
+        (4,),
+    }
 
 
 def test_a_study_whose_twin_always_fails_is_refused_with_the_reason(tmp_path):
@@ -321,9 +396,13 @@ def test_a_study_whose_twin_always_fails_is_refused_with_the_reason(tmp_path):
                 yield from super().__call__(experiment, points)
                 return
             for number, point in enumerate(points):
-                yield TaskResult(number, Row(point.key, FAILED, {}, 0.0, "it diverged", 3), None)
+                yield TaskResult(
+                    number, Row(point.key, FAILED, {}, 0.0, "it diverged", 3), None
+                )
 
-    with pytest.raises(InputError, match="no run of the twin has a result: it diverged"):
+    with pytest.raises(
+        InputError, match="no run of the twin has a result: it diverged"
+    ):
         run_search(study(tmp_path), tmp_path / "out", Broken())
 
 
@@ -332,7 +411,9 @@ def test_the_pareto_front_agrees_with_the_formulas(tmp_path):
     """The front has the best phase and all frequencies up to the fastest; 93 % of its area is reached."""
     question = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=40, compliant=300)
     best = run_search(question, tmp_path / "out").best
-    result = np.array([[run.metric("com_speed_m_s"), run.metric("cost_of_transport")] for run in best])
+    result = np.array(
+        [[run.metric("com_speed_m_s"), run.metric("cost_of_transport")] for run in best]
+    )
     assert front(result * [-1, 1]).all()
 
     def area(points):
@@ -343,7 +424,12 @@ def test_the_pareto_front_agrees_with_the_formulas(tmp_path):
         return float(np.sum(np.maximum.accumulate(order[:, 0]) * (least - order[:, 1])))
 
     f = np.linspace(0.5, 2.0, 400)  # higher frequencies are slower and cost more
-    truth = np.array([[speed(frequency, 1.45, "twin"), cost(frequency, 1.45, "twin")] for frequency in f])
+    truth = np.array(
+        [
+            [speed(frequency, 1.45, "twin"), cost(frequency, 1.45, "twin")]
+            for frequency in f
+        ]
+    )
     assert area(result) > 0.93 * area(truth)
 
 
@@ -360,7 +446,9 @@ def test_an_interrupted_search_resumes_with_the_same_result(tmp_path):
     other = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
     assert run_search(other, tmp_path / "out").best  # reuses the runs
     path = tmp_path / "question.yaml"
-    path.write_text(path.read_text("utf-8").replace("gen2_straight", "gen2_turn"), "utf-8")
+    path.write_text(
+        path.read_text("utf-8").replace("gen2_straight", "gen2_turn"), "utf-8"
+    )
     with pytest.raises(InputError, match="of another study"):
         run_search(load_study(path), tmp_path / "out")
 
@@ -368,8 +456,8 @@ def test_an_interrupted_search_resumes_with_the_same_result(tmp_path):
 def test_the_number_of_segments_keeps_total_length_and_mass(tmp_path):
     path = tmp_path / "body.yaml"
     path.write_text(
-        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 8, whole: true, "
-        f"hold: [total_length, total_mass]}}\nobjectives: [{SPEED}]\n",
+        "scenario: gen2_straight\nvariables:\n  robot.segments: {low: 2, high: 8,"
+        f" whole: true, hold: [total_length, total_mass]}}\nobjectives: [{SPEED}]\n",
         "utf-8",
     )
     question = load_study(path)
@@ -405,8 +493,19 @@ def test_invalid_studies_are_refused_with_their_location(tmp_path, old, new, mes
 
 def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
     path = tmp_path / "question.yaml"
-    path.write_text(STUDY.format(objectives=SPEED, constraints="", twin=6, compliant=24, seed=3), "utf-8")
-    options = ("optimize", "question.yaml", "--set", "duration_s=2", "--out", "found", "--json")
+    path.write_text(
+        STUDY.format(objectives=SPEED, constraints="", twin=6, compliant=24, seed=3),
+        "utf-8",
+    )
+    options = (
+        "optimize",
+        "question.yaml",
+        "--set",
+        "duration_s=2",
+        "--out",
+        "found",
+        "--json",
+    )
     done = srs_twin(*options, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     printed = json.loads(done.stdout)
@@ -414,8 +513,15 @@ def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
     assert best["plant"] == "twin" and printed["evaluations"]["twin"] == 6
     table = pq.read_table(tmp_path / "found/evaluations.parquet")
     twin = [row for row in table.to_pylist() if row["part"] == "twin"]
-    assert best["metrics"]["com_speed_m_s"] == max(row["com_speed_m_s"] or 0.0 for row in twin)
-    assert srs_twin("run", "found/best/1.yaml", "--out", "again", "--quiet", cwd=tmp_path).returncode == 0
+    assert best["metrics"]["com_speed_m_s"] == max(
+        row["com_speed_m_s"] or 0.0 for row in twin
+    )
+    assert (
+        srs_twin(
+            "run", "found/best/1.yaml", "--out", "again", "--quiet", cwd=tmp_path
+        ).returncode
+        == 0
+    )
     again = json.loads((tmp_path / "again/metrics.json").read_text("utf-8"))
     assert again["plants"]["twin"]["com_speed_m_s"] == pytest.approx(
         best["metrics"]["com_speed_m_s"], rel=1e-9
@@ -431,12 +537,18 @@ def test_shipped_studies_load_and_their_designs_are_scenarios(name):
         robot = parse_scenario(question.experiments["twin"].document(design)).robot
         assert robot.segments >= 2
         # The compliant model is planar.
-        assert set(question.experiments) == ({"twin"} if robot.is_spatial else {"compliant", "twin"})
+        assert set(question.experiments) == (
+            {"twin"} if robot.is_spatial else {"compliant", "twin"}
+        )
     assert all(variable.bounds_source for variable in question.file.variables.values())
 
 
-def test_without_cma_the_command_names_the_extra_before_any_run(srs_twin, tmp_path, monkeypatch):
+def test_without_cma_the_command_names_the_extra_before_any_run(
+    srs_twin, tmp_path, monkeypatch
+):
     monkeypatch.setitem(sys.modules, "cma", None)
-    done = srs_twin("optimize", "gen2_speed", "--workers", "1", "--out", "out", cwd=tmp_path)
+    done = srs_twin(
+        "optimize", "gen2_speed", "--workers", "1", "--out", "out", cwd=tmp_path
+    )
     assert done.returncode == 2 and "pip install 'srs-twin[optimize]'" in done.stderr
     assert not (tmp_path / "out").exists()

@@ -30,7 +30,11 @@ def here(experiment, points):
 def diverges(experiment, points):
     """Fail every second point."""
     for done in here(experiment, points):
-        yield TaskResult(done.number, None, DivergedError("twin", 1.0, "boom")) if done.number % 2 else done
+        yield (
+            TaskResult(done.number, None, DivergedError("twin", 1.0, "boom"))
+            if done.number % 2
+            else done
+        )
 
 
 def execute(sweep, folder, engine=here, *, points=None, changed=False, **options):
@@ -43,7 +47,12 @@ def execute(sweep, folder, engine=here, *, points=None, changed=False, **options
 
 def table_of(columns):
     """Return the results with some columns, such as arrays."""
-    return SweepTable({name: np.asarray(column, dtype=object).tolist() for name, column in columns.items()})
+    return SweepTable(
+        {
+            name: np.asarray(column, dtype=object).tolist()
+            for name, column in columns.items()
+        }
+    )
 
 
 def write(folder, text=SMALL, name="small.yaml"):

@@ -17,7 +17,8 @@ from srs_twin.studies.sweep.table import published_table
 
 P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
 GIVEN = (
-    "beside: {source: Table 10, at: {supply.pressure_kpa: [41, 55]}, metrics: {com_speed_m_s: [0.2, null]}}\n"
+    "beside: {source: Table 10, at: {supply.pressure_kpa: [41, 55]}, metrics:"
+    " {com_speed_m_s: [0.2, null]}}\n"
 )
 LINE = "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s}]\n"
 TABLE = {
@@ -40,19 +41,25 @@ def published(source, at, metrics):
 
 
 def claims():
-    result = yaml.safe_load((ROOT / "calibration/published/claims.yaml").read_text("utf-8"))
+    result = yaml.safe_load(
+        (ROOT / "calibration/published/claims.yaml").read_text("utf-8")
+    )
     return {claim["id"]: claim for claim in result}
 
 
 def test_published_values_are_read_with_their_settings(tmp_path):
     sweep = load_sweep(write(tmp_path, SMALL + GIVEN))
-    assert sweep.beside.settings == [{P: 41}, {P: 55}] and sweep.beside.metrics == {SPEED: [0.2, None]}
+    assert sweep.beside.settings == [{P: 41}, {P: 55}] and sweep.beside.metrics == {
+        SPEED: [0.2, None]
+    }
     assert sweep.warnings == ()
     assert load_sweep(write(tmp_path)).beside is None
 
 
 def test_settings_without_a_run_give_a_warning(tmp_path):
-    sweep = load_sweep(write(tmp_path, SMALL + GIVEN.replace("[41, 55]", "[41.0000000000001, 54]")))
+    sweep = load_sweep(
+        write(tmp_path, SMALL + GIVEN.replace("[41, 55]", "[41.0000000000001, 54]"))
+    )
     assert sweep.warnings == ("beside: no run has supply.pressure_kpa 54",)
 
 
@@ -68,19 +75,34 @@ def test_published_values_do_not_change_the_rows(tmp_path):
         done, summary = execute(sweep, tmp_path / "out")
         assert done == ran
         report = (tmp_path / "out" / "report.html").read_text("utf-8")
-        assert (summary.published is not None) == ("Table 10" in report) == ("beside" in text)
+        assert (
+            (summary.published is not None)
+            == ("Table 10" in report)
+            == ("beside" in text)
+        )
     assert "<td>0.3</td>" not in report
 
 
 def test_the_table_has_means_over_seeds_and_differences():
-    seeds = table_of({"seed" if name == F else name: column for name, column in TABLE.items()})
+    seeds = table_of(
+        {"seed" if name == F else name: column for name, column in TABLE.items()}
+    )
     result = published_table(
-        published("here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}), seeds
+        published(
+            "here", {P: [20.0, 30.0, 40.0, 50.0]}, {SPEED: [0.1, 0.5, 0.1, None]}
+        ),
+        seeds,
     )
     assert result.headings == (
-        "metric", "supply pressure (kPa)", "published", "analytical", "difference", "twin", "difference",
+        "metric",
+        "supply pressure (kPa)",
+        "published",
+        "analytical",
+        "difference",
+        "twin",
+        "difference",
         "runs",
-    )  # fmt: skip
+    )
     assert result.rows == (
         ("CoM speed (m/s)", "20", "0.1", "0.2", "+100.0 %", "0.2", "+100.0 %", "2"),
         ("CoM speed (m/s)", "30", "0.5", "0.4", "-20.0 %", "0.5", "0 %", "1"),
@@ -91,8 +113,14 @@ def test_the_table_has_means_over_seeds_and_differences():
 
 
 def test_the_table_has_a_row_for_each_combination_of_other_settings():
-    result = published_table(published("here", {P: [20.0, 30.0, 50.0]}, {SPEED: [0.1, 0.5, 0.2]}), rows())
-    assert result.headings[1:4] == ("supply pressure (kPa)", "gait frequency (Hz)", "published")
+    result = published_table(
+        published("here", {P: [20.0, 30.0, 50.0]}, {SPEED: [0.1, 0.5, 0.2]}), rows()
+    )
+    assert result.headings[1:4] == (
+        "supply pressure (kPa)",
+        "gait frequency (Hz)",
+        "published",
+    )
     assert "runs" not in result.headings
     assert [row[1:6] for row in result.rows] == [
         ("20", "1", "0.1", "0.1", "0 %"),
@@ -103,22 +131,36 @@ def test_the_table_has_a_row_for_each_combination_of_other_settings():
 
 
 def test_several_fields_make_one_setting():
-    result = published_table(published("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows())
-    assert [row[1:5] for row in result.rows] == [("2", "20", "0.3", "0.3"), ("1", "40", "-0.1", "-0.1")]
+    result = published_table(
+        published("here", {F: [2, 1], P: [20, 40]}, {SPEED: [0.3, -0.1]}), rows()
+    )
+    assert [row[1:5] for row in result.rows] == [
+        ("2", "20", "0.3", "0.3"),
+        ("1", "40", "-0.1", "-0.1"),
+    ]
     assert "runs" not in result.headings
 
 
 def test_text_and_boolean_settings_are_matched():
-    values = {"key": list("ab"), "a.kind": ["x", "y"], "a.on": [True, False], "status": ["done"] * 2}
+    values = {
+        "key": list("ab"),
+        "a.kind": ["x", "y"],
+        "a.on": [True, False],
+        "status": ["done"] * 2,
+    }
     values[f"twin.{SPEED}"] = [1.0, 2.0]
     for field, first in (("a.kind", "y"), ("a.on", False)):
-        result = published_table(published("here", {field: [first]}, {SPEED: [1.0]}), table_of(values))
+        result = published_table(
+            published("here", {field: [first]}, {SPEED: [1.0]}), table_of(values)
+        )
         assert result.rows[0][2:] == ("1", "2", "+100.0 %")
 
 
 def test_a_table_without_runs_has_published_values_only():
     nothing = {name: [] for name in ("key", P, "status")}
-    result = published_table(published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), table_of(nothing))
+    result = published_table(
+        published("here", {P: [20, 30]}, {SPEED: [0.1, None]}), table_of(nothing)
+    )
     assert [row[1:] for row in result.rows] == [("20", "0.1"), ("30", "–")]
 
 
@@ -128,7 +170,9 @@ def rows():
 
 def stars(axes):
     return {
-        (*map(tuple, line.get_xydata()), line.get_color()) for line in axes.lines if line.get_marker() == "*"
+        (*map(tuple, line.get_xydata()), line.get_color())
+        for line in axes.lines
+        if line.get_marker() == "*"
     }
 
 
@@ -160,7 +204,9 @@ def test_line_plots_show_published_values_as_stars():
 def test_other_plots_show_no_published_values(request_, at):
     values = TABLE | {"twin.yaw_rate_rad_s": [0.0] * 6}
     (axes,) = draw(request_, values, published("here", at, {SPEED: [0.15]})).axes
-    assert stars(axes) == set() and not any("published" in text for text in legends(axes))
+    assert stars(axes) == set() and not any(
+        "published" in text for text in legends(axes)
+    )
 
 
 def test_published_values_have_the_colour_of_their_line():
@@ -173,7 +219,9 @@ def test_published_values_have_the_colour_of_their_line():
 
 def test_a_source_with_an_invalid_formula_can_be_drawn():
     figure = draw(
-        Plot(kind="line", x=P, metric=SPEED), TABLE, published(r"$\frac", {P: [20]}, {SPEED: [0.15]})
+        Plot(kind="line", x=P, metric=SPEED),
+        TABLE,
+        published(r"$\frac", {P: [20]}, {SPEED: [0.15]}),
     )
     figure.canvas.draw()
 
@@ -185,14 +233,21 @@ def test_table_8_has_the_published_values_with_signed_radii():
     beside = sweep.beside
     offsets = beside.at["controller.offset"]
     assert sorted(offsets) == sorted(printed)
-    for metric, key in (("path_speed_m_s", "speed"), ("box_left_m", "left"), ("box_right_m", "right")):
+    for metric, key in (
+        ("path_speed_m_s", "speed"),
+        ("box_left_m", "left"),
+        ("box_right_m", "right"),
+    ):
         assert dict(zip(offsets, beside.metrics[metric], strict=True)) == {
             o: printed[o][key] for o in offsets
         }
     for offset, radius in zip(offsets, beside.metrics["path_radius_m"], strict=True):
         assert radius == printed[offset]["radius"] * (-1 if offset < 0 else 1)
     document = sweep.experiment.document(sweep.points[0].changes)
-    assert document["controller"]["frequency_hz"] == 1.5 and document["controller"]["target_rad"] == 0.7
+    assert (
+        document["controller"]["frequency_hz"] == 1.5
+        and document["controller"]["target_rad"] == 0.7
+    )
     assert document["supply"]["pressure_kpa"] == 131 and document["duration_s"] == 16
 
 
@@ -206,8 +261,14 @@ def test_docs_learning_shows_table_8_and_its_deviations():
         if re.match(r"\| (−|0)", line)
     ]
     assert [line[1] for line in lines] == [
-        "fit", "predicted", "predicted", "fit", "predicted", "predicted", "fit",
-    ]  # fmt: skip
+        "fit",
+        "predicted",
+        "predicted",
+        "fit",
+        "predicted",
+        "predicted",
+        "fit",
+    ]
     numbers = [[float(c.replace("−", "-")) for c in line[2:]] for line in lines]
     beside = load_sweep("table8").beside
     difference = {"analytical": {}, "twin": {}}
@@ -216,22 +277,32 @@ def test_docs_learning_shows_table_8_and_its_deviations():
         for k, plant in enumerate(difference, start=1):
             for name, line in zip(lines, numbers, strict=True):
                 if name[1] == "predicted":
-                    difference[plant][metric, name[0]] = line[3 * i + k] / line[3 * i] - 1
+                    difference[plant][metric, name[0]] = (
+                        line[3 * i + k] / line[3 * i] - 1
+                    )
     for plant, speed, radius in (("analytical", 0.38, 0.79), ("twin", 0.21, 0.72)):
-        missed = {place: value for place, value in difference[plant].items() if abs(value) > 0.2}
+        missed = {
+            place: value
+            for place, value in difference[plant].items()
+            if abs(value) > 0.2
+        }
         assert len(difference[plant]) == 16
         assert missed == {
             ("path_speed_m_s", "0.2"): pytest.approx(speed, abs=0.01),
             ("path_radius_m", "0.1"): pytest.approx(radius, abs=0.02),
         }
-    assert "fourteen" in section and "(+38 % and +21 %)" in section and "(+79 % and +72 %)" in section
+    assert (
+        "fourteen" in section
+        and "(+38 % and +21 %)" in section
+        and "(+79 % and +72 %)" in section
+    )
 
 
 def test_docs_sweeps_shows_the_shipped_file():
     page = (ROOT / "docs/sweeps.md").read_text("utf-8")
-    printed = parse_yaml(re.findall(r"^```yaml[^\n]*\n(beside:.*?)^```$", page, re.M | re.S)[0], "page").data[
-        "beside"
-    ]
+    printed = parse_yaml(
+        re.findall(r"^```yaml[^\n]*\n(beside:.*?)^```$", page, re.M | re.S)[0], "page"
+    ).data["beside"]
     shipped = dict(load_sweep("fig41").document["beside"])
     assert printed == {key: value for key, value in shipped.items() if key in printed}
     assert {"source", "at", "metrics"} <= printed.keys()

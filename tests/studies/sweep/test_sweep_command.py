@@ -19,22 +19,34 @@ from conftest import wait_until
 from small import SMALL, write
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
-SLOWER = SMALL.replace("duration_s: 2", "duration_s: 100").replace("count: 4", "count: 24")
+SLOWER = SMALL.replace("duration_s: 2", "duration_s: 100").replace(
+    "count: 4", "count: 24"
+)
 
 
 def test_files_and_output_of_a_sweep(srs_twin, tmp_path):
     write(tmp_path)
     run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
     assert run.returncode == 0, run.stderr
-    assert "8 of 8 runs done, 0 failed" in run.stdout and "analytical.com_speed_m_s" in run.stdout
+    assert (
+        "8 of 8 runs done, 0 failed" in run.stdout
+        and "analytical.com_speed_m_s" in run.stdout
+    )
     folder = tmp_path / "runs" / "sweeps" / "small"
     about = json.loads((folder / "sweep.json").read_text())
     assert f"results sha256 {about['results_sha256']}" in run.stdout
     assert pq.read_table(folder / "results.parquet").num_rows == 8
     again = srs_twin("sweep", "small.yaml", cwd=tmp_path)
-    assert again.returncode == 0 and "8 of 8 rows exist already, 0 to do" in again.stderr
+    assert (
+        again.returncode == 0 and "8 of 8 rows exist already, 0 to do" in again.stderr
+    )
     # The stored sweep.yaml gives the same results.
-    assert srs_twin("sweep", str(folder / "sweep.yaml"), "--out", "copy", "-q", cwd=tmp_path).returncode == 0
+    assert (
+        srs_twin(
+            "sweep", str(folder / "sweep.yaml"), "--out", "copy", "-q", cwd=tmp_path
+        ).returncode
+        == 0
+    )
     copy = json.loads((tmp_path / "copy" / "sweep.json").read_text())
     assert copy["results_sha256"] == about["results_sha256"]
 
@@ -44,16 +56,25 @@ def test_files_and_output_of_a_sweep(srs_twin, tmp_path):
     "options",
     [
         pytest.param(("--workers", "1"), id="one"),
-        pytest.param(("--engine", "ray", "--workers", "2"), id="ray", marks=pytest.mark.slow),
+        pytest.param(
+            ("--engine", "ray", "--workers", "2"), id="ray", marks=pytest.mark.slow
+        ),
     ],
 )
-def test_results_do_not_depend_on_engine_or_number_of_workers(srs_twin, tmp_path, options):
-    write(tmp_path, SMALL.replace("plants: [analytical]\n", "").replace("count: 4", "count: 2"))
+def test_results_do_not_depend_on_engine_or_number_of_workers(
+    srs_twin, tmp_path, options
+):
+    write(
+        tmp_path,
+        SMALL.replace("plants: [analytical]\n", "").replace("count: 4", "count: 2"),
+    )
     digests = set()
     for out, values in (("two", ("--workers", "2")), ("other", options)):
         run = srs_twin("sweep", "small.yaml", "--out", out, "-q", *values, cwd=tmp_path)
         assert run.returncode == 0, run.stderr
-        digests.add(json.loads((tmp_path / out / "sweep.json").read_text())["results_sha256"])
+        digests.add(
+            json.loads((tmp_path / out / "sweep.json").read_text())["results_sha256"]
+        )
     assert len(digests) == 1
 
 
@@ -63,7 +84,10 @@ def test_results_do_not_depend_on_engine_or_number_of_workers(srs_twin, tmp_path
         (("nope",), "unknown sweep 'nope' (available: "),
         (("nope.yaml",), "nope.yaml: no such file"),
         (("small.yaml", "--engine", "rai"), "unknown engine 'rai'; did you mean ray?"),
-        (("small.yaml", "--address", "x:1"), "--address is only for the engines ray and warp"),
+        (
+            ("small.yaml", "--address", "x:1"),
+            "--address is only for the engines ray and warp",
+        ),
         (
             ("small.yaml", "--engine", "ray", "--address", "x:1", "--workers", "2"),
             "--workers is only for a Ray instance started here",
@@ -84,11 +108,14 @@ def test_invalid_options_are_refused(srs_twin, tmp_path, options, message):
 def test_no_process_survives_the_command(tmp_path, options):
     write(tmp_path)
     process = subprocess.Popen(
-        [str(COMMAND), "sweep", *options, "-q"], cwd=tmp_path, stderr=subprocess.DEVNULL,
+        [str(COMMAND), "sweep", *options, "-q"],
+        cwd=tmp_path,
+        stderr=subprocess.DEVNULL,
         start_new_session=True,
-    )  # fmt: skip
+    )
     assert process.wait() == (2 if options == ("nope",) else 0)
-    # The process server and the resource tracker end after the last process that uses them.
+    # The process server and the resource tracker end after the last process that uses
+    # them.
     wait_until(lambda: not any(session(process.pid)), 30.0)
 
 
@@ -107,10 +134,15 @@ def started(tmp_path) -> subprocess.Popen[str]:
     """Start a sweep of a few seconds and wait for its first row."""
     write(tmp_path, SLOWER)
     process = subprocess.Popen(
-        [str(COMMAND), "sweep", "small.yaml", "--out", "out"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )  # fmt: skip
+        [str(COMMAND), "sweep", "small.yaml", "--out", "out"],
+        cwd=tmp_path,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     log = tmp_path / "out" / "rows.sqlite-wal"
-    while process.poll() is None and kills.pages(log) < 20:  # the empty tables are a dozen
+    while (
+        process.poll() is None and kills.pages(log) < 20
+    ):  # the empty tables are a dozen
         time.sleep(0.02)
     assert process.poll() is None, process.stderr.read()
     return process
@@ -122,7 +154,9 @@ def test_ctrl_c_keeps_finished_rows(srs_twin, tmp_path):
     process = started(tmp_path)
     process.send_signal(signal.SIGINT)
     _, message = process.communicate(timeout=300)
-    assert process.returncode == 130 and "rows are kept; start again to resume" in message
+    assert (
+        process.returncode == 130 and "rows are kept; start again to resume" in message
+    )
     assert "Traceback" not in message
     stored = pq.read_table(tmp_path / "out" / "results.parquet").num_rows
     assert 0 < stored < 48
@@ -142,10 +176,14 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "runs"), [(2, 16), (20, 60)])
-def test_killed_sweeps_resume_without_lost_or_torn_rows(srs_twin, tmp_path, count, runs):
+def test_killed_sweeps_resume_without_lost_or_torn_rows(
+    srs_twin, tmp_path, count, runs
+):
     """No row is lost, repeated or torn; benchmarks/kills.py repeats this 200 times."""
     sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=runs))
-    quiet = srs_twin("sweep", str(sweep), "--out", "quiet", "--workers", "1", "-q", cwd=tmp_path)
+    quiet = srs_twin(
+        "sweep", str(sweep), "--out", "quiet", "--workers", "1", "-q", cwd=tmp_path
+    )
     assert quiet.returncode == 0, quiet.stderr
     result = kills.disturbed(sweep, tmp_path / "killed", count, random.Random(4), 0.1)
     assert sum(result.victims.values()) == count

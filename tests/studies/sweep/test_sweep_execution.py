@@ -27,19 +27,33 @@ def sweep(tmp_path):
 
 def test_every_point_has_a_row_with_the_metrics_of_its_run(sweep, tmp_path):
     _, summary = execute(sweep, tmp_path / "out")
-    assert (summary.points, summary.done, summary.failed, summary.exit_code) == (8, 8, 0, 0)
+    assert (summary.points, summary.done, summary.failed, summary.exit_code) == (
+        8,
+        8,
+        0,
+        0,
+    )
     table = pq.read_table(tmp_path / "out" / "results.parquet")
     assert table["key"].to_pylist() == sorted(point.key for point in sweep.points)
     row = table.slice(3, 1).to_pydict()
     point = next(point for point in sweep.points if point.key == row["key"][0])
     assert {name: row[name][0] for name in sweep.fields} == point.changes
     scenario = parse_scenario(sweep.experiment.document(point.changes))
-    run = rollout(scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration)
+    run = rollout(
+        scenario.build_plant("analytical"),
+        scenario.build_controller(),
+        scenario.duration,
+    )
     metrics = plant_metrics(run)
     assert row["analytical.com_speed_m_s"][0] == metrics["com_speed_m_s"]
     assert row["analytical.bend_amplitude_rad_2"][0] == metrics["bend_amplitude_rad"][1]
-    assert row["analytical.valve_switches_minus_1"][0] == metrics["valve_switches"][0][1]
-    assert json.loads((tmp_path / "out" / "sweep.json").read_text())["results_sha256"] == summary.sha256
+    assert (
+        row["analytical.valve_switches_minus_1"][0] == metrics["valve_switches"][0][1]
+    )
+    assert (
+        json.loads((tmp_path / "out" / "sweep.json").read_text())["results_sha256"]
+        == summary.sha256
+    )
 
 
 def test_only_requested_metrics_are_columns(tmp_path):
@@ -49,8 +63,12 @@ def test_only_requested_metrics_are_columns(tmp_path):
     assert {name for name in names if name.startswith("analytical.")} == {
         "analytical.com_speed_m_s",
         *(f"analytical.bend_bias_rad_{j}" for j in range(1, 5)),
-        *(f"analytical.valve_switches_{side}_{j}" for side in ("plus", "minus") for j in range(1, 5)),
-    }  # fmt: skip
+        *(
+            f"analytical.valve_switches_{side}_{j}"
+            for side in ("plus", "minus")
+            for j in range(1, 5)
+        ),
+    }
 
 
 def test_only_missing_points_run(sweep, tmp_path):
@@ -58,7 +76,10 @@ def test_only_missing_points_run(sweep, tmp_path):
         yield from (done for done in here(experiment, points[:3]))
         raise KeyboardInterrupt
 
-    with open_sweep(sweep, tmp_path / "out") as opened, pytest.raises(KeyboardInterrupt):
+    with (
+        open_sweep(sweep, tmp_path / "out") as opened,
+        pytest.raises(KeyboardInterrupt),
+    ):
         opened.run(stops_after_three, opened.missing())
     ran, summary = execute(sweep, tmp_path / "out")
     assert (ran, summary.done) == (5, 8)
@@ -71,7 +92,9 @@ def test_failed_runs_are_rows_with_a_reason(sweep, tmp_path):
     assert (summary.done, summary.failed, summary.exit_code) == (4, 4, 3)
     assert summary.reasons == {"twin diverged at t = 1 s: boom": 4}
     table = pq.read_table(tmp_path / "out" / "results.parquet").to_pydict()
-    assert [reason for reason in table["reason"] if reason] == ["twin diverged at t = 1 s: boom"] * 4
+    assert [reason for reason in table["reason"] if reason] == [
+        "twin diverged at t = 1 s: boom"
+    ] * 4
     assert table["analytical.com_speed_m_s"].count(None) == 4
     assert execute(sweep, tmp_path / "out")[0] == 0
     ran, summary = execute(sweep, tmp_path / "out", retry_failed=True)
@@ -81,7 +104,11 @@ def test_failed_runs_are_rows_with_a_reason(sweep, tmp_path):
 def test_a_dead_worker_fails_only_its_point(sweep, tmp_path):
     def dies(experiment, points):
         for done in here(experiment, points):
-            yield TaskResult(done.number, None, WorkerDiedError(-9, 3)) if done.number == 5 else done
+            yield (
+                TaskResult(done.number, None, WorkerDiedError(-9, 3))
+                if done.number == 5
+                else done
+            )
 
     _, summary = execute(sweep, tmp_path / "out", dies)
     ((reason, count),) = summary.reasons.items()
@@ -90,11 +117,12 @@ def test_a_dead_worker_fails_only_its_point(sweep, tmp_path):
 
 def test_an_invalid_point_is_a_failed_row(tmp_path):
     text = SMALL.replace(
-        "supply.pressure_kpa: {from: 41, to: 55, count: 4}", "plants.analytical.tick_s: [0.02, 0.08]"
+        "supply.pressure_kpa: {from: 41, to: 55, count: 4}",
+        "plants.analytical.tick_s: [0.02, 0.08]",
     )
-    text = text.replace("controller.frequency_hz: [2, 2.5]", "duration_s: [2.0, 2.02]").replace(
-        "fixed: {duration_s: 2}\n", ""
-    )
+    text = text.replace(
+        "controller.frequency_hz: [2, 2.5]", "duration_s: [2.0, 2.02]"
+    ).replace("fixed: {duration_s: 2}\n", "")
     sweep = load_sweep(write(tmp_path, text))
     _, summary = execute(sweep, tmp_path / "out")
     assert (summary.done, summary.failed, summary.exit_code) == (3, 1, 2)
@@ -106,15 +134,23 @@ def test_an_edited_sweep_is_refused_without_changed(tmp_path):
     execute(before, tmp_path / "out")
     after = load_sweep(write(tmp_path, SMALL.replace("count: 4", "count: 7")))
     with pytest.raises(
-        InputError, match=r"of another version of this sweep \(the values have changed\); give --changed"
+        InputError,
+        match=(
+            r"of another version of this sweep \(the values have changed\); give"
+            r" --changed"
+        ),
     ):
         with open_sweep(after, tmp_path / "out"):
             pass
     # 41 to 55 kPa in six steps has every other pressure of three steps.
     ran, summary = execute(after, tmp_path / "out", changed=True)
     assert (ran, summary.done) == (6, 14)
-    edited = load_sweep(write(tmp_path, SMALL.replace("duration_s: 2", "duration_s: 3")))
-    with pytest.raises(InputError, match=r"the scenario has changed: duration_s 2(\.0)? → 3"):
+    edited = load_sweep(
+        write(tmp_path, SMALL.replace("duration_s: 2", "duration_s: 3"))
+    )
+    with pytest.raises(
+        InputError, match=r"the scenario has changed: duration_s 2(\.0)? → 3"
+    ):
         with open_sweep(edited, tmp_path / "out"):
             pass
     ran, summary = execute(edited, tmp_path / "out", changed=True)
@@ -150,19 +186,34 @@ def test_a_second_sweep_in_the_same_folder_is_refused(sweep, tmp_path):
 
 def test_both_plants_are_compared(tmp_path):
     text = (
-        SMALL.replace("plants: [analytical]\n", "").replace("[2, 2.5]", "[2]").replace("count: 4", "count: 2")
+        SMALL.replace("plants: [analytical]\n", "")
+        .replace("[2, 2.5]", "[2]")
+        .replace("count: 4", "count: 2")
     )
     execute(load_sweep(write(tmp_path, text)), tmp_path / "out")
     table = pq.read_table(tmp_path / "out" / "results.parquet").to_pydict()
-    analytical, twin = (np.array(table[f"{plant}.com_speed_m_s"]) for plant in ("analytical", "twin"))
-    assert np.array(table["comparison.com_speed_rel"]) == pytest.approx(twin / analytical - 1)
+    analytical, twin = (
+        np.array(table[f"{plant}.com_speed_m_s"]) for plant in ("analytical", "twin")
+    )
+    assert np.array(table["comparison.com_speed_rel"]) == pytest.approx(
+        twin / analytical - 1
+    )
 
 
 def test_the_digest_does_not_depend_on_order_or_wall_times():
-    rows = [Row("a", "done", {"x": 1.0, "y": None}, 0.1), Row("b", "failed", {}, 0.2, "boom", 3)]
-    slower = [Row("b", "failed", {}, 9.0, "boom", 3), Row("a", "done", {"y": None, "x": 1.0}, 9.0)]
+    rows = [
+        Row("a", "done", {"x": 1.0, "y": None}, 0.1),
+        Row("b", "failed", {}, 0.2, "boom", 3),
+    ]
+    slower = [
+        Row("b", "failed", {}, 9.0, "boom", 3),
+        Row("a", "done", {"y": None, "x": 1.0}, 9.0),
+    ]
     assert rows_digest(rows) == rows_digest(slower)
-    for other in (Row("a", "done", {"x": 1.0000000000000002, "y": None}), Row("a", "done", {"x": 1.0})):
+    for other in (
+        Row("a", "done", {"x": 1.0000000000000002, "y": None}),
+        Row("a", "done", {"x": 1.0}),
+    ):
         assert rows_digest([other, rows[1]]) != rows_digest(rows)
 
 
@@ -178,6 +229,9 @@ def test_the_digest_does_not_depend_on_order_or_wall_times():
 def test_different_runs_have_different_keys(tmp_path, sweep, old, new):
     keys = {point.key for point in sweep.points}
     assert len(keys) == 8
-    others = {point.key for point in load_sweep(write(tmp_path, SMALL.replace(old, new))).points}
+    others = {
+        point.key
+        for point in load_sweep(write(tmp_path, SMALL.replace(old, new))).points
+    }
     shared = 4 if new == "count: 5" else 0  # the ends, at two frequencies
     assert len(keys & others) == shared

@@ -15,9 +15,17 @@ from srs_twin.studies.sweep.loading import load_sweep
 
 def test_a_grid_makes_documents_with_the_varied_fields(tmp_path):
     sweep = load_sweep(write(tmp_path))
-    assert (sweep.name, len(sweep.points), sweep.experiment.plants) == ("small", 8, ("analytical",))
+    assert (sweep.name, len(sweep.points), sweep.experiment.plants) == (
+        "small",
+        8,
+        ("analytical",),
+    )
     scenario = parse_scenario(sweep.experiment.document(sweep.points[-1].changes))
-    assert (scenario.controller.frequency_hz, scenario.supply_pa, scenario.duration) == (2.5, 55e3, 2.0)
+    assert (
+        scenario.controller.frequency_hz,
+        scenario.supply_pa,
+        scenario.duration,
+    ) == (2.5, 55e3, 2.0)
     # Everything else is the scenario's.
     assert scenario.robot == load_scenario("gen2_straight").robot
 
@@ -29,38 +37,59 @@ def test_shipped_sweeps_load(name):
 
 def test_shipped_grids_are_those_of_the_figures():
     """Sections 3.4.1 to 3.4.3: 56 frequencies by 31 pressures; the ranges of Fig. 32, 33, 38."""
-    sizes = {name: len(load_sweep(name).points) for name in ("fig31", "fig32", "fig33", "fig38", "fig39")}
+    sizes = {
+        name: len(load_sweep(name).points)
+        for name in ("fig31", "fig32", "fig33", "fig38", "fig39")
+    }
     assert sizes == {"fig31": 1736, "fig32": 88, "fig33": 88, "fig38": 30, "fig39": 12}
-    pressures = [point.changes["supply.pressure_kpa"] for point in load_sweep("fig31").points]
+    pressures = [
+        point.changes["supply.pressure_kpa"] for point in load_sweep("fig31").points
+    ]
     assert min(pressures) == pytest.approx(3.125 * 6.894757, rel=1e-4)
     assert max(pressures) == pytest.approx(5 * 6.894757, rel=1e-4)
 
 
 def test_periods_are_rounded_to_whole_ticks(tmp_path):
-    text = SMALL.replace("fixed: {duration_s: 2}", "periods: 5").replace("[2, 2.5]", "[0.7, 2.5]")
+    text = SMALL.replace("fixed: {duration_s: 2}", "periods: 5").replace(
+        "[2, 2.5]", "[0.7, 2.5]"
+    )
     sweep = load_sweep(write(tmp_path, text))
-    durations = {sweep.experiment.document(point.changes)["duration_s"] for point in sweep.points}
+    durations = {
+        sweep.experiment.document(point.changes)["duration_s"] for point in sweep.points
+    }
     assert durations == {7.16, 2.0}  # 5/0.7 = 7.1429 s, rounded up to ticks of 20 ms
 
 
 def test_a_sweep_may_have_one_point(tmp_path):
-    text = SMALL.replace("[2, 2.5]", "[2]").replace("{from: 41, to: 55, count: 4}", "[48]")
+    text = SMALL.replace("[2, 2.5]", "[2]").replace(
+        "{from: 41, to: 55, count: 4}", "[48]"
+    )
     (point,) = load_sweep(write(tmp_path, text)).points
     assert point.changes == {"controller.frequency_hz": 2, "supply.pressure_kpa": 48}
 
 
 def test_a_varied_robot_value_keeps_its_unit(tmp_path):
-    text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot.friction.mu_n: [0.3, 0.4]")
+    text = SMALL.replace(
+        "controller.frequency_hz: [2, 2.5]", "robot.friction.mu_n: [0.3, 0.4]"
+    )
     sweep = load_sweep(write(tmp_path, text))
-    record = sweep.experiment.document(sweep.points[-1].changes)["robot"]["friction"]["mu_n"]
-    assert record == {"value": 0.4, "unit": "1", "status": "estimated", "source": "varied by a sweep"}
+    record = sweep.experiment.document(sweep.points[-1].changes)["robot"]["friction"][
+        "mu_n"
+    ]
+    assert record == {
+        "value": 0.4,
+        "unit": "1",
+        "status": "estimated",
+        "source": "varied by a sweep",
+    }
 
 
 def test_robots_are_varied_by_name(tmp_path):
     text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot: [gen2, gen4]")
     sweep = load_sweep(write(tmp_path, text))
     robots = [
-        parse_scenario(sweep.experiment.document(point.changes)).robot.name for point in sweep.points[::4]
+        parse_scenario(sweep.experiment.document(point.changes)).robot.name
+        for point in sweep.points[::4]
     ]
     assert robots == ["gen2", "gen4"]
 
@@ -76,47 +105,154 @@ def test_an_element_of_a_list_is_varied(tmp_path):
     )
     sweep = load_sweep(write(tmp_path, text))
     assert [
-        sweep.experiment.document(p.changes)["world"]["obstacles"][0]["x_m"] for p in sweep.points[::4]
+        sweep.experiment.document(p.changes)["world"]["obstacles"][0]["x_m"]
+        for p in sweep.points[::4]
     ] == [2, 3]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("gen2_straight", "gen2_strait", "1:11: scenario: unknown scenario 'gen2_strait'; did you mean gen2"),
+        (
+            "gen2_straight",
+            "gen2_strait",
+            "1:11: scenario: unknown scenario 'gen2_strait'; did you mean gen2",
+        ),
         ("gen2_straight", "''", "1:11: scenario: must be text of 1 to 4096 characters"),
-        ("frequency_hz", "frequency", "5:3: vary.controller.frequency: unknown key; did you mean frequency_"),
-        ("controller.frequency_hz", "frequency_hz", "5:3: vary.frequency_hz: unknown key; allowed: "),
-        ("[2, 2.5]", "[2, 99]", "5:32: vary.controller.frequency_hz[1]: must be a number from 0.01 to 50, n"),
+        (
+            "frequency_hz",
+            "frequency",
+            "5:3: vary.controller.frequency: unknown key; did you mean frequency_",
+        ),
+        (
+            "controller.frequency_hz",
+            "frequency_hz",
+            "5:3: vary.frequency_hz: unknown key; allowed: ",
+        ),
+        (
+            "[2, 2.5]",
+            "[2, 99]",
+            (
+                "5:32: vary.controller.frequency_hz[1]: must be a number from 0.01 to"
+                " 50, n"
+            ),
+        ),
         ("[2, 2.5]", "[]", "5:28: vary.controller.frequency_hz: must be a list"),
         ("[2, 2.5]", "2", "5:28: vary.controller.frequency_hz: must be a list"),
         ("[2, 2.5]", "[[2]]", "5:29: vary.controller.frequency_hz[0]: must be"),
-        ("to: 55", "to: 99", "6:39: vary.supply.pressure_kpa.to: 99 kPa is above the limit of gen2"),
-        ("from: 41", "from: 61", "6:24: vary.supply.pressure_kpa: from must be below to, but 61 is not belo"),
-        (", count: 4", "", "5:3: vary: supply.pressure_kpa: a range needs a count here, or sampling: latin"),
-        ("count: 4", "count: 4, scale: log, form: 2", "6:65: vary.supply.pressure_kpa.form: unknown key"),
-        ("plants: [analytical]", "plants: [twins]", "2:10: plants[0]: must be one of analytical, twin, not"),
-        ("plants: [analytical]", "plants: []", "2:9: plants: is empty, but the scenario has no planner"),
-        ("duration_s: 2", "duration: 2", "3:9: fixed.duration: unknown key; did you mean duration_s?"),
-        ("duration_s: 2", "duration_s: x", "3:21: fixed.duration_s: must be a number from 0.001 to 3600, no"),
-        ("duration_s: 2", "title: x", "3:9: fixed.title: is a name or expectation without effect"),
-        ("duration_s: 2}", "supply.pressure_kpa: 45}", "3:9: fixed.supply.pressure_kpa: is varied as"),
-        ("fixed:", "periods: 5\nfixed:", "4:9: fixed.duration_s: is set by periods as well"),
-        ("fixed:", "metrics: [speed]\nfixed:", "3:11: metrics[0]: unknown metric 'speed'"),
-        ("fixed:", "metrics: [com_speed_rel]\nfixed:", "3:11: metrics[0]: com_speed_rel compares both plant"),
         (
-            "fixed:", "plots: [{kind: line, x: seed, metric: com_speed_m_s}]\nfixed:",
-            "3:25: plots[0].x: 'seed' is not varied; varied: controller.frequency_hz, supply.pressure_kpa",
+            "to: 55",
+            "to: 99",
+            "6:39: vary.supply.pressure_kpa.to: 99 kPa is above the limit of gen2",
         ),
-        ("fixed:", "plots: [{kind: contour, x: seed, metric: com_speed_m_s}]\nfixed:", "3:9: plots[0]: a co"),
-        ("fixed:", "sampling: {kind: list}\nfixed:", "6:3: vary: sampling: list needs the same number of"),
-        ("fixed:", "sampling: {kind: sobol, count: 100}\nfixed:", "3:11: sampling: sobol points are balance"),
-        ("fixed:", "sampling: {kind: sobol}\nfixed:", "3:11: sampling: sobol needs a count"),
-        ("fixed:", "sampling: {seed: 3}\nfixed:", "3:11: sampling: seed is only for latin_hypercube"),
-        ("count: 4}", "count: 10000}\n  seed: {from: 0, to: 9999, count: 10000}", "5:3: vary: the grid has"),
-        ("controller.frequency_hz", "plants.twin.wheels", "5:3: vary.plants.twin.wheels: twin does not run"),
+        (
+            "from: 41",
+            "from: 61",
+            "6:24: vary.supply.pressure_kpa: from must be below to, but 61 is not belo",
+        ),
+        (
+            ", count: 4",
+            "",
+            (
+                "5:3: vary: supply.pressure_kpa: a range needs a count here, or"
+                " sampling: latin"
+            ),
+        ),
+        (
+            "count: 4",
+            "count: 4, scale: log, form: 2",
+            "6:65: vary.supply.pressure_kpa.form: unknown key",
+        ),
+        (
+            "plants: [analytical]",
+            "plants: [twins]",
+            "2:10: plants[0]: must be one of analytical, twin, not",
+        ),
+        (
+            "plants: [analytical]",
+            "plants: []",
+            "2:9: plants: is empty, but the scenario has no planner",
+        ),
+        (
+            "duration_s: 2",
+            "duration: 2",
+            "3:9: fixed.duration: unknown key; did you mean duration_s?",
+        ),
+        (
+            "duration_s: 2",
+            "duration_s: x",
+            "3:21: fixed.duration_s: must be a number from 0.001 to 3600, no",
+        ),
+        (
+            "duration_s: 2",
+            "title: x",
+            "3:9: fixed.title: is a name or expectation without effect",
+        ),
+        (
+            "duration_s: 2}",
+            "supply.pressure_kpa: 45}",
+            "3:9: fixed.supply.pressure_kpa: is varied as",
+        ),
+        (
+            "fixed:",
+            "periods: 5\nfixed:",
+            "4:9: fixed.duration_s: is set by periods as well",
+        ),
+        (
+            "fixed:",
+            "metrics: [speed]\nfixed:",
+            "3:11: metrics[0]: unknown metric 'speed'",
+        ),
+        (
+            "fixed:",
+            "metrics: [com_speed_rel]\nfixed:",
+            "3:11: metrics[0]: com_speed_rel compares both plant",
+        ),
+        (
+            "fixed:",
+            "plots: [{kind: line, x: seed, metric: com_speed_m_s}]\nfixed:",
+            (
+                "3:25: plots[0].x: 'seed' is not varied; varied:"
+                " controller.frequency_hz, supply.pressure_kpa"
+            ),
+        ),
+        (
+            "fixed:",
+            "plots: [{kind: contour, x: seed, metric: com_speed_m_s}]\nfixed:",
+            "3:9: plots[0]: a co",
+        ),
+        (
+            "fixed:",
+            "sampling: {kind: list}\nfixed:",
+            "6:3: vary: sampling: list needs the same number of",
+        ),
+        (
+            "fixed:",
+            "sampling: {kind: sobol, count: 100}\nfixed:",
+            "3:11: sampling: sobol points are balance",
+        ),
+        (
+            "fixed:",
+            "sampling: {kind: sobol}\nfixed:",
+            "3:11: sampling: sobol needs a count",
+        ),
+        (
+            "fixed:",
+            "sampling: {seed: 3}\nfixed:",
+            "3:11: sampling: seed is only for latin_hypercube",
+        ),
+        (
+            "count: 4}",
+            "count: 10000}\n  seed: {from: 0, to: 9999, count: 10000}",
+            "5:3: vary: the grid has",
+        ),
+        (
+            "controller.frequency_hz",
+            "plants.twin.wheels",
+            "5:3: vary.plants.twin.wheels: twin does not run",
+        ),
     ],
-)  # fmt: skip
+)
 def test_one_mistake_gives_one_message(tmp_path, monkeypatch, old, new, message):
     monkeypatch.chdir(tmp_path)
     assert old in SMALL
@@ -128,8 +264,14 @@ def test_one_mistake_gives_one_message(tmp_path, monkeypatch, old, new, message)
 
 def test_errors_of_the_scenario_name_its_file(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    write(tmp_path, "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 0}\n", "bad.yaml")
-    with pytest.raises(InputError, match=r"^bad.yaml:3:40: controller.frequency_hz: must be a number"):
+    write(
+        tmp_path,
+        "robot: gen2\nduration_s: 1\ncontroller: {kind: gait, frequency_hz: 0}\n",
+        "bad.yaml",
+    )
+    with pytest.raises(
+        InputError, match=r"^bad.yaml:3:40: controller.frequency_hz: must be a number"
+    ):
         load_sweep(write(tmp_path, SMALL.replace("gen2_straight", "bad.yaml")))
 
 
@@ -139,11 +281,19 @@ def test_keys_of_a_replay_depend_on_the_content_of_the_recording(tmp_path, monke
     monkeypatch.chdir(tmp_path)
     recorded = {}
     for end in (".csv", ".valves.csv"):
-        recorded[end] = (ROOT / f"calibration/examples/my_snake/walk_check{end}").read_bytes()
+        recorded[end] = (
+            ROOT / f"calibration/examples/my_snake/walk_check{end}"
+        ).read_bytes()
         (tmp_path / f"walk{end}").write_bytes(recorded[end])
-    replay = "controller: {kind: replay}\nrecording: {motion: walk.csv, longest_gap_s: 0.3}\n"
+    replay = (
+        "controller: {kind: replay}\nrecording: {motion: walk.csv, longest_gap_s:"
+        " 0.3}\n"
+    )
     write(tmp_path, f"robot: gen2\nduration_s: 2\n{replay}", "replay.yaml")
-    text = "scenario: replay.yaml\nplants: [analytical]\nvary: {robot.friction.mu_n: [0.5, 0.6]}\n"
+    text = (
+        "scenario: replay.yaml\nplants: [analytical]\nvary: {robot.friction.mu_n: [0.5,"
+        " 0.6]}\n"
+    )
 
     def keys() -> set[str]:
         return {point.key for point in load_sweep(write(tmp_path, text)).points}

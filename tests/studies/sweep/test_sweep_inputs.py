@@ -46,38 +46,52 @@ BOTH = ("analytical", "twin")
 CASES = {
     "scenario": (WALK.format(robot="gen2"), BOTH),
     "robot": (WALK.format(robot="mine.yaml"), BOTH),
-    "robot base": (WALK.format(robot="{base: mine.yaml, friction: {mu_t: 0.05}}"), BOTH),
+    "robot base": (
+        WALK.format(robot="{base: mine.yaml, friction: {mu_t: 0.05}}"),
+        BOTH,
+    ),
     "map, circles and footprint": (ROUTE, BOTH),
     "what is only planned": (ROUTE, ()),
-    "earlier run": (WALK.format(robot="gen2") + "start: {from: earlier, time_s: 0.1}\n", BOTH),
+    "earlier run": (
+        WALK.format(robot="gen2") + "start: {from: earlier, time_s: 0.1}\n",
+        BOTH,
+    ),
     "earlier run of one plant": (
-        WALK.format(robot="gen2").replace("analytical: {model: compliant, friction: wheel}, ", "")
-        + "start: {from: earlier, time_s: 0.1}\n", ("twin",),
+        WALK.format(robot="gen2").replace(
+            "analytical: {model: compliant, friction: wheel}, ", ""
+        )
+        + "start: {from: earlier, time_s: 0.1}\n",
+        ("twin",),
     ),
     "recording and the log beside it": (BENCH % "", BOTH),
     "recording and a log of pressures": (BENCH % ", valves: air.csv", BOTH),
     "recording with a map of its columns": (
-        BENCH % ", valves: foreign.csv, map: {log: {pressure_kpa_plus_1: up, pressure_kpa_minus_1: down}}",
+        BENCH % ", valves: foreign.csv, map: {log: {pressure_kpa_plus_1: up,"
+        " pressure_kpa_minus_1: down}}",
         BOTH,
     ),
-}  # fmt: skip
+}
 EDITS = [
     ("scenario", "scenario.yaml", b"0.1", b"0.2"),
     ("robot", "mine.yaml", b"value: 0.57", b"value: 0.56"),
     ("robot base", "mine.yaml", b"value: 0.57", b"value: 0.56"),
-    *((case, *edit) for case in ("map, circles and footprint", "what is only planned") for edit in (
-        ("room.yaml", b"0.65", b"0.66"),
-        ("room.pgm", b"\xfe\x00", b"\xfe\xfe"),
-        ("posts.csv", b"-0.9", b"-0.8"),
-        ("feet.yaml", b"5.23599", b"5.13599"),
-    )),
+    *(
+        (case, *edit)
+        for case in ("map, circles and footprint", "what is only planned")
+        for edit in (
+            ("room.yaml", b"0.65", b"0.66"),
+            ("room.pgm", b"\xfe\x00", b"\xfe\xfe"),
+            ("posts.csv", b"-0.9", b"-0.8"),
+            ("feet.yaml", b"5.23599", b"5.13599"),
+        )
+    ),
     *(("earlier run", f"earlier/{plant}.parquet", None, None) for plant in BOTH),
     ("earlier run of one plant", "earlier/twin.parquet", None, None),
     ("recording and the log beside it", "bend.csv", b"0.50,0.2", b"0.50,0.3"),
     ("recording and the log beside it", "bend.valves.csv", b"0.4,1,-1", b"0.4,1,0"),
     ("recording and a log of pressures", "air.csv", b"0.4,40,0", b"0.4,50,0"),
     ("recording with a map of its columns", "foreign.csv", b"0.4,40,0", b"0.4,50,0"),
-]  # fmt: skip
+]
 
 
 @functools.cache
@@ -96,7 +110,9 @@ def project(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     shipped = ROOT / "calibration"
     (tmp_path / "mine.yaml").write_bytes((shipped / "robots/gen2.yaml").read_bytes())
-    (tmp_path / "feet.yaml").write_bytes((shipped / "footprints/gen2_section52.yaml").read_bytes())
+    (tmp_path / "feet.yaml").write_bytes(
+        (shipped / "footprints/gen2_section52.yaml").read_bytes()
+    )
     grey = np.full((20, 40), 254, dtype=np.uint8)
     grey[0, 1] = 0
     Image.fromarray(grey).save(tmp_path / "room.pgm")
@@ -114,14 +130,22 @@ def project(tmp_path, monkeypatch):
     (tmp_path / "bend.valves.csv").write_text(
         "time,valve_plus_1,valve_minus_1\n0,-1,-1\n0.4,1,-1\n1.5,1,-1\n"
     )
-    for name, head in (("air", "pressure_plus_1_kpa,pressure_minus_1_kpa"), ("foreign", "up,down")):
-        (tmp_path / f"{name}.csv").write_text(f"time,{head}\n0,0,0\n0.4,40,0\n1.5,40,0\n")
+    for name, head in (
+        ("air", "pressure_plus_1_kpa,pressure_minus_1_kpa"),
+        ("foreign", "up,down"),
+    ):
+        (tmp_path / f"{name}.csv").write_text(
+            f"time,{head}\n0,0,0\n0.4,40,0\n1.5,40,0\n"
+        )
 
     def load(case):
         text, plants = CASES[case]
         if not (tmp_path / "scenario.yaml").exists():
             (tmp_path / "scenario.yaml").write_text(text)
-        vary = f"scenario: scenario.yaml\nplants: [{', '.join(plants)}]\nvary: {{record_hz: [50, 100]}}\n"
+        vary = (
+            f"scenario: scenario.yaml\nplants: [{', '.join(plants)}]\nvary:"
+            " {record_hz: [50, 100]}\n"
+        )
         return load_sweep(write(tmp_path, vary))
 
     return load
@@ -132,7 +156,9 @@ def keys(sweep):
 
 
 @pytest.mark.parametrize(("case", "name", "old", "new"), first_by_default(6, EDITS))
-def test_a_changed_byte_of_any_input_changes_the_keys(project, tmp_path, case, name, old, new):
+def test_a_changed_byte_of_any_input_changes_the_keys(
+    project, tmp_path, case, name, old, new
+):
     before, path = keys(project(case)), tmp_path / name
     content = path.read_bytes()
     if old is None:
@@ -154,7 +180,9 @@ def test_every_opened_file_is_in_the_key(project, tmp_path, case):
 
     def note(event, arguments):
         if watching and event == "open" and isinstance(arguments[0], str):
-            opened.add(os.path.abspath(arguments[0]))  # numba names sources by relative paths
+            opened.add(
+                os.path.abspath(arguments[0])
+            )  # numba names sources by relative paths
 
     sys.addaudithook(note)  # stays for good, deaf afterwards
     try:
@@ -163,12 +191,25 @@ def test_every_opened_file_is_in_the_key(project, tmp_path, case):
         watching.clear()
     assert row.status == DONE, row.reason
     document = sweep.experiment.document(sweep.points[0].changes)
-    known = {str(Path(file_digest).absolute()) for file_digest in file_digests(document)}
-    programs = [*map(str, sysconfig.get_paths().values()), sys.base_prefix, str(ROOT / "srs_twin"), "/proc"]
-    data = {path for path in opened if not path.startswith(tuple(programs)) and Path(path).is_file()}
+    known = {
+        str(Path(file_digest).absolute()) for file_digest in file_digests(document)
+    }
+    programs = [
+        *map(str, sysconfig.get_paths().values()),
+        sys.base_prefix,
+        str(ROOT / "srs_twin"),
+        "/proc",
+    ]
+    data = {
+        path
+        for path in opened
+        if not path.startswith(tuple(programs)) and Path(path).is_file()
+    }
     assert data <= known
     named = {str(tmp_path / name) for edit, name, *_ in EDITS if edit == case}
-    assert named - {str(tmp_path / "scenario.yaml"), str(tmp_path / "mine.yaml")} <= known
+    assert (
+        named - {str(tmp_path / "scenario.yaml"), str(tmp_path / "mine.yaml")} <= known
+    )
 
 
 def test_the_cases_cover_all_kinds_of_input():

@@ -17,7 +17,12 @@ from subsets import first_by_default
 import srs_twin
 from srs_twin.errors import InputError
 from srs_twin.scenario.loading import load_scenario
-from srs_twin.scenario.provenance import file_digests, run_key, run_sources, source_digests
+from srs_twin.scenario.provenance import (
+    file_digests,
+    run_key,
+    run_sources,
+    source_digests,
+)
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER, Experiment, Point
@@ -48,7 +53,9 @@ READ_BY_A_RUN = {
 def rows(sweep, folder, *, changed=False):
     """Return the number of points that ran, and the results by key."""
     ran, _ = execute(sweep, folder, changed=changed)
-    return ran, {row["key"]: row for row in pq.read_table(folder / "results.parquet").to_pylist()}
+    return ran, {
+        row["key"]: row for row in pq.read_table(folder / "results.parquet").to_pylist()
+    }
 
 
 def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
@@ -59,21 +66,34 @@ def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     sweep = write(tmp_path, PLANS)
     ran, before = rows(load_sweep(sweep), tmp_path / "out")
     assert ran == 4
-    (tmp_path / "one.yaml").write_text(shipped.replace("5.23599", "3.5"))  # it turns less tightly
-    with pytest.raises(InputError, match=r"contents have changed: one\.yaml\); give --changed"):
+    (tmp_path / "one.yaml").write_text(
+        shipped.replace("5.23599", "3.5")
+    )  # it turns less tightly
+    with pytest.raises(
+        InputError, match=r"contents have changed: one\.yaml\); give --changed"
+    ):
         with open_sweep(load_sweep(sweep), tmp_path / "out"):
             pass
     ran, after = rows(load_sweep(sweep), tmp_path / "out", changed=True)
     assert ran == 2
-    stored = {key for key, row in before.items() if row["planner.footprint"] == "other.yaml"}
+    stored = {
+        key for key, row in before.items() if row["planner.footprint"] == "other.yaml"
+    }
     assert before.keys() & after.keys() == stored
     _, fresh = rows(load_sweep(sweep), tmp_path / "fresh")
 
     def lengths(table):
-        return {(row["planner.footprint"], row["seed"]): row["plan.plan_length_m"] for row in table.values()}
+        return {
+            (row["planner.footprint"], row["seed"]): row["plan.plan_length_m"]
+            for row in table.values()
+        }
 
     assert lengths(after) == lengths(fresh)
-    moved = {place for place, length in lengths(after).items() if length != lengths(before)[place]}
+    moved = {
+        place
+        for place, length in lengths(after).items()
+        if length != lengths(before)[place]
+    }
     assert moved == {("one.yaml", 0), ("one.yaml", 1)}
 
 
@@ -82,7 +102,9 @@ def test_an_edited_robot_file_repeats_only_its_rows(tmp_path, monkeypatch):
     shipped = (ROOT / "calibration/robots/gen2.yaml").read_text()
     (tmp_path / "mine.yaml").write_text(shipped)
     (tmp_path / "other.yaml").write_text(shipped.replace("value: 0.57", "value: 0.5"))
-    text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot: [mine.yaml, other.yaml]")
+    text = SMALL.replace(
+        "controller.frequency_hz: [2, 2.5]", "robot: [mine.yaml, other.yaml]"
+    )
     sweep = write(tmp_path, text)
     before = {point.key: point.changes["robot"] for point in load_sweep(sweep).points}
     (tmp_path / "mine.yaml").write_text(shipped.replace("value: 0.57", "value: 0.47"))
@@ -98,7 +120,9 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
     shutil.copytree(ROOT / "srs_twin", package)  # with what is compiled
     for folder in ("calibration", "models", "scenarios"):
         (tmp_path / "there" / folder).symlink_to(ROOT / folder)
-    sweep = write(tmp_path, SMALL.replace("[2, 2.5]", "[2]").replace("count: 4", "count: 2"))
+    sweep = write(
+        tmp_path, SMALL.replace("[2, 2.5]", "[2]").replace("count: 4", "count: 2")
+    )
 
     def run(*options: str) -> subprocess.CompletedProcess[str]:
         code = "from srs_twin.cli import main; main()"
@@ -112,15 +136,22 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
         )
 
     def speeds() -> list[float]:
-        return pq.read_table(tmp_path / "out/results.parquet")["analytical.com_speed_m_s"].to_pylist()
+        return pq.read_table(tmp_path / "out/results.parquet")[
+            "analytical.com_speed_m_s"
+        ].to_pylist()
 
     assert run().returncode == 0
     forward = speeds()
     gait = package / "control/gait.py"
-    reversed_wave = gait.read_text().replace("step = spec.phase_step if", "step = -spec.phase_step if")
+    reversed_wave = gait.read_text().replace(
+        "step = spec.phase_step if", "step = -spec.phase_step if"
+    )
     gait.write_text(reversed_wave)
     refused = run()
-    assert refused.returncode == 2 and "the program has changed: srs_twin.control.gait)" in refused.stderr
+    assert (
+        refused.returncode == 2
+        and "the program has changed: srs_twin.control.gait)" in refused.stderr
+    )
     assert speeds() == forward
     assert run("--changed").returncode == 0
     assert min(forward) > 0.1 and max(speeds()) < -0.1
@@ -134,7 +165,10 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
 @pytest.mark.parametrize("name", first_by_default(2, READ_BY_A_RUN))
 def test_all_files_and_sources_of_a_run_are_in_its_key(name):
     """Opened files and sources of called functions are observed during the run."""
-    document = {**({} if name == "replay" else load_scenario(name).document), **READ_BY_A_RUN[name]}
+    document = {
+        **({} if name == "replay" else load_scenario(name).document),
+        **READ_BY_A_RUN[name],
+    }
     plants = () if name.startswith("plan") else ("analytical", "twin")
     package = Path(srs_twin.__file__).parent
     opened, called = set(), set()
@@ -157,22 +191,47 @@ def test_all_files_and_sources_of_a_run_are_in_its_key(name):
         sys.setprofile(before)
         watching.clear()
     assert row.status == DONE, row.reason
-    data = {path for path in opened if path.endswith((".yaml", ".yml", ".csv", ".json", ".xml", ".parquet"))}
+    data = {
+        path
+        for path in opened
+        if path.endswith((".yaml", ".yml", ".csv", ".json", ".xml", ".parquet"))
+    }
     # A robot's file is written out in the document of a scenario that was loaded.
-    robots = {path for path in data if "calibration/robots" in path} if name == "replay" else set()
+    robots = (
+        {path for path in data if "calibration/robots" in path}
+        if name == "replay"
+        else set()
+    )
     assert data - robots <= file_digests(document).keys()
-    ours = {Path(path).relative_to(package) for path in called if path.startswith(f"{package}/")}
+    ours = {
+        Path(path).relative_to(package)
+        for path in called
+        if path.startswith(f"{package}/")
+    }
     modules = {".".join(("srs_twin", *path.with_suffix("").parts)) for path in ours}
     modules = {module.removesuffix(".__init__") for module in modules}
-    assert len(modules) > 10 and modules - {"srs_twin"} <= run_sources(document, RUNNER).keys()
+    assert (
+        len(modules) > 10
+        and modules - {"srs_twin"} <= run_sources(document, RUNNER).keys()
+    )
 
 
 def test_a_plan_and_a_run_of_one_scenario_have_different_keys():
     document = load_scenario("follow_fig57").document
-    keys = {run_key(document, plants, RUNNER) for plants in ((), ("twin",), ("analytical", "twin"))}
+    keys = {
+        run_key(document, plants, RUNNER)
+        for plants in ((), ("twin",), ("analytical", "twin"))
+    }
     assert len(keys) == 3
 
 
 def test_keys_do_not_depend_on_presentation():
     rooms = {name.split(".")[1] for name in source_digests(RUNNER) if name.count(".")}
-    assert not rooms & {"cli", "viewing", "reproduction", "doctor", "attribution", "envs"}
+    assert not rooms & {
+        "cli",
+        "viewing",
+        "reproduction",
+        "doctor",
+        "attribution",
+        "envs",
+    }

@@ -28,7 +28,10 @@ vary:
   world.random.count: [3, 12]
   seed: [0, 1, 2]
 """
-PICTURE = "plots: [{kind: line, x: world.random.count, metric: plan_found, by: planner.kind}]\n"
+PICTURE = (
+    "plots: [{kind: line, x: world.random.count, metric: plan_found, by:"
+    " planner.kind}]\n"
+)
 
 
 def table(text, folder):
@@ -41,38 +44,66 @@ def test_rows_equal_direct_calls_of_the_planners(tmp_path):
     assert len(rows) == 12 and {row["status"] for row in rows} == {"done"}
     body, arcs = load_footprint("gen2_section52"), Primitives(21, math.pi / 3, 0.2)
     for row in rows:
-        kind, world = row["planner.kind"], fig54_world(row["world.random.count"], row["seed"])
-        study_ = Problem(FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None)
+        kind, world = (
+            row["planner.kind"],
+            fig54_world(row["world.random.count"], row["seed"]),
+        )
+        study_ = Problem(
+            FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None
+        )
         answer = plan(study_, planner=kind)
-        assert row["plan.plan_found"] == answer.found and row["plan.plan_nodes"] == answer.expanded
+        assert (
+            row["plan.plan_found"] == answer.found
+            and row["plan.plan_nodes"] == answer.expanded
+        )
         if answer.found:
             # The file's angles have six decimals.
             assert row["plan.plan_length_m"] == pytest.approx(answer.length, abs=1e-4)
         assert 0 < row["plan.plan_s"] < row["wall_s"]
-    assert not [name for name in rows[0] if name.startswith(("analytical.", "twin.", "comparison."))]
-    assert (tmp_path / "out/plots/1_line_plan_found.png").read_bytes().startswith(b"\x89PNG")
+    assert not [
+        name
+        for name in rows[0]
+        if name.startswith(("analytical.", "twin.", "comparison."))
+    ]
+    assert (
+        (tmp_path / "out/plots/1_line_plan_found.png")
+        .read_bytes()
+        .startswith(b"\x89PNG")
+    )
     assert "plan found" in (tmp_path / "out/report.html").read_text("utf-8")
 
 
 def test_the_digest_does_not_depend_on_planning_time(tmp_path):
     with open_sweep(load_sweep(write(tmp_path, WORLDS)), tmp_path / "out") as opened:
-        rows = [done.result for done in here(opened.sweep.experiment, opened.missing()[:4])]
+        rows = [
+            done.result for done in here(opened.sweep.experiment, opened.missing()[:4])
+        ]
     slower = [replace(row, values={**row.values, "plan.plan_s": 9.0}) for row in rows]
-    longer = [replace(row, values={**row.values, "plan.plan_nodes": 9.0}) for row in rows]
+    longer = [
+        replace(row, values={**row.values, "plan.plan_nodes": 9.0}) for row in rows
+    ]
     assert rows_digest(rows) == rows_digest(slower) != rows_digest(longer)
 
 
 @pytest.mark.parametrize(
     ("without", "says"),
     [
-        ("planner.kin=greedy", "unknown varied field 'planner.kin'; did you mean planner.kind?"),
-        ("planner.kind=gredy", "unknown value of planner.kind 'gredy'; did you mean greedy?"),
+        (
+            "planner.kin=greedy",
+            "unknown varied field 'planner.kin'; did you mean planner.kind?",
+        ),
+        (
+            "planner.kind=gredy",
+            "unknown value of planner.kind 'gredy'; did you mean greedy?",
+        ),
     ],
 )
 def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
     write(tmp_path, WORLDS)
     done = srs_twin("sweep", "small.yaml", "--without", without, cwd=tmp_path)
-    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+    assert (
+        done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+    )
 
 
 @pytest.mark.parametrize(
@@ -85,11 +116,18 @@ def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
         (WORLDS + "metrics: [com_speed_m_s]\n", "unknown metric 'com_speed_m_s'"),
         (WORLDS + "metrics: [path_rms_m]\n", "unknown metric 'path_rms_m'"),
         (WORLDS + "periods: 5\n", "periods: no plant runs with plants: []; remove it"),
-        (WORLDS + "trajectories: true\n", "trajectories: no plant runs with plants: []; remove it"),
+        (
+            WORLDS + "trajectories: true\n",
+            "trajectories: no plant runs with plants: []; remove it",
+        ),
         (WORLDS.replace("greedy, ", "gready, "), "gready"),
-        (WORLDS + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n", "beside: has"),
+        (
+            WORLDS
+            + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n",
+            "beside: has",
+        ),
     ],
-)  # fmt: skip
+)
 def test_keys_that_need_a_plant_are_refused(text, says, tmp_path):
     with pytest.raises(InputFileError) as caught:
         load_sweep(write(tmp_path, text))

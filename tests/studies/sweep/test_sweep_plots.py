@@ -13,7 +13,11 @@ from matplotlib.image import imread
 from pydantic import ValidationError
 from small import table_of
 
-from srs_twin.comparison.metrics import COMPARISON_UNITS, LIST_METRIC_UNITS, METRIC_UNITS
+from srs_twin.comparison.metrics import (
+    COMPARISON_UNITS,
+    LIST_METRIC_UNITS,
+    METRIC_UNITS,
+)
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.studies.sweep.plots import draw as draw_results
 from srs_twin.studies.sweep.points import Plot
@@ -83,31 +87,51 @@ def dots(axes):
 
 
 def words(figure):
-    texts = [figure.get_suptitle(), *(text.get_text() for axes in figure.axes for text in axes.texts)]
+    texts = [
+        figure.get_suptitle(),
+        *(text.get_text() for axes in figure.axes for text in axes.texts),
+    ]
     return "\n".join(texts)
 
 
 def filled(axes):
-    return [item for item in axes.collections if isinstance(item, ContourSet) and item.filled]
+    return [
+        item
+        for item in axes.collections
+        if isinstance(item, ContourSet) and item.filled
+    ]
 
 
 def test_a_contour_has_the_points_colours_and_labels_of_the_grid():
     figure = draw(CONTOUR, grid())
     left, right = planes(figure)
-    assert (left.get_title("left"), right.get_title("left")) == ("analytical", "twin (MuJoCo)")
-    assert left.get_xlabel() == "gait frequency (Hz)" and left.get_ylabel() == "supply pressure (kPa)"
+    assert (left.get_title("left"), right.get_title("left")) == (
+        "analytical",
+        "twin (MuJoCo)",
+    )
+    assert (
+        left.get_xlabel() == "gait frequency (Hz)"
+        and left.get_ylabel() == "supply pressure (kPa)"
+    )
     first, second = filled(left)[0], filled(right)[0]
-    assert np.array_equal(first.levels, second.levels) and first.cmap.name == second.cmap.name
+    assert (
+        np.array_equal(first.levels, second.levels)
+        and first.cmap.name == second.cmap.name
+    )
     assert first.levels[0] <= 0.8 * law(0.5, 20) and first.levels[-1] >= law(2.0, 40)
     (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
     assert bar.get_ylabel() == "CoM speed (m/s)"
-    assert {tuple(p) for p in dots(left).get_offsets()} == set(zip(grid()[F], grid()[P], strict=True))
+    assert {tuple(p) for p in dots(left).get_offsets()} == set(
+        zip(grid()[F], grid()[P], strict=True)
+    )
 
 
 def test_contour_lines_of_a_plane_are_exact():
     """Level lines of a plane are straight, so linear interpolation is exact."""
-    (axes, _) = planes(draw(CONTOUR, grid()))
-    lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
+    axes, _ = planes(draw(CONTOUR, grid()))
+    lines = next(
+        c for c in axes.collections if isinstance(c, ContourSet) and not c.filled
+    )
     checked = 0
     for level, segments in zip(lines.levels, lines.allsegs, strict=True):
         for segment in segments:
@@ -120,8 +144,10 @@ def test_contour_lines_of_a_plane_are_exact():
 def test_scattered_points_are_triangulated():
     rng = np.random.default_rng(3)
     f, p = rng.uniform(0.5, 2, 40), rng.uniform(20, 40, 40)
-    (axes, _) = planes(draw(CONTOUR, table(f, p, failed=(4,))))
-    lines = next(c for c in axes.collections if isinstance(c, ContourSet) and not c.filled)
+    axes, _ = planes(draw(CONTOUR, table(f, p, failed=(4,))))
+    lines = next(
+        c for c in axes.collections if isinstance(c, ContourSet) and not c.filled
+    )
     points = np.concatenate([s for segments in lines.allsegs for s in segments])
     values = law(points[:, 0], points[:, 1])
     assert np.abs(values[:, None] - lines.levels[None]).min(axis=1).max() < 1e-9
@@ -134,7 +160,9 @@ def test_failed_and_missing_points_have_different_markers():
     for axes in planes(figure):
         assert marks(axes, "failed") == {(values[F][i], values[P][i]) for i in (0, 11)}
         assert marks(axes, "no value") == {(values[F][3], values[P][3])}
-    assert "2 of 12 runs failed" in words(figure) and "2 values missing" in words(figure)
+    assert "2 of 12 runs failed" in words(figure) and "2 values missing" in words(
+        figure
+    )
 
 
 def test_values_of_both_signs_have_a_symmetric_colour_scale():
@@ -142,7 +170,9 @@ def test_values_of_both_signs_have_a_symmetric_colour_scale():
     values["comparison.com_speed_rel"] = np.linspace(-0.2, 0.4, 12).tolist()
     (axes,) = planes(draw(plot("contour", F, "com_speed_rel", P), values))
     levels = filled(axes)[0].levels
-    assert levels == pytest.approx(-levels[::-1]) and filled(axes)[0].cmap.name == "RdBu_r"
+    assert (
+        levels == pytest.approx(-levels[::-1]) and filled(axes)[0].cmap.name == "RdBu_r"
+    )
     assert axes.get_title("left") == "twin − analytical"
 
 
@@ -161,7 +191,9 @@ def test_seeds_are_averaged_with_a_note():
     (axes,) = planes(figure)
     assert "each value the mean over random seed" in words(figure)
     assert filled(axes)[0].zmax == pytest.approx(2 * max(grid()[A]))
-    assert "mean over" not in words(draw(plot("scatter", F, SPEED), twice("seed", (0, 1))))
+    assert "mean over" not in words(
+        draw(plot("scatter", F, SPEED), twice("seed", (0, 1)))
+    )
 
 
 def test_contours_do_not_average_over_varied_fields():
@@ -174,25 +206,40 @@ def test_contours_do_not_average_over_varied_fields():
     assert filled(first)[0].zmax == pytest.approx(max(grid()[A]))
     assert filled(second)[0].zmax == pytest.approx(3 * max(grid()[A]))
     assert np.array_equal(filled(first)[0].levels, filled(second)[0].levels)
-    assert "one row for each steering offset" in words(figure) and "mean over" not in words(figure)
-    many = {name: column * 8 for name, column in grid().items()} | {OFFSET: np.repeat(range(8), 12).tolist()}
+    assert "one row for each steering offset" in words(
+        figure
+    ) and "mean over" not in words(figure)
+    many = {name: column * 8 for name, column in grid().items()} | {
+        OFFSET: np.repeat(range(8), 12).tolist()
+    }
     figure = draw(CONTOUR, many)
-    assert len(planes(figure)) == 2 * 6 and "steering offset, 6 of 8 shown" in words(figure)
+    assert len(planes(figure)) == 2 * 6 and "steering offset, 6 of 8 shown" in words(
+        figure
+    )
 
 
 def test_lines_do_not_average_over_varied_fields():
     """The first remaining field determines the colour of a line; `by` gives one line per value."""
-    both = twice(OFFSET) | {P: [30.0] * 24, F: [1.0, 2.0, 3.0] * 8, "plants.twin.gaps": [True, False] * 12}
+    both = twice(OFFSET) | {
+        P: [30.0] * 24,
+        F: [1.0, 2.0, 3.0] * 8,
+        "plants.twin.gaps": [True, False] * 12,
+    }
     (axes,) = planes(draw(LINE, both | {"plants.twin.gaps": [True] * 24}))
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["0", "0.4"]
     assert len(curves(axes)) == 2
     figure = draw(plot("line", F, SPEED, by=OFFSET), both)
     assert (
         len(curves(planes(figure)[0])) == 4
-        and "one line for each whether the segments have rigid gaps" in words(figure).lower()
+        and "one line for each whether the segments have rigid gaps"
+        in words(figure).lower()
     )
-    # Every sample has different values: nothing is at the same place, and nothing is averaged.
-    sampled = grid() | {F: np.linspace(1, 2, 12).tolist(), OFFSET: np.linspace(0, 1, 12).tolist()}
+    # Every sample has different values: nothing is at the same place, and nothing is
+    # averaged.
+    sampled = grid() | {
+        F: np.linspace(1, 2, 12).tolist(),
+        OFFSET: np.linspace(0, 1, 12).tolist(),
+    }
     figure = draw(LINE, sampled)
     assert len(curves(planes(figure)[0])) == 2 and "one line" not in words(figure)
 
@@ -211,7 +258,9 @@ def test_lines_show_the_table_by_value_and_plant():
         expected[(x == 1.0) & (pressure == 30.0)] = np.nan
         assert y == pytest.approx(expected, nan_ok=True)
     assert len({line.get_color() for line in drawn[:3]}) == 3
-    assert [line.get_color() for line in drawn[:3]] == [line.get_color() for line in drawn[3:]]
+    assert [line.get_color() for line in drawn[:3]] == [
+        line.get_color() for line in drawn[3:]
+    ]
     assert len({line.get_linestyle() for line in drawn}) == 2
     assert marks(axes, "failed") == {(1.0, 0.025)}
     legend = axes.get_legend()
@@ -222,7 +271,10 @@ def test_lines_show_the_table_by_value_and_plant():
 def test_many_lines_have_a_colour_bar():
     figure = draw(plot("line", F, SPEED, by=P), grid(pressures=np.linspace(20, 40, 13)))
     (bar,) = [axes for axes in figure.axes if axes.get_label() == "colors"]
-    assert bar.get_ylabel() == "supply pressure (kPa)" and len(curves(planes(figure)[0])) == 26
+    assert (
+        bar.get_ylabel() == "supply pressure (kPa)"
+        and len(curves(planes(figure)[0])) == 26
+    )
 
 
 @pytest.mark.parametrize("count", [3, 13])
@@ -233,7 +285,11 @@ def test_scatter_plots_show_the_table(count):
     figure = draw(plot("scatter", "com_speed_rel", SPEED, by=P), given)
     (axes,) = planes(figure)
     expected = [
-        (x, y, c) for x, y, c in zip(given["comparison.com_speed_rel"], given[B], given[P], strict=True) if y
+        (x, y, c)
+        for x, y, c in zip(
+            given["comparison.com_speed_rel"], given[B], given[P], strict=True
+        )
+        if y
     ]
     if count == 3:
         key = axes.get_legend()
@@ -246,7 +302,10 @@ def test_scatter_plots_show_the_table(count):
         values = dots(axes).get_array()
     result = [(*at, c) for at, c in zip(dots(axes).get_offsets(), values, strict=True)]
     assert np.array(sorted(result)) == pytest.approx(np.array(sorted(expected)))
-    assert axes.get_xlabel() == "CoM speed, relative difference" and axes.get_ylabel() == "CoM speed (m/s)"
+    assert (
+        axes.get_xlabel() == "CoM speed, relative difference"
+        and axes.get_ylabel() == "CoM speed (m/s)"
+    )
 
 
 def test_text_and_boolean_values_are_categories():
@@ -254,15 +313,22 @@ def test_text_and_boolean_values_are_categories():
     values["plants.analytical.model"] = ["simplified", "complete"]
     values["plants.twin.gaps"] = [True, False]
     (axes,) = planes(draw(plot("line", "plants.analytical.model", SPEED), values))
-    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["complete", "simplified"]
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == [
+        "complete",
+        "simplified",
+    ]
     x, y = curves(axes)[0].get_data()
-    assert np.array_equal(x, [0, 1]) and y == pytest.approx([law(2.0, 30.0), law(1.0, 30.0)])
+    assert np.array_equal(x, [0, 1]) and y == pytest.approx(
+        [law(2.0, 30.0), law(1.0, 30.0)]
+    )
     (axes,) = planes(draw(plot("line", "plants.twin.gaps", SPEED), values))
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["False", "True"]
 
 
 def test_lists_are_averaged():
-    values = grid() | {f"twin.bend_amplitude_rad_{j}": [0.1 * j] * 12 for j in (1, 2, 3)}
+    values = grid() | {
+        f"twin.bend_amplitude_rad_{j}": [0.1 * j] * 12 for j in (1, 2, 3)
+    }
     (axes,) = planes(draw(plot("line", F, "bend_amplitude_rad"), values))
     assert axes.get_ylabel() == "bend amplitude (rad), mean over 3"
     assert curves(axes)[0].get_ydata() == pytest.approx(0.2)
@@ -295,10 +361,14 @@ def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_pa
 def test_a_single_value_is_stated_and_shown():
     figure = draw(CONTOUR, table(np.array([1.0]), np.array([30.0]), share=1.0))
     assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
-    assert np.asarray(dots(planes(figure)[0]).get_array()) == pytest.approx([law(1.0, 30.0)])
+    assert np.asarray(dots(planes(figure)[0]).get_array()) == pytest.approx(
+        [law(1.0, 30.0)]
+    )
 
 
-numbers = st.one_of(st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -1.0, 1e300, 1e-300]))
+numbers = st.one_of(
+    st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -1.0, 1e300, 1e-300])
+)
 
 
 @pytest.mark.slow
@@ -306,17 +376,21 @@ numbers = st.one_of(st.none(), st.floats(width=32), st.sampled_from([0.0, 1.0, -
 @given(
     rows=st.lists(
         st.tuples(
-            st.sampled_from([0.0, 1.0, 2.0, 1e9]), st.floats(-1e6, 1e6), numbers,
+            st.sampled_from([0.0, 1.0, 2.0, 1e9]),
+            st.floats(-1e6, 1e6),
+            numbers,
             st.sampled_from(["done", "failed"]),
         ),
         max_size=12,
     ),
     kind=st.sampled_from(["contour", "line", "scatter"]),
-)  # fmt: skip
+)
 def test_any_table_can_be_drawn(rows, kind):
     f, p, value, status = ([row[i] for row in rows] for i in range(4))
     values = {F: f, P: p, "status": status, A: value, B: value[::-1]}
-    expected = plot(kind, F, SPEED, P) if kind == "contour" else plot(kind, F, SPEED, by=P)
+    expected = (
+        plot(kind, F, SPEED, P) if kind == "contour" else plot(kind, F, SPEED, by=P)
+    )
     draw(expected, values).canvas.draw()
 
 
@@ -324,7 +398,9 @@ def test_any_table_can_be_drawn(rows, kind):
 @pytest.mark.parametrize("suffix", [".png", ".svg"])
 def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
     rng = np.random.default_rng(5)
-    values = grid(failed=(5,), missing=(2,)) | {OFFSET: rng.choice([0.1, 0.2], 12).tolist()}
+    values = grid(failed=(5,), missing=(2,)) | {
+        OFFSET: rng.choice([0.1, 0.2], 12).tolist()
+    }
     order = rng.permutation(12)
     shuffled = {name: [column[i] for i in order] for name, column in values.items()}
     for request in (
@@ -338,13 +414,21 @@ def test_equal_tables_give_equal_bytes_in_any_order(suffix, tmp_path):
         assert first == second
     if suffix == ".png":
         assert imread(tmp_path / "a.png").std() > 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"a{suffix}", f"b{suffix}"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        f"a{suffix}",
+        f"b{suffix}",
+    ]
 
 
 def test_invalid_plots_are_refused(tmp_path):
-    with pytest.raises(UnknownNameError, match="unknown metric 'com_sped_m_s'; did you mean com_speed_m_s"):
+    with pytest.raises(
+        UnknownNameError,
+        match="unknown metric 'com_sped_m_s'; did you mean com_speed_m_s",
+    ):
         draw(plot("line", F, "com_sped_m_s"), grid())
-    with pytest.raises(UnknownNameError, match="unknown column 'supply.presure_kpa'; did you mean"):
+    with pytest.raises(
+        UnknownNameError, match="unknown column 'supply.presure_kpa'; did you mean"
+    ):
         draw(plot("contour", F, SPEED, "supply.presure_kpa"), grid())
     with pytest.raises(ValidationError, match="needs y"):
         plot("contour", F, SPEED)

@@ -44,7 +44,9 @@ def swept(tmp_path):
     return load_sweep(write(tmp_path, SWEEP + METRICS))
 
 
-METRICS = "metrics: [measured_shape_rms_m, measured_path_rms_m, measured_bend_rms_rad]\n"
+METRICS = (
+    "metrics: [measured_shape_rms_m, measured_path_rms_m, measured_bend_rms_rad]\n"
+)
 
 
 def results(sweep, folder):
@@ -56,22 +58,41 @@ def results(sweep, folder):
 def test_each_row_has_the_deviations_of_its_run(swept, tmp_path):
     table = results(swept, tmp_path / "out")
     assert sorted(table["robot.geometry.rigid_gap_m"]) == GAPS
-    columns = {name.partition(".")[2] for name in table if name.startswith("analytical.")}
-    assert columns == {"measured_shape_rms_m", "measured_path_rms_m", "measured_bend_rms_rad"}
+    columns = {
+        name.partition(".")[2] for name in table if name.startswith("analytical.")
+    }
+    assert columns == {
+        "measured_shape_rms_m",
+        "measured_path_rms_m",
+        "measured_bend_rms_rad",
+    }
     row = table["robot.geometry.rigid_gap_m"].index(0.026)
-    point = next(candidate for candidate in swept.points if candidate.key == table["key"][row])
+    point = next(
+        candidate for candidate in swept.points if candidate.key == table["key"][row]
+    )
     scenario = parse_scenario(swept.experiment.document(point.changes))
     run = rollout(
-        scenario.build_plant("analytical"), scenario.build_controller(), scenario.duration,
-        pose=scenario.pose, record_hz=scenario.record_hz,
-    )  # fmt: skip
+        scenario.build_plant("analytical"),
+        scenario.build_controller(),
+        scenario.duration,
+        pose=scenario.pose,
+        record_hz=scenario.record_hz,
+    )
     printed = MeasuredDifference.between(scenario.measured, run).metrics
     for name in columns:
         assert table[f"analytical.{name}"][row] == printed[name]
     # By hand: the bends at the recording's times, sampled at 100 Hz.
-    bends = np.stack([np.interp(scenario.measured.time, run.time, run[f"bend_{j}"]) for j in range(1, 5)], 1)
+    bends = np.stack(
+        [
+            np.interp(scenario.measured.time, run.time, run[f"bend_{j}"])
+            for j in range(1, 5)
+        ],
+        1,
+    )
     rms = float(np.sqrt(np.mean((bends - scenario.measured.stack("bend")) ** 2)))
-    assert table["analytical.measured_bend_rms_rad"][row] == pytest.approx(rms, rel=0.02)
+    assert table["analytical.measured_bend_rms_rad"][row] == pytest.approx(
+        rms, rel=0.02
+    )
 
 
 @pytest.mark.slow
@@ -79,7 +100,11 @@ def test_a_sweep_finds_the_recorded_robot(swept, tmp_path):
     """The recorded robot has gaps of 21 mm, which body shapes identify."""
     table = results(swept, tmp_path / "out")
     shapes = dict(
-        zip(table["robot.geometry.rigid_gap_m"], table["analytical.measured_shape_rms_m"], strict=True)
+        zip(
+            table["robot.geometry.rigid_gap_m"],
+            table["analytical.measured_shape_rms_m"],
+            strict=True,
+        )
     )
     assert min(shapes, key=shapes.__getitem__) == 0.021
     assert shapes[0.021] < 0.8 * shapes[0.026]
@@ -95,5 +120,8 @@ def test_all_measured_metrics_are_columns(tmp_path):
 
 def test_a_missing_recording_is_reported_before_any_run(tmp_path):
     (tmp_path / "replay.yaml").write_text(SCENARIO.replace("walk_check", "walk_away"))
-    with pytest.raises(InputFileError, match=r"replay.yaml:5:21: recording.motion: .*walk_away.csv: no such"):
+    with pytest.raises(
+        InputFileError,
+        match=r"replay.yaml:5:21: recording.motion: .*walk_away.csv: no such",
+    ):
         load_sweep(write(tmp_path, SWEEP))

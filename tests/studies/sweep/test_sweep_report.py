@@ -19,10 +19,12 @@ from srs_twin.studies.sweep.report import MAX_RUNS, mean_tables, run_tables
 from srs_twin.studies.sweep.table import SweepTable
 
 PICTURE = (
-    "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s, by: controller.frequency_hz}]\n"
+    "plots: [{kind: line, x: supply.pressure_kpa, metric: com_speed_m_s, by:"
+    " controller.frequency_hz}]\n"
 )
 BESIDE = (
-    "beside: {source: T, note: a <b>, at: {supply.pressure_kpa: [41]}, metrics: {com_speed_m_s: [0.2]}}\n"
+    "beside: {source: T, note: a <b>, at: {supply.pressure_kpa: [41]}, metrics:"
+    " {com_speed_m_s: [0.2]}}\n"
 )
 SPEED = "com_speed_m_s"
 
@@ -64,27 +66,50 @@ def left(tmp_path, text, engine=here, points=None):
     """Run a sweep and return its page, its table and the summary."""
     out = tmp_path / "out"
     _, summary = execute(load_sweep(write(tmp_path, text)), out, engine, points=points)
-    return Page((out / "report.html").read_text("utf-8")), pq.read_table(out / "results.parquet"), summary
+    return (
+        Page((out / "report.html").read_text("utf-8")),
+        pq.read_table(out / "results.parquet"),
+        summary,
+    )
 
 
 def test_the_page_shows_the_results(tmp_path):
-    page, results, summary = left(tmp_path, "title: Speed <b> & more\n" + SMALL + PICTURE + BESIDE)
+    page, results, summary = left(
+        tmp_path, "title: Speed <b> & more\n" + SMALL + PICTURE + BESIDE
+    )
     assert page.texts["title"] == page.texts["h1"] == ["Speed <b> & more"]
-    assert "8 of 8 runs done, 0 failed" in page.texts["p"] and "a <b>" in page.texts["p"]
+    assert (
+        "8 of 8 runs done, 0 failed" in page.texts["p"] and "a <b>" in page.texts["p"]
+    )
     varied, beside, runs, made_with = page.tables
-    assert ["supply pressure (kPa)", "supply.pressure_kpa", "41, 45.6667, 50.3333, 55"] in varied
+    assert [
+        "supply pressure (kPa)",
+        "supply.pressure_kpa",
+        "41, 45.6667, 50.3333, 55",
+    ] in varied
     assert ["simulated duration (s)", "duration_s", "2 (fixed)"] in varied
     columns = results.to_pydict()
-    assert runs[0][:3] == ["gait frequency (Hz)", "supply pressure (kPa)", "CoM speed (m/s), analytical"]
-    places = zip(columns["controller.frequency_hz"], columns["supply.pressure_kpa"], strict=True)
+    assert runs[0][:3] == [
+        "gait frequency (Hz)",
+        "supply pressure (kPa)",
+        "CoM speed (m/s), analytical",
+    ]
+    places = zip(
+        columns["controller.frequency_hz"], columns["supply.pressure_kpa"], strict=True
+    )
     speeds = dict(zip(places, columns[f"analytical.{SPEED}"], strict=True))
     for (f, p), line in zip(sorted(speeds), runs[1:], strict=True):
-        assert [float(cell) for cell in line[:3]] == pytest.approx([f, p, speeds[f, p]], rel=1e-3)
+        assert [float(cell) for cell in line[:3]] == pytest.approx(
+            [f, p, speeds[f, p]], rel=1e-3
+        )
     assert [line[:4] for line in beside[1:]] == [
         ["CoM speed (m/s)", "41", frequency, "0.2"] for frequency in ("2", "2.5")
     ]
     for f, line in zip((2, 2.5), beside[1:], strict=True):
-        assert line[4:] == [f"{speeds[f, 41]:.4g}", f"{100 * (speeds[f, 41] / 0.2 - 1):+.1f} %"]
+        assert line[4:] == [
+            f"{speeds[f, 41]:.4g}",
+            f"{100 * (speeds[f, 41] / 0.2 - 1):+.1f} %",
+        ]
     assert ["results sha256", summary.sha256] in made_with
     assert any(line[0] == "mujoco" for line in made_with)
 
@@ -92,11 +117,15 @@ def test_the_page_shows_the_results(tmp_path):
 def test_the_page_has_no_external_references(tmp_path):
     page, _, _ = left(tmp_path, SMALL + PICTURE)
     text = (tmp_path / "out" / "report.html").read_text("utf-8")
-    assert page.tags.isdisjoint({"script", "link", "iframe", "object", "a"}) and "http://" not in text
+    assert (
+        page.tags.isdisjoint({"script", "link", "iframe", "object", "a"})
+        and "http://" not in text
+    )
     (picture,) = (tmp_path / "out" / "plots").iterdir()
-    assert [base64.b64decode(src.removeprefix("data:image/png;base64,")) for src in page.images] == [
-        picture.read_bytes()
-    ]
+    assert [
+        base64.b64decode(src.removeprefix("data:image/png;base64,"))
+        for src in page.images
+    ] == [picture.read_bytes()]
     assert "default-src 'none'" in text.replace("&#x27;", "'")
 
 
@@ -104,15 +133,22 @@ def test_failed_and_missing_runs_are_listed(tmp_path):
     page, _, _ = left(tmp_path, SMALL + PICTURE, diverges, points=6)
     assert "3 of 8 runs done, 3 failed, 2 not run yet" in page.texts["p"]
     assert page.tables[0][1:] == [["twin diverged at t = 1 s: boom", "3"]]
-    assert page.tables[2][0][2] == "status" and {line[2] for line in page.tables[2][1:]} == {"done", "failed"}
+    assert page.tables[2][0][2] == "status" and {
+        line[2] for line in page.tables[2][1:]
+    } == {"done", "failed"}
 
 
 def test_a_sweep_with_only_failed_runs_writes_its_files(tmp_path):
     def fails(experiment, points):
-        yield from (TaskResult(i, None, DivergedError("twin", 1.0, "boom")) for i, _ in enumerate(points))
+        yield from (
+            TaskResult(i, None, DivergedError("twin", 1.0, "boom"))
+            for i, _ in enumerate(points)
+        )
 
     page, _, summary = left(tmp_path, SMALL + PICTURE + BESIDE, fails)
-    assert (summary.failed, len(page.images)) == (8, 1) and (tmp_path / "out" / "sweep.json").exists()
+    assert (summary.failed, len(page.images)) == (8, 1) and (
+        tmp_path / "out" / "sweep.json"
+    ).exists()
     assert "0 of 8 runs done, 8 failed" in page.texts["p"]
 
 
@@ -123,14 +159,21 @@ def test_equal_rows_give_equal_pages(tmp_path):
     for name, engine in (("a", here), ("b", backwards)):
         (tmp_path / name).mkdir()
         left(tmp_path / name, SMALL + PICTURE, engine)
-    first, second = ((tmp_path / name / "out" / "report.html").read_bytes() for name in "ab")
+    first, second = (
+        (tmp_path / name / "out" / "report.html").read_bytes() for name in "ab"
+    )
     assert first == second
 
 
 def table(x, value, failed=()):
     status = ["failed" if i in failed else "done" for i in range(len(x))]
     return table_of(
-        {"key": list(map(str, range(len(x)))), "seed": x, "status": status, f"twin.{SPEED}": value}
+        {
+            "key": list(map(str, range(len(x)))),
+            "seed": x,
+            "status": status,
+            f"twin.{SPEED}": value,
+        }
     )
 
 
@@ -139,24 +182,37 @@ def test_means_are_only_over_seeds():
     rng = np.random.default_rng(2)
     names = "controller.offset", "controller.frequency_hz", "seed"
     columns = dict(
-        zip(names, zip(*product((0.1, 0.2), (1.0, 1.5, 2.0), range(50)), strict=True), strict=True)
+        zip(
+            names,
+            zip(*product((0.1, 0.2), (1.0, 1.5, 2.0), range(50)), strict=True),
+            strict=True,
+        )
     )
     value = rng.normal(5, 2, 300)
     status = ["failed" if i == 7 else "done" for i in range(300)]
-    rows = table_of({"key": range(300), **columns, "status": status, f"twin.{SPEED}": value})
+    rows = table_of(
+        {"key": range(300), **columns, "status": status, f"twin.{SPEED}": value}
+    )
     assert [result.rows for result in run_tables(rows, [SPEED])] == [()]
     (result,) = mean_tables(rows, [SPEED])
     assert result.headings[:3] == ("steering offset", "gait frequency (Hz)", "runs")
-    assert [line[:2] for line in result.rows] == list(product(("0.1", "0.2"), ("1", "1.5", "2")))
+    assert [line[:2] for line in result.rows] == list(
+        product(("0.1", "0.2"), ("1", "1.5", "2"))
+    )
     for k, line in enumerate(result.rows):
         own = np.delete(value[50 * k : 50 * k + 50], [7] if k == 0 else [])
         assert line[2:] == (str(len(own)), f"{own.mean():.4g} ± {own.std(ddof=1):.2g}")
     many = table_of(
-        {"key": range(402), "seed": [0, 1] * 201, "a.b": np.repeat(range(201), 2), "status": ["done"] * 402}
+        {
+            "key": range(402),
+            "seed": [0, 1] * 201,
+            "a.b": np.repeat(range(201), 2),
+            "status": ["done"] * 402,
+        }
     )
-    assert [(result.rows, result.note[:16]) for result in mean_tables(many, [SPEED])] == [
-        ((), "201 combinations")
-    ]
+    assert [
+        (result.rows, result.note[:16]) for result in mean_tables(many, [SPEED])
+    ] == [((), "201 combinations")]
 
 
 def test_the_number_of_listed_runs_is_limited():
@@ -185,10 +241,17 @@ def test_large_integers_have_all_digits():
 def test_wide_tables_are_truncated():
     metrics = [SPEED, "path_length_m", "yaw_rate_rad_s", "path_speed_m_s"]
     values = {"key": ["a"], "seed": [1], "status": ["done"]}
-    values |= {f"{plant}.{metric}": [1.0] for metric in metrics for plant in ("analytical", "twin")}
+    values |= {
+        f"{plant}.{metric}": [1.0]
+        for metric in metrics
+        for plant in ("analytical", "twin")
+    }
     tables = run_tables(table_of(values), metrics)
     assert [len(result.headings) for result in tables] == [7, 3]
-    assert sorted(h for result in tables for h in result.headings[1:])[0] == "CoM speed (m/s), analytical"
+    assert (
+        sorted(h for result in tables for h in result.headings[1:])[0]
+        == "CoM speed (m/s), analytical"
+    )
 
 
 def test_the_command_prints_the_report_path_and_published_values(srs_twin, tmp_path):
@@ -206,7 +269,10 @@ def test_the_command_prints_the_report_path_and_published_values(srs_twin, tmp_p
 
 
 def test_the_command_does_not_print_long_tables(srs_twin, tmp_path):
-    places, values = ", ".join(str(41 + 0.1 * i) for i in range(31)), ", ".join(["0.2"] * 31)
+    places, values = (
+        ", ".join(str(41 + 0.1 * i) for i in range(31)),
+        ", ".join(["0.2"] * 31),
+    )
     text = BESIDE.replace("[41]", f"[{places}]").replace("[0.2]", f"[{values}]")
     write(tmp_path, SMALL.replace("count: 4", "count: 2") + text)
     run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
@@ -215,5 +281,7 @@ def test_the_command_does_not_print_long_tables(srs_twin, tmp_path):
         and "compared with T" not in run.stdout
         and "no run has supply.pressure" in run.stderr
     )
-    page = Page((tmp_path / "runs" / "sweeps" / "small" / "report.html").read_text("utf-8"))
+    page = Page(
+        (tmp_path / "runs" / "sweeps" / "small" / "report.html").read_text("utf-8")
+    )
     assert len(page.tables[1]) == 33  # two frequencies at the one that was run

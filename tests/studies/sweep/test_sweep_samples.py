@@ -15,7 +15,9 @@ GRID, LIST = SamplingFile(), SamplingFile(kind="list")
 
 
 def spread(low, high, count=None, scale="linear"):
-    return RangeFile.model_validate({"from": low, "to": high, "count": count, "scale": scale})
+    return RangeFile.model_validate(
+        {"from": low, "to": high, "count": count, "scale": scale}
+    )
 
 
 def test_a_grid_has_every_combination_once():
@@ -39,30 +41,45 @@ def test_lists_are_combined_element_by_element():
 @given(st.integers(1, 60), st.integers(0, 2**32 - 1))
 def test_latin_hypercube_has_one_point_in_every_stratum(count, seed):
     box = {"a": spread(-1, 1), "b": spread(1, 100, scale="log")}
-    points = np.array(sample(box, SamplingFile(kind="latin_hypercube", count=count, seed=seed)))
+    points = np.array(
+        sample(box, SamplingFile(kind="latin_hypercube", count=count, seed=seed))
+    )
     linear = (points[:, 0] + 1) / 2
     log = np.log(points[:, 1]) / np.log(100)
     for column in (linear, log):
-        assert sorted(np.floor(column * count * (1 - 1e-12)).astype(int)) == list(range(count))
+        assert sorted(np.floor(column * count * (1 - 1e-12)).astype(int)) == list(
+            range(count)
+        )
 
 
 @given(st.integers(1, 7), st.integers(0, 2**32 - 1))
 def test_sobol_is_balanced(power, seed):
     """Every elementary interval of a digital net in base 2 holds the same number of points: here halves."""
     points = np.array(
-        sample({"a": spread(0, 1), "b": spread(0, 1)}, SamplingFile(kind="sobol", count=2**power, seed=seed))
+        sample(
+            {"a": spread(0, 1), "b": spread(0, 1)},
+            SamplingFile(kind="sobol", count=2**power, seed=seed),
+        )
     )
     assert list((points < 0.5).sum(axis=0)) == [2 ** (power - 1)] * 2
 
 
 def test_samples_use_all_values_of_a_list_equally_often():
     points = sample(
-        {"a": ["x", "y", "z"], "b": spread(0, 1)}, SamplingFile(kind="latin_hypercube", count=30, seed=1)
+        {"a": ["x", "y", "z"], "b": spread(0, 1)},
+        SamplingFile(kind="latin_hypercube", count=30, seed=1),
     )
-    assert {name: [point[0] for point in points].count(name) for name in "xyz"} == {"x": 10, "y": 10, "z": 10}
+    assert {name: [point[0] for point in points].count(name) for name in "xyz"} == {
+        "x": 10,
+        "y": 10,
+        "z": 10,
+    }
 
 
 def test_the_same_seed_gives_the_same_points():
     box = {"a": spread(0, 1), "b": spread(0, 1)}
-    first, again, other = (sample(box, SamplingFile(kind="sobol", count=8, seed=seed)) for seed in (3, 3, 4))
+    first, again, other = (
+        sample(box, SamplingFile(kind="sobol", count=8, seed=seed))
+        for seed in (3, 3, 4)
+    )
     assert first == again != other

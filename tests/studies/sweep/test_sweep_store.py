@@ -25,18 +25,26 @@ from srs_twin.studies.sweep.task import DONE, FAILED, Row
 pytestmark = pytest.mark.fast
 
 ROWS = [
-    Row(f"{k:064x}", DONE, {"twin.com_speed_m_s": k / 7, "twin.turning_radius_m": None}, 0.5)
+    Row(
+        f"{k:064x}",
+        DONE,
+        {"twin.com_speed_m_s": k / 7, "twin.turning_radius_m": None},
+        0.5,
+    )
     for k in range(40)
 ]
 numbers = st.none() | st.floats(allow_nan=False, allow_infinity=False)
 
 
 @given(
-    values=st.dictionaries(st.text(max_size=9), numbers, max_size=5), reason=st.none() | st.text(max_size=20)
+    values=st.dictionaries(st.text(max_size=9), numbers, max_size=5),
+    reason=st.none() | st.text(max_size=20),
 )
 def test_added_rows_are_read_back(tmp_path_factory, values, reason):
     folder = tmp_path_factory.mktemp("store")
-    row = Row("ab", FAILED if reason else DONE, values, 1 / 3, reason, 3 if reason else 0)
+    row = Row(
+        "ab", FAILED if reason else DONE, values, 1 / 3, reason, 3 if reason else 0
+    )
     with RowStore(folder) as store:
         store.add(row)
     with RowStore(folder) as store:
@@ -47,7 +55,9 @@ def test_a_row_with_an_equal_key_is_replaced(tmp_path):
     with RowStore(tmp_path) as store:
         store.add(Row("a", FAILED, reason="boom", exit_code=3))
         store.add(Row("b", DONE))
-        assert store.keys(failed=True) == {"a", "b"} and store.keys(failed=False) == {"b"}
+        assert store.keys(failed=True) == {"a", "b"} and store.keys(failed=False) == {
+            "b"
+        }
         store.add(Row("a", DONE, {"x": 1.0}))
         assert [row.status for row in store.rows()] == [DONE, DONE]
         store.retain(["a"])
@@ -66,13 +76,22 @@ def test_the_folder_is_locked(tmp_path):
 @pytest.mark.parametrize(
     "junk",
     [
-        "", "{", "junk", "null", "3", "[]", "[" * 100_000, "{}", b"\xff", 4.5,
+        "",
+        "{",
+        "junk",
+        "null",
+        "3",
+        "[]",
+        "[" * 100_000,
+        "{}",
+        b"\xff",
+        4.5,
         '{"keys": 1, "scenario": {}, "fields": [], "versions": {}}',
         '{"keys": "a", "scenario": [], "fields": [], "versions": {}}',
         '{"keys": "a", "scenario": {}, "fields": [1], "versions": {}}',
         '{"keys": "a", "scenario": {}, "fields": [], "versions": 2}',
     ],
-)  # fmt: skip
+)
 @pytest.mark.parametrize("table", ["about", "rows"])
 def test_junk_is_refused_and_not_changed(tmp_path, junk, table):
     with RowStore(tmp_path) as store:
@@ -80,12 +99,16 @@ def test_junk_is_refused_and_not_changed(tmp_path, junk, table):
         store.add(ROWS[0])
     base = sqlite3.connect(tmp_path / FILE)
     with base:
-        base.execute(f"UPDATE {table} SET {'value' if table == 'about' else 'row'} = ?", (junk,))
+        base.execute(
+            f"UPDATE {table} SET {'value' if table == 'about' else 'row'} = ?", (junk,)
+        )
     base.close()
     before = (tmp_path / FILE).read_bytes()
     with (
         RowStore(tmp_path) as store,
-        pytest.raises(InputError, match="rows.sqlite: not the rows of a sweep; give another --out"),
+        pytest.raises(
+            InputError, match="rows.sqlite: not the rows of a sweep; give another --out"
+        ),
     ):
         store.identity() if table == "about" else list(store.rows())
     assert (tmp_path / FILE).read_bytes() == before
@@ -110,7 +133,11 @@ def test_a_full_disk_keeps_the_earlier_rows(tmp_path, pages):
     with RowStore(tmp_path) as store:
         store._database.execute(f"PRAGMA max_page_count={pages}")
         with pytest.raises(
-            InputError, match=r"cannot be written \(database or disk is full\); finished rows are kept"
+            InputError,
+            match=(
+                r"cannot be written \(database or disk is full\); finished rows are"
+                r" kept"
+            ),
         ):
             for k in range(10_000):
                 row = Row(f"{k:064x}", DONE, {"x": float(k)}, reason="long " * 20)
@@ -128,7 +155,10 @@ def test_a_full_disk_keeps_the_earlier_rows(tmp_path, pages):
     "limit",
     [
         115_000,
-        *(pytest.param(limit, marks=pytest.mark.slow) for limit in range(30_000, 200_000, 17_000)),
+        *(
+            pytest.param(limit, marks=pytest.mark.slow)
+            for limit in range(30_000, 200_000, 17_000)
+        ),
     ],
 )
 def test_a_file_size_limit_keeps_the_earlier_rows(tmp_path, limit):
@@ -149,16 +179,20 @@ try:
 except InputError as error:
     sys.exit(f"refused: {{error}}")
 """
-    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
-    assert run.returncode == 1 and run.stderr.startswith("refused: rows.sqlite: cannot be written"), (
-        run.stderr
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True
     )
+    assert run.returncode == 1 and run.stderr.startswith(
+        "refused: rows.sqlite: cannot be written"
+    ), run.stderr
     stored = [int(line) for line in run.stdout.split()]
     with RowStore(tmp_path) as store:
         assert [int(row.key, 16) for row in store.rows()] == stored
 
 
-@pytest.mark.parametrize("count", [7, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 150))])
+@pytest.mark.parametrize(
+    "count", [7, *(pytest.param(count, marks=pytest.mark.slow) for count in (1, 150))]
+)
 def test_kill_9_while_writing_loses_no_row(tmp_path, count):
     code = """
 from pathlib import Path
@@ -179,22 +213,35 @@ with RowStore(Path(".")) as store:
         rows = list(store.rows())
     # All printed rows are stored, and at most one that was not printed.
     assert len(rows) - len(printed) in (0, 1)
-    assert [(int(row.key, 16), row.values["x"]) for row in rows] == [(k, float(k)) for k in range(len(rows))]
+    assert [(int(row.key, 16), row.values["x"]) for row in rows] == [
+        (k, float(k)) for k in range(len(rows))
+    ]
 
 
 @pytest.mark.parametrize(
     "content",
-    [b"no rows at all", b"SQLite format 3\x00" + b"\xff" * 4000, b"SQLite format 3\x00", b"\x00" * 100],
+    [
+        b"no rows at all",
+        b"SQLite format 3\x00" + b"\xff" * 4000,
+        b"SQLite format 3\x00",
+        b"\x00" * 100,
+    ],
     ids=["text", "damaged", "cut", "zeros"],
 )
 def test_other_files_are_refused_and_not_changed(tmp_path, content):
     (tmp_path / FILE).write_bytes(content)
-    with pytest.raises(InputError, match=f"{FILE}: (not the rows of a sweep|cannot be used)"):
+    with pytest.raises(
+        InputError, match=f"{FILE}: (not the rows of a sweep|cannot be used)"
+    ):
         RowStore(tmp_path)
     assert (tmp_path / FILE).read_bytes() == content
 
 
-@given(damage=st.lists(st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=20))
+@given(
+    damage=st.lists(
+        st.tuples(st.floats(0, 1), st.integers(0, 255)), min_size=1, max_size=20
+    )
+)
 def test_a_damaged_file_is_read_or_refused(tmp_path_factory, damage):
     folder = tmp_path_factory.mktemp("damaged")
     with RowStore(folder) as store:
@@ -219,7 +266,10 @@ def test_invalid_rows_are_refused(tmp_path):
     base.execute("UPDATE rows SET row = '[1]'")
     base.commit()
     base.close()
-    with RowStore(tmp_path) as store, pytest.raises(InputError, match="not the rows of a sweep"):
+    with (
+        RowStore(tmp_path) as store,
+        pytest.raises(InputError, match="not the rows of a sweep"),
+    ):
         list(store.rows())
 
 
@@ -259,7 +309,12 @@ def killed_at_rename(number, call):
 def test_a_killed_change_leaves_the_files_of_one_sweep(tmp_path):
     """If sweep.json marks the set as complete, all files are from the same sweep."""
     sweeps = [
-        load_sweep(write(tmp_path, SMALL.replace("[2, 2.5]", field).replace("count: 4", "count: 2")))
+        load_sweep(
+            write(
+                tmp_path,
+                SMALL.replace("[2, 2.5]", field).replace("count: 4", "count: 2"),
+            )
+        )
         for field in ("[2, 2.5]", "[2]")
     ]
     execute(sweeps[0], tmp_path / "whole")
@@ -275,14 +330,23 @@ def test_a_killed_change_leaves_the_files_of_one_sweep(tmp_path):
         if (folder / "sweep.json").exists():
             about = json.loads((folder / "sweep.json").read_text())
             rows = pq.read_table(folder / "results.parquet").num_rows
-            counts = {rows, about["done"], about["points"], 2 * len(frequencies(folder))}
+            counts = {
+                rows,
+                about["done"],
+                about["points"],
+                2 * len(frequencies(folder)),
+            }
             assert len(counts) == 1, number
             kinds.add(rows)
         change(folder)  # resumes
         left = {path.name for path in folder.iterdir()}
         assert left == {path.name for path in (tmp_path / "whole").iterdir()}
         assert json.loads((folder / "sweep.json").read_text())["points"] == 2
-        assert pq.read_table(folder / "results.parquet").num_rows == len(frequencies(folder)) * 2 == 2
+        assert (
+            pq.read_table(folder / "results.parquet").num_rows
+            == len(frequencies(folder)) * 2
+            == 2
+        )
     assert 8 < number < 39 and kinds == {4, 2}
 
 

@@ -26,7 +26,8 @@ def speeds(mu_t: float, model: str = "complete") -> np.ndarray:
     spec = robot()
     spec = replace(spec, friction=replace(spec.friction, mu_t=mu_t))
     runs = [
-        rollout(AnalyticalSnake(spec, model=model, supply_pa=1000 * p), Gait(f), 5.0) for f, p in SETTINGS
+        rollout(AnalyticalSnake(spec, model=model, supply_pa=1000 * p), Gait(f), 5.0)
+        for f, p in SETTINGS
     ]
     return np.array([plant_metrics(run)["com_speed_m_s"] for run in runs])
 
@@ -40,8 +41,12 @@ def predicted() -> np.ndarray:
 
 
 def fit(model: str, size: float, seed: int, stored: np.ndarray) -> Discrepancy:
-    measured = speeds(MU_T, model) + NOISE * np.random.default_rng(seed).normal(size=len(SETTINGS))
-    return Discrepancy(SCALED[stored], measured[stored], predicted()[:, stored], NOISE, size, 1.5)
+    measured = speeds(MU_T, model) + NOISE * np.random.default_rng(seed).normal(
+        size=len(SETTINGS)
+    )
+    return Discrepancy(
+        SCALED[stored], measured[stored], predicted()[:, stored], NOISE, size, 1.5
+    )
 
 
 def interval(result: Discrepancy) -> tuple[float, float]:
@@ -65,7 +70,9 @@ def test_predictions_with_a_discrepancy_cover_settings_between_the_data():
     truth, held, bare = speeds(MU_T, "compliant")[~stored], [], []
     for seed in range(10):
         for size, to in ((0.03, held), (1e-6, bare)):
-            drawn = fit("compliant", size, seed, stored).draw(SCALED[~stored], predicted()[:, ~stored], seed)
+            drawn = fit("compliant", size, seed, stored).draw(
+                SCALED[~stored], predicted()[:, ~stored], seed
+            )
             low, high = np.quantile(drawn, [0.025, 0.975], axis=0)
             to += list((low <= truth) & (truth <= high))
     assert np.mean(held) >= 0.9
@@ -85,14 +92,26 @@ def test_ranks_of_true_parameters_in_their_posteriors_are_uniform():
     rng, ranks = np.random.default_rng(0), []
     prior = np.exp(-((np.log(GRID / 0.06) / 0.3) ** 2) / 2) / GRID
     for _ in range(200):
-        mu_t = float(rng.choice(GRID, p=prior / prior.sum()) + (GRID[1] - GRID[0]) * (rng.random() - 0.5))
-        size, length = 0.02 * 2 ** rng.standard_normal(), 1.5 * 2 ** rng.standard_normal()
+        mu_t = float(
+            rng.choice(GRID, p=prior / prior.sum())
+            + (GRID[1] - GRID[0]) * (rng.random() - 0.5)
+        )
+        size, length = (
+            0.02 * 2 ** rng.standard_normal(),
+            1.5 * 2 ** rng.standard_normal(),
+        )
         far = ((SCALED[:, None] - SCALED[None]) ** 2).sum(axis=-1)
-        drift = np.linalg.cholesky(size**2 * np.exp(-far / (2 * length**2)) + 1e-10 * np.eye(len(far)))
+        drift = np.linalg.cholesky(
+            size**2 * np.exp(-far / (2 * length**2)) + 1e-10 * np.eye(len(far))
+        )
         measured = (
-            speeds(mu_t) + drift @ rng.standard_normal(len(far)) + NOISE * rng.standard_normal(len(far))
+            speeds(mu_t)
+            + drift @ rng.standard_normal(len(far))
+            + NOISE * rng.standard_normal(len(far))
         )
         result = Discrepancy(SCALED, measured, predicted(), NOISE, 0.02, 1.5, prior)
-        ranks.append(np.interp(mu_t, GRID, np.cumsum(result.weights) - result.weights / 2))
+        ranks.append(
+            np.interp(mu_t, GRID, np.cumsum(result.weights) - result.weights / 2)
+        )
     counts, _ = np.histogram(ranks, bins=10, range=(0.0, 1.0))
     assert stats.chisquare(counts).pvalue > 0.01, counts

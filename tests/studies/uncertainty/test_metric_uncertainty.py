@@ -25,15 +25,22 @@ SPEED = "com_speed_m_s"
 Law = Callable[[np.ndarray], np.ndarray]
 
 
-def study_of(dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0) -> UncertaintyStudy:
+def study_of(
+    dimensions: int, samples: int, *, value: float = 0.5, seed: int = 0
+) -> UncertaintyStudy:
     """Return a study with uniform parameters from 0 to 1, whose value in the robot file is `value`."""
     uniform = Uncertain.model_validate({"kind": "uniform", "low": 0.0, "high": 1.0})
     item = tuple(
-        Prior(f"friction.number_{i}", value, "1", uniform, (0.0, 1.0), "this test") for i in range(dimensions)
+        Prior(f"friction.number_{i}", value, "1", uniform, (0.0, 1.0), "this test")
+        for i in range(dimensions)
     )
     scenario = replace(load_scenario("gen2_straight"))
     return UncertaintyStudy(
-        scenario, Priors(item, np.eye(dimensions)), ("analytical",), samples=samples, seed=seed
+        scenario,
+        Priors(item, np.eye(dimensions)),
+        ("analytical",),
+        samples=samples,
+        seed=seed,
     )
 
 
@@ -41,7 +48,9 @@ def result_of(study: UncertaintyStudy, law: Law) -> Propagation:
     """Return the result of a study whose speed is a known function, without time step error."""
     own = np.full((3, len(study.names)), 0.5)
     own[1:] = study.priors.parameters[0].value
-    return Propagation(study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}})
+    return Propagation(
+        study, {"analytical": {SPEED: law(np.concatenate([study.shares, own]))}}
+    )
 
 
 def spread_of(study: UncertaintyStudy, law: Law) -> MetricUncertainty:
@@ -56,7 +65,9 @@ def weighted(weights: np.ndarray) -> Law:
 @pytest.mark.parametrize("name", ["interval_50", "interval_95"])
 def test_intervals_have_equal_tail_probabilities(name):
     spread = spread_of(study_of(1, 1024), lambda u: np.exp(3 * u[:, 0]))
-    below, above = np.log(spread.interval(name)) / 3  # shares, by the inverse of the law
+    below, above = (
+        np.log(spread.interval(name)) / 3
+    )  # shares, by the inverse of the law
     outside = (1 - float(name[-2:]) / 100) / 2
     assert (below, 1 - above) == pytest.approx((outside, outside), abs=2 / 1024)
 
@@ -65,8 +76,9 @@ def test_intervals_have_equal_tail_probabilities(name):
 def test_errors_of_both_ends_agree_with_order_statistics(power):
     """The standard error is √(p (1 − p) / n) divided by the density, which is known for u^k.
 
-    The bootstrap's own relative error is m^(−1/4) with the m = 102 samples beyond an end (Hall and Martin
-    1988): 31 %, or 11 % in the mean of eight. Three such deviations are allowed.
+    The bootstrap's own relative error is m^(−1/4) with the m = 102 samples beyond an
+    end (Hall and Martin 1988): 31 %, or 11 % in the mean of eight. Three such
+    deviations are allowed.
     """
     rng, ends = np.random.default_rng(0), np.array([0.25, 0.75, 0.025, 0.975])
     result = [sampling_errors((0.1 + rng.random(4096)) ** power) for _ in range(8)]
@@ -78,7 +90,11 @@ def test_errors_of_both_ends_agree_with_order_statistics(power):
 def test_the_time_step_error_is_the_distance_to_the_limit():
     """Euler's method is applied to y' = −y up to t = 1."""
     coarse, fine = (1 - 1 / 200) ** 200, (1 - 1 / 400) ** 400
-    spread = replace(spread_of(study_of(1, 16), weighted(np.ones(1))), value=coarse, half_timestep=fine)
+    spread = replace(
+        spread_of(study_of(1, 16), weighted(np.ones(1))),
+        value=coarse,
+        half_timestep=fine,
+    )
     assert spread.numerical_error == pytest.approx(abs(coarse - np.exp(-1)), rel=0.01)
 
 
@@ -89,7 +105,9 @@ def test_stated_errors_cover_the_ends_of_independent_samples():
         samples = rng.exponential(size=256)
         difference = np.quantile(samples, [0.025, 0.975]) - truth[::-1]
         held.append(np.abs(difference) < 2 * sampling_errors(samples)[2:])
-    assert np.mean(held, axis=0).min() > 0.88  # 95 % less three standard deviations of 100 trials
+    assert (
+        np.mean(held, axis=0).min() > 0.88
+    )  # 95 % less three standard deviations of 100 trials
 
 
 @pytest.mark.slow
@@ -100,7 +118,11 @@ def test_stated_errors_cover_the_ends_predicted_by_a_surrogate():
         return np.asarray(np.exp(u[:, 0]) + u[:, 1] * u[:, 2] + 0.2 * u[:, 3])
 
     def costly(u: np.ndarray) -> np.ndarray:
-        return np.asarray(0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.5 * (u[:, 4] - 0.5) * u[:, 0] ** 2)
+        return np.asarray(
+            0.8 * cheap(u)
+            + 0.3 * np.sin(3 * u[:, 1])
+            + 0.5 * (u[:, 4] - 0.5) * u[:, 0] ** 2
+        )
 
     shares, result, stated, of_surrogate = study_of(5, 512).shares, [], [], []
     for seed in range(12):
@@ -109,7 +131,9 @@ def test_stated_errors_cover_the_ends_predicted_by_a_surrogate():
         result.append(np.quantile(samples, [0.025, 0.975]))
         stated.append(np.hypot(sampling_errors(samples), surrogate)[2:])
         of_surrogate.append(surrogate[2:])
-    truth = np.quantile(costly(np.random.default_rng(9).random((200_000, 5))), [0.025, 0.975])
+    truth = np.quantile(
+        costly(np.random.default_rng(9).random((200_000, 5))), [0.025, 0.975]
+    )
     assert np.mean(np.abs(result - truth) < 2 * np.array(stated)) > 0.8
     scatter = np.std(result, axis=0, ddof=1)
     assert (0.5 * scatter < np.mean(of_surrogate, axis=0)).all()
@@ -120,10 +144,16 @@ def test_both_error_components_are_stated_at_both_ends():
     spread = spread_of(study_of(1, 2048), weighted(np.ones(1)))
     spread = replace(spread, surrogate=np.full(4, 0.01))
     ends = np.array([0.25, 0.75, 0.025, 0.975])
-    expected = np.hypot(np.sqrt(ends * (1 - ends) / 2048), 0.01)  # of a uniform distribution
+    expected = np.hypot(
+        np.sqrt(ends * (1 - ends) / 2048), 0.01
+    )  # of a uniform distribution
     document = spread.document(("friction.number_0",))
-    assert document["interval_50_error"] == pytest.approx(expected[:2].tolist(), rel=0.15)
-    assert document["interval_95_error"] == pytest.approx(expected[2:].tolist(), rel=0.15)
+    assert document["interval_50_error"] == pytest.approx(
+        expected[:2].tolist(), rel=0.15
+    )
+    assert document["interval_95_error"] == pytest.approx(
+        expected[2:].tolist(), rel=0.15
+    )
 
 
 def test_an_exact_surrogate_adds_no_error():
@@ -142,11 +172,15 @@ def test_the_surrogate_error_of_a_mean_shift_is_that_of_a_mean(monkeypatch):
     ) -> tuple[np.ndarray, None]:
         return cheap + np.mean(costly - cheap[: len(costly)]), None
 
-    monkeypatch.setattr("srs_twin.studies.uncertainty.metric_uncertainty.predict_high_fidelity", shifted)
+    monkeypatch.setattr(
+        "srs_twin.studies.uncertainty.metric_uncertainty.predict_high_fidelity", shifted
+    )
     rng = np.random.default_rng(4)
     cheap, difference = rng.normal(size=64), rng.normal(size=8)
     _, surrogate = predict_twin(rng.random((64, 2)), cheap, cheap[:8] + difference)
-    assert surrogate == pytest.approx(np.full(4, np.std(difference, ddof=1) / np.sqrt(8)), rel=1e-9)
+    assert surrogate == pytest.approx(
+        np.full(4, np.std(difference, ddof=1) / np.sqrt(8)), rel=1e-9
+    )
 
 
 WEIGHTS = 0.7 ** np.arange(4)
@@ -164,7 +198,9 @@ def test_the_proposed_number_of_samples_is_enough(law, samples):
     few = result_of(study_of(4, samples), LAWS[law]).limits
     assert bool(few["warnings"]) == bool(few["remedy"])
     assert few["warnings"] or samples > MIN_BOUNDING_SAMPLES
-    enough = result_of(study_of(4, few["remedy"].get("samples", samples)), LAWS[law]).limits
+    enough = result_of(
+        study_of(4, few["remedy"].get("samples", samples)), LAWS[law]
+    ).limits
     assert enough["warnings"] == []
 
 
@@ -172,13 +208,21 @@ def test_few_samples_give_a_warning_with_the_reason_of_each_limit():
     study = study_of(4, 16)
     limits = result_of(study, LAWS["skewed"]).limits
     text = " ".join(limits["warnings"])
-    assert "16 samples do not bound the 95 % interval; with a probability of 67 %" in text
+    assert (
+        "16 samples do not bound the 95 % interval; with a probability of 67 %" in text
+    )
     assert "above 5 % the width is uncertain by more than 14 %" in text
-    assert "above ±10 % causes that differ by less than 14 % cannot be distinguished" in text
+    assert (
+        "above ±10 % causes that differ by less than 14 % cannot be distinguished"
+        in text
+    )
 
 
 def test_the_minimum_number_of_samples_bounds_an_interval():
-    missed = [(1 - 0.025) ** count for count in (MIN_BOUNDING_SAMPLES - 1, MIN_BOUNDING_SAMPLES)]
+    missed = [
+        (1 - 0.025) ** count
+        for count in (MIN_BOUNDING_SAMPLES - 1, MIN_BOUNDING_SAMPLES)
+    ]
     assert missed[0] > 0.025 >= missed[1]
 
 
@@ -189,9 +233,15 @@ def test_stated_ranges_of_ranks_contain_the_true_rank():
         held, widths = [], []
         for seed in range(8):
             noise = np.random.default_rng(seed).normal(scale=0.1, size=samples + 3)
-            spread = spread_of(study_of(4, samples, seed=seed), lambda u, noise=noise: u @ WEIGHTS + noise)
+            spread = spread_of(
+                study_of(4, samples, seed=seed),
+                lambda u, noise=noise: u @ WEIGHTS + noise,
+            )
             ranks = spread.indices.ranks()
-            held += [best <= place <= worst for place, (best, worst) in enumerate(ranks, start=1)]
+            held += [
+                best <= place <= worst
+                for place, (best, worst) in enumerate(ranks, start=1)
+            ]
             widths += [worst - best for best, worst in ranks]
         assert np.mean(held) > 0.95
         wide.append(np.mean(widths))
@@ -201,16 +251,24 @@ def test_stated_ranges_of_ranks_contain_the_true_rank():
 @pytest.mark.slow
 def test_the_order_is_resolved_only_with_enough_samples():
     weights = np.array([4.0, 2.0, 1.0])
-    assert spread_of(study_of(3, 512), weighted(weights)).indices.ranks() == [(1, 1), (2, 2), (3, 3)]
+    assert spread_of(study_of(3, 512), weighted(weights)).indices.ranks() == [
+        (1, 1),
+        (2, 2),
+        (3, 3),
+    ]
     (order,) = result_of(study_of(3, 512), weighted(weights)).limits["remarks"]
     assert "friction.number_0 matters most (total index 76 ± 0 %)" in order
     noise = np.random.default_rng(0).normal(size=40)
-    few = result_of(study_of(3, 16), lambda u: u @ weights + 2 * noise[: len(u)]).limits["remarks"][0]
+    few = result_of(
+        study_of(3, 16), lambda u: u @ weights + 2 * noise[: len(u)]
+    ).limits["remarks"][0]
     assert "16 samples do not resolve the largest cause; it is friction.number_0" in few
 
 
 def test_equal_parameters_have_tied_ranks():
-    ranks = spread_of(study_of(4, 512), weighted(np.array([3.0, 1.0, 1.0, 1.0]))).indices.ranks()
+    ranks = spread_of(
+        study_of(4, 512), weighted(np.array([3.0, 1.0, 1.0, 1.0]))
+    ).indices.ranks()
     assert ranks == [(1, 1), (2, 4), (2, 4), (2, 4)]
 
 
@@ -222,7 +280,10 @@ def test_a_value_outside_its_interval_is_explained_by_parameters():
         if "the value" in item
     )
     assert "the value 0 is below its 95 % interval" in text
-    assert "medians of their distributions change it by -2 (friction.number_0 0 instead of 0.5" in text
+    assert (
+        "medians of their distributions change it by -2 (friction.number_0 0 instead"
+        " of 0.5" in text
+    )
     spread = spread_of(study, weighted(np.array([3.0, 1.0])))
     assert spread.at_medians == pytest.approx(spread.median, abs=0.02)
 
@@ -231,17 +292,22 @@ def test_a_value_outside_its_interval_is_explained_by_nonlinearity():
     def peak(u: np.ndarray) -> np.ndarray:
         return np.asarray(1 - ((u - 0.5) ** 2).sum(axis=1))
 
-    (text,) = (item for item in result_of(study_of(2, 256), peak).limits["remarks"] if "the value" in item)
+    (text,) = (
+        item
+        for item in result_of(study_of(2, 256), peak).limits["remarks"]
+        if "the value" in item
+    )
     assert "the value 1 is above its 95 % interval" in text
     assert (
-        "instead of the medians of their distributions change it by +0; nonlinearity changes it by +0.1"
-        in text
+        "instead of the medians of their distributions change it by +0; nonlinearity"
+        " changes it by +0.1" in text
     )
 
 
 def test_a_value_inside_its_interval_has_no_explanation():
     assert not any(
-        "the value" in item for item in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
+        "the value" in item
+        for item in result_of(study_of(2, 256), weighted(np.ones(2))).limits["remarks"]
     )
 
 
@@ -258,10 +324,15 @@ def test_the_plot_states_the_samples_and_hatches_unresolved_ranks(samples):
     assert hatched == [best < worst for best, worst in ranks]
     from_top = sorted(figure.texts, key=lambda text: -text.get_position()[1])
     shown = " ".join(text.get_text() for text in from_top)
-    assert ("Warning: analytical, CoM speed (m/s): 16 samples" in shown) == (samples == 16)
+    assert ("Warning: analytical, CoM speed (m/s): 16 samples" in shown) == (
+        samples == 16
+    )
     assert "Title" in shown and document["remarks"][0] in " ".join(shown.split())
     # Text in a panel could cover its data; the figure is narrow enough for a telephone.
     assert not any(axes.texts or axes.get_legend() for axes in figure.axes)
     assert figure.get_figwidth() < 5
     drawn = [line.get_xdata() for line in figure.axes[0].lines]
-    assert any(list(item) == document["plants"]["analytical"][SPEED]["interval_95"] for item in drawn)
+    assert any(
+        list(item) == document["plants"]["analytical"][SPEED]["interval_95"]
+        for item in drawn
+    )

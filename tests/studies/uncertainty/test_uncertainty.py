@@ -26,7 +26,11 @@ from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import OpenSweep, local
 from srs_twin.studies.uncertainty.propagation import propagate
 from srs_twin.studies.uncertainty.study import UncertaintyStudy
-from srs_twin.studies.uncertainty.surrogates import GaussianProcess, PolynomialChaos, predict_high_fidelity
+from srs_twin.studies.uncertainty.surrogates import (
+    GaussianProcess,
+    PolynomialChaos,
+    predict_high_fidelity,
+)
 
 SHARES = (np.arange(4000) + 0.5) / 4000
 
@@ -48,7 +52,10 @@ def robot(**uncertain: dict[str, Any]) -> RobotFile:
     ("spread", "expected"),
     [
         ({"kind": "normal", "sd": 0.004}, stats.norm(0.043, 0.004)),
-        ({"kind": "lognormal", "factor": 1.5}, stats.lognorm(math.log(1.5), scale=0.043)),
+        (
+            {"kind": "lognormal", "factor": 1.5},
+            stats.lognorm(math.log(1.5), scale=0.043),
+        ),
         ({"kind": "uniform", "low": 0.03, "high": 0.05}, stats.uniform(0.03, 0.02)),
     ],
 )
@@ -60,7 +67,9 @@ def test_samples_have_the_distribution_of_the_file(spread, expected):
 @pytest.mark.slow
 @given(sd=st.floats(1e-4, 10.0), share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
 def test_normal_samples_are_truncated_and_monotone(sd, share, more):
-    (prior,) = Priors.from_robot(robot(friction__mu_t={"kind": "normal", "sd": sd})).parameters
+    (prior,) = Priors.from_robot(
+        robot(friction__mu_t={"kind": "normal", "sd": sd})
+    ).parameters
     low, high = prior.quantile(np.sort([share, more]))
     assert 0.0 <= low <= high <= 10.0
 
@@ -72,7 +81,9 @@ def test_samples_have_the_correlation_of_the_file():
         geometry__half_track_m={"kind": "uniform", "low": 0.01, "high": 0.02},
     )
     paths = ("friction.mu_t", "bending.stiffness_nm_per_rad")
-    data = file.model_dump(mode="json") | {"correlated": [{"of": list(paths), "r": -0.7}]}
+    data = file.model_dump(mode="json") | {
+        "correlated": [{"of": list(paths), "r": -0.7}]
+    }
     priors = Priors.from_robot(RobotFile.model_validate(data))
     drawn = np.corrcoef(priors.quantile(stats.qmc.Sobol(3, rng=0).random(4096)).T)
     i, j = (priors.paths.index(path) for path in paths)
@@ -85,12 +96,18 @@ def test_samples_have_the_correlation_of_the_file():
     ("spread", "message"),
     [
         ({"kind": "normal", "factor": 2.0}, "normal takes sd, not factor"),
-        ({"kind": "uniform", "low": 0.05, "high": 0.04}, "low 0.05 is not below high 0.04"),
+        (
+            {"kind": "uniform", "low": 0.05, "high": 0.04},
+            "low 0.05 is not below high 0.04",
+        ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.06},
             "the number itself, 0.043, is outside 0.05 to 0.06",
         ),
-        ({"kind": "uniform", "low": -1.0, "high": 0.06}, "-1 to 0.06 exceeds the allowed 0 to 10"),
+        (
+            {"kind": "uniform", "low": -1.0, "high": 0.06},
+            "-1 to 0.06 exceeds the allowed 0 to 10",
+        ),
         ({"kind": "normel", "sd": 1.0}, "normal"),
     ],
 )
@@ -106,13 +123,22 @@ def test_invalid_distributions_are_refused_with_their_location(spread, message):
 
 @pytest.mark.parametrize(
     ("name", "pressure_kpa", "volume_ml"),
-    [("gen1", 31.0, 15.0), ("gen2", 48.3, 45.0), ("gen3", 48.3, 45.0), ("gen4", 62.1, 70.0)],
+    [
+        ("gen1", 31.0, 15.0),
+        ("gen2", 48.3, 45.0),
+        ("gen3", 48.3, 45.0),
+        ("gen4", 62.1, 70.0),
+    ],
 )
-def test_shipped_stiffness_stores_a_quarter_to_all_of_the_work_of_the_air(name, pressure_kpa, volume_ml):
+def test_shipped_stiffness_stores_a_quarter_to_all_of_the_work_of_the_air(
+    name, pressure_kpa, volume_ml
+):
     record = load_robot_file(name).records()["bending.stiffness_nm_per_rad"]
     bound = pressure_kpa * 1e3 * volume_ml * 1e-6 / (math.pi / 2) ** 2
     ends = [record.uncertain.low, record.value, record.uncertain.high]
-    assert ends == pytest.approx([bound / 4, bound / 2, bound], rel=0.01)  # two printed digits
+    assert ends == pytest.approx(
+        [bound / 4, bound / 2, bound], rel=0.01
+    )  # two printed digits
 
 
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
@@ -137,11 +163,18 @@ def test_sensitivities_of_ishigamis_function():
     """With a = 7 and b = 0.1: S = 0.3139, 0.4424, 0; T = 0.5576, 0.4424, 0.2437."""
     shares = stats.qmc.Sobol(3, rng=1).random(1024)
     x = np.pi * (2 * shares - 1)
-    y = np.sin(x[:, 0]) + 7 * np.sin(x[:, 1]) ** 2 + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    y = (
+        np.sin(x[:, 0])
+        + 7 * np.sin(x[:, 1]) ** 2
+        + 0.1 * x[:, 2] ** 4 * np.sin(x[:, 0])
+    )
     result = PolynomialChaos.fit(shares, y[:, None])
     expected = np.array([[0.3139, 0.4424, 0.0], [0.5576, 0.4424, 0.2437]])
     assert result.indices[..., 0] == pytest.approx(expected, abs=2e-4)
-    assert (np.abs(result.indices[..., 0] - expected) < result.index_half_width[..., 0] + 1e-4).all()
+    assert (
+        np.abs(result.indices[..., 0] - expected)
+        < result.index_half_width[..., 0] + 1e-4
+    ).all()
 
 
 def test_errors_of_indices_cover_their_sampling_error():
@@ -149,11 +182,18 @@ def test_errors_of_indices_cover_their_sampling_error():
     for seed in range(20):
         shares = stats.qmc.Sobol(3, rng=seed).random(64)
         noise = np.random.default_rng(seed).normal(size=64)
-        y = 2 * shares[:, 0] + shares[:, 1] + 0.3 * shares[:, 0] * shares[:, 2] + 0.05 * noise
+        y = (
+            2 * shares[:, 0]
+            + shares[:, 1]
+            + 0.3 * shares[:, 0] * shares[:, 2]
+            + 0.05 * noise
+        )
         plain = np.array([2.15, 1.0, 0.15]) ** 2
         share = plain / (plain.sum() + 0.3**2 / 12)
         result = PolynomialChaos.fit(shares, y[:, None])
-        held.append(np.abs(result.indices[0, :, 0] - share) <= result.index_half_width[0, :, 0])
+        held.append(
+            np.abs(result.indices[0, :, 0] - share) <= result.index_half_width[0, :, 0]
+        )
     assert np.mean(held) >= 0.9
 
 
@@ -170,7 +210,10 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
     from srs_twin.scenario.loading import parse_scenario
 
     study = UncertaintyStudy(
-        parse_scenario(document, name="brute"), Priors.from_robot(file), ("analytical",), samples=512
+        parse_scenario(document, name="brute"),
+        Priors.from_robot(file),
+        ("analytical",),
+        samples=512,
     )
     spread = propagate(study, tmp_path, local(2)).plants["analytical"]["com_speed_m_s"]
     rng, priors = np.random.default_rng(0), study.priors
@@ -190,7 +233,9 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
                 spec,
                 friction=replace(spec.friction, mu_t=at["friction.mu_t"]),
                 geometry=replace(spec.geometry, rigid_gap=at["geometry.rigid_gap_m"]),
-                actuator=replace(spec.actuator, gain=at["actuator.bend_rad"] / 48263.299),
+                actuator=replace(
+                    spec.actuator, gain=at["actuator.bend_rad"] / 48263.299
+                ),
             )
             plant = AnalyticalSnake(one, supply_pa=study.scenario.supply_pa)
             out.append(plant_metrics(rollout(plant, Gait(2.0), 3.0))["com_speed_m_s"])
@@ -202,14 +247,17 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         def indices(rows: np.ndarray, item: np.ndarray = item) -> np.ndarray:
             one, other, both = of_a[rows], of_b[rows], item[rows]
             apart = np.array([((other - both) ** 2).mean(), ((one - both) ** 2).mean()])
-            return np.array([1, 0]) + np.array([-1, 1]) * apart / (2 * np.concatenate([one, other]).var())
+            return np.array([1, 0]) + np.array([-1, 1]) * apart / (
+                2 * np.concatenate([one, other]).var()
+            )
 
         again = [indices(rng.integers(0, len(a), len(a))) for _ in range(200)]
         errors = np.std(again, axis=0)
         assert errors.max() < 0.06
         result = np.array([spread.indices.first[i], spread.indices.total[i]])
         assert (
-            np.abs(result - indices(np.arange(len(a)))) < 3 * errors + spread.indices.half_width[:, i]
+            np.abs(result - indices(np.arange(len(a))))
+            < 3 * errors + spread.indices.half_width[:, i]
         ).all()
 
 
@@ -221,7 +269,9 @@ def test_a_gaussian_process_without_a_smooth_part_is_ridge_regression():
     process = GaussianProcess(x, y, log_hyperparameters=np.log([1e-9, b, n, 1.0, 1.0]))
     known, study_ = (np.column_stack([np.ones(len(item)), item]) for item in (x, new))
     precision = known.T @ known / n**2 + np.eye(3) / b**2
-    assert process.at(new) == pytest.approx(study_ @ np.linalg.solve(precision, known.T @ y) / n**2, rel=1e-6)
+    assert process.at(new) == pytest.approx(
+        study_ @ np.linalg.solve(precision, known.T @ y) / n**2, rel=1e-6
+    )
     expected = study_ @ np.linalg.inv(precision) @ study_.T
     assert process.covariance(new) == pytest.approx(expected, rel=1e-6, abs=1e-8)
 
@@ -233,11 +283,15 @@ def test_few_high_fidelity_runs_correct_a_low_fidelity_model():
         return np.asarray(np.exp(u[:, 0]) + u[:, 1] * u[:, 2] + 0.2 * u[:, 3])
 
     def costly(u: np.ndarray) -> np.ndarray:
-        return np.asarray(0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.1 * u[:, 4] * u[:, 0])
+        return np.asarray(
+            0.8 * cheap(u) + 0.3 * np.sin(3 * u[:, 1]) + 0.1 * u[:, 4] * u[:, 0]
+        )
 
     shares = stats.qmc.Sobol(5, rng=3).random(2048)
     result, _ = predict_high_fidelity(shares, cheap(shares), costly(shares[:64]))
-    ends, expected = (np.quantile(item, [0.025, 0.975]) for item in (result, costly(shares)))
+    ends, expected = (
+        np.quantile(item, [0.025, 0.975]) for item in (result, costly(shares))
+    )
     assert np.abs(ends - expected).max() < 0.03 * np.ptp(expected)
     assert result == pytest.approx(costly(shares), abs=0.05)
     alone = np.quantile(costly(shares[:64]), [0.025, 0.975])
@@ -251,15 +305,22 @@ def short(tmp_path) -> Callable[..., Path]:
     def make(**changes: Any) -> Path:
         data: dict[str, Any] = {
             "title": "Short",
-            "robot": robot(
-                friction__mu_t={"kind": "uniform", "low": 0.03, "high": 0.06},
-                bending__stiffness_nm_per_rad={"kind": "lognormal", "factor": 1.3},
-            ).model_dump(mode="json", exclude_none=True),
+            "robot": (
+                robot(
+                    friction__mu_t={"kind": "uniform", "low": 0.03, "high": 0.06},
+                    bending__stiffness_nm_per_rad={"kind": "lognormal", "factor": 1.3},
+                ).model_dump(mode="json", exclude_none=True)
+            ),
             "duration_s": 2.0,
             "controller": {"kind": "gait", "frequency_hz": 2.0, "offset": 0.0},
             "plants": {"analytical": {"model": "compliant", "friction": "wheel"}},
             "expect": [
-                {"metric": "com_speed_m_s", "plant": "analytical", "published": 0.19, "within": "interval_95"}
+                {
+                    "metric": "com_speed_m_s",
+                    "plant": "analytical",
+                    "published": 0.19,
+                    "within": "interval_95",
+                }
             ],
         } | changes
         path = tmp_path / "short.yaml"
@@ -270,26 +331,44 @@ def short(tmp_path) -> Callable[..., Path]:
 
 
 @pytest.mark.slow
-def test_expectations_use_stored_intervals_until_the_scenario_changes(srs_twin, short, tmp_path):
+def test_expectations_use_stored_intervals_until_the_scenario_changes(
+    srs_twin, short, tmp_path
+):
     path = short()
     without = srs_twin("run", str(path), "--check", cwd=tmp_path)
     assert without.returncode == 0
-    assert "no interval is stored" in without.stdout and "expectations: 1 not judged" in without.stderr
+    assert (
+        "no interval is stored" in without.stdout
+        and "expectations: 1 not judged" in without.stderr
+    )
     done = srs_twin(
-        "uncertainty", str(path), "--samples", "64", "--workers", "1", "--write", "--json", cwd=tmp_path
+        "uncertainty",
+        str(path),
+        "--samples",
+        "64",
+        "--workers",
+        "1",
+        "--write",
+        "--json",
+        cwd=tmp_path,
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     speed = result["plants"]["analytical"]["com_speed_m_s"]
     low, high = speed["interval_95"]
     assert low < speed["interval_50"][0] < speed["interval_50"][1] < high
-    assert set(speed["sensitivity"]) == {"friction.mu_t", "bending.stiffness_nm_per_rad"}
+    assert set(speed["sensitivity"]) == {
+        "friction.mu_t",
+        "bending.stiffness_nm_per_rad",
+    }
     assert speed["published"] == 0.19
     assert result["measure_next"][0]["parameter"] in speed["sensitivity"]
-    stored = json.loads((tmp_path / "calibration/intervals/short.json").read_text("utf-8"))
-    assert stored["plants"]["analytical"]["com_speed_m_s"]["interval_95"] == pytest.approx(
-        [low, high], rel=1e-5
+    stored = json.loads(
+        (tmp_path / "calibration/intervals/short.json").read_text("utf-8")
     )
+    assert stored["plants"]["analytical"]["com_speed_m_s"][
+        "interval_95"
+    ] == pytest.approx([low, high], rel=1e-5)
     options = ("run", str(path), "--check", "--json", "--junit", "r.xml")
     for changed in ((), ("--seed", "1")):
         judged = srs_twin(*options, *changed, cwd=tmp_path)
@@ -297,40 +376,64 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(srs_twin, 
         states = {"within": "met", "undecided": "not_judged", "outside": "missed"}
         assert row["state"] == states[speed["verdict"]]
         assert judged.returncode == (1 if row["state"] == "missed" else 0)
-        assert ("<failure" in (tmp_path / "r.xml").read_text("utf-8")) == (row["state"] == "missed")
+        assert ("<failure" in (tmp_path / "r.xml").read_text("utf-8")) == (
+            row["state"] == "missed"
+        )
     assert row["error"] == pytest.approx(row["value"] - 0.19)
     assert row["largest"] in ("u_num", "u_input", "u_d")
     # Another law, seen in the value; another scenario.
     stored["plants"]["analytical"]["com_speed_m_s"]["value"] += 0.011 * (high - low)
-    (tmp_path / "calibration/intervals/short.json").write_text(json.dumps(stored), "utf-8")
+    (tmp_path / "calibration/intervals/short.json").write_text(
+        json.dumps(stored), "utf-8"
+    )
     moved = srs_twin("run", str(path), "--check", cwd=tmp_path)
     short(controller={"kind": "gait", "frequency_hz": 2.0, "offset": 0.1})
     stale = srs_twin("run", str(path), "--check", cwd=tmp_path)
-    for item, why in ((moved, "the stored interval is for"), (stale, "for another robot or scenario")):
+    for item, why in (
+        (moved, "the stored interval is for"),
+        (stale, "for another robot or scenario"),
+    ):
         assert item.returncode == 0
-        assert why in (message := " ".join(item.stdout.split())) and "not judged" in message
+        assert (
+            why in (message := " ".join(item.stdout.split()))
+            and "not judged" in message
+        )
         assert "srs-twin uncertainty" in message.replace("srs- twin", "srs-twin")
     # The published value belongs to the scenario with the original offset.
-    modified = srs_twin("run", str(path), "--check", "--set", "controller.offset=0.2", cwd=tmp_path)
-    assert modified.returncode == 0 and "expectations: none, 1 left out" in modified.stderr
+    modified = srs_twin(
+        "run", str(path), "--check", "--set", "controller.offset=0.2", cwd=tmp_path
+    )
+    assert (
+        modified.returncode == 0 and "expectations: none, 1 left out" in modified.stderr
+    )
 
 
 @pytest.mark.slow
 def test_stored_range_over_the_segments_is_that_of_other_robots():
     scenario = load_scenario("gen2_straight")
     spec, speeds = scenario.robot, []
-    # The 95 % intervals: uniform from 0.22 to 0.88 N·m/rad; lognormal with median 1.22 ms and factor 1.6.
+    # The 95 % intervals: uniform from 0.22 to 0.88 N·m/rad; lognormal with median 1.22
+    # ms and factor 1.6.
     for stiffness in (0.44, 0.22 + 0.025 * 0.66, 0.22 + 0.975 * 0.66):
         for time in (2.14e-3, 1.22e-3 * 1.6**-1.96, 1.22e-3 * 1.6**1.96):
             bending = replace(spec.bending, stiffness=stiffness, damping_time=time)
             step = 0.5e-3 if time < 1e-3 else 1e-3
-            twin = TwinSnake(replace(spec, bending=bending), supply_pa=scenario.supply_pa, timestep=step)
+            twin = TwinSnake(
+                replace(spec, bending=bending),
+                supply_pa=scenario.supply_pa,
+                timestep=step,
+            )
             run = rollout(twin, scenario.build_controller(), scenario.duration)
             speeds.append(plant_metrics(run)["com_speed_m_s"])
     stored = stored_intervals(scenario)["segments"]
-    # The ends above are rounded. Close to a resonance this rounding changes the speed by up to 2 %.
-    assert stored["damping"] == pytest.approx([min(speeds[:3]), max(speeds[:3])], rel=0.005)
-    assert stored["stiffness_and_damping"] == pytest.approx([min(speeds), max(speeds)], rel=0.02)
+    # The ends above are rounded. Close to a resonance this rounding changes the speed
+    # by up to 2 %.
+    assert stored["damping"] == pytest.approx(
+        [min(speeds[:3]), max(speeds[:3])], rel=0.005
+    )
+    assert stored["stiffness_and_damping"] == pytest.approx(
+        [min(speeds), max(speeds)], rel=0.02
+    )
 
 
 def test_a_second_start_repeats_no_run_and_prints_the_same(short, tmp_path):
@@ -379,11 +482,15 @@ def test_a_measured_parameter_narrows_the_interval_as_predicted(short, tmp_path)
     """The mean width over values of the named parameter agrees with the prediction within 20 %."""
     result = load_scenario(short())
     file = RobotFile.model_validate(result.document["robot"])
-    study = UncertaintyStudy(result, Priors.from_robot(file), ("analytical",), samples=128)
+    study = UncertaintyStudy(
+        result, Priors.from_robot(file), ("analytical",), samples=128
+    )
     before = propagate(study, tmp_path / "before", local(2))
     best = before.measure_next()[0]
     section, key = best["parameter"].split(".")
-    (prior,) = (prior for prior in study.priors.parameters if prior.path == best["parameter"])
+    (prior,) = (
+        prior for prior in study.priors.parameters if prior.path == best["parameter"]
+    )
     widths = []
     for k, centre in enumerate(prior.quantile(np.array([0.2, 0.5, 0.8]))):
         data = file.model_dump(mode="json", exclude_none=True)
@@ -398,7 +505,9 @@ def test_a_measured_parameter_narrows_the_interval_as_predicted(short, tmp_path)
             ("analytical",),
             samples=128,
         )
-        spread = propagate(after, tmp_path / f"after{k}", local(2)).plants["analytical"]["com_speed_m_s"]
+        spread = propagate(after, tmp_path / f"after{k}", local(2)).plants[
+            "analytical"
+        ]["com_speed_m_s"]
         widths.append(np.ptp(spread.interval("interval_95")))
     assert np.mean(widths) == pytest.approx(best["width"], rel=0.2)
     assert best["width"] < 0.9 * best["width_now"]
@@ -411,7 +520,10 @@ def test_the_command_prints_samples_errors_and_the_remedy(srs_twin, short, tmp_p
     assert shown.returncode == 0
     assert "analytical, 16 samples" in shown.stdout
     assert "± at 95 %: standard errors of the two ends" in shown.stdout
-    assert "warning: analytical, CoM speed (m/s): 16 samples do not bound the 95 % interval" in shown.stderr
+    assert (
+        "warning: analytical, CoM speed (m/s): 16 samples do not bound the 95 %"
+        " interval" in shown.stderr
+    )
     document = json.loads(srs_twin(*options, "--json", cwd=tmp_path).stdout)
     remedy = " ".join(f"--{name} {count}" for name, count in document["remedy"].items())
     assert f"`{remedy}` should be enough" in shown.stderr
@@ -420,7 +532,10 @@ def test_the_command_prints_samples_errors_and_the_remedy(srs_twin, short, tmp_p
     speed = document["plants"]["analytical"]["com_speed_m_s"]
     assert (speed["samples"], speed["runs"]) == (16, 16)
     assert len(speed["interval_50_error"]) == len(speed["interval_95_error"]) == 2
-    assert all(1 <= best <= worst <= 2 for best, worst in (s["rank"] for s in speed["sensitivity"].values()))
+    assert all(
+        1 <= best <= worst <= 2
+        for best, worst in (s["rank"] for s in speed["sensitivity"].values())
+    )
     quiet = srs_twin(*options, "--quiet", cwd=tmp_path)
     assert (quiet.stdout, quiet.stderr) == ("", "")
 
@@ -432,13 +547,23 @@ def test_the_value_at_the_medians_is_that_of_a_run_at_the_medians(short, tmp_pat
     result = load_scenario(short())
     priors = Priors.from_robot(RobotFile.model_validate(result.document["robot"]))
     study = UncertaintyStudy(result, priors, ("analytical",), samples=16)
-    spread = propagate(study, tmp_path / "out", local(1)).plants["analytical"]["com_speed_m_s"]
+    spread = propagate(study, tmp_path / "out", local(1)).plants["analytical"][
+        "com_speed_m_s"
+    ]
     medians = {
-        f"robot.{prior.path}": float(prior.quantile(np.array([0.5]))[0]) for prior in study.priors.parameters
+        f"robot.{prior.path}": float(prior.quantile(np.array([0.5]))[0])
+        for prior in study.priors.parameters
     }
-    assert medians["robot.friction.mu_t"] == pytest.approx(0.045)  # of the uniform 0.03 to 0.06
+    assert medians["robot.friction.mu_t"] == pytest.approx(
+        0.045
+    )  # of the uniform 0.03 to 0.06
     other = load_scenario(short(), set=medians)
     run = rollout(
-        other.build_plant("analytical"), other.build_controller(), other.duration, record_hz=other.record_hz
+        other.build_plant("analytical"),
+        other.build_controller(),
+        other.duration,
+        record_hz=other.record_hz,
     )
-    assert spread.at_medians == pytest.approx(plant_metrics(run)["com_speed_m_s"], rel=1e-9)
+    assert spread.at_medians == pytest.approx(
+        plant_metrics(run)["com_speed_m_s"], rel=1e-9
+    )

@@ -1,9 +1,10 @@
 """Bodies and contact points of a robot with skin, whose mass is spread along its length.
 
-Hinges divide the body into rods: each connector with the adjoining ends of its segments, and the links
-between the hinges of a segment. A rod has the mass of its part of the body, as a block with the width of the
-body and twice the height of its centre of mass. It touches the floor in the middles of equally long patches,
-at two points side by side, with frictionless spheres around the height of the centre of mass. Friction is a
+Hinges divide the body into rods: each connector with the adjoining ends of its
+segments, and the links between the hinges of a segment. A rod has the mass of its part
+of the body, as a block with the width of the body and twice the height of its centre of
+mass. It touches the floor in the middles of equally long patches, at two points side by
+side, with frictionless spheres around the height of the centre of mass. Friction is a
 law on their contact forces (`contact_loaded`).
 """
 
@@ -48,7 +49,9 @@ def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
     for k, (front, back) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         segment, link = divmod(k, n)
         if link == 0:
-            parts.append(Rod(f"connector_{segment + 1}", segment * g.pitch, front, back))
+            parts.append(
+                Rod(f"connector_{segment + 1}", segment * g.pitch, front, back)
+            )
         else:
             origin = back if segment + 1 < root else front
             parts.append(Rod(f"link_{segment + 1}_{link}", origin, front, back))
@@ -84,7 +87,9 @@ def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
             count = max(1, round(spec.skin.points * (back - front) / pitch))
             length = (back - front) / count
             places = front + length * (np.arange(count) + 0.5)
-            parts += [Patch(rod, place, length, mass * length / pitch) for place in places]
+            parts += [
+                Patch(rod, place, length, mass * length / pitch) for place in places
+            ]
     return parts
 
 
@@ -92,13 +97,21 @@ def add_belly(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
     """Set the masses of all bodies and add the contact points; without a floor there are no contacts."""
     all_patches = patches(spec, settings)
     for rod in rods(spec, settings):
-        _set_inertia(mj, spec, rod, [patch for patch in all_patches if patch.rod == rod])
+        _set_inertia(
+            mj, spec, rod, [patch for patch in all_patches if patch.rod == rod]
+        )
     if settings.base != "free":
         return
     for number, patch in enumerate(all_patches, start=1):
         for side, sign in (("left", 1), ("right", -1)):
-            tread = mj.body(patch.rod.name).add_geom(mj.find_default("tread"), name=f"tread_{side}_{number}")
-            tread.pos = [patch.rod.origin - patch.place, sign * spec.geometry.half_track, 0]
+            tread = mj.body(patch.rod.name).add_geom(
+                mj.find_default("tread"), name=f"tread_{side}_{number}"
+            )
+            tread.pos = [
+                patch.rod.origin - patch.place,
+                sign * spec.geometry.half_track,
+                0,
+            ]
 
 
 def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> None:
@@ -106,17 +119,28 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
     place, length, mass = np.array([patch[1:] for patch in parts]).T
     total, centre = mass.sum(), (mass @ place) / mass.sum()
     along = mass @ (length**2 / 12 + (place - centre) ** 2)
-    across, height = spec.geometry.width**2 / 12, (2 * spec.geometry.com_height) ** 2 / 12
+    across, height = (
+        spec.geometry.width**2 / 12,
+        (2 * spec.geometry.com_height) ** 2 / 12,
+    )
     body = mj.body(rod.name)
-    body.mass, body.ipos, body.explicitinertial = total, [rod.origin - centre, 0, 0], True
-    body.inertia = [total * (across + height), along + total * height, along + total * across]
+    body.mass, body.ipos, body.explicitinertial = (
+        total,
+        [rod.origin - centre, 0, 0],
+        True,
+    )
+    body.inertia = [
+        total * (across + height),
+        along + total * height,
+        along + total * across,
+    ]
 
 
 def root_connector(spec: RobotSpec) -> int:
     """Return the number of the connector with the free joint: the middle one.
 
-    No contact is then more than half of the chain away from the root, which makes a step a third faster than
-    with the head as root. The integrator, which evaluates inertia at the beginning of a step, has a fifth of
-    the error in the mean speed.
+    No contact is then more than half of the chain away from the root, which makes a
+    step a third faster than with the head as root. The integrator, which evaluates
+    inertia at the beginning of a step, has a fifth of the error in the mean speed.
     """
     return (spec.geometry.connectors + 1) // 2

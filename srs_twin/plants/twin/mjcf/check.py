@@ -1,13 +1,15 @@
 """Check of untrusted MJCF and URDF files: a scan of the XML, then a limited child process.
 
-A hundred bytes of ``<replicate>`` occupy MuJoCo's compiler for minutes, and its parser opens every path in a
-file. The XML is therefore scanned first, element by element. It must not have document types (entities);
-depth, size and number of replicated elements are bounded; and paths must stay in the model's folder or its
-parent (many packages have ``urdf/`` next to ``meshes/``).
+A hundred bytes of ``<replicate>`` occupy MuJoCo's compiler for minutes, and its parser
+opens every path in a file. The XML is therefore scanned first, element by element. It
+must not have document types (entities); depth, size and number of replicated elements
+are bounded; and paths must stay in the model's folder or its parent (many packages have
+``urdf/`` next to ``meshes/``).
 
-A model that passes the scan is compiled in a child process with limits on time and memory, and simulated for
-one second of random control, because MuJoCo also accepts time steps of NaN and negative friction. A model
-that passes the whole check opens in every MuJoCo program.
+A model that passes the scan is compiled in a child process with limits on time and
+memory, and simulated for one second of random control, because MuJoCo also accepts time
+steps of NaN and negative friction. A model that passes the whole check opens in every
+MuJoCo program.
 """
 
 from __future__ import annotations
@@ -48,11 +50,24 @@ _CELLS = "pixels of textures and points of height fields"
 _COUNT_LIMITS = {"elements": MAX_ELEMENTS, "bodies": MAX_BODIES, _CELLS: MAX_CELLS}
 
 # Largest values of the attributes of <size>; memory and nstack in bytes.
-_SIZE_LIMITS = {"memory": 1 << 30, "nstack": 1 << 27, "njmax": 1 << 20, "nconmax": 1 << 20, "nkey": 10_000}
+_SIZE_LIMITS = {
+    "memory": 1 << 30,
+    "nstack": 1 << 27,
+    "njmax": 1 << 20,
+    "nconmax": 1 << 20,
+    "nkey": 10_000,
+}
 _OTHER_SIZE_LIMIT = 1_000
 
 _FOLDER_ATTRIBUTES = ("assetdir", "meshdir", "texturedir")
-_BYTE_UNITS = {"K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40, "P": 1 << 50, "E": 1 << 60}
+_BYTE_UNITS = {
+    "K": 1 << 10,
+    "M": 1 << 20,
+    "G": 1 << 30,
+    "T": 1 << 40,
+    "P": 1 << 50,
+    "E": 1 << 60,
+}
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HUGE = 1e18  # replaces infinite numbers and limits products
 
@@ -87,7 +102,8 @@ class _Scan:
         assets: references to files that are not MJCF.
         included: files that have been included.
         faults: faults of all models so far.
-        models: number of elements and bodies of each attached model; None while it is being read.
+        models: number of elements and bodies of each attached model; None while it is
+            being read.
         bytes: size of all XML and of all assets, for all models.
     """
 
@@ -108,13 +124,21 @@ class _Scan:
             reference: line, element and path, for the message.
             paths: all paths that MuJoCo may open for the reference.
         """
-        # MuJoCo reads a backslash as a slash, and removes `..` from the text without following links.
-        normalised = {Path(os.path.normpath(str(path).replace("\\", "/"))): None for path in paths}
+        # MuJoCo reads a backslash as a slash, and removes `..` from the text without
+        # following links.
+        normalised = {
+            Path(os.path.normpath(str(path).replace("\\", "/"))): None for path in paths
+        }
         present = [path for path in normalised if os.path.lexists(path)]
         allowed = _allowed_folder(self.main)
-        outside = any(not Path(os.path.realpath(path)).is_relative_to(allowed) for path in present)
+        outside = any(
+            not Path(os.path.realpath(path)).is_relative_to(allowed) for path in present
+        )
         if outside or not any(path.is_relative_to(allowed) for path in normalised):
-            self.faults.append(f"{reference}, outside the model's folder; files in {allowed} are allowed")
+            self.faults.append(
+                f"{reference}, outside the model's folder; files in {allowed} are"
+                " allowed"
+            )
             return None
         return present
 
@@ -122,8 +146,8 @@ class _Scan:
 def _allowed_folder(main: Path) -> Path:
     """Return the folder in which all files must be.
 
-    It is the parent of the model's folder. If the model's folder is the home directory or just below the root
-    of the file system, it is the model's folder itself.
+    It is the parent of the model's folder. If the model's folder is the home directory
+    or just below the root of the file system, it is the model's folder itself.
     """
     folder = main.parent
     at_home = folder == Path(os.path.realpath(os.path.expanduser("~")))
@@ -134,7 +158,8 @@ def scan_mjcf(path: Path) -> list[str]:
     """Return the faults of an MJCF or URDF file and the files that it names, without compilation.
 
     Args:
-        path: resolved path of the file; all files that it names must be in its folder or the parent of that.
+        path: resolved path of the file; all files that it names must be in its folder
+            or the parent of that.
 
     Returns:
         One line per fault, with the line in the file.
@@ -151,14 +176,18 @@ def scan_mjcf(path: Path) -> list[str]:
 class _Reader:
     """Reader of one file, element by element."""
 
-    def __init__(self, scan: _Scan, path: Path, count: Counter[str], depth: int) -> None:
+    def __init__(
+        self, scan: _Scan, path: Path, count: Counter[str], depth: int
+    ) -> None:
         self._scan, self._path, self._count, self._depth = scan, path, count, depth
         self._times = [1]
         self._models: list[Counter[str]] = []
         self._parser = expat.ParserCreate()
         self._parser.StartElementHandler = self._start
         self._parser.EndElementHandler = lambda _: self._times.pop()
-        no_doctype = "a document type (<!DOCTYPE>) is not allowed; MJCF needs no entities"
+        no_doctype = (
+            "a document type (<!DOCTYPE>) is not allowed; MJCF needs no entities"
+        )
         self._parser.StartDoctypeDeclHandler = lambda *_: self._refuse(no_doctype)
 
     def read(self) -> None:
@@ -173,9 +202,12 @@ class _Reader:
                 raise _ScanError(f"over {MAX_FILE_BYTES >> 20} MB of XML")
             self._parser.Parse(self._path.read_bytes(), True)
         except expat.ExpatError as error:
-            self._refuse(f"not readable as XML ({expat.ErrorString(error.code)})", error.lineno)
+            self._refuse(
+                f"not readable as XML ({expat.ErrorString(error.code)})", error.lineno
+            )
         except (OSError, LookupError, ValueError) as error:
-            # LookupError, ValueError: an unknown encoding, or one that is not allowed in XML.
+            # LookupError, ValueError: an unknown encoding, or one that is not allowed
+            # in XML.
             self._refuse(f"not readable as XML ({error})")
         # An upper bound: any attach element may attach any of the models.
         for model in self._models:
@@ -196,14 +228,18 @@ class _Reader:
         count["elements"] += times
         count["bodies"] += times * (tag == "body")
         count["attached"] += times * (tag == "attach")
-        count[_CELLS] += _cells(attributes, "width", "height") + _cells(attributes, "nrow", "ncol")
+        count[_CELLS] += _cells(attributes, "width", "height") + _cells(
+            attributes, "nrow", "ncol"
+        )
         self._check_count()
         if len(self._times) > MAX_DEPTH:
             self._refuse(f"nested more than {MAX_DEPTH} deep")
         for name, value in attributes.items():
             limit = _SIZE_LIMITS.get(name, _OTHER_SIZE_LIMIT)
             if tag == "size" and _bytes(value) > limit:
-                self._refuse(f"<size> asks for {name} {value}; at most {limit} is allowed")
+                self._refuse(
+                    f"<size> asks for {name} {value}; at most {limit} is allowed"
+                )
             self._scan.strips |= name == "strippath" and value != "false"
             if name in _FOLDER_ATTRIBUTES:
                 folder = [self._scan.root.parent / value]
@@ -228,11 +264,16 @@ class _Reader:
             self._scan.assets.append(_Asset(reference, path, folder))
             return
         # MuJoCo looks in the folder of the model, then in that of the file.
-        present = self._scan.existing(reference, [self._scan.root.parent / path, folder / path])
+        present = self._scan.existing(
+            reference, [self._scan.root.parent / path, folder / path]
+        )
         if present == [] or not all(map(os.path.isfile, present or [])):
             raise _ScanError(f"{reference}, which is not a file")
         if self._depth == MAX_NESTED_FILES:
-            raise _ScanError(f"{reference}; files nested more than {MAX_NESTED_FILES} deep are not allowed")
+            raise _ScanError(
+                f"{reference}; files nested more than {MAX_NESTED_FILES} deep are not"
+                " allowed"
+            )
         for target in present or []:
             if tag == "model":
                 self._models.append(self._count_model(reference, target))
@@ -246,7 +287,14 @@ class _Reader:
         if target not in models:
             models[target] = None
             count: Counter[str] = Counter()
-            model_scan = replace(scan, root=target, folders={"."}, strips=False, assets=[], included=set())
+            model_scan = replace(
+                scan,
+                root=target,
+                folders={"."},
+                strips=False,
+                assets=[],
+                included=set(),
+            )
             _Reader(model_scan, target, count, self._depth + 1).read()
             _check_assets(model_scan)
             models[target] = count
@@ -271,23 +319,38 @@ def _check_assets(scan: _Scan) -> None:
         _ScanError: an asset is not a file, or too large.
     """
     for reference, written, folder in scan.assets:
-        names = {written, Path(written.replace("\\", "/")).name if scan.strips else written}
+        names = {
+            written,
+            Path(written.replace("\\", "/")).name if scan.strips else written,
+        }
         bases = [scan.root.parent / name for name in sorted(scan.folders)] + [folder]
-        for path in scan.existing(reference, [base / name for base in bases for name in names]) or []:
+        for path in (
+            scan.existing(reference, [base / name for base in bases for name in names])
+            or []
+        ):
             if not path.is_file():
                 raise _ScanError(f"{reference}, which is not a file")
             scan.bytes["assets"] += path.stat().st_size
             if scan.bytes["assets"] > MAX_ASSET_BYTES:
-                raise _ScanError(f"{reference}, which brings the assets above {MAX_ASSET_BYTES >> 20} MB")
+                raise _ScanError(
+                    f"{reference}, which brings the assets above"
+                    f" {MAX_ASSET_BYTES >> 20} MB"
+                )
             if _png_pixels(path) > MAX_CELLS:
-                raise _ScanError(f"{reference}, a picture of more than {MAX_CELLS} pixels")
+                raise _ScanError(
+                    f"{reference}, a picture of more than {MAX_CELLS} pixels"
+                )
 
 
 def _png_pixels(path: Path) -> int:
     with path.open("rb") as stream:
         head = stream.read(24)
     # Width and height are the first two numbers of the header chunk.
-    return int.from_bytes(head[16:20]) * int.from_bytes(head[20:24]) if head.startswith(_PNG_SIGNATURE) else 0
+    return (
+        int.from_bytes(head[16:20]) * int.from_bytes(head[20:24])
+        if head.startswith(_PNG_SIGNATURE)
+        else 0
+    )
 
 
 def _numbers(text: str) -> list[float]:
@@ -331,8 +394,20 @@ MAX_TIMESTEP_S = 0.1
 MAX_ITERATIONS = 10_000  # of any of the engine's solvers
 _REDRAW_S = 0.02  # simulated time between two random controls
 _FORECAST_AFTER_S = 0.5  # run time after which the total run time is extrapolated
-_ITERATION_OPTIONS = ("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations", "sdf_iterations")
-_NOT_NEGATIVE = ("geom_friction", "pair_friction", "dof_damping", "dof_frictionloss", "body_mass")
+_ITERATION_OPTIONS = (
+    "iterations",
+    "ls_iterations",
+    "noslip_iterations",
+    "ccd_iterations",
+    "sdf_iterations",
+)
+_NOT_NEGATIVE = (
+    "geom_friction",
+    "pair_friction",
+    "dof_damping",
+    "dof_frictionloss",
+    "body_mass",
+)
 
 
 @dataclass(frozen=True)
@@ -366,13 +441,31 @@ def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
     faults = scan_mjcf(model)
     if faults:
         return ModelReport(tuple(faults))
-    command = [sys.executable, "-m", "srs_twin.plants.twin.mjcf.check", str(model), str(time_limit_s)]
+    command = [
+        sys.executable,
+        "-m",
+        "srs_twin.plants.twin.mjcf.check",
+        str(model),
+        str(time_limit_s),
+    ]
     # The child needs no display, and threads of NumPy would count as memory.
-    env = {**os.environ, "MUJOCO_GL": "disabled", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    with tempfile.TemporaryDirectory() as folder:  # MuJoCo writes its log file to the working directory
+    env = {
+        **os.environ,
+        "MUJOCO_GL": "disabled",
+        "OPENBLAS_NUM_THREADS": "1",
+        "OMP_NUM_THREADS": "1",
+    }
+    with (
+        tempfile.TemporaryDirectory() as folder
+    ):  # MuJoCo writes its log file to the working directory
         try:
             child = subprocess.run(
-                command, cwd=folder, env=env, capture_output=True, text=True, timeout=time_limit_s
+                command,
+                cwd=folder,
+                env=env,
+                capture_output=True,
+                text=True,
+                timeout=time_limit_s,
             )
         except subprocess.TimeoutExpired:
             return ModelReport((f"did not finish within {time_limit_s} s",))
@@ -402,18 +495,31 @@ def _bad_numbers(model: Any) -> list[str]:
     faults = []
     low, high = MIN_TIMESTEP_S, MAX_TIMESTEP_S
     if not low <= model.opt.timestep <= high:
-        faults.append(f"timestep {model.opt.timestep:g} s is not allowed; it must be {low:g} to {high:g} s")
+        faults.append(
+            f"timestep {model.opt.timestep:g} s is not allowed; it must be {low:g} to"
+            f" {high:g} s"
+        )
     for name in _ITERATION_OPTIONS:
         if getattr(model.opt, name) > MAX_ITERATIONS:
-            faults.append(f"{name} {getattr(model.opt, name)} are not allowed; at most {MAX_ITERATIONS}")
+            faults.append(
+                f"{name} {getattr(model.opt, name)} are not allowed; at most"
+                f" {MAX_ITERATIONS}"
+            )
     for name in _NOT_NEGATIVE:
         values = getattr(model, name)
         if (values < 0).any():
             faults.append(f"{name}{_first_row(values < 0)} has a negative value")
     for name in dir(model):
         value = None if name.startswith("_") else getattr(model, name)
-        if isinstance(value, np.ndarray) and value.dtype.kind == "f" and not np.isfinite(value).all():
-            faults.append(f"{name}{_first_row(~np.isfinite(value))} has a value that is not finite")
+        if (
+            isinstance(value, np.ndarray)
+            and value.dtype.kind == "f"
+            and not np.isfinite(value).all()
+        ):
+            faults.append(
+                f"{name}{_first_row(~np.isfinite(value))} has a value that is not"
+                " finite"
+            )
     return faults
 
 
@@ -436,7 +542,9 @@ def _random_control(model: Any, time_limit_s: float, control_s: float) -> list[s
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     rng = np.random.default_rng(0)
-    low, high = np.where(model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]).T
+    low, high = np.where(
+        model.actuator_ctrllimited[:, None], model.actuator_ctrlrange, [-1.0, 1.0]
+    ).T
     redraw = max(1, round(_REDRAW_S / model.opt.timestep))
     steps = max(1, round(control_s / model.opt.timestep))
     started = time.monotonic()
@@ -448,19 +556,25 @@ def _random_control(model: Any, time_limit_s: float, control_s: float) -> list[s
         if spent > _FORECAST_AFTER_S and spent / (step + 1) * steps > time_limit_s:
             forecast = spent / (step + 1) * steps
             return [
-                f"{control_s:g} s of random control would take {forecast:.0f} s; at most {time_limit_s} s"
+                f"{control_s:g} s of random control would take {forecast:.0f} s; at"
+                f" most {time_limit_s} s"
             ]
     faults = [
-        f"{control_s:g} s of random control raised the warning {name.removeprefix('mjWARN_')}"
+        f"{control_s:g} s of random control raised the warning"
+        f" {name.removeprefix('mjWARN_')}"
         for name, kind in mujoco.mjtWarning.__members__.items()
         if name.startswith("mjWARN_") and data.warning[kind].number
     ]
     if not np.isfinite(data.qpos).all():
-        faults.append(f"{control_s:g} s of random control ended in a state that is not finite")
+        faults.append(
+            f"{control_s:g} s of random control ended in a state that is not finite"
+        )
     return faults
 
 
-def examine_model(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -> dict[str, Any]:
+def examine_model(
+    path: Path, time_limit_s: int, control_s: float = CONTROL_S
+) -> dict[str, Any]:
     """Compile and simulate a model in this process; return the fields of a `ModelReport`.
 
     Args:
@@ -477,10 +591,16 @@ def examine_model(path: Path, time_limit_s: int, control_s: float = CONTROL_S) -
         return {"faults": [fault + _package_remedy(fault)], "sizes": {}, "notes": []}
     notes = _welded_links(path)
     sizes = {"bodies": model.nbody - 1, "joints": model.njnt, "actuators": model.nu}
-    measures = {"mass_kg": float(model.body_mass.sum()), "timestep_s": model.opt.timestep}
+    measures = {
+        "mass_kg": float(model.body_mass.sum()),
+        "timestep_s": model.opt.timestep,
+    }
     faults = _bad_numbers(model)
     if not (model.nv or model.nmocap):
-        fault = f"nothing in it moves ({sizes['bodies']} bodies, no joints); it needs a body with a joint"
+        fault = (
+            f"nothing in it moves ({sizes['bodies']} bodies, no joints); it needs a"
+            " body with a joint"
+        )
         faults.append("; ".join([fault, *notes]))
     faults = faults or _random_control(model, time_limit_s, control_s)
     return {"faults": faults, "sizes": sizes | measures, "notes": notes}
@@ -490,7 +610,8 @@ def _package_remedy(fault: str) -> str:
     """Return a remedy if MuJoCo could not open a file of a ROS package, otherwise an empty text."""
     compiler = '<mujoco><compiler strippath="true" meshdir="../meshes"/></mujoco>'
     remedy = (
-        f"; MuJoCo resolves no package:// or other URI; add {compiler} to <robot> with the meshes' folder"
+        f"; MuJoCo resolves no package:// or other URI; add {compiler} to <robot> with"
+        " the meshes' folder"
     )
     return remedy if re.search("'(package|model|file):", fault) else ""
 
@@ -498,14 +619,17 @@ def _package_remedy(fault: str) -> str:
 def _welded_links(path: Path) -> list[str]:
     """Return a note for each root link of a URDF, which MuJoCo welds to the world."""
     robot = ElementTree.parse(path).getroot()
-    free = {"floating", "planar"} & {joint.get("type") for joint in robot.iterfind("joint")}
+    free = {"floating", "planar"} & {
+        joint.get("type") for joint in robot.iterfind("joint")
+    }
     if robot.tag != "robot" or free:
         return []
     roots = {link.get("name", "") for link in robot.iterfind("link")}
     roots -= {child.get("link", "") for child in robot.iterfind("joint/child")}
     return [
-        f"its root link '{name}' is welded to the world, as MuJoCo does with every URDF, and its mass has no "
-        "effect; for a free base, join it to a root link without mass by a joint of type floating"
+        f"its root link '{name}' is welded to the world, as MuJoCo does with every"
+        " URDF, and its mass has no effect; for a free base, join it to a root link"
+        " without mass by a joint of type floating"
         for name in sorted(roots)
     ]
 

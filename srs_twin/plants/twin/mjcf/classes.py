@@ -1,7 +1,7 @@
 """Default classes of the MJCF: common properties of a robot's hinges, wheels and actuators.
 
-Elements name their class and state only their own properties: name, position, and values that depend on the
-mass of their connector (axle friction, preload).
+Elements name their class and state only their own properties: name, position, and
+values that depend on the mass of their connector (axle friction, preload).
 """
 
 from __future__ import annotations
@@ -10,7 +10,12 @@ import math
 
 import mujoco
 
-from srs_twin.plants.twin.mjcf.numerics import Contact, ModelSettings, PreloadedContact, stated
+from srs_twin.plants.twin.mjcf.numerics import (
+    Contact,
+    ModelSettings,
+    PreloadedContact,
+    stated,
+)
 from srs_twin.robot.spec import RobotSpec
 
 ROOT = "snake"
@@ -26,14 +31,22 @@ _VISUAL_GROUP = 2
 _COLLISION_GROUP = 3
 _HIDDEN_GROUP = 5
 
-_MAX_FREE_BEND = 100.0  # limit of the free bend of a spatial robot, far above any real one, rad
+_MAX_FREE_BEND = (
+    100.0  # limit of the free bend of a spatial robot, far above any real one, rad
+)
 _FLANGE_RATIO = 1.08  # radius of a connector's disc over that of the body, 1
 _RUNNER_RATIO = 0.25  # radius of a skid's runner over that of a wheel, 1
-_PLATE_HALF_HEIGHT = 0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
-_DRAWN_CLEARANCE = 0.001  # height of the drawn body above the floor at a length unit of 1, m
+_PLATE_HALF_HEIGHT = (
+    0.003  # of a connector's disc at a length unit of 1 (`robot.scale`), m
+)
+_DRAWN_CLEARANCE = (
+    0.001  # height of the drawn body above the floor at a length unit of 1, m
+)
 
 
-def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float) -> None:
+def add_classes(
+    mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float
+) -> None:
     """Add the classes of a robot.
 
     Args:
@@ -63,8 +76,8 @@ def add_classes(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, 
         drag = mj.add_default("drag", root).actuator
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype, drag.gainprm[0] = mujoco.mjtBias.mjBIAS_AFFINE, 0.0
-        # Proportional to the speed up to the slip speed, which the integrator takes implicitly; then
-        # constant.
+        # Proportional to the speed up to the slip speed, which the integrator takes
+        # implicitly; then constant.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited, drag.forcerange = True, [-limit, limit]
         drag.ctrllimited, drag.ctrlrange = True, [0, 1]
@@ -83,26 +96,45 @@ def drawn_radius(spec: RobotSpec) -> float:
 def drawn_height(spec: RobotSpec) -> float:
     """Return the height of the drawn body above the centres of mass, so that it clears the floor, m."""
     unit = spec.scale.length
-    height = drawn_radius(spec) * _FLANGE_RATIO + _DRAWN_CLEARANCE * unit - spec.geometry.com_height
+    height = (
+        drawn_radius(spec) * _FLANGE_RATIO
+        + _DRAWN_CLEARANCE * unit
+        - spec.geometry.com_height
+    )
     return max(0.0, round(height / unit, 6) * unit)
 
 
-def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
+def _add_joints(
+    mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
+) -> None:
     """Add the classes of the joints.
 
-    The integrator evaluates a spring at the end of its step, which adds the damping h k. The dampers are
-    smaller by that much, so that spring and damper together have the nominal damping.
+    The integrator evaluates a spring at the end of its step, which adds the damping h
+    k. The dampers are smaller by that much, so that spring and damper together have the
+    nominal damping.
     """
     bending, n = spec.bending, settings.hinges_per_segment
     joints: list[tuple[str, list[float], float, float]] = [
         ("hinge", [0, 0, -1], n * bending.stiffness, bending.damping_time),
-        ("pitch", [0, 1, 0], bending.pitch_stiffness, bending.out_of_plane_damping_time),
+        (
+            "pitch",
+            [0, 1, 0],
+            bending.pitch_stiffness,
+            bending.out_of_plane_damping_time,
+        ),
         ("roll", [1, 0, 0], bending.roll_stiffness, bending.out_of_plane_damping_time),
     ]
     if spec.is_spatial:
-        joints[1] = ("tilt", [0, 1, 0], n * bending.pitch_stiffness, bending.damping_time)
+        joints[1] = (
+            "tilt",
+            [0, 1, 0],
+            n * bending.pitch_stiffness,
+            bending.damping_time,
+        )
         if spec.actuator.extension:
-            joints.append(("stretch", [-1, 0, 0], spec.axial_stiffness, bending.damping_time))
+            joints.append(
+                ("stretch", [-1, 0, 0], spec.axial_stiffness, bending.damping_time)
+            )
     for name, axis, stiffness, time in joints:
         joint = mj.add_default(name, root).joint
         joint.axis = axis
@@ -117,7 +149,9 @@ def _add_joints(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, set
         axle.solref_friction = [stated(contact.axle_time), 1]
 
 
-def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
+def _add_geoms(
+    mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
+) -> None:
     _add_feet(mj, root, spec, settings)
     upright = [math.sqrt(0.5), 0, math.sqrt(0.5), 0]
     skin, plate = mj.add_default("skin", root).geom, mj.add_default("plate", root).geom
@@ -130,15 +164,25 @@ def _add_geoms(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, sett
     skin.group = plate.group = _VISUAL_GROUP
 
 
-def _add_feet(mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings) -> None:
+def _add_feet(
+    mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
+) -> None:
     """Add the class ``tread`` of the geoms on the floor: runners of skids, or spheres drawn as ``rim``."""
     tread = mj.add_default("tread", root).geom
     tread.size = [foot_radius(spec, settings.contact), 0, 0]
     if not settings.contact.rolling:
-        tread.type, tread.group, tread.rgba = mujoco.mjtGeom.mjGEOM_CAPSULE, _VISUAL_GROUP, _RUBBER
+        tread.type, tread.group, tread.rgba = (
+            mujoco.mjtGeom.mjGEOM_CAPSULE,
+            _VISUAL_GROUP,
+            _RUBBER,
+        )
         return
     tread.type, tread.group = mujoco.mjtGeom.mjGEOM_SPHERE, _COLLISION_GROUP
     radius, across = spec.geometry.wheel_radius, [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
     rim = mj.add_default("rim", root).geom
-    rim.type, rim.size, rim.quat = mujoco.mjtGeom.mjGEOM_CYLINDER, [radius, 0.2 * radius, 0], across
+    rim.type, rim.size, rim.quat = (
+        mujoco.mjtGeom.mjGEOM_CYLINDER,
+        [radius, 0.2 * radius, 0],
+        across,
+    )
     rim.rgba, rim.group = _RUBBER, _VISUAL_GROUP

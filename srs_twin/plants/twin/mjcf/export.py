@@ -1,16 +1,18 @@
 """RobotSpec → MJCF files in the layout of MuJoCo Menagerie.
 
-``<robot>.xml`` contains the robot; ``scene.xml`` includes it and adds floor, light, contact pairs and
-floor-force sensors. Numbers are written in full precision, so that the files compile to the same model as the
-twin's, bit for bit. ``scene_mjx.xml`` has the same robot and floor without the parts that MJX and MuJoCo Warp
-refuse.
+``<robot>.xml`` contains the robot; ``scene.xml`` includes it and adds floor, light,
+contact pairs and floor-force sensors. Numbers are written in full precision, so that
+the files compile to the same model as the twin's, bit for bit. ``scene_mjx.xml`` has
+the same robot and floor without the parts that MJX and MuJoCo Warp refuse.
 
-The controls are pressures. If the damping time c/k of the segments differs from the mode time constant τ₂,
-each chamber has two actuators, `plus_1` and `plus_1_lag`: the pressure, and its mean over the time step.
+The controls are pressures. If the damping time c/k of the segments differs from the
+mode time constant τ₂, each chamber has two actuators, `plus_1` and `plus_1_lag`: the
+pressure, and its mean over the time step.
 
-MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a limit of the moments, and
-a robot with a dead zone is refused unless its pressures are converted before they become controls
-(`equivalent_linear_pressure` of `pneumatics.chambers`). `describe_departures` names what the files lack.
+MuJoCo's actuators are linear in the pressures. A limit of the bends is therefore a
+limit of the moments, and a robot with a dead zone is refused unless its pressures are
+converted before they become controls (`equivalent_linear_pressure` of
+`pneumatics.chambers`). `describe_departures` names what the files lack.
 """
 
 from __future__ import annotations
@@ -106,35 +108,45 @@ def stale_files(spec: RobotSpec, folder: Path) -> list[str]:
     return [
         name
         for name, text in robot_files(spec).items()
-        if not (folder / name).is_file() or (folder / name).read_bytes() != text.encode("utf-8")
+        if not (folder / name).is_file()
+        or (folder / name).read_bytes() != text.encode("utf-8")
     ]
 
 
-def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool = False) -> dict[str, str]:
+def robot_files(
+    spec: RobotSpec, *, supply_pa: float | None = None, linear: bool = False
+) -> dict[str, str]:
     """Return a robot's MJCF files, file name → text.
 
     Args:
         spec: the robot.
-        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are used.
+        supply_pa: upper limit of the controls, Pa; at least the limits of the robot are
+            used.
         linear: export a robot with a dead zone without it.
 
     Raises:
-        InputError: the robot has a skin, a tail on two axles, or a dead zone without `linear`.
+        InputError: the robot has a skin, a tail on two axles, or a dead zone without
+            `linear`.
     """
     if spec.skin is not None:
         raise InputError(
-            f"{spec.name} has a skin: srs_twin computes its friction, which an MJCF file cannot contain"
+            f"{spec.name} has a skin: srs_twin computes its friction, which an MJCF"
+            " file cannot contain"
         )
     if spec.actuator.onset_share > 0.0 and not linear:
         raise InputError(
-            f"{spec.name} has a dead zone (actuator.onset_share {spec.actuator.onset_share:g}, onset_rad "
-            f"{spec.actuator.onset:g} rad), but the actuators of an MJCF file are linear, and the model "
-            "would move as if it had none; --linear exports it for controls that you convert "
-            "(models/README.md)"
+            f"{spec.name} has a dead zone (actuator.onset_share"
+            f" {spec.actuator.onset_share:g}, onset_rad {spec.actuator.onset:g} rad),"
+            " but the actuators of an MJCF file are linear, and the model would move"
+            " as if it had none; --linear exports it for controls that you convert"
+            " (models/README.md)"
         )
     # A single segment cannot crawl: simulate it on a test bench.
     bench = spec.segments == 1
-    timestep, base = ModelSettings.timestep * spec.scale.time, "clamped" if bench else "free"
+    timestep, base = (
+        ModelSettings.timestep * spec.scale.time,
+        "clamped" if bench else "free",
+    )
     settings = ModelSettings(timestep, contact=PreloadedContact(), base=base)
     robot = robot_mjcf(spec, settings, supply_pa=supply_pa)
     scene = scene_mjcf(spec, settings, supply_pa=supply_pa)
@@ -148,7 +160,9 @@ def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool
         "`srs-twin models export`. Change the robot's numbers, not this file.",
     )
     support = "held at its head" if bench else "on a floor"
-    scene.comment = _comment(f"{spec.title}, {support}.", "Generated by `srs-twin models export`.")
+    scene.comment = _comment(
+        f"{spec.title}, {support}.", "Generated by `srs-twin models export`."
+    )
     scene.modelname = f"{spec.name} scene"
     name, text = f"{spec.name}.xml", _text(robot)
     files = {name: text, SCENE: _include_robot(name, text, _text(scene))}
@@ -159,15 +173,20 @@ def robot_files(spec: RobotSpec, *, supply_pa: float | None = None, linear: bool
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Add to each chamber a second actuator that follows the pressure with the mode time constant.
 
-    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with τ₂. With T = c/k it
-    is (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻), so no second actuator is needed if T = τ₂.
+    The moment of a nominal segment is k x + c ẋ, where x lags behind the pressures with
+    τ₂. With T = c/k it is (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻), so no second actuator
+    is needed if T = τ₂.
     """
     share = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(share, 1.0, rel_tol=1e-9):
         return
-    for chamber in [each for each in mj.actuators if each.name.startswith(("plus_", "minus_"))]:
+    for chamber in [
+        each for each in mj.actuators if each.name.startswith(("plus_", "minus_"))
+    ]:
         name = f"{chamber.name}_lag"
-        lagged = mj.add_actuator(mj.find_default("muscle"), name=name, target=chamber.target)
+        lagged = mj.add_actuator(
+            mj.find_default("muscle"), name=name, target=chamber.target
+        )
         lagged.trntype = chamber.trntype
         lagged.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
         lagged.dynprm[0] = spec.actuator.tau_mode
@@ -187,7 +206,8 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
     """Remove what MJX and MuJoCo Warp refuse: the contact sensors, the integrator and a flag.
 
-    The other integrator adds no damping to the springs, which have their full dampers again.
+    The other integrator adds no damping to the springs, which have their full dampers
+    again.
     """
     for sensor in mj.sensors:
         mj.delete(sensor)
@@ -214,7 +234,8 @@ def _text(mj: mujoco.MjSpec) -> str:
 def _include_robot(name: str, robot: str, scene: str) -> str:
     """Return the XML of a scene in which the robot's elements are replaced by an `include` of its file.
 
-    MuJoCo does not write `include`, and does not write contact pairs without their geoms.
+    MuJoCo does not write `include`, and does not write contact pairs without their
+    geoms.
 
     Args:
         name: file name of the robot.
@@ -222,7 +243,10 @@ def _include_robot(name: str, robot: str, scene: str) -> str:
         scene: XML of the scene with the robot.
     """
     document = minidom.parseString(scene)
-    top, robot_top = document.documentElement, minidom.parseString(robot).documentElement
+    top, robot_top = (
+        document.documentElement,
+        minidom.parseString(robot).documentElement,
+    )
     assert top is not None and robot_top is not None  # parsed without an error
     included = {section.tagName: section for section in _elements(robot_top)}
     for section in _elements(top):

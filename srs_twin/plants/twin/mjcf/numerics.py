@@ -34,8 +34,8 @@ LOADS = ("momentary", "across", "static")
 """Load of a wheel in the friction law.
 
 - momentary: its normal force.
-- across: the weight of the connector, divided in the ratio of the normal forces of its two wheels, as in the
-  analytical model.
+- across: the weight of the connector, divided in the ratio of the normal forces of its
+  two wheels, as in the analytical model.
 - static: half of the weight.
 """
 
@@ -48,9 +48,9 @@ LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """Preload κ of a wheel and of a skid, 1.
 
-A skid slides in both directions, so that its contact opens more easily. With κ = 19 connectors rocked from
-one skid to the other, and their loads oscillated by as much as their mean; with κ = 59 only those of the tail
-did.
+A skid slides in both directions, so that its contact opens more easily. With κ = 19
+connectors rocked from one skid to the other, and their loads oscillated by as much as
+their mean; with κ = 59 only those of the tail did.
 """
 
 
@@ -59,11 +59,14 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction as a law on them.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md); a skin has its own.
-        load: load of a wheel in the law, one of `LOADS`; those other than "momentary" are for comparison.
-        slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε times the velocity, so
-            that a resting contact does not creep (`stick_slip`), m/s; None for `SLIP_SPEED_M_S` times the
-            time unit of the robot (`robot.scale`).
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/models.md); a
+            skin has its own.
+        load: load of a wheel in the law, one of `LOADS`; those other than "momentary"
+            are for comparison.
+        slip_speed: slip speed ε; below the friction limit μN the force changes by μN/ε
+            times the velocity, so that a resting contact does not creep (`stick_slip`),
+            m/s; None for `SLIP_SPEED_M_S` times the time unit of the robot
+            (`robot.scale`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -91,13 +94,15 @@ class PreloadedContact:
 
     Attributes:
         wheels: "rolling" (wheels on hinges) or "skid" (runners).
-        preload: κ, additional normal force on each wheel as a multiple of its static load; None for
-            `PRELOAD`.
-        slip_time: time constant with which contact friction stops a slip (`solreffriction`), s; None for
-            `SLIP_TIME_S` times the time unit of the robot (`robot.scale`).
-        axle_time: time constant with which the friction of an axle stops its rotation, s; None for
-            `AXLE_TIME_S` times the time unit.
-        slip_speed: slip speed of the axial drag, m/s; None for `SLIP_SPEED_M_S` times the time unit.
+        preload: κ, additional normal force on each wheel as a multiple of its static
+            load; None for `PRELOAD`.
+        slip_time: time constant with which contact friction stops a slip
+            (`solreffriction`), s; None for `SLIP_TIME_S` times the time unit of the
+            robot (`robot.scale`).
+        axle_time: time constant with which the friction of an axle stops its rotation,
+            s; None for `AXLE_TIME_S` times the time unit.
+        slip_speed: slip speed of the axial drag, m/s; None for `SLIP_SPEED_M_S` times
+            the time unit.
     """
 
     name: ClassVar[Literal["preloaded"]] = "preloaded"
@@ -112,7 +117,10 @@ class PreloadedContact:
         check_choice("wheels", self.wheels, WHEELS)
         _check_positive(self, "slip_time", "axle_time", "slip_speed")
         if not 0.0 <= self.preload_ratio < math.inf:
-            raise InputError(f"preload {self.preload} is not allowed; it must be finite and 0 or more")
+            raise InputError(
+                f"preload {self.preload} is not allowed; it must be finite and 0 or"
+                " more"
+            )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
         """Return the contact with the settings that are None in the units of a robot."""
@@ -137,7 +145,9 @@ class PreloadedContact:
     def pressed(self) -> float:
         """Deprecated name of `preload_ratio`."""
         warnings.warn(
-            "PreloadedContact.pressed is deprecated; use preload_ratio", DeprecationWarning, stacklevel=2
+            "PreloadedContact.pressed is deprecated; use preload_ratio",
+            DeprecationWarning,
+            stacklevel=2,
         )
         return self.preload_ratio
 
@@ -146,7 +156,9 @@ def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> N
     for name in names:
         value = getattr(contact, name)
         if value is not None and not 0.0 < value < math.inf:
-            raise InputError(f"{name} {value} is not allowed; it must be finite and above 0")
+            raise InputError(
+                f"{name} {value} is not allowed; it must be finite and above 0"
+            )
 
 
 def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
@@ -163,7 +175,8 @@ def stated(setting: float | None) -> float:
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in stored results without this setting, which are older than it."""
+"""Contact of the twin in stored results without this setting, which are older than it.
+"""
 
 
 def as_contact(contact: Contact | str) -> Contact:
@@ -186,11 +199,12 @@ class Numerics:
     """Switches for studies of the twin itself.
 
     Attributes:
-        link_share: mass between the hinges of a segment as a fraction of the lightest connector's mass, 1;
-            the dissertation places all of the mass at the connectors.
+        link_share: mass between the hinges of a segment as a fraction of the lightest
+            connector's mass, 1; the dissertation places all of the mass at the
+            connectors.
         wheel_spin: factor on the wheels' moment of inertia about their axles, 1.
-        constant_curvature: constrain the hinges of a segment to equal angles, as in the analytical model;
-            otherwise a loaded segment also bends into an S.
+        constant_curvature: constrain the hinges of a segment to equal angles, as in the
+            analytical model; otherwise a loaded segment also bends into an S.
     """
 
     link_share: float = 0.02
@@ -206,8 +220,8 @@ class ModelSettings:
         timestep: s.
         hinges_per_segment: bending hinges per segment, 1 or more.
         contact: contact with the floor.
-        base: "free", or "clamped": the head is held, and the chain hangs in the air and bends in the
-            horizontal plane only.
+        base: "free", or "clamped": the head is held, and the chain hangs in the air and
+            bends in the horizontal plane only.
         numerics: switches for studies of the twin.
     """
 
@@ -229,19 +243,30 @@ class ModelSettings:
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact it is two time steps, because the loads oscillate with one. Under a preload it
-        is a fraction of the damping time of pitch and roll, which distribute the load.
+        Under loaded contact it is two time steps, because the loads oscillate with one.
+        Under a preload it is a fraction of the damping time of pitch and roll, which
+        distribute the load.
         """
-        return 2 * self.timestep if self.loaded else spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
+        return (
+            2 * self.timestep
+            if self.loaded
+            else spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
+        )
 
 
-_CONTACT_RATIO = 10.0  # damping time of pitch and roll over the contact time under a preload, 1
+_CONTACT_RATIO = (
+    10.0  # damping time of pitch and roll over the contact time under a preload, 1
+)
 
 Preset = Literal["reference", "fast"]
-PRESETS: dict[str, dict[str, float]] = {"reference": {"timestep": 0.00025}, "fast": {"timestep": 0.002}}
+PRESETS: dict[str, dict[str, float]] = {
+    "reference": {"timestep": 0.00025},
+    "fast": {"timestep": 0.002},
+}
 """Preset → settings of a twin, for `TwinSnake(spec, **PRESETS["fast"])`.
 
-benchmarks/presets.py measures their errors. 2 ms is the longest step below the damping time of the segments.
+benchmarks/presets.py measures their errors. 2 ms is the longest step below the damping
+time of the segments.
 """
 
 
@@ -249,15 +274,22 @@ def preset_of(settings: ModelSettings) -> str | None:
     """Return the name of the preset with these settings, or None."""
     if not settings.loaded:
         return None
-    return next((name for name, preset in PRESETS.items() if preset.items() <= vars(settings).items()), None)
+    return next(
+        (
+            name
+            for name, preset in PRESETS.items()
+            if preset.items() <= vars(settings).items()
+        ),
+        None,
+    )
 
 
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
     """Return the distances of a straight segment's hinges from its front connector, shape (n,), m.
 
-    With n ≥ 2 hinges that share a bend q equally, the chord agrees with that of the arc, l sin(q/2)/(q/2),
-    through order q² if the first and last hinges are 1/(2(n+1)) of the length from the ends, and the others
-    evenly spaced between them.
+    With n ≥ 2 hinges that share a bend q equally, the chord agrees with that of the
+    arc, l sin(q/2)/(q/2), through order q² if the first and last hinges are 1/(2(n+1))
+    of the length from the ends, and the others evenly spaced between them.
 
     Args:
         hinges: n.
@@ -268,7 +300,9 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
         InputError: n is less than 1.
     """
     if hinges < 1:
-        raise InputError(f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more")
+        raise InputError(
+            f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more"
+        )
     edge = 1 / (2 * (hinges + 1)) if hinges > 1 else 0.5
     return gap / 2 + length * np.linspace(edge, 1 - edge, hinges)
 

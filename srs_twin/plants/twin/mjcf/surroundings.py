@@ -1,17 +1,20 @@
 """Surroundings of a snake: floor, sky, light, obstacles and movable objects.
 
-Obstacles consist of capsules. A circle is an upright capsule of its radius. A polygon has a capsule of 1 mm
-radius along each side, so that it is 1 mm larger all round. The hulls of the body are copies of the capsules
-of its skin at the height of the centres of mass, with the width of the robot. Between two capsules MuJoCo
-computes the contact in closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so
-that other worlds have no additional cost.
+Obstacles consist of capsules. A circle is an upright capsule of its radius. A polygon
+has a capsule of 1 mm radius along each side, so that it is 1 mm larger all round. The
+hulls of the body are copies of the capsules of its skin at the height of the centres of
+mass, with the width of the robot. Between two capsules MuJoCo computes the contact in
+closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so that
+other worlds have no additional cost.
 
-An object is a cylinder or a box that slides and turns on the floor: a body with two slide joints and a hinge
-about z, so that its position in `qpos` is x, y and heading in the world. It does not tip. Its weight and its
-friction on the floor are those of four points (`MovableObject.supports`). `friction_solve` computes the
-friction of these points, and that between object and body. MuJoCo computes the normal forces, and the
-friction of an object on obstacles and on other objects. In a world with objects the body can also touch
-itself: a tail that holds an object and the wave in front of it would otherwise pass through each other.
+An object is a cylinder or a box that slides and turns on the floor: a body with two
+slide joints and a hinge about z, so that its position in `qpos` is x, y and heading in
+the world. It does not tip. Its weight and its friction on the floor are those of four
+points (`MovableObject.supports`). `friction_solve` computes the friction of these
+points, and that between object and body. MuJoCo computes the normal forces, and the
+friction of an object on obstacles and on other objects. In a world with objects the
+body can also touch itself: a tail that holds an object and the wave in front of it
+would otherwise pass through each other.
 """
 
 from __future__ import annotations
@@ -32,18 +35,28 @@ from srs_twin.robot.world import WALL_M, MovableObject, Step, World
 
 CONTACT_BIT = 2  # contype of obstacles and conaffinity of hulls; floor and wheels have explicit pairs
 HEIGHT_RATIO = 2.0  # half height of a round obstacle over the body's width, 1
-_MIN_CONTACT_STEPS = 2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
-_LEVEL_EXTENT = 100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
-# Impedance of an obstacle at first touch and at full depth, 1. The rods of a segment are so light that with
-# 0.95 and 0.99 a post sinks into them by a quarter of a millimetre per newton.
+_MIN_CONTACT_STEPS = (
+    2.0  # contact time over the time step, 1: the smallest value that MuJoCo uses
+)
+_LEVEL_EXTENT = (
+    100.0  # of the first and the last level beyond the steps, at a length unit of 1, m
+)
+# Impedance of an obstacle at first touch and at full depth, 1. The rods of a segment
+# are so light that with 0.95 and 0.99 a post sinks into them by a quarter of a
+# millimetre per newton.
 _IMPEDANCE = 0.99, 0.999
 _TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA
 _HULL_GROUP = 4  # geom group; viewers do not show it
-_GRADIENT, _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT, mujoco.mjtBuiltin.mjBUILTIN_CHECKER
+_GRADIENT, _CHECKER = (
+    mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+    mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+)
 
 
-def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float) -> None:
+def add_hull_class(
+    mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float
+) -> None:
     """Add the class ``hull`` of the geoms that touch obstacles with a coefficient of friction."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
@@ -51,17 +64,24 @@ def add_hull_class(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, 
     hull.conaffinity, hull.group, hull.priority = CONTACT_BIT, _HULL_GROUP, 1
     # Under loaded contact MuJoCo computes normal forces only.
     hull.condim, hull.friction = 1 if settings.loaded else 3, [friction, 0.005, 0.0001]
-    hull.solref, hull.solimp = [_MIN_CONTACT_STEPS * settings.timestep, 1], [*_IMPEDANCE, depth, 0.5, 2]
+    hull.solref, hull.solimp = (
+        [_MIN_CONTACT_STEPS * settings.timestep, 1],
+        [*_IMPEDANCE, depth, 0.5, 2],
+    )
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors on each hull.
 
-    The sensors measure the force of all obstacles on the hull (world frame, N) with its point of application
-    (m), and the velocity of the hull's centre (world frame, m/s).
+    The sensors measure the force of all obstacles on the hull (world frame, N) with its
+    point of application (m), and the velocity of the hull's centre (world frame, m/s).
     """
     solid = mj.add_default("obstacle", mj.default).geom
-    solid.type, solid.contype, solid.conaffinity = mjtGeom.mjGEOM_CAPSULE, CONTACT_BIT, 0
+    solid.type, solid.contype, solid.conaffinity = (
+        mjtGeom.mjGEOM_CAPSULE,
+        CONTACT_BIT,
+        0,
+    )
     solid.condim, solid.friction, solid.rgba = 3, [world.friction, 0.005, 0.0001], _GREY
     height = HEIGHT_RATIO * spec.geometry.width
     for k, circle in enumerate(world.obstacles, start=1):
@@ -70,10 +90,19 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     z = spec.geometry.com_height
     for k, polygon in enumerate(world.polygons, start=1):
         corners = np.array(polygon.corners)
-        for side, (begin, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1):
+        for side, (begin, end) in enumerate(
+            zip(corners, np.roll(corners, -1, axis=0), strict=True), start=1
+        ):
             _add_capsule(mj, f"polygon_{k}_side_{side}", WALL_M, [*begin, z], [*end, z])
     for hull in hulls(mj):
-        add_force_sensor(mj, f"obstacle_force_{hull}", mjtObj.mjOBJ_BODY, "world", on=hull, position=True)
+        add_force_sensor(
+            mj,
+            f"obstacle_force_{hull}",
+            mjtObj.mjOBJ_BODY,
+            "world",
+            on=hull,
+            position=True,
+        )
         add_velocity_sensor(mj, f"velocity_{hull}", mjtObj.mjOBJ_GEOM, hull)
 
 
@@ -97,24 +126,36 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> li
     lowest = float(heights.min())
     mj.geom("floor").pos = [0, 0, lowest]
     names = []
-    for k, (begin, end, height) in enumerate(zip(edges[:-1], edges[1:], heights, strict=True)):
+    for k, (begin, end, height) in enumerate(
+        zip(edges[:-1], edges[1:], heights, strict=True)
+    ):
         if height > lowest and end > begin:
             names.append(f"level_{k}")
             size = [(end - begin) / 2, far, (height - lowest) / 2]
             centre = [(begin + end) / 2, 0, (height + lowest) / 2]
-            box = mj.worldbody.add_geom(name=names[-1], type=mjtGeom.mjGEOM_BOX, size=size, pos=centre)
+            box = mj.worldbody.add_geom(
+                name=names[-1], type=mjtGeom.mjGEOM_BOX, size=size, pos=centre
+            )
             box.contype, box.conaffinity, box.material = 0, 0, "floor"
     return names
 
 
-def _add_capsule(mj: mujoco.MjSpec, name: str, radius: float, begin: list[float], end: list[float]) -> None:
+def _add_capsule(
+    mj: mujoco.MjSpec, name: str, radius: float, begin: list[float], end: list[float]
+) -> None:
     default = mj.find_default("obstacle")
-    mj.worldbody.add_geom(default, name=name, size=[radius, 0, 0], fromto=[*begin, *end])
+    mj.worldbody.add_geom(
+        default, name=name, size=[radius, 0, 0], fromto=[*begin, *end]
+    )
 
 
 def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
     """Return the names of the geoms of the body that touch obstacles."""
-    geoms = mj.geoms if isinstance(mj, mujoco.MjSpec) else [mj.geom(k) for k in range(mj.ngeom)]
+    geoms = (
+        mj.geoms
+        if isinstance(mj, mujoco.MjSpec)
+        else [mj.geom(k) for k in range(mj.ngeom)]
+    )
     return [geom.name for geom in geoms if geom.name.startswith("hull_")]
 
 
@@ -139,31 +180,48 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     visual.headlight.specular = [0, 0, 0]
     visual.rgba.haze = [0.62, 0.7, 0.78, 1]
     visual.global_.azimuth, visual.global_.elevation = 120, -25
-    sky = mj.add_texture(name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536)
+    sky = mj.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536
+    )
     sky.builtin, sky.rgb1, sky.rgb2 = _GRADIENT, [0.72, 0.82, 0.92], [0.3, 0.42, 0.55]
-    tiles = mj.add_texture(name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, width=300, height=300)
-    tiles.builtin, tiles.rgb1, tiles.rgb2 = _CHECKER, [0.58, 0.62, 0.67], [0.52, 0.56, 0.62]
+    tiles = mj.add_texture(
+        name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, width=300, height=300
+    )
+    tiles.builtin, tiles.rgb1, tiles.rgb2 = (
+        _CHECKER,
+        [0.58, 0.62, 0.67],
+        [0.52, 0.56, 0.62],
+    )
     tiles.mark, tiles.markrgb = mujoco.mjtMark.mjMARK_EDGE, [0.7, 0.73, 0.77]
-    material = mj.add_material(name="floor", texuniform=True, texrepeat=[10, 10], reflectance=0.05)
+    material = mj.add_material(
+        name="floor", texuniform=True, texrepeat=[10, 10], reflectance=0.05
+    )
     material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "floor"
-    floor = mj.worldbody.add_geom(name="floor", type=mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05])
+    floor = mj.worldbody.add_geom(
+        name="floor", type=mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05]
+    )
     floor.contype, floor.conaffinity, floor.material = 0, 0, "floor"
     follow = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    # From directly above: an oblique directional light draws shadow artefacts on an infinite floor.
+    # From directly above: an oblique directional light draws shadow artefacts on an
+    # infinite floor.
     sun = mj.worldbody.add_light(name="sun", pos=[0, 0, 1], dir=[0, 0, -1], mode=follow)
     sun.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-    camera = mj.worldbody.add_camera(name="track", xyaxes=[1, 0, 0, 0, 0.62, 0.78], mode=follow)
+    camera = mj.worldbody.add_camera(
+        name="track", xyaxes=[1, 0, 0, 0, 0.62, 0.78], mode=follow
+    )
     camera.pos = [0, -1.5 * body_length, 1.2 * body_length]
 
 
 _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 
 
-def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, world: World) -> None:
+def add_objects(
+    mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, world: World
+) -> None:
     """Add the objects of a world after the robot, with their initial poses in the keyframe ``home``.
 
-    Sensors measure the force of each object on each hull with its point of application, and the velocity and
-    the angular velocity of each object (world frame).
+    Sensors measure the force of each object on each hull with its point of application,
+    and the velocity and the angular velocity of each object (world frame).
 
     Raises:
         InputError: the contact with the floor is not loaded, or the floor has steps.
@@ -173,12 +231,19 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, wor
     if not settings.loaded:
         raise InputError("objects need contact 'loaded' and a free snake")
     if world.steps:
-        raise InputError("objects need a plane floor; remove the steps of the floor or the objects")
+        raise InputError(
+            "objects need a plane floor; remove the steps of the floor or the objects"
+        )
     default = mj.add_default("object", mj.default)
     hull, solid = mj.find_default("hull").geom, default.geom
-    # Hulls have a higher priority, so that their contacts with objects have normal forces only.
+    # Hulls have a higher priority, so that their contacts with objects have normal
+    # forces only.
     solid.contype = solid.conaffinity = CONTACT_BIT
-    solid.condim, solid.friction, solid.rgba = 3, [world.friction, 0.005, 0.0001], _COLOR
+    solid.condim, solid.friction, solid.rgba = (
+        3,
+        [world.friction, 0.005, 0.0001],
+        _COLOR,
+    )
     solid.solref, solid.solimp = hull.solref, hull.solimp
     poses: list[float] = []
     for name, item in zip(_names(len(world.objects)), world.objects, strict=True):
@@ -186,7 +251,9 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, wor
         poses += [item.x, item.y, item.heading]
         for part in hulls(mj):
             sensor = object_force_sensor(name, part)
-            add_force_sensor(mj, sensor, mjtObj.mjOBJ_BODY, name, on=part, position=True)
+            add_force_sensor(
+                mj, sensor, mjtObj.mjOBJ_BODY, name, on=part, position=True
+            )
     mj.keys[0].qpos = [*mj.keys[0].qpos, *poses]
     _add_self_contacts(mj, spec)
 
@@ -195,11 +262,17 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Add frictionless contacts between hulls whose segments are more than a body width apart."""
     hull = mj.find_default("hull").geom
     default = mj.add_default("self_contact", mj.default)
-    default.pair.condim, default.pair.solref, default.pair.solimp = 1, hull.solref, hull.solimp
+    default.pair.condim, default.pair.solref, default.pair.solimp = (
+        1,
+        hull.solref,
+        hull.solimp,
+    )
     for first, second in combinations(hulls(mj), 2):
         between = abs(place_of(first)[0] - place_of(second)[0]) - 1
         if between * spec.geometry.pitch > spec.geometry.width:
-            mj.add_pair(default, name=f"{first}_{second}", geomname1=first, geomname2=second)
+            mj.add_pair(
+                default, name=f"{first}_{second}", geomname1=first, geomname2=second
+            )
 
 
 def place_of(hull: str) -> tuple[int, int]:
@@ -209,23 +282,36 @@ def place_of(hull: str) -> tuple[int, int]:
 
 
 def _add_object(
-    mj: mujoco.MjSpec, default: mujoco.MjsDefault, spec: RobotSpec, name: str, item: MovableObject
+    mj: mujoco.MjSpec,
+    default: mujoco.MjsDefault,
+    spec: RobotSpec,
+    name: str,
+    item: MovableObject,
 ) -> None:
     height = HEIGHT_RATIO * spec.geometry.width
-    body = mj.worldbody.add_body(name=name, pos=[item.x, item.y, 0], mass=item.mass, explicitinertial=True)
+    body = mj.worldbody.add_body(
+        name=name, pos=[item.x, item.y, 0], mass=item.mass, explicitinertial=True
+    )
     body.ipos, body.inertia = [0, 0, 0], np.full(3, item.mass * item.gyration**2)
     for axis, start in zip("xy", (item.x, item.y), strict=True):
-        slide = body.add_joint(name=f"{name}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, ref=start)
+        slide = body.add_joint(
+            name=f"{name}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, ref=start
+        )
         slide.axis = [float(axis == "x"), float(axis == "y"), 0]
     body.add_joint(name=f"{name}_heading", axis=[0, 0, 1], ref=item.heading)
     if item.is_box:
         turn = [math.cos(item.heading / 2), 0, 0, math.sin(item.heading / 2)]
         size = [item.size[0] / 2, item.size[1] / 2, height]
-        body.add_geom(default, name=f"{name}_solid", type=mjtGeom.mjGEOM_BOX, size=size, quat=turn)
+        body.add_geom(
+            default, name=f"{name}_solid", type=mjtGeom.mjGEOM_BOX, size=size, quat=turn
+        )
     else:
-        # A capsule, so that the contact with a hull is computed in closed form, in the plane.
+        # A capsule, so that the contact with a hull is computed in closed form, in the
+        # plane.
         ends = [0, 0, -height, 0, 0, height]
-        geom = body.add_geom(default, name=f"{name}_solid", type=mjtGeom.mjGEOM_CAPSULE, fromto=ends)
+        geom = body.add_geom(
+            default, name=f"{name}_solid", type=mjtGeom.mjGEOM_CAPSULE, fromto=ends
+        )
         geom.size = [item.size[0], 0, 0]
 
 
@@ -235,7 +321,9 @@ def _names(count: int) -> list[str]:
 
 def object_names(model: mujoco.MjModel) -> list[str]:
     """Return the names of the bodies of all objects, in the order of the objects."""
-    return _names(sum(model.body(k).name.startswith("object_") for k in range(model.nbody)))
+    return _names(
+        sum(model.body(k).name.startswith("object_") for k in range(model.nbody))
+    )
 
 
 def object_force_sensor(name: str, hull: str) -> str:

@@ -1,27 +1,30 @@
 """Wheels and skids of the connectors, their contacts with the floor, and their preload.
 
-A connector touches the floor in two points at ± half the track, directly below its frame.
+A connector touches the floor in two points at ± half the track, directly below its
+frame.
 
-**Loaded contact.** The wheels are frictionless spheres, and friction is a law on their contact forces
-(`contact_loaded`).
+**Loaded contact.** The wheels are frictionless spheres, and friction is a law on their
+contact forces (`contact_loaded`).
 
 **Preloaded contact.**
 
-- ``rolling``: wheels on hinges. They touch the floor as spheres with the isotropic coefficient μ_n; the
-  `frictionloss` of the axle is μ_t × load × radius.
-- ``skid``: runners that are fixed to the connector and slide with μ_t along it and μ_n across. MuJoCo aligns
-  the contact frame with a geom only between a plane and a capsule, along the axis of the capsule. A
-  horizontal capsule touches with both ends; runners rise to the front like the tip of a ski and touch with
-  the rear end.
+- ``rolling``: wheels on hinges. They touch the floor as spheres with the isotropic
+  coefficient μ_n; the `frictionloss` of the axle is μ_t × load × radius.
+- ``skid``: runners that are fixed to the connector and slide with μ_t along it and μ_n
+  across. MuJoCo aligns the contact frame with a geom only between a plane and a
+  capsule, along the axis of the capsule. A horizontal capsule touches with both ends;
+  runners rise to the front like the tip of a ski and touch with the rear end.
 
-MuJoCo's friction is convex, which lifts a sliding contact off the floor. Without preload, the wheels of a
-snake are in the air for more than half of the time, and it is up to a tenth too fast. The actuators
-``press_i``, which have no control, press each connector down with κ times its static load, and the friction
-coefficients of the pairs are those of the robot over 1 + κ. The contacts stay closed, and the friction is
-that of the static load, as in the analytical model. Floor forces without the preload are the true loads, at
-rest within 2 %. docs/twin.md describes the drawbacks.
+MuJoCo's friction is convex, which lifts a sliding contact off the floor. Without
+preload, the wheels of a snake are in the air for more than half of the time, and it is
+up to a tenth too fast. The actuators ``press_i``, which have no control, press each
+connector down with κ times its static load, and the friction coefficients of the pairs
+are those of the robot over 1 + κ. The contacts stay closed, and the friction is that of
+the static load, as in the analytical model. Floor forces without the preload are the
+true loads, at rest within 2 %. docs/twin.md describes the drawbacks.
 
-Contacts are explicit pairs, which name the floor, so that they belong to the scene and not to the robot.
+Contacts are explicit pairs, which name the floor, so that they belong to the scene and
+not to the robot.
 """
 
 from __future__ import annotations
@@ -36,45 +39,81 @@ from mujoco import MjsBody, MjSpec, mjtObj, mjtSensor
 
 from srs_twin.plants.twin.mjcf.belly import patches
 from srs_twin.plants.twin.mjcf.classes import ROOT, foot_radius
-from srs_twin.plants.twin.mjcf.numerics import LoadedContact, ModelSettings, PreloadedContact
+from srs_twin.plants.twin.mjcf.numerics import (
+    LoadedContact,
+    ModelSettings,
+    PreloadedContact,
+)
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
 _SIDES = {"left": 1, "right": -1}  # sign of y
-_RUNNER_SLOPE = 0.6  # rise of a runner to the front, 1; far above any pitch of a connector
+_RUNNER_SLOPE = (
+    0.6  # rise of a runner to the front, 1; far above any pitch of a connector
+)
 
 # Lengths at a length unit of 1 (`robot.scale`), m.
 _RUNNER_DEPTH = 1e-6  # initial depth of a runner in the floor, so that the first step detects all of them
-_REFERENCE_DEPTH = 5e-5  # depth of all feet in the floor at which regularisations are evaluated
-_TRANSITION_DEPTH = 0.001  # depth over which a contact reaches its full stiffness, MuJoCo's default
-_SOLIMP = (0.9, 0.95, _TRANSITION_DEPTH, 0.5, 2.0)  # impedance of the contacts, MuJoCo's default
+_REFERENCE_DEPTH = (
+    5e-5  # depth of all feet in the floor at which regularisations are evaluated
+)
+_TRANSITION_DEPTH = (
+    0.001  # depth over which a contact reaches its full stiffness, MuJoCo's default
+)
+_SOLIMP = (
+    0.9,
+    0.95,
+    _TRANSITION_DEPTH,
+    0.5,
+    2.0,
+)  # impedance of the contacts, MuJoCo's default
 
-_PRELOAD_SITES = {"rolling": "axle", "skid": "sole"}  # names of the sites on which the preload acts
+_PRELOAD_SITES = {
+    "rolling": "axle",
+    "skid": "sole",
+}  # names of the sites on which the preload acts
 
 
 def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
     """Return the mass on each axle or on each pair of contact points of a skin, head first, kg."""
-    return [pair.mass for pair in (spec.axles if spec.skin is None else patches(spec, settings))]
+    return [
+        pair.mass
+        for pair in (spec.axles if spec.skin is None else patches(spec, settings))
+    ]
 
 
 def treads(spec: RobotSpec, settings: ModelSettings = ModelSettings()) -> list[str]:  # noqa: B008
     """Return the names of the geoms that touch the floor: head first, left before right."""
-    return [f"tread_{side}_{i + 1}" for i in range(len(axle_masses(spec, settings))) for side in _SIDES]
+    return [
+        f"tread_{side}_{i + 1}"
+        for i in range(len(axle_masses(spec, settings)))
+        for side in _SIDES
+    ]
 
 
-def static_loads(spec: RobotSpec, settings: ModelSettings, gravity: float = GRAVITY) -> np.ndarray:
+def static_loads(
+    spec: RobotSpec, settings: ModelSettings, gravity: float = GRAVITY
+) -> np.ndarray:
     """Return the load of each contact of a snake at rest, head first, shape (axles, 2), N."""
-    return np.repeat([[mass * gravity / 2] for mass in axle_masses(spec, settings)], 2, axis=1)
+    return np.repeat(
+        [[mass * gravity / 2] for mass in axle_masses(spec, settings)], 2, axis=1
+    )
 
 
 def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
     """Return the preload of each wheel, head first, shape (N, 2), N."""
-    return np.repeat(contact.preload_ratio * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1)
+    return np.repeat(
+        contact.preload_ratio * spec.mass.array()[:, None] * GRAVITY / 2, 2, axis=1
+    )
 
 
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of a contact pair of floor and wheel or skid; friction is along, then across."""
-    mu_t, mu_n, contact = spec.friction.mu_t, spec.friction.mu_n, settings.contact.for_robot(spec)
+    mu_t, mu_n, contact = (
+        spec.friction.mu_t,
+        spec.friction.mu_n,
+        settings.contact.for_robot(spec),
+    )
     low, high, depth, middle, power = _SOLIMP
     solimp = [low, high, depth * spec.scale.length, middle, power]
     normal = {"solref": [settings.contact_time(spec), 1], "solimp": solimp}
@@ -92,22 +131,30 @@ def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.ndarray]:
     """Return mass (kg) and moments of inertia (kg·m²) of skids or wheels fixed to a connector.
 
-    Skids have the mass of the wheels that they replace. Under a preloaded contact, wheels on axles are
-    separate bodies and add 0. Without a floor the wheels do not turn and are fixed. Under loaded contact
-    their spin is part of the friction law.
+    Skids have the mass of the wheels that they replace. Under a preloaded contact,
+    wheels on axles are separate bodies and add 0. Without a floor the wheels do not
+    turn and are fixed. Under loaded contact their spin is part of the friction law.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
         return 0.0, np.zeros(3)
-    across = 2 * spec.mass.wheel * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
+    across = (
+        2
+        * spec.mass.wheel
+        * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
+    )
     spin = 0.0 if rolling else spec.mass.wheel * spec.geometry.wheel_radius**2
     return 2 * spec.mass.wheel, np.array([across, spin, across])
 
 
-def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings) -> None:
+def add_wheels(
+    mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings
+) -> None:
     """Add the wheels or skids of connector i."""
     if settings.loaded:
-        for (name, centre), geom in itertools.product(_wheels(spec, i), ("tread", "rim")):
+        for (name, centre), geom in itertools.product(
+            _wheels(spec, i), ("tread", "rim")
+        ):
             body.add_geom(mj.find_default(geom), name=f"{geom}_{name}", pos=centre)
         return
     for side, sign in _SIDES.items():
@@ -121,7 +168,9 @@ def add_wheels(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: Mod
                 - _RUNNER_DEPTH * spec.scale.length
             )
             runner = [0, y, z, reach, y, z + _RUNNER_SLOPE * reach]
-            body.add_geom(mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner)
+            body.add_geom(
+                mj.find_default("tread"), name=f"tread_{side}_{i}", fromto=runner
+            )
 
 
 def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
@@ -131,14 +180,24 @@ def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
         x = 0.0 - axle.behind  # 0 instead of −0, which exported files would show
         for side, sign in _SIDES.items():
             if axle.connector == i:
-                yield f"{side}_{number}", [x, sign * g.half_track, g.wheel_radius - g.com_height]
+                yield (
+                    f"{side}_{number}",
+                    [x, sign * g.half_track, g.wheel_radius - g.com_height],
+                )
 
 
-def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, scale: float) -> None:
+def _add_wheel(
+    mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, scale: float
+) -> None:
     g, mass = spec.geometry, spec.mass.connectors[i - 1]
     spin = spec.mass.wheel * g.wheel_radius**2 / 2
-    wheel = body.add_body(name=f"wheel_{side}_{i}", mass=spec.mass.wheel, explicitinertial=True)
-    wheel.pos, wheel.ipos = [0, _SIDES[side] * g.half_track, g.wheel_radius - g.com_height], [0, 0, 0]
+    wheel = body.add_body(
+        name=f"wheel_{side}_{i}", mass=spec.mass.wheel, explicitinertial=True
+    )
+    wheel.pos, wheel.ipos = (
+        [0, _SIDES[side] * g.half_track, g.wheel_radius - g.com_height],
+        [0, 0, 0],
+    )
     wheel.inertia = [spin / 2, scale * spin, spin / 2]
     axle = wheel.add_joint(mj.find_default("axle"), name=f"axle_{side}_{i}")
     axle.frictionloss = spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius
@@ -149,15 +208,19 @@ def _add_wheel(mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, sc
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
     """Press each connector down with a constant force along the world's z axis.
 
-    The force acts at the height of the centre about which a tilted foot rolls on the floor, so that it exerts
-    no moment on the connector.
+    The force acts at the height of the centre about which a tilted foot rolls on the
+    floor, so that it exerts no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     height = foot_radius(spec, contact) - spec.geometry.com_height
     for i, force in enumerate(preload_force(spec, contact).sum(axis=1), start=1):
         site = f"{_PRELOAD_SITES[contact.wheels]}_{i}"
-        mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=site, pos=[0, 0, height])
-        actuator = mj.add_actuator(mj.find_default("press"), name=f"press_{i}", target=site)
+        mj.body(f"connector_{i}").add_site(
+            mj.find_default(ROOT), name=site, pos=[0, 0, height]
+        )
+        actuator = mj.add_actuator(
+            mj.find_default("press"), name=f"press_{i}", target=site
+        )
         actuator.trntype, actuator.refsite = mujoco.mjtTrn.mjTRN_SITE, "origin"
         actuator.biasprm[0] = -force
 
@@ -166,11 +229,14 @@ def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
     """Brake each connector along its heading with an equal share of the robot's axial drag."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
-        actuator = mj.add_actuator(mj.find_default("drag"), name=f"drag_{i}", target=f"drag_{i}")
+        actuator = mj.add_actuator(
+            mj.find_default("drag"), name=f"drag_{i}", target=f"drag_{i}"
+        )
         actuator.trntype = mujoco.mjtTrn.mjTRN_SITE
         for kind in ("frc", "vel"):
             sensor = mj.add_sensor(
-                name=f"drag_{kind}_{i}", type=getattr(mjtSensor, f"mjSENS_ACTUATOR{kind.upper()}")
+                name=f"drag_{kind}_{i}",
+                type=getattr(mjtSensor, f"mjSENS_ACTUATOR{kind.upper()}"),
             )
             sensor.objtype, sensor.objname = mjtObj.mjOBJ_ACTUATOR, f"drag_{i}"
 
@@ -180,14 +246,18 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
     for i in range(1, spec.geometry.connectors + 1):
         for name, (x, y, _) in _wheels(spec, i):
             place = [x, y, -spec.geometry.com_height]
-            mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"foot_{name}", pos=place)
+            mj.body(f"connector_{i}").add_site(
+                mj.find_default(ROOT), name=f"foot_{name}", pos=place
+            )
 
 
-def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]) -> None:
+def add_contacts(
+    mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]
+) -> None:
     """Add the contact pairs of wheels or skids with the floor and its levels, and their sensors.
 
-    The sensors measure the force of the floor on each wheel (world frame, N), and under a preloaded contact
-    the velocity of the foot (world frame, m/s).
+    The sensors measure the force of the floor on each wheel (world frame, N), and under
+    a preloaded contact the velocity of the foot (world frame, m/s).
 
     Args:
         mj: model, in place.
@@ -206,15 +276,22 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: l
     ]
     for floor in levels:
         pairs += [
-            mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
+            mj.add_pair(
+                default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread
+            )
             for tread in treads(spec, settings)
         ]
     unit = spec.scale.time
-    for pair, factor in zip(pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False):
-        # Rounded to 0.1 µs, so that the file reads well, in units that scale without rounding.
+    for pair, factor in zip(
+        pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False
+    ):
+        # Rounded to 0.1 µs, so that the file reads well, in units that scale without
+        # rounding.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec, settings):
-        source = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
+        source = (
+            (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
+        )
         add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
     if settings.loaded:
         return  # the friction law gives its power without velocity sensors
@@ -225,7 +302,9 @@ def add_contacts(mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: l
 
 def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, target: str) -> None:
     """Add a sensor of the velocity of a site or of a geom's centre, world frame, m/s."""
-    mj.add_sensor(name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=target)
+    mj.add_sensor(
+        name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=target
+    )
 
 
 def add_force_sensor(
@@ -241,18 +320,23 @@ def add_force_sensor(
         on: geom on which the force acts.
         position: whether to measure the point of application, too, m.
     """
-    sensor = mj.add_sensor(name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source)
+    sensor = mj.add_sensor(
+        name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source
+    )
     sensor.reftype, sensor.refname = mjtObj.mjOBJ_GEOM, on
     fields = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     fields |= (1 << int(mujoco.mjtConDataField.mjCONDATA_POS)) * position
     sensor.intprm[:3] = [fields, _NET_FORCE, 1]
 
 
-def _contact_time_factors(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> np.ndarray:
+def _contact_time_factors(
+    mj: MjSpec, spec: RobotSpec, settings: ModelSettings
+) -> np.ndarray:
     """Return the factors on the contact time constant with which all wheels sink in equally, 1 or more.
 
-    MuJoCo derives the regularisation R of a contact from the tree of bodies; at the root of gen 2 it is 1.25
-    times that at the ends. A contact that sinks deeper transfers part of its load to its neighbours.
+    MuJoCo derives the regularisation R of a contact from the tree of bodies; at the
+    root of gen 2 it is 1.25 times that at the ends. A contact that sinks deeper
+    transfers part of its load to its neighbours.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
@@ -260,11 +344,15 @@ def _contact_time_factors(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) 
     return factors
 
 
-def contact_regularisation(model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings) -> np.ndarray:
+def contact_regularisation(
+    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
+) -> np.ndarray:
     """Return MuJoCo's regularisation R of each normal contact, in the order of `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
     mujoco.mj_forward(model, data)
-    by_geom = {max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact}
+    by_geom = {
+        max(contact.geom): data.efc_R[contact.efc_address] for contact in data.contact
+    }
     return np.array([by_geom[model.geom(tread).id] for tread in treads(spec, settings)])
