@@ -108,11 +108,9 @@ class Snake:
         builder = drake.DiagramBuilder()
         self.plant, scene = drake.AddMultibodyPlant(config, builder)
         self.plant.mutable_gravity_field().set_gravity_vector([0, 0, -G])
-        self._n, touch = (
-            n,
-            contact.material(
-                n["mu_n"] if axles else 0.0, n["connectors_kg"][0] * G / 2
-            ),
+        self._n = n
+        touch = contact.material(
+            n["mu_n"] if axles else 0.0, n["connectors_kg"][0] * G / 2
         )
         self.connectors: list[drake.RigidBody] = []
         self._axles: list[drake.RevoluteJoint] = []
@@ -126,7 +124,8 @@ class Snake:
             drake.GeometrySet(list(self._feet))
         )
         scene.collision_filter_manager().Apply(filters)
-        world, below = self.plant.world_body(), drake.RigidTransform([0, 0, -0.5])
+        world = self.plant.world_body()
+        below = drake.RigidTransform([0, 0, -0.5])
         self.plant.RegisterCollisionGeometry(
             world, below, drake.Box(20, 20, 1), "floor", touch
         )
@@ -159,10 +158,8 @@ class Snake:
         applied = []
         for body, force, moment in zip(self.connectors, forces, moments, strict=True):
             item = drake.ExternallyAppliedSpatialForce()
-            item.body_index, item.F_Bq_W = (
-                body.index(),
-                drake.SpatialForce(moment, force),
-            )
+            item.body_index = body.index()
+            item.F_Bq_W = drake.SpatialForce(moment, force)
             applied.append(item)
         self.plant.get_applied_spatial_force_input_port().FixValue(
             self.context, applied
@@ -199,14 +196,15 @@ class Snake:
     ) -> drake.RigidBody:
         """Add a connector and its wheels; the origin is their centre of mass, as in the MJCF."""
         n = self._n
-        track, radius, wheel = n["half_track_m"], n["wheel_radius_m"], n["wheel_kg"]
-        neighbours, drop = (
-            1 if i in (0, n["connectors"] - 1) else 2,
-            n["com_height_m"] - radius,
-        )
+        track = n["half_track_m"]
+        radius = n["wheel_radius_m"]
+        wheel = n["wheel_kg"]
+        neighbours = 1 if i in (0, n["connectors"] - 1) else 2
+        drop = n["com_height_m"] - radius
         links = neighbours / 2 * reference.LINK_SHARE * min(n["connectors_kg"])
         mass = n["connectors_kg"][i] - 2 * wheel - links
-        about, disc = mass * n["connector_gyration_m"] ** 2, wheel * radius**2 / 4
+        about = mass * n["connector_gyration_m"] ** 2
+        disc = wheel * radius**2 / 4
         across = about + 2 * (wheel * track**2 + disc)
         if axles:  # remainder of the connector after the lower wheels are subtracted
             rise = 2 * wheel / mass * drop
@@ -217,14 +215,16 @@ class Snake:
                 f"c{i}", mass + 2 * wheel, (across, about, across), ORIGIN
             )
         for k, y in enumerate((track, -track)):
-            carrier, hub = body, (0, y, -drop)
+            carrier = body
+            hub = (0, y, -drop)
             if axles:
                 carrier = self._body(f"w{i}_{k}", wheel, (disc, 2 * disc, disc), ORIGIN)
                 self._axles.append(
                     self._hinge((body, hub), (carrier, ORIGIN), (0, 1, 0), 0.0, 0.0)
                 )
                 hub = ORIGIN
-            shape, place = drake.Sphere(radius), drake.RigidTransform(hub)
+            shape = drake.Sphere(radius)
+            place = drake.RigidTransform(hub)
             self._feet[
                 self.plant.RegisterCollisionGeometry(
                     carrier, place, shape, f"f{i}_{k}", touch
@@ -234,13 +234,13 @@ class Snake:
 
     def _segment(self, i: int) -> list[drake.RevoluteJoint]:
         """Join connector i to the previous one by two bends, pitch and roll; return the bends."""
-        n, edge = self._n, 1 / (2 * (reference.HINGES + 1))
-        length, gap = n["segment_length_m"], n["rigid_gap_m"]
-        half, front, rear = (
-            (length + gap) / 2,
-            gap / 2 + length * edge,
-            gap / 2 + length * (1 - edge),
-        )
+        n = self._n
+        edge = 1 / (2 * (reference.HINGES + 1))
+        length = n["segment_length_m"]
+        gap = n["rigid_gap_m"]
+        half = (length + gap) / 2
+        front = gap / 2 + length * edge
+        rear = gap / 2 + length * (1 - edge)
         mass = reference.LINK_SHARE * min(n["connectors_kg"])
         link = self._body(
             f"l{i}",
@@ -256,7 +256,8 @@ class Snake:
             reference.HINGES * n["stiffness_nm_per_rad"],
             n["damping_time_s"],
         )
-        pitch, roll = n["pitch_stiffness_nm_per_rad"], n["roll_stiffness_nm_per_rad"]
+        pitch = n["pitch_stiffness_nm_per_rad"]
+        roll = n["roll_stiffness_nm_per_rad"]
         slow, (before, after) = n["out_of_plane_damping_time_s"], self.connectors[-2:]
         bends = [
             self._hinge((before, (-front, 0, 0)), (link, ORIGIN), *bend),
@@ -279,7 +280,8 @@ class Snake:
     def _hinge(
         self, before: End, after: End, axis: Place, stiffness: float, lag: float
     ) -> drake.RevoluteJoint:
-        name, frames = f"{before[0].name()}_{after[0].name()}", []
+        name = f"{before[0].name()}_{after[0].name()}"
+        frames = []
         for body, place in (before, after):
             frame = drake.FixedOffsetFrame(
                 f"{name}_{body.name()}", body, drake.RigidTransform(place)
@@ -307,17 +309,19 @@ def simulate(
     """
     n = numbers(point)
     snake = Snake(n, step, contact, axles)
-    count, radius, track = n["connectors"], n["wheel_radius_m"], n["half_track_m"]
+    count = n["connectors"]
+    radius = n["wheel_radius_m"]
+    track = n["half_track_m"]
     side = np.tile([track, -track], count)[:, None]
     rest = np.repeat(np.array(n["connectors_kg"]) * G / 2, 2)
-    load, spin = rest, np.zeros(2 * count)
+    load = rest
+    spin = np.zeros(2 * count)
     steps = round(periods * point.period_s / step)
-    com, yaw, loads = (
-        np.empty((steps, 2)),
-        np.empty((steps, count)),
-        np.empty((steps, 2 * count)),
-    )
-    torques, law = moments(n, point, step, steps), friction_law(n, SLIP_M_S)
+    com = np.empty((steps, 2))
+    yaw = np.empty((steps, count))
+    loads = np.empty((steps, 2 * count))
+    torques = moments(n, point, step, steps)
+    law = friction_law(n, SLIP_M_S)
     for k in range(steps):
         if axles:
             snake.drag(n["mu_t"] * load * radius)
@@ -329,12 +333,14 @@ def simulate(
             hub = frame[:, :, 1] * side - frame[:, :, 2] * (n["com_height_m"] - radius)
             foot = hub - [0, 0, radius]
             speed = move + np.cross(turn, foot)
-            along, across = (speed * ahead).sum(axis=1), (speed * left).sum(axis=1)
+            along = (speed * ahead).sum(axis=1)
+            across = (speed * left).sum(axis=1)
             wheels = zip(along, across, spin, load, strict=True)
             f_t, f_n, spin, drag = np.array(
                 [wheel_force(*wheel, law, step) for wheel in wheels]
             ).T
-            at_hub, at_foot = f_t[:, None] * ahead, f_n[:, None] * left
+            at_hub = f_t[:, None] * ahead
+            at_foot = f_n[:, None] * left
             moment = (
                 np.cross(hub, at_hub)
                 + np.cross(foot, at_foot)

@@ -35,7 +35,8 @@ def run(quick: bool) -> Result:
 
     simulated = SIMULATED / 5 if quick else SIMULATED
     spec = load_robot("gen2")
-    plain, recording = ContinuumSnake(record=False), ContinuumSnake(record=True)
+    plain = ContinuumSnake(record=False)
+    recording = ContinuumSnake(record=True)
     snakes = {
         "twin": (TwinSnake(spec), 4 * simulated),
         "twin, 2 ms": (TwinSnake(spec, timestep=0.002), 4 * simulated),

@@ -102,7 +102,8 @@ def run(quick: bool) -> Result:
     Args:
         quick: one gait and two tolerances.
     """
-    rows, values = [], {}
+    rows = []
+    values = {}
     for friction in ("axis", "wheel"):
         new, values[friction] = _compare(friction, quick)
         rows += new

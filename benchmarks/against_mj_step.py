@@ -28,7 +28,8 @@ def run(quick: bool) -> Result:
     """
     duration = DURATION / 4 if quick else DURATION
     spec = load_robot("gen2")
-    pressed, default = TwinSnake(spec, contact="preloaded"), TwinSnake(spec)
+    pressed = TwinSnake(spec, contact="preloaded")
+    default = TwinSnake(spec)
     bare, data = bare_loop(pressed, duration)
     last = rollout(pressed, Gait(2.0, OFFSET), duration).stack("qpos")[-1]
     rollout(default, Gait(2.0, OFFSET), duration)  # compiles
@@ -102,7 +103,8 @@ def step_controls(
     plant: TwinSnake, duration: float, *, frequency: float = 2.0, offset: float = OFFSET
 ) -> np.ndarray:
     """Return the chamber pressures at the beginning of each time step, shape (steps, 2 · segments), Pa."""
-    gait, chambers = Gait(frequency, offset), copy.deepcopy(plant.pneumatics)
+    gait = Gait(frequency, offset)
+    chambers = copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)
     chambers.reset()
     times = plant.timestep * np.arange(round(duration / plant.timestep))

@@ -53,7 +53,12 @@ def main() -> None:
     common: dict[str, float] = (
         {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
     )
-    law = "axis" if selected.default else "ellipse" if selected.skid else "wheel"
+    if selected.default:
+        law = "axis"
+    elif selected.skid:
+        law = "ellipse"
+    else:
+        law = "wheel"
     wheels: dict[str, object] = (
         {}
         if selected.default
@@ -106,9 +111,11 @@ def _table(points: list, pairs: list) -> str:
     )
     rows = []
     for (f, p), (reference, candidate) in zip(points, pairs, strict=True):
-        a, b = plant_metrics(reference), plant_metrics(candidate)
+        a = plant_metrics(reference)
+        b = plant_metrics(candidate)
         c = compare(reference, candidate).metrics
-        yaw_a, yaw_b = a["yaw_rate_rad_s"], b["yaw_rate_rad_s"]
+        yaw_a = a["yaw_rate_rad_s"]
+        yaw_b = b["yaw_rate_rad_s"]
         rows.append(
             (
                 f"{f:g}",

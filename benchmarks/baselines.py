@@ -76,7 +76,8 @@ class Recording:
     """Policy that stores the actions of another one."""
 
     def __init__(self, policy: Policy) -> None:
-        self._policy, self.actions = policy, list[np.ndarray]()
+        self._policy = policy
+        self.actions = list[np.ndarray]()
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
         """Return the action of the other policy."""
@@ -86,11 +87,16 @@ class Recording:
 
 def random_policy(task: Task, seed: int, hold_s: float) -> Policy:
     """Return a policy of uniformly distributed actions, each of which lasts `hold_s`."""
-    rng, last = np.random.default_rng((seed, 1)), list[np.ndarray]()
-    steps, high = round(hold_s / task.step_s), upper_bounds(task.commands)
+    rng = np.random.default_rng((seed, 1))
+    last = list[np.ndarray]()
+    steps = round(hold_s / task.step_s)
+    high = upper_bounds(task.commands)
 
     def act(_: np.ndarray) -> np.ndarray:
-        action = last[-1] if len(last) % steps else rng.uniform(-high, high)
+        if len(last) % steps:
+            action = last[-1]
+        else:
+            action = rng.uniform(-high, high)
         last.append(action)
         return action
 
@@ -99,7 +105,8 @@ def random_policy(task: Task, seed: int, hold_s: float) -> Policy:
 
 def blind_policy(task: Task) -> Policy:
     """Return the controller with constant numbers in place of what the task shows."""
-    controller, hidden = baseline(task), dict[int, float]()
+    controller = baseline(task)
+    hidden = dict[int, float]()
     for k, signal in enumerate(task.observations):
         for pattern, value in HIDDEN[task.name].items():
             if fnmatch(signal.name, pattern):
@@ -145,11 +152,10 @@ def score(name: str, policy: str, seed: int) -> dict[str, Any]:
     """Run one episode with a policy of `policies` or a trained one."""
     task = make_task(name)
     untrained = dict(policies(name))
-    act = (
-        untrained[policy](task, seed)
-        if policy in untrained
-        else load_policy(policy).bind(task)
-    )
+    if policy in untrained:
+        act = untrained[policy](task, seed)
+    else:
+        act = load_policy(policy).bind(task)
     result = play_episode(task, act, np.random.default_rng(seed))
     succeeded = result.ending in SUCCESSES
     if name == "Module":

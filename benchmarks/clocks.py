@@ -58,7 +58,9 @@ def schedule(
     spec: RobotSpec, intervals: list[tuple[float, float | None, float]]
 ) -> Schedule:
     """Return the valve states of intervals: (duration in s, frequency in Hz or None at rest, offset)."""
-    starts, states, begun = [], [], 0.0
+    starts = []
+    states = []
+    begun = 0.0
     for duration, frequency, offset in intervals:
         if frequency is None:
             own = Schedule(duration, np.zeros(1), vented(spec)[None])
@@ -124,7 +126,8 @@ def write_log(
 def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
     """Return case, reason for a refusal, error of the clock offset and gait period, s."""
     random = np.random.default_rng(seed)
-    nominal, case = load_robot("gen2"), str(random.choice(CASES))
+    nominal = load_robot("gen2")
+    case = str(random.choice(CASES))
     names = [
         f"modules.gain_{side}_{j}"
         for j in range(1, nominal.segments + 1)
@@ -141,8 +144,10 @@ def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
         for (name, value), f in zip(tau.items(), factors[-2:], strict=True)
     }
     robot = with_values(nominal, changed) if spread else nominal
-    frequency, offset = random.uniform(0.5, 2.5), random.uniform(-0.2, 0.2)
-    rest, long = random.uniform(0.4, 1.5), random.uniform(4, 9)
+    frequency = random.uniform(0.5, 2.5)
+    offset = random.uniform(-0.2, 0.2)
+    rest = random.uniform(0.4, 1.5)
+    long = random.uniform(4, 9)
     intervals: list[tuple[float, float | None, float]] = [
         (rest, None, 0.0),
         (long + 3, frequency, offset),
@@ -163,7 +168,8 @@ def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
         valves = switched(valves, random.uniform(20, 50), random.uniform(0.5, 0.9))
     plant = AnalyticalSnake(robot, supply_pa=48e3, model="compliant")
     run = rollout(plant, Replay(valves), valves.span, record_hz=500)
-    on, gait_end = rest, valves.span - 1.5
+    on = rest
+    gait_end = valves.span - 1.5
     settled = on + max(1.5, 2 / frequency)
     windows = {
         "start": ((0, gait_end), (0, gait_end)),
@@ -194,7 +200,8 @@ def draw(seed: int, spread: float) -> tuple[str, str, float, float]:
         labeled=True,
     )
     with tempfile.TemporaryDirectory() as folder:
-        motion, log = Path(folder) / "m.csv", Path(folder) / "m.valves.csv"
+        motion = Path(folder) / "m.csv"
+        log = Path(folder) / "m.valves.csv"
         write_motive(part, take, motion)
         write_log(log, valves, run, logged, kind, later)
         head = "snake:1a" if take.layout == "pair" else None

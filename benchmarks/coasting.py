@@ -38,7 +38,9 @@ RECORDS = ("none", "exact", "shifted")
 TICK_S = 0.01
 SECONDS = 1.0
 HEADING_RAD = 0.3
-CAMERA_M, CAMERA_RAD, SHIFT_RAD = 1e-3, 0.01, 0.01
+CAMERA_M = 1e-3
+CAMERA_RAD = 0.01
+SHIFT_RAD = 0.01
 
 
 def drawn(rng: np.random.Generator, bend: float) -> RobotSpec:
@@ -61,7 +63,8 @@ def throw(spec: RobotSpec, velocity: tuple[float, float]) -> list[SnakeState]:
     rest = plant.reset()
     for _ in range(20):
         rest = plant.step(vented)
-    c, s = np.cos(HEADING_RAD), np.sin(HEADING_RAD)
+    c = np.cos(HEADING_RAD)
+    s = np.sin(HEADING_RAD)
     world = np.array(
         [c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]]
     )
@@ -134,11 +137,10 @@ def row(
     ]
     errors = [100 * (parameter.value / truth - 1) for parameter, truth in known]  # type: ignore[operator]
     widths = [50 * (p.high - p.low) / p.value for p, _ in known]  # type: ignore[operator]
-    span = (
-        f"{min(errors):+.1f} to {max(errors):+.1f} | {np.median(widths):.1f}"
-        if known
-        else "| "
-    )
+    if known:
+        span = f"{min(errors):+.1f} to {max(errors):+.1f} | {np.median(widths):.1f}"
+    else:
+        span = "| "
     return (
         f"| {bend:g} | {record} | {name.removeprefix('friction.')} | {sum(held)} of"
         f" {len(held)} | {sum(sure)} of {len(sure)} | {len(fits) - len(known)} |"

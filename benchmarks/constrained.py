@@ -101,7 +101,8 @@ class SplineEngine:
     """Engine that reads the metrics of designs from splines."""
 
     def __init__(self, study: OptimizationStudy, found: Splines) -> None:
-        self._study, self._found = study, found
+        self._study = study
+        self._found = found
 
     def __call__(
         self, experiment: Experiment, points: Sequence[Point]
@@ -153,7 +154,8 @@ def main() -> None:
         optimum = np.where(
             side * (fine["twin", limited.metric] - limited.limit) <= 0, gain, -np.inf
         )
-        best, place = optimum.max(), np.unravel_index(optimum.argmax(), optimum.shape)
+        best = optimum.max()
+        place = np.unravel_index(optimum.argmax(), optimum.shape)
         excess = side * (fine["compliant", limited.metric][place] / limited.limit - 1)
         study = loaded(given.out, given.runs, limited)
         seeds = range(given.first_seed, given.first_seed + given.seeds)

@@ -44,8 +44,13 @@ from srs_twin.robot.spec import GRAVITY, Modules, RobotSpec
 IMAGE = Path(__file__).parents[1] / "docs" / "images" / "contact_roc.png"
 FRICTIONS = 3.28
 """Smallest force as a multiple of the mean floor friction of a connector; 0.55 N for generation 2."""
-TICK_S, LEARNING_S, SPACING_S, CONTACTS = 0.02, 12.0, 4.0, 3
-SPREAD, BIAS_RAD, PRESSURE_NOISE_PA = 0.1, 0.03, 100.0
+TICK_S = 0.02
+LEARNING_S = 12.0
+SPACING_S = 4.0
+CONTACTS = 3
+SPREAD = 0.1
+BIAS_RAD = 0.03
+PRESSURE_NOISE_PA = 100.0
 FREQUENCIES_HZ = {"gen2": (1.0, 1.5, 2.0), "gen3": (1.0,), "gen4": (1.0, 1.5)}
 CHAMBERS = ("lag", "orifice")
 RECOVERY_S = 0.1
@@ -56,7 +61,8 @@ THRESHOLDS = (3.5, 4.0, 4.5, 5.0, 5.5, 6.0, 7.0, 8.0)
 
 def drawn_robot(nominal: RobotSpec, seed: int) -> RobotSpec:
     """Return a robot with modules that differ by 10 %."""
-    n, rng = nominal.segments, np.random.default_rng((seed, 1))
+    n = nominal.segments
+    rng = np.random.default_rng((seed, 1))
 
     def factors(*shape: int) -> np.ndarray:
         return np.exp(SPREAD * rng.standard_normal(shape))
@@ -89,7 +95,9 @@ class Finger:
     """Force on a twin's body at a distance behind its first connector, normal to the body."""
 
     def __init__(self, twin: TwinSnake) -> None:
-        self._twin, model, g = twin, twin.physics.model, twin.spec.geometry
+        self._twin = twin
+        model = twin.physics.model
+        g = twin.spec.geometry
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
         mujoco.mj_forward(model, data)
@@ -109,7 +117,8 @@ class Finger:
 
     def press(self, force: float, place: float) -> None:
         """Apply a force (N, to the left if positive) at a place (m) until the next call."""
-        data, k = self._twin.physics.data, int(np.searchsorted(self._edges, place))
+        data = self._twin.physics.data
+        k = int(np.searchsorted(self._edges, place))
         data.xfrc_applied[:] = 0.0
         body = self._bodies[k]
         frame = data.xmat[body].reshape(3, 3)
@@ -127,9 +136,11 @@ def crawl(
     press: Callable[[float], None],
 ) -> dict[str, np.ndarray]:
     """Return the samples of a crawling robot: time, command, pressure with noise, reading."""
-    gait, rng = Gait(frequency), np.random.default_rng((seed, 3))
+    gait = Gait(frequency)
+    rng = np.random.default_rng((seed, 3))
     gait.reset(plant.spec, plant.tick)
-    state, rows = plant.reset(seed=seed), []
+    state = plant.reset(seed=seed)
+    rows = []
     for _ in range(round(seconds / TICK_S)):
         press(float(state.time))
         valves = gait.step(state)
@@ -149,7 +160,8 @@ def crawl(
 
 def touched(robot: str, seed: int) -> dict[str, np.ndarray]:
     """Return samples of a twin, and its contacts: begin, duration (s), force (N), place (m)."""
-    nominal, rng = load_robot(robot), np.random.default_rng((seed, 2))
+    nominal = load_robot(robot)
+    rng = np.random.default_rng((seed, 2))
     frequency, _, chambers = gait_of(robot, seed)
     twin = TwinSnake(
         drawn_robot(nominal, seed), pneumatics=chambers, sensor="hall", tick=TICK_S
@@ -190,18 +202,19 @@ def estimates(robot: str, seed: int, samples: dict[str, np.ndarray]) -> np.ndarr
         samples["command"], samples["pressure"], samples["sensed"], strict=True
     ):
         e = observer.update(*sample)
-        row = (
-            (math.nan,) * 7
-            if e is None
-            else (e.score, e.force, e.place, *e.force_interval, *e.place_interval)
-        )
+        if e is None:
+            row = (math.nan,) * 7
+        else:
+            row = (e.score, e.force, e.place, *e.force_interval, *e.place_interval)
         rows.append(row)
     return np.array(rows)
 
 
 def judged(robot: str, seed: int, samples: dict[str, np.ndarray]) -> list[list[float]]:
     """Return the contacts of one robot with the estimates at their largest score."""
-    time, rows, contacts = samples["time"], estimates(robot, seed, samples), []
+    time = samples["time"]
+    rows = estimates(robot, seed, samples)
+    contacts = []
     for begin, duration, force, place in samples["contacts"]:
         during = (time > begin) & (time <= begin + duration + RECOVERY_S)
         best = rows[np.flatnonzero(during)[np.nanargmax(rows[during, 0])]]
@@ -247,7 +260,10 @@ def main() -> None:
     given = words.parse_args()
     results = []
     for seed in range(given.first, given.first + given.robots):
-        stored = given.data / f"{given.robot}_{seed}.npz" if given.data else None
+        if given.data:
+            stored = given.data / f"{given.robot}_{seed}.npz"
+        else:
+            stored = None
         if stored and stored.exists():
             samples = dict(np.load(stored))
         else:
@@ -255,7 +271,10 @@ def main() -> None:
             if stored:
                 stored.parent.mkdir(parents=True, exist_ok=True)
                 np.savez(stored, **samples)  # type: ignore[arg-type]
-        free = free_scores(given.robot, seed, given.free).tolist() if given.free else []
+        if given.free:
+            free = free_scores(given.robot, seed, given.free).tolist()
+        else:
+            free = []
         gait = gait_of(given.robot, seed)
         results.append(
             {"gait": gait, "contacts": judged(given.robot, seed, samples), "free": free}
@@ -315,8 +334,10 @@ def print_errors(results: list[dict[str, Any]], pitch: float) -> None:
     gaits = [
         (f"{r['gait'][0]:g} Hz", r["gait"][2]) for r in results for _ in r["contacts"]
     ]
-    force, place = rows[:, 0], rows[:, 1] / pitch
-    error, off = np.abs(rows[:, 4] / force - 1), np.abs(rows[:, 5] / pitch - place)
+    force = rows[:, 0]
+    place = rows[:, 1] / pitch
+    error = np.abs(rows[:, 4] / force - 1)
+    off = np.abs(rows[:, 5] / pitch - place)
     groups = [("all", np.ones(len(rows), dtype=bool))]
     groups += [
         (f"{a} to {a + 1} segments from the head", (place >= a) & (place < a + 1))

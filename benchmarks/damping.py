@@ -125,7 +125,9 @@ def equivalent_frequency(frequency: np.ndarray, power: np.ndarray) -> float:
 
 def damping_time(case: Case, loss: float) -> tuple[float, float]:
     """Return the damping time (s) that gives a loss factor, and the frequency of that factor (Hz)."""
-    spec, time, found = load_robot(case.robot), 0.004, 0.0
+    spec = load_robot(case.robot)
+    time = 0.004
+    found = 0.0
     for _ in range(6):
         found = equivalent_frequency(*spectrum(case, damped(spec, time)))
         time = loss / (2 * np.pi * found)
@@ -180,7 +182,8 @@ class ConstantLoss(LagPneumatics):
         self, start: np.ndarray, speed: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return z and ż of the branches at times (s) of a linear change of e, shape (branches, times, n)."""
-        tau, t = self._times[:, None, None], times[None, :, None]
+        tau = self._times[:, None, None]
+        t = times[None, :, None]
         rest = start - speed * tau
         decay = np.exp(-t / tau) * (self._branches[:, None] - rest)
         return rest + speed * t + decay, speed - decay / tau
@@ -208,7 +211,8 @@ def material_plant(
     case: Case, loss: float, frequency: float, step: float
 ) -> AnalyticalSnake:
     """Return `compliant` with Maxwell branches and the stiffness of the robot file at a frequency (Hz)."""
-    spec, shares = load_robot(case.robot), branches(loss)
+    spec = load_robot(case.robot)
+    shares = branches(loss)
     spring = spec.bending.stiffness / modulus(shares, frequency).real
     whole = replace(
         spec.bending, stiffness=spring * (1 + shares.sum()), damping_time=1e-6

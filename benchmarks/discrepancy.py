@@ -17,15 +17,15 @@ from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.verdicts import load_baseline
 from srs_twin.studies.uncertainty.discrepancy import Discrepancy
 
-SIZE, LENGTH, NOISE = 0.2, 0.2, 0.05
+SIZE = 0.2
+LENGTH = 0.2
+NOISE = 0.05
 
 
 def main() -> None:
     """Print a table."""
-    claims, kept = (
-        {claim.id: claim for claim in load_claims()},
-        load_baseline().outcomes,
-    )
+    claims = {claim.id: claim for claim in load_claims()}
+    kept = load_baseline().outcomes
     print(
         "| quantity | plant | rms of the model | rms with discrepancy | rows within 95"
         " % | mean width |"
@@ -50,7 +50,9 @@ def main() -> None:
                         rows.append((offset, claim.value, value))
             offset, measured, model = np.array(sorted(rows)).T
             scale = float(np.abs(measured).mean())
-            centre, held, widths = [], [], []
+            centre = []
+            held = []
+            widths = []
             for i in range(len(offset)):
                 rest = np.arange(len(offset)) != i
                 fit = Discrepancy(

@@ -29,7 +29,8 @@ SPLINE = np.array(
     [3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3]
 )  # N·m along the body
 WAVE_LENGTH = 1.0  # body lengths
-UP, AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+UP = np.array([0.0, 1.0, 0.0])
+AHEAD = np.array([0.0, 0.0, 1.0])
 RECORD_HZ = 60
 
 
@@ -49,7 +50,8 @@ class _Recorder(ea.CallBackBaseClass):
 
     def __init__(self, every: int, kept: dict[str, list[Any]]) -> None:
         super().__init__()
-        self.every, self._kept = every, kept
+        self.every = every
+        self._kept = kept
 
     def make_callback(self, system: Any, time: float, current_step: int) -> None:
         """Append one record."""
@@ -81,8 +83,11 @@ class ContinuumSnake:
         Args:
             record: whether to record the quantities of the example.
         """
-        self.time, self.kept = np.float64(0.0), {}
-        self._simulator, self._stepper, rod = _Simulator(), ea.PositionVerlet(), _rod()
+        self.time = np.float64(0.0)
+        self.kept = {}
+        self._simulator = _Simulator()
+        self._stepper = ea.PositionVerlet()
+        rod = _rod()
         self._simulator.append(rod)
         self._add_floor(rod)
         self._add_muscles(rod)
@@ -133,7 +138,8 @@ class ContinuumSnake:
 
 
 def _rod() -> ea.CosseratRod:
-    young, poisson = 1e6, 0.5
+    young = 1e6
+    poisson = 0.5
     return ea.CosseratRod.straight_rod(
         ELEMENTS,
         np.zeros(3),

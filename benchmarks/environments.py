@@ -36,7 +36,9 @@ from srs_twin.envs.crawling import OPEN, CrawlTask
 from srs_twin.envs.gymnasium import SnakeVectorEnv
 from srs_twin.envs.observed import STEP_S
 
-OFFSET, FREQUENCY_HZ, PRESSURE_KPA = 0.1, 2.0, 48.3
+OFFSET = 0.1
+FREQUENCY_HZ = 2.0
+PRESSURE_KPA = 48.3
 
 
 class Vector:
@@ -67,7 +69,9 @@ class Plain:
         self._batch = TwinBatch(
             [robot] * count, supply_pa=1e3 * PRESSURE_KPA, threads=threads, tick=STEP_S
         )
-        self._gait, self._chunk, self._time = Gait(FREQUENCY_HZ, OFFSET), chunk, 0.0
+        self._gait = Gait(FREQUENCY_HZ, OFFSET)
+        self._chunk = chunk
+        self._time = 0.0
         self._gait.reset(robot, STEP_S)
 
     def run(self, seconds: float) -> None:
@@ -136,7 +140,9 @@ def measure(count: int, seconds: float, rounds: int, threads: int | None) -> Res
 
 def check() -> None:
     """Raise an error unless both contenders travel the same distance."""
-    vector, plain, whole = Vector(2, 1), Plain(2, 1, STEP_S), Plain(2, 1, 1.0)
+    vector = Vector(2, 1)
+    plain = Plain(2, 1, STEP_S)
+    whole = Plain(2, 1, 1.0)
     for contender in (vector, plain, whole):
         contender.run(1.0)
     distance = np.hypot(*plain._batch.state.com.T)

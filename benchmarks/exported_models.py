@@ -120,8 +120,11 @@ def run_newton(folder: Path, controls: np.ndarray) -> Path2:
     builder.add_mjcf(str(folder / "scene_mjx.xml"))
     model = builder.finalize(device="cpu")
     solver = newton.solvers.SolverMuJoCo(model, use_mujoco_cpu=True)
-    before, after, control = model.state(), model.state(), model.control()
-    masses, path = model.body_mass.numpy(), []
+    before = model.state()
+    after = model.state()
+    control = model.control()
+    masses = model.body_mass.numpy()
+    path = []
     for row in rows:
         control.mujoco.ctrl.assign(row.astype(np.float32))
         solver.step(before, after, control, None, 0.001)
@@ -203,7 +206,8 @@ def _all_controls(model: Any, controls: np.ndarray) -> np.ndarray:
 def _stepped(model: Any, controls: np.ndarray) -> Path2:
     import mujoco
 
-    data, path = _at_home(model), []
+    data = _at_home(model)
+    path = []
     for row in _all_controls(model, controls):
         data.ctrl[:] = row
         mujoco.mj_step(model, data)
@@ -250,11 +254,9 @@ def run_elsewhere(python: str, program: str, folder: Path, controls: Path) -> st
     words = [python, __file__, "--child", program, str(folder), str(controls)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     lines = done.stdout.splitlines()
-    return (
-        lines[-1]
-        if lines
-        else json.dumps({"reason": done.stderr.strip().splitlines()[-1]})
-    )
+    if lines:
+        return lines[-1]
+    return json.dumps({"reason": done.stderr.strip().splitlines()[-1]})
 
 
 def child(program: str, folder: str, controls: str) -> None:
@@ -297,7 +299,8 @@ def main() -> None:
     )
     for name in options.robots:
         with tempfile.TemporaryDirectory() as temporary:
-            folder, file = Path(temporary), Path(temporary) / "controls.npy"
+            folder = Path(temporary)
+            file = Path(temporary) / "controls.npy"
             controls, expected = export(name, folder)
             np.save(file, controls)
             for program in options.programs:

@@ -110,11 +110,9 @@ def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None
         for line in done.stdout.splitlines()
         if line.startswith(("FAILED", "ERROR"))
     ]
-    return (
-        lines[0].split(" ", 1)[1].partition(" - ")[0]
-        if lines
-        else f"pytest ended with {done.returncode}"
-    )
+    if lines:
+        return lines[0].split(" ", 1)[1].partition(" - ")[0]
+    return f"pytest ended with {done.returncode}"
 
 
 if __name__ == "__main__":

@@ -26,7 +26,8 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
 from srs_twin.studies.uncertainty.propagation import REFERENCE_ROWS, propagate
 from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
-FEW, SETS = 64, 10
+FEW = 64
+SETS = 10
 ENDS = [0.025, 0.975]
 
 
@@ -50,16 +51,16 @@ def main() -> None:
     )
     print("|---|---|---|---|---|")
     for metric, plain in rows["twin"].items():
-        cheap, costly = (
-            rows["compliant"][metric][:-REFERENCE_ROWS],
-            plain[:-REFERENCE_ROWS],
-        )
+        cheap = rows["compliant"][metric][:-REFERENCE_ROWS]
+        costly = plain[:-REFERENCE_ROWS]
         if not np.isfinite(costly).all() or np.std(costly) < 1e-9 * abs(
             np.mean(costly)
         ):
             continue
         full = np.quantile(costly, ENDS)
-        width, worst, held = np.ptp(full), [], []
+        width = np.ptp(full)
+        worst = []
+        held = []
         for first in range(
             0, options.samples - FEW + 1, max(FEW, options.samples // SETS // FEW * FEW)
         )[:SETS]:

@@ -51,7 +51,9 @@ NAMES = (
     "geometry.rigid_gap_m",
 )
 GAITS = ((2.0, 0.0), (1.6, 0.2))
-SECONDS, REACH, GAP = 2.0, 0.3, 5e-3
+SECONDS = 2.0
+REACH = 0.3
+GAP = 5e-3
 EXACT = 3  # every third robot of each kind is also fitted with the exact model
 TWIN = PlantModel("twin")
 FINER = PlantModel(
@@ -92,7 +94,8 @@ def fits(seed: int, truth_model: str, only: str | None = None) -> dict[str, Any]
         ("", of_twin, of_takes),
         ("exact", MODELS["compliant"], {"exact": MODELS["compliant"]}),
     )[: 1 + exact]:
-        near, recordings = spec, []
+        near = spec
+        recordings = []
         with tempfile.TemporaryDirectory() as folder:
             for k, gait in enumerate(GAITS):
                 snake = plant.build(with_values(spec, truth), spec.supply.nominal)
@@ -178,7 +181,10 @@ def _row(model: str, name: str, some: list[tuple[str, bool]]) -> list[str]:
     )
     if not sure:
         return [*row, "–", "–"]
-    lower = beta.ppf(0.05, sum(sure), len(sure) - sum(sure) + 1) if any(sure) else 0.0
+    if any(sure):
+        lower = beta.ppf(0.05, sum(sure), len(sure) - sum(sure) + 1)
+    else:
+        lower = 0.0
     return [*row, f"{100 * sum(sure) / len(sure):.1f}", f"{100 * lower:.1f}"]
 
 
@@ -200,7 +206,10 @@ def main() -> None:
         help="print the table of the existing file without fitting",
     )
     options = words.parse_args()
-    lines = options.out.read_text("utf-8").splitlines() if options.out.exists() else []
+    if options.out.exists():
+        lines = options.out.read_text("utf-8").splitlines()
+    else:
+        lines = []
     done = {
         item["seed"]: item
         for item in map(json.loads, lines)

@@ -110,7 +110,8 @@ def run(order: Order) -> dict[str, Any]:
 
 
 def _world(case: Witnessed) -> dict[str, Any]:
-    world, goal = case.problem.world, case.problem.goal
+    world = case.problem.world
+    goal = case.problem.goal
     assert world.bounds is not None, "drawn with bounds"
     return {
         "bounds": {"x_m": list(world.bounds.x), "y_m": list(world.bounds.y)},

@@ -131,7 +131,9 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
 
     def median(metric: str, factor: float = 1.0) -> str:
         known = [row[metric] for row in rows if row[metric] is not None]
-        return f"{factor * np.median(known):.3g}" if known else "–"
+        if known:
+            return f"{factor * np.median(known):.3g}"
+        return "–"
 
     return [
         name,
@@ -155,7 +157,9 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
 def least_clearance(rows: list[dict[str, Any]]) -> str:
     """Return the smallest clearance, mm; a dash if there are no obstacles."""
     known = [row["clearance_m"] for row in rows if row["clearance_m"] is not None]
-    return f"{1e3 * min(known):.3g}" if known else "–"
+    if known:
+        return f"{1e3 * min(known):.3g}"
+    return "–"
 
 
 HEADINGS = (

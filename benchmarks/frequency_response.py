@@ -57,13 +57,12 @@ def response(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return frequencies (Hz), means over the draws, and standard deviations over periods and draws."""
     frequencies = np.unique(columns[FREQUENCY])
-    means, deviations = [], []
+    means = []
+    deviations = []
     for frequency in frequencies:
         rows = columns[FREQUENCY] == frequency
-        values, within = (
-            columns[f"{plant}.{metric}"][rows],
-            columns[f"{plant}.{SPREAD[metric]}"][rows],
-        )
+        values = columns[f"{plant}.{metric}"][rows]
+        within = columns[f"{plant}.{SPREAD[metric]}"][rows]
         means.append(values.mean())
         deviations.append(np.sqrt(np.mean(within**2) + values.var()))
     return frequencies, np.array(means), np.array(deviations)

@@ -100,7 +100,8 @@ def main() -> None:
         for name, options in settings:
             errors = 100 * (_speeds(run_all(_runs(plant, options))) / fine - 1)
             cost = costs[name] / costs[settings[0][0]]
-            worst, rms = np.abs(errors).max(), np.sqrt((errors**2).mean())
+            worst = np.abs(errors).max()
+            rms = np.sqrt((errors**2).mean())
             rows.append([name, f"{cost:.2f}", f"{worst:.2f}", f"{rms:.2f}"])
         print(f"\n{plant}\n")
         print(
@@ -115,7 +116,9 @@ def _contacts() -> None:
         label: Run("twin", supply_pa=48.3e3, offset=0.4, options=more)
         for label, more in CONTACTS
     }
-    costs, rows, values = _costs(runs), [], stored()
+    costs = _costs(runs)
+    rows = []
+    values = stored()
     with ProcessPoolExecutor() as pool:
         for label, options in CONTACTS:
             results = [pool.submit(crawled, name, **options) for name in names]
@@ -144,7 +147,10 @@ def _contacts() -> None:
 
 
 def _runs(plant: str, options: dict[str, Any]) -> list[Run]:
-    friction = {"friction": "wheel"} if plant == "analytical" else {}
+    if plant == "analytical":
+        friction = {"friction": "wheel"}
+    else:
+        friction = {}
     return [
         Run(
             plant,

@@ -70,7 +70,8 @@ def main() -> None:
     )
     given_words = words.parse_args()
     chosen = [parser for parser in PARSERS if parser.name in given_words.only]
-    rows, faults = [], 0
+    rows = []
+    faults = 0
     for parser in chosen:
         result = generate(parser, given_words.examples)
         faults += sum(result.untyped.values())
@@ -138,7 +139,8 @@ def generate(parser: Parser, examples: int) -> Generated:
 
 def commands(chosen: list[Parser]) -> int:
     """Run the command line on every malformed file; return the number of wrong refusals."""
-    rows, faults = [], 0
+    rows = []
+    faults = 0
     for parser in chosen:
         times: list[tuple[float, str]] = []
         bad = 0

@@ -50,7 +50,8 @@ sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from module_law import Module
 
 DEGREE = np.pi / 180
-STEP_RAD, SINE_RAD = 25 * DEGREE, 34.3 * DEGREE
+STEP_RAD = 25 * DEGREE
+SINE_RAD = 34.3 * DEGREE
 FREQUENCIES_HZ = (0.25, 0.5, 1.0, 2.0, 4.0, 6.0)
 LEAK_PER_S = 0.5
 
@@ -60,7 +61,8 @@ SINES: dict[str, tuple[Reference, float]] = {
 }
 SQUARE: tuple[Reference, float] = (Square(SINE_RAD, 2.0), 10.0)
 HOLD: tuple[Reference, float] = (Constant(STEP_RAD), 10.0)
-LEVELS_DEG, EACH_S = (0, 25, 10, 30, 5, -20, 0, 15, -10, 12, 20, -5, -30, -8), 0.5
+LEVELS_DEG = (0, 25, 10, 30, 5, -20, 0, 15, -10, 12, 20, -5, -30, -8)
+EACH_S = 0.5
 JUMPS: tuple[Reference, float] = (
     Staircase(tuple(DEGREE * level for level in LEVELS_DEG), EACH_S),
     len(LEVELS_DEG) * EACH_S,
@@ -188,12 +190,10 @@ def line(name: str, controller: Callable[[Reference], SlidingMode]) -> list[str]
             module.follow(controller(experiment[0]), experiment[1])[0]
         )
 
-    step, square, hold, leaking = (
-        run(STEP),
-        run(SQUARE),
-        run(HOLD),
-        run(HOLD, LEAK_PER_S),
-    )
+    step = run(STEP)
+    square = run(SQUARE)
+    hold = run(HOLD)
+    leaking = run(HOLD, LEAK_PER_S)
     sines = [run(e) for e in SINES.values()]
     return [
         name,
@@ -218,7 +218,9 @@ def line(name: str, controller: Callable[[Reference], SlidingMode]) -> list[str]
 
 
 def _ms(seconds: float | None) -> str:
-    return "–" if seconds is None else f"{1e3 * seconds:.0f}"
+    if seconds is None:
+        return "–"
+    return f"{1e3 * seconds:.0f}"
 
 
 HEAD = [

@@ -160,7 +160,10 @@ def main() -> int:
         help="run only this scenario (repeatable)",
     )
     options = parser.parse_args()
-    golden = json.loads(GOLDEN.read_text("utf-8")) if GOLDEN.is_file() else {}
+    if GOLDEN.is_file():
+        golden = json.loads(GOLDEN.read_text("utf-8"))
+    else:
+        golden = {}
     result: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name in options.only or PARTS:
@@ -238,11 +241,10 @@ def _without(value: Any, keys: tuple[str, ...]) -> Any:
 
 
 def _digest(value: Any) -> str:
-    data = (
-        value
-        if isinstance(value, bytes)
-        else json.dumps(value, sort_keys=True).encode()
-    )
+    if isinstance(value, bytes):
+        data = value
+    else:
+        data = json.dumps(value, sort_keys=True).encode()
     return hashlib.sha256(data).hexdigest()
 
 

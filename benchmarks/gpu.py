@@ -37,7 +37,8 @@ def agreement(contact: str, seconds: float, device: str | None) -> dict[str, Any
     points = list(product(FREQUENCIES_HZ, PRESSURES_KPA, (False, True), (0.0, 0.2)))
     specs = [Run("twin", gaps=gaps).spec() for _, _, gaps, _ in points]
     supplies = [1e3 * p for _, p, _, _ in points]
-    results, times = [], []
+    results = []
+    times = []
     for more in ({"engine": "cpu"}, {"engine": "warp", "device": device}):
         batch = TwinBatch(specs, supply_pa=supplies, contact=contact, **more)
         gaits = [Gait(f, offset) for f, _, _, offset in points]
@@ -45,7 +46,9 @@ def agreement(contact: str, seconds: float, device: str | None) -> dict[str, Any
         begun = time.perf_counter()
         results.append(run_scripts(batch, gaits, seconds))
         times.append(time.perf_counter() - begun)
-    bends, places, speeds = [], [], []
+    bends = []
+    places = []
+    speeds = []
     for here, there in zip(*results, strict=True):
         last = np.argmin(np.abs(here["time"] - min(1.0, seconds)))
         segments = range(1, 5)

@@ -30,10 +30,17 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import MovableObject, World
 from srs_twin.rollout import rollout
 
-MODULES, HOLD, FREQUENCY_HZ, SECONDS = 12, 4, 2.0, 10.0
-RADIUS_M, MASS_KG, LOAD_N = (0.020, 0.030), (0.02, 0.10), (0.05, 0.25)
-BEHIND_M, GAP_M = (0.12, 0.16), (0.002, 0.015)
-DRAGGED_M, INSIDE_M = 0.3, 0.02
+MODULES = 12
+HOLD = 4
+FREQUENCY_HZ = 2.0
+SECONDS = 10.0
+RADIUS_M = (0.020, 0.030)
+MASS_KG = (0.02, 0.10)
+LOAD_N = (0.05, 0.25)
+BEHIND_M = (0.12, 0.16)
+GAP_M = (0.002, 0.015)
+DRAGGED_M = 0.3
+INSIDE_M = 0.02
 PRESET_S = 0.002
 
 
@@ -51,13 +58,14 @@ def chain() -> RobotSpec:
 
 def drawn_object(seed: int) -> tuple[MovableObject, str]:
     """Return an object next to the tail, and its side."""
-    spec, rng = chain(), np.random.default_rng((seed, 4))
-    radius, mass, load = (
-        rng.uniform(*RADIUS_M),
-        rng.uniform(*MASS_KG),
-        rng.uniform(*LOAD_N),
-    )
-    behind, gap, side = rng.uniform(*BEHIND_M), rng.uniform(*GAP_M), rng.choice([1, -1])
+    spec = chain()
+    rng = np.random.default_rng((seed, 4))
+    radius = rng.uniform(*RADIUS_M)
+    mass = rng.uniform(*MASS_KG)
+    load = rng.uniform(*LOAD_N)
+    behind = rng.uniform(*BEHIND_M)
+    gap = rng.uniform(*GAP_M)
+    side = rng.choice([1, -1])
     first = spec.geometry.body_length / 2 - (MODULES - HOLD) * spec.geometry.pitch
     y = side * (spec.geometry.width / 2 + gap + radius)
     item = MovableObject(
@@ -138,9 +146,11 @@ def main() -> None:
     words.add_argument("--jobs", type=int, default=1)
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
-    job, inputs = partial(judged, mode=given.mode), list[Any](range(given.objects))
+    job = partial(judged, mode=given.mode)
+    inputs = list[Any](range(given.objects))
     if given.payload:
-        job, inputs = payload, [0.05, 0.15, 0.35, 0.5, 0.7, 1.0]
+        job = payload
+        inputs = [0.05, 0.15, 0.35, 0.5, 0.7, 1.0]
     with ProcessPoolExecutor(given.jobs) as pool:
         results = []
         for result in pool.map(job, inputs):

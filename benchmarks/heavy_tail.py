@@ -147,7 +147,9 @@ class Case:
         cover whole periods after the first two, every 5 ms.
         """
         plant = TwinSnake(self.spec(), supply_pa=SUPPLY, tick=LOAD_TICK)
-        loads, places, headings = [], [], []
+        loads = []
+        places = []
+        headings = []
 
         def watch(state: Any) -> None:
             loads.append(plant.physics.wheel_loads())
@@ -159,7 +161,8 @@ class Case:
         rate = np.gradient(
             np.gradient(np.array(places), LOAD_TICK, axis=0), LOAD_TICK, axis=0
         )
-        c, s = np.cos(headings), np.sin(headings)
+        c = np.cos(headings)
+        s = np.sin(headings)
         along = np.stack(
             [rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s], axis=-1
         )
@@ -191,7 +194,8 @@ def remarks(values: np.ndarray) -> str:
 def main() -> None:
     """Print the tables and write the figure."""
     over_gaits()
-    by_stiffness, by_damping = over_stiffness(), over_damping()
+    by_stiffness = over_stiffness()
+    by_damping = over_damping()
     switched_off()
     draw(by_stiffness, by_damping, loads_by_height()).savefig(IMAGE, dpi=120)
     on_two_axles()
@@ -262,7 +266,8 @@ def switched_off() -> None:
             for _, changes, options in SWITCHES
         ]
     )
-    slow, fast = result[: len(SWITCHES)], result[len(SWITCHES) :]
+    slow = result[: len(SWITCHES)]
+    fast = result[len(SWITCHES) :]
     rows = [
         [name, row(a), remarks(a), row(b), remarks(b)]
         for (name, _, _), a, b in zip(SWITCHES, slow, fast, strict=True)
@@ -333,10 +338,8 @@ def lifted(tail: Tail | None, frequency: float, damping_time: float) -> list[str
     up = np.array(front)[round(2 / frequency / LOAD_TICK) :] <= 0
     values = plant_metrics(run)
     bends = np.array(values["bend_amplitude_rad"])
-    speed, shares = (
-        1e3 * values["com_speed_m_s"],
-        (up.any(axis=1).mean(), up.all(axis=1).mean()),
-    )
+    speed = 1e3 * values["com_speed_m_s"]
+    shares = (up.any(axis=1).mean(), up.all(axis=1).mean())
     return [
         f"{speed:.0f}",
         row(bends),

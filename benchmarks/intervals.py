@@ -33,7 +33,8 @@ from srs_twin.plants.analytical.floor import slide, spin_share
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.chambers import air_bend
 
-GEN2, MODULE = load_robot("gen2"), load_robot("gen4_module")
+GEN2 = load_robot("gen2")
+MODULE = load_robot("gen4_module")
 FRICTION = {"friction.mu_t": 0.06, "friction.mu_n": 0.5}
 ACTUATOR = {
     "actuator.tau_fill_s": 0.15,

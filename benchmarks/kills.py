@@ -35,7 +35,10 @@ def _of_commands(arguments: argparse.Namespace) -> int:
         faults += [
             f"{count} {kind} sets" for kind, count in counts.items() if kind != "whole"
         ]
-    names = [arguments.only] if arguments.only else list(kills_of_commands.CASES)
+    if arguments.only:
+        names = [arguments.only]
+    else:
+        names = list(kills_of_commands.CASES)
     rng = random.Random(arguments.seed)
     for command in names if arguments.commands else ():
         begun = time.perf_counter()
@@ -54,7 +57,9 @@ def _of_commands(arguments: argparse.Namespace) -> int:
         faults += result.faults
     print(*faults[:20], sep="\n")
     print(f"{len(faults)} faults")
-    return 1 if faults else 0
+    if faults:
+        return 1
+    return 0
 
 
 def main() -> None:

@@ -176,7 +176,8 @@ def _leaves(value: Any, place: str) -> Any:
 
 def killed(name: str, room: Path, kills: int, rng: random.Random) -> Tally:
     """Kill a command at least the given number of times, until its last trial has ended."""
-    case, tally = CASES[name], Tally()
+    case = CASES[name]
+    tally = Tally()
     for kind, words in (("earlier", case.earlier), ("new", case.words)):
         began = time.perf_counter()
         _finish(room, f"{words} --out {name}-{kind}")
@@ -262,7 +263,8 @@ def _hidden(out: Path) -> list[Path]:
 
 def finishes(folder: Path, count: int, workers: int = 4) -> Counter[str]:
     """Complete sets in one folder from several processes at once; count "whole" and "mixed" sets."""
-    fork, result = get_context("fork"), Counter[str]()
+    fork = get_context("fork")
+    result = Counter[str]()
     rounds = -(-count // workers)
     gate = fork.Barrier(workers + 1)
     processes = [

@@ -66,7 +66,8 @@ def changed(kind: str, changes: Mapping[str, Any]) -> Scenario:
 
 def drift(run: Trajectory) -> float:
     """Return the peak-to-peak value of the bend averaged over a carrier period, second half of a run, rad."""
-    time, bend = run.time, run["bend_1"]
+    time = run.time
+    bend = run["bend_1"]
     turned = np.append(0.0, np.cumsum(np.diff(time) * (bend[1:] + bend[:-1]) / 2))
     later = time[time >= time[-1] / 2 + 1 / CARRIER_HZ]
     means = CARRIER_HZ * (
@@ -122,7 +123,9 @@ def spread(values: np.ndarray) -> str:
     """Return '55.4 ± 3.3', or the value alone for a single draw."""
     digits = 1 if abs(values.mean()) >= 10 else 2
     alone = f"{values.mean():.{digits}f}"
-    return alone if len(values) < 2 else f"{alone} ± {values.std(ddof=1):.{digits}f}"
+    if len(values) < 2:
+        return alone
+    return f"{alone} ± {values.std(ddof=1):.{digits}f}"
 
 
 def apart(ours: np.ndarray, theirs: np.ndarray) -> str:

@@ -97,8 +97,10 @@ def line(columns: dict[str, list[float]], plant: str, chosen: np.ndarray) -> lis
         return np.array(columns[f"{plant}.{metric}"], dtype=float)[chosen]
 
     curled = column("path_bend_before_per_m") > CURLS
-    left, after = column("path_bend_left_rel"), column("path_bend_per_m")
-    within, times = column("periods_to_converge") <= 12, 1 / left[curled]
+    left = column("path_bend_left_rel")
+    after = column("path_bend_per_m")
+    within = column("periods_to_converge") <= 12
+    times = 1 / left[curled]
     return [
         f"{within.sum()} of {len(within)}",
         str(curled.sum()),

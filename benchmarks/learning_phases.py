@@ -52,7 +52,9 @@ PERIODS = 16
 LAST = 5
 FIRST_TIMED = 3
 """First period whose phases are measured."""
-LAW, PHASES, MEANS = "the law", "ideal phases", "ideal phases and means"
+LAW = "the law"
+PHASES = "ideal phases"
+MEANS = "ideal phases and means"
 TIMING_GAINS = {PHASES: (0.5, 0.0), MEANS: (0.5, 0.5)}
 """Fractions of an error of the phase, and of the mean bend over the amplitude, corrected per period."""
 MAX_EDGE_OFFSET = 0.5
@@ -83,12 +85,12 @@ class TimedILC(ILC):
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
         """See `Controller.reset`."""
         super().reset(spec, tick, seed=seed)
-        self._wave_lag, self._first_fills = (
-            self._gait.phase_lag,
-            self._periods.fill_starts,
-        )
-        self._lead, self._edge_offset = np.zeros(spec.segments), np.zeros(spec.segments)
-        self._sum, self._ticks = np.zeros((2, spec.segments), dtype=complex), 0
+        self._wave_lag = self._gait.phase_lag
+        self._first_fills = self._periods.fill_starts
+        self._lead = np.zeros(spec.segments)
+        self._edge_offset = np.zeros(spec.segments)
+        self._sum = np.zeros((2, spec.segments), dtype=complex)
+        self._ticks = 0
         self._number = 0
 
     def step(self, state: SnakeState) -> np.ndarray:
@@ -98,7 +100,9 @@ class TimedILC(ILC):
         if number > self._number:
             if self._number >= FIRST_TIMED:
                 self._correct_edges()
-            self._number, self._sum, self._ticks = number, np.zeros_like(self._sum), 0
+            self._number = number
+            self._sum = np.zeros_like(self._sum)
+            self._ticks = 0
         turn = np.exp([0, -2j * math.pi * self.frequency * time])
         self._sum = self._sum + turn[:, None] * np.nan_to_num(state.sensed)
         self._ticks += 1
@@ -135,18 +139,19 @@ def run(setting: str, spread: str, controller: str, seed: int) -> dict[str, Any]
         "seed": seed,
     }
     scenario = load_scenario("ilc_straight", set=changes)
-    options, frequency = SETTINGS[setting], 1.0
-    ilc = (
-        ILC(frequency, **options)
-        if controller == LAW
-        else TimedILC(frequency, TIMING_GAINS[controller], **options)
-    )
+    options = SETTINGS[setting]
+    frequency = 1.0
+    if controller == LAW:
+        ilc = ILC(frequency, **options)
+    else:
+        ilc = TimedILC(frequency, TIMING_GAINS[controller], **options)
     trajectory = rollout(
         scenario.build_plant("twin"), ilc, PERIODS / frequency, seed=seed
     )
     metrics = learning_metrics(trajectory)
     chosen = trajectory.time > trajectory.time[-1] - LAST / frequency + 1e-9
-    bend, time = trajectory.stack("bend")[chosen], trajectory.time[chosen]
+    bend = trajectory.stack("bend")[chosen]
+    time = trajectory.time[chosen]
     fundamental = (bend * np.exp(-2j * math.pi * frequency * time)[:, None]).mean(
         axis=0
     )
@@ -213,7 +218,10 @@ def main() -> None:
         "--table", action="store_true", help="print the table of the finished runs only"
     )
     options = parser.parse_args()
-    text = options.runs.read_text("utf-8") if options.runs.exists() else ""
+    if options.runs.exists():
+        text = options.runs.read_text("utf-8")
+    else:
+        text = ""
     results = [json.loads(line) for line in text.splitlines()]
     finished = {tuple(result["key"]) for result in results}
     for case in cases(options.snakes, options.first):

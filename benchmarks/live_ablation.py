@@ -37,7 +37,9 @@ from srs_twin.live.fault_detector import FaultDetector
 from srs_twin.live.fault_hypotheses import HYPOTHESES
 from srs_twin.live.shadow import Shadow
 
-SETTLED_S, BLIND_S, END_S = 5.0, 20.0, 30.0
+SETTLED_S = 5.0
+BLIND_S = 20.0
+END_S = 30.0
 CONDITIONS = {"n": "nominal", "w": "wander", "p": "no pressures", "s": "poor sensors"}
 ALARMS_S = 60.0
 POOR_CAMERAS_M = 0.002
@@ -146,12 +148,17 @@ def errors(part: str, seed: int) -> dict[str, float]:
     """Return the errors of one version for one robot."""
     cameras, prepare = ESTIMATE_PARTS[part]
     run = conditioned("nominal", seed, END_S)
-    noise = POOR_CAMERAS_M if cameras == "poor" else emulator._CAMERA_NOISE_M
+    if cameras == "poor":
+        noise = POOR_CAMERAS_M
+    else:
+        noise = emulator._CAMERA_NOISE_M
     with patch.object(emulator, "_CAMERA_NOISE_M", noise):
         recording = recorded(run)
     shadow = Shadow(load_robot("gen4"), seed=seed)
     prepare(shadow)
-    truth, rows, predictions = recording.truth, [], []
+    truth = recording.truth
+    rows = []
+    predictions = []
     for time, messages in recording.updates:
         found = shadow.update(
             time, [m for m in messages if m.kind != POSES or time < BLIND_S]
@@ -181,7 +188,8 @@ def errors(part: str, seed: int) -> dict[str, float]:
         )
 
     estimate = np.array(rows)
-    error, sd = estimate[:, 1 : n + 4] - true(estimate[:, 0]), estimate[:, n + 4 :]
+    error = estimate[:, 1 : n + 4] - true(estimate[:, 0])
+    sd = estimate[:, n + 4 :]
     ahead = [
         np.hypot(*(p.pose[-1, :2] - true(p.time[-1:])[0, n : n + 2]))
         for p in predictions

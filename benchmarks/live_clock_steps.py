@@ -61,16 +61,17 @@ class SteeredRobot:
     def __init__(self, seed: int) -> None:
         scenario = load_scenario(SCENARIO)
         self._run = Run(seed, 60.0, robot="gen2", frequency=2.0)
-        self._robot, self._wire = (
-            self._run.emulated(start=scenario.pose),
-            Wire(self._run),
-        )
+        self._robot = self._run.emulated(start=scenario.pose)
+        self._wire = Wire(self._run)
         self.twin = Shadow(
             load_robot("gen2"), seed=seed, supply_pa=self._robot.supply_pa
         )
         self.steering = EstimateSteering(scenario, self.twin, self._robot.tick)
-        self._command, self._heard = None, -1.0
-        self.time, self.vented_ticks, self.ticks = 0.0, 0, 0
+        self._command = None
+        self._heard = -1.0
+        self.time = 0.0
+        self.vented_ticks = 0
+        self.ticks = 0
         self.step: Step | None = None
         self.used: list[float] = []
         """Times at which messages of the sender with the step were used, s."""
@@ -89,7 +90,8 @@ class SteeredRobot:
         messages = [self._stamped(message) for message in self._wire.arrived(self.time)]
         for message in messages:
             if message.kind == COMMAND:
-                self._command, self._heard = message.values, self.time
+                self._command = message.values
+                self._heard = self.time
         before = dict(self.twin.buffer.counts)
         estimate = self.twin.update(self.time, messages)
         if estimate is not None:
@@ -126,7 +128,9 @@ class SteeredRobot:
 def measured(robot: SteeredRobot, after_s: float, step: Step) -> list[str]:
     """Return a row of the table for one step."""
     robot = copy.deepcopy(robot)
-    robot.step, robot.vented_ticks, robot.ticks = step, 0, 0
+    robot.step = step
+    robot.vented_ticks = 0
+    robot.ticks = 0
     begin = robot.time
     robot.proceed(after_s)
     gap = np.diff([begin, *robot.used, robot.time]).max()

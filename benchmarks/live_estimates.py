@@ -23,7 +23,9 @@ from grid import table
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import Run, followed_estimate
 
-SECONDS, BLIND_FOR_S, SETTLED_S = 25.0, 10.0, 5.0
+SECONDS = 25.0
+BLIND_FOR_S = 10.0
+SETTLED_S = 5.0
 CASES: dict[str, dict[str, Any]] = {
     "gen4": {},
     "gen4, no pressures": {"pressures": False},
@@ -45,7 +47,8 @@ def judged(order: tuple[str, int]) -> dict[str, Any]:
     since = CASES[name].get("cameras_s")
     run = Run(seed, SECONDS if since is None else since + BLIND_FOR_S, **CASES[name])
     found = followed_estimate(run)
-    truth, estimate = found["truth"], found["estimate"]
+    truth = found["truth"]
+    estimate = found["estimate"]
     n = truth.shape[1] - 4
 
     def true(times: np.ndarray) -> np.ndarray:
@@ -63,10 +66,8 @@ def judged(order: tuple[str, int]) -> dict[str, Any]:
         sd = np.hypot(*end[2 * n + 4 : 2 * n + 6])
         return told | {"blind": float(off / way), "blind_inside": bool(off < 2.45 * sd)}
     late = estimate[:, 0] > SETTLED_S
-    off, sd = (
-        (estimate[:, 1 : n + 4] - true(estimate[:, 0]))[late],
-        estimate[late, n + 4 :],
-    )
+    off = (estimate[:, 1 : n + 4] - true(estimate[:, 0]))[late]
+    sd = estimate[late, n + 4 :]
     inside = np.abs(off) < 1.96 * sd
     told |= {
         "bend": float(np.sqrt(np.mean(off[:, :n] ** 2))),

@@ -72,7 +72,10 @@ def missing(
     orders: Iterable[Order], file: Path | None, task: Callable[[Any], Any]
 ) -> Iterator[Any]:
     """Yield the results of a file, then those of the orders that it lacks, which are added to it."""
-    lines = file.read_text("utf-8").splitlines() if file and file.exists() else []
+    if file and file.exists():
+        lines = file.read_text("utf-8").splitlines()
+    else:
+        lines = []
     known = [json.loads(line) for line in lines]
     yield from known
     there = {(row["what"], row["seed"], row["condition"]) for row in known}

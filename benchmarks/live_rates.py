@@ -25,7 +25,8 @@ from srs_twin.live.session import warm_up
 from srs_twin.live.shadow import Shadow
 
 RATES_HZ = (5.0, 10.0, 30.0, 50.0, 100.0, 200.0)
-SECONDS, SETTLED_S = 15.0, 5.0
+SECONDS = 15.0
+SETTLED_S = 5.0
 
 
 def judged(rate: float, seed: int) -> dict[str, Any]:
@@ -33,7 +34,8 @@ def judged(rate: float, seed: int) -> dict[str, Any]:
     recording = recorded(
         conditioned("nominal", seed, SECONDS, rate_hz=rate, camera_hz=rate)
     )
-    shadow, rows = Shadow(load_robot("gen4"), seed=seed), []
+    shadow = Shadow(load_robot("gen4"), seed=seed)
+    rows = []
     begun = time.process_time()
     for now, messages in recording.updates:
         found = shadow.update(now, messages)
@@ -50,14 +52,16 @@ def judged(rate: float, seed: int) -> dict[str, Any]:
                 )
             )
     used = (time.process_time() - begun) / SECONDS
-    estimate, truth = np.array(rows), recording.truth
+    estimate = np.array(rows)
+    truth = recording.truth
     estimate = estimate[estimate[:, 0] > SETTLED_S]
     n = truth.shape[1] - 4
     true = np.stack(
         [np.interp(estimate[:, 0], truth[:, 0], truth[:, k]) for k in range(1, n + 4)],
         axis=1,
     )
-    off, sd = estimate[:, 1 : n + 4] - true, estimate[:, n + 4 :]
+    off = estimate[:, 1 : n + 4] - true
+    sd = estimate[:, n + 4 :]
     inside = np.abs(off) < 1.96 * sd
     return {
         "rate": rate,
@@ -80,7 +84,8 @@ def main() -> None:
     words.add_argument("--json", type=Path, metavar="FILE")
     given = words.parse_args()
     warm_up(load_robot("gen4"))
-    rows, lines = [], []
+    rows = []
+    lines = []
     for rate in RATES_HZ:
         mine = [
             judged(rate, seed) for seed in range(given.first, given.first + given.seeds)

@@ -46,7 +46,8 @@ def named(
     take: Recording, spec: RobotSpec, fault: str, segment: int, seed: int
 ) -> tuple[float, dict[int, str]]:
     """Return how long after it began (s) a fault was named, and what was named first, if anything."""
-    way, log = take.trajectory, take.valves
+    way = take.trajectory
+    log = take.valves
     assert log is not None, "it was joined"
     time = way.time
     bends = np.stack([way[f"bend_{j}"] for j in range(1, spec.segments + 1)], axis=1)
@@ -69,7 +70,8 @@ def named(
 
 def main() -> None:
     """Break and print."""
-    spec, rows = load_robot("gen2"), []
+    spec = load_robot("gen2")
+    rows = []
     takes = []
     for name, head in TAKES.items():
         motion = read_motion(FOLDER / f"{name}.csv", spec, head=head)

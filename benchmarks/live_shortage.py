@@ -58,7 +58,8 @@ def walk(client: mqtt.Client, ended: threading.Event) -> None:
 @contextlib.contextmanager
 def walking_robot(folder: Path) -> Iterator[tuple[mqtt.Client, list[str]]]:
     """Run a broker and an emulated robot under a gait; yield a client and the options of a live twin."""
-    broker_port, natnet_port = free_port(), free_port()
+    broker_port = free_port()
+    natnet_port = free_port()
     options = [
         "--mqtt",
         f"127.0.0.1:{broker_port}",

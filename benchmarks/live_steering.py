@@ -24,7 +24,8 @@ sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import Run, steered
 
 SCENARIOS = {"orifice": "follow_orifice", "lag": "follow_fig57"}
-SINCE, LIMIT_S = 6.0, 90.0
+SINCE = 6.0
+LIMIT_S = 90.0
 STEERABLE = (
     *(f"dead_sensor:{j}" for j in (1, 2, 3, 4)),
     *(f"dead_sensor:{j}=frozen" for j in (1, 3)),
@@ -40,7 +41,8 @@ STEERABLE = (
     "leak:3-",
     "starved",
 )
-SOUND, NO_CAMERA = "none", "no camera"
+SOUND = "none"
+NO_CAMERA = "no camera"
 OTHERS = ("starved=empty", NO_CAMERA)
 """Faults with which nobody can steer."""
 

@@ -32,8 +32,10 @@ sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from module_lines import LINES, PLANTS
 
 DOCS = Path(__file__).parents[1] / "docs"
-FIGURES, PAGE = DOCS / "module.json", DOCS / "module.md"
-BEGIN, END = "<!-- module: begin -->", "<!-- module: end -->"
+FIGURES = DOCS / "module.json"
+PAGE = DOCS / "module.md"
+BEGIN = "<!-- module: begin -->"
+END = "<!-- module: end -->"
 
 
 def measured(name: str) -> dict[str, dict[str, float]]:

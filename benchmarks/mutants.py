@@ -176,7 +176,8 @@ def try_all(
 
 def first_failing(mutant: Mutant, copy: Path, nearest: bool) -> str | None:
     """Return the first test that fails with a mutant; None if it survives."""
-    source, text = copy / mutant.file, text_of(mutant.file)
+    source = copy / mutant.file
+    text = text_of(mutant.file)
     files = test_files(mutant)
     source.write_text(mutant.mutation.applied(text), "utf-8")
     try:

@@ -106,7 +106,9 @@ class _Site:
     """The mutations of one node of a syntax tree."""
 
     def __init__(self, source: str, node: ast.AST, parent: ast.AST | None) -> None:
-        self._source, self._node, self._parent = source, node, parent
+        self._source = source
+        self._node = node
+        self._parent = parent
         self._lines = source.splitlines(keepends=True)
 
     def all(self) -> Iterator[Mutation]:
@@ -141,7 +143,8 @@ class _Site:
 
     def _number(self, value: float) -> Iterator[Mutation]:
         """Yield the mutations of a number: an index, a factor of a unit, or another constant."""
-        node, parent = self._node, self._parent
+        node = self._node
+        parent = self._parent
         if isinstance(parent, ast.Subscript | ast.Slice) and isinstance(value, int):
             for other in {0: (1,), 1: (0, 2)}.get(value, (value - 1, value + 1)):
                 yield self._replaced(node, "index", str(other))
@@ -161,7 +164,8 @@ class _Site:
         self, left: ast.AST, right: ast.AST, kind: str, old: str, new: str
     ) -> Iterator[Mutation]:
         """Yield the change of an operator between its operands."""
-        after, before = self._offset(left, "end_"), self._offset(right)
+        after = self._offset(left, "end_")
+        before = self._offset(right)
         between = self._source[after:before]
         if between.count(old) == 1 and "#" not in between:
             start = after + between.index(old)
@@ -169,7 +173,8 @@ class _Site:
             yield Mutation(line, start, start + len(old), kind, old, new)
 
     def _replaced(self, node: ast.AST, kind: str, new: str) -> Mutation:
-        start, end = self._offset(node), self._offset(node, "end_")
+        start = self._offset(node)
+        end = self._offset(node, "end_")
         return Mutation(node.lineno, start, end, kind, self._source[start:end], new)
 
     def _text(self, node: ast.AST) -> str:
@@ -177,10 +182,8 @@ class _Site:
 
     def _offset(self, node: ast.AST, which: str = "") -> int:
         """Return where a node begins or ends, in characters from the beginning of the file."""
-        line, column = (
-            getattr(node, f"{which}lineno"),
-            getattr(node, f"{which}col_offset"),
-        )
+        line = getattr(node, f"{which}lineno")
+        column = getattr(node, f"{which}col_offset")
         within = self._lines[line - 1].encode()[:column].decode()
         return sum(map(len, self._lines[: line - 1])) + len(within)
 

@@ -36,8 +36,10 @@ POPULATION = 12
 
 def truth(study: OptimizationStudy, runs: StudyRuns, budget: int) -> float:
     """Return the smallest cost that CMA-ES reaches on the twin, restarted until the budget is spent."""
-    best, restarts = np.inf, 0
-    rng, asked = np.random.default_rng(99), 0
+    best = np.inf
+    restarts = 0
+    rng = np.random.default_rng(99)
+    asked = 0
     while asked < budget:
         options = {
             "bounds": [0, 1],
@@ -80,17 +82,16 @@ def true_front(study: OptimizationStudy, runs: StudyRuns, budget: int) -> np.nda
             designs = study.space.snapped(np.array(strategy.ask()))
             mine = runs.run("twin", designs)
             strategy.tell(list(designs), _weighed(study, mine, weight, scale).tolist())
-            result, asked = result + mine, asked + len(designs)
+            result = result + mine
+            asked = asked + len(designs)
     return fine(study, result)
 
 
 def _weighed(
     study: OptimizationStudy, result: list[Run], weight: float, scale: np.ndarray
 ) -> np.ndarray:
-    cost, excess = (
-        costs(study, result) / scale,
-        np.maximum(excesses(study, result), 0).sum(axis=1),
-    )
+    cost = costs(study, result) / scale
+    excess = np.maximum(excesses(study, result), 0).sum(axis=1)
     value = cost @ [weight, 1 - weight]
     return np.where(
         np.isnan(value) | np.isnan(excess),
@@ -101,7 +102,8 @@ def _weighed(
 
 def fine(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
     """Return the costs of runs that meet the constraints, shape (runs, objectives)."""
-    cost, excess = costs(study, result), excesses(study, result)
+    cost = costs(study, result)
+    excess = excesses(study, result)
     return cost[np.isfinite(cost).all(axis=1) & (excess <= 0).all(axis=1)]
 
 
@@ -160,7 +162,8 @@ def rival(
         {n: round(item, 4) for n, item in areas.items()},
         flush=True,
     )
-    cheap, chosen = genetic(study, runs, "compliant", 1000), list[Run]()
+    cheap = genetic(study, runs, "compliant", 1000)
+    chosen = list[Run]()
     while len(chosen) < 60 and cheap:
         members = front(costs(study, cheap))
         chosen += [run for run, member in zip(cheap, members, strict=True) if member]
@@ -186,7 +189,8 @@ def fronts(
     truth = area(true_front(study, runs, budget), worst)
     if rivals:
         truth = max(truth, rival(study, runs, budget, worst))
-    shares, most = [], 0
+    shares = []
+    most = 0
     for seed in range(seeds):
         runs.reset()
         answer = search(
@@ -207,10 +211,8 @@ def fronts(
 
 def penalised(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
     """Return costs for CMA-ES, in which failed and infeasible runs have the largest costs."""
-    cost, excess = (
-        costs(study, result)[:, 0],
-        np.maximum(excesses(study, result), 0).sum(axis=1),
-    )
+    cost = costs(study, result)[:, 0]
+    excess = np.maximum(excesses(study, result), 0).sum(axis=1)
     return np.where(
         np.isnan(cost) | np.isnan(excess),
         1e6,
@@ -220,7 +222,8 @@ def penalised(study: OptimizationStudy, result: list[Run]) -> np.ndarray:
 
 def kept(study: OptimizationStudy, result: list[Run]) -> float:
     """Return the smallest cost of the feasible runs."""
-    cost, excess = costs(study, result)[:, 0], excesses(study, result)
+    cost = costs(study, result)[:, 0]
+    excess = excesses(study, result)
     fine = np.isfinite(cost) & (excess <= 0).all(axis=1)
     return float(cost[fine].min(initial=np.inf))
 
@@ -241,7 +244,8 @@ def main() -> None:
     words.add_argument("--out", type=Path, default=Path("runs/optimum"))
     words.add_argument("--json", type=Path, metavar="FILE")
     selected = words.parse_args()
-    lines, summary = [], dict[str, Any]()
+    lines = []
+    summary = dict[str, Any]()
     for name in selected.studies:
         study = load_study(name)
         with StudyRuns(study, selected.out / name, local()) as runs:
@@ -271,7 +275,8 @@ def main() -> None:
                     flush=True,
                 )
         deviation = np.array([(value - best) / abs(best) for value, _ in result])
-        near, most = int((deviation <= 0.02).sum()), max(count for _, count in result)
+        near = int((deviation <= 0.02).sum())
+        most = max(count for _, count in result)
         lines.append(
             [
                 name,

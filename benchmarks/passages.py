@@ -36,7 +36,9 @@ def main() -> None:
     words.add_argument("--first", type=int, default=0)
     options = words.parse_args()
     solved: dict[tuple[float, str], list[bool]] = defaultdict(list)
-    seconds, wrong, proofs = [], 0, 0
+    seconds = []
+    wrong = 0
+    proofs = 0
     for ratio in RATIOS:
         for name, body in bodies().items():
             for count in (1, 2, 3):
@@ -49,7 +51,8 @@ def main() -> None:
                         deepest(answer, case.problem) > TOUCH
                         or misses(answer, case.problem)
                     )
-                    wrong, proofs = wrong + bad, proofs + answer.proven
+                    wrong = wrong + bad
+                    proofs = proofs + answer.proven
                     solved[ratio, name].append(answer.found and not bad)
     lines = []
     for ratio in RATIOS:

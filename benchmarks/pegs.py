@@ -39,7 +39,8 @@ def measure(kind: str, seed: int, changes: dict[str, object]) -> tuple[float, fl
     scenario = load_scenario(
         "pegs_skin", set={"seed": seed, "duration_s": DURATION_S} | changes
     )
-    plant, controller = scenario.build_plant(kind), scenario.build_controller()
+    plant = scenario.build_plant(kind)
+    controller = scenario.build_controller()
     run = rollout(
         plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed
     )

@@ -58,7 +58,8 @@ def speed(
     }
     allow_plugin(Path(__file__).with_name("yielding_gait.py"))
     scenario = load_scenario("pegs_skin", set=changes)
-    snake, controller = scenario.build_plant(plant), scenario.build_controller()
+    snake = scenario.build_plant(plant)
+    controller = scenario.build_controller()
     run = rollout(
         snake, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed
     )
@@ -74,7 +75,10 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=12)
     parser.add_argument("--cell", help="spacing and stiffness; default: all cells")
     options = parser.parse_args()
-    cells = [tuple(map(float, options.cell.split(",")))] if options.cell else CELLS
+    if options.cell:
+        cells = [tuple(map(float, options.cell.split(",")))]
+    else:
+        cells = CELLS
     seeds = range(FIRST_SEED, FIRST_SEED + options.seeds)
     print(
         "| controller | "

@@ -59,7 +59,8 @@ DRIVABLE = 0.1
 
 def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
     """Return a field of many circles between the same start and goal, with gaps of at least 45 mm."""
-    body, ends = load_footprint("gen2_section52"), (FIG54_START, FIG54_GOAL)
+    body = load_footprint("gen2_section52")
+    ends = (FIG54_START, FIG54_GOAL)
     clear = tuple((end.x, end.y, 0.06) for end in ends)
     seeded = 1000 * count + seed
     circles = random_circles(
@@ -146,7 +147,8 @@ def safety(worlds: int) -> dict[str, Any]:
     """Return the outcomes of random problems, and the number of plans that are faulty."""
     outcomes: Counter[str] = Counter()
     bad: list[int] = []
-    seconds, deepest_m = [], -math.inf
+    seconds = []
+    deepest_m = -math.inf
     for seed in range(worlds):
         problem = drawn_problem(seed)
         answer = plan(problem)
@@ -178,13 +180,12 @@ def full_map(seed: int) -> tuple[Polygon, ...]:
     from PIL import Image
 
     columns, rows, cell = MAP
-    drawn, picture = (
-        np.random.default_rng(seed),
-        np.full((rows, columns), 255, dtype=np.uint8),
-    )
+    drawn = np.random.default_rng(seed)
+    picture = np.full((rows, columns), 255, dtype=np.uint8)
     while np.sum(picture == 0) < FULL:
         wide, high = drawn.integers(3, 10, 2)
-        x, y = drawn.integers(0, columns - wide), drawn.integers(0, rows - high)
+        x = drawn.integers(0, columns - wide)
+        y = drawn.integers(0, rows - high)
         ends = (x < 40 and y > rows - 40) or (x > columns - 40 and y < 40)
         if (
             not ends
@@ -210,7 +211,8 @@ def maps(count: int) -> str:
     """Plan between opposite corners of maps, with and without transients; return a table."""
     rows = []
     for name in ("gen2_section52", "gen2_gait"):
-        seconds, lengths = [], []
+        seconds = []
+        lengths = []
         for seed in range(count):
             world = World((), Bounds((0.0, 12.0), (0.0, 8.0)), polygons=full_map(seed))
             problem = Problem(
@@ -224,7 +226,8 @@ def maps(count: int) -> str:
             seconds.append(time.process_time() - begun)
             if answer.found:
                 lengths.append(f"{answer.length:.1f}")
-        least, most = min(seconds), max(seconds)
+        least = min(seconds)
+        most = max(seconds)
         rows.append(
             [
                 name,
@@ -311,10 +314,8 @@ def main(words: Sequence[str] | None = None) -> int:
         "--plot", type=Path, help="write the plot of success to this file"
     )
     options = parser.parse_args(words)
-    result, narrow = (
-        summary(study(options.draws)),
-        summary(study(options.draws, NARROW_COUNTS, narrow_problem)),
-    )
+    result = summary(study(options.draws))
+    narrow = summary(study(options.draws, NARROW_COUNTS, narrow_problem))
     print(f"{tables(result)}\n\nNarrow fields:\n\n{tables(narrow)}")
     if options.maps:
         print(f"\nMaps of {FULL} occupied cells:\n\n{maps(options.maps)}")
@@ -340,14 +341,14 @@ def main(words: Sequence[str] | None = None) -> int:
     good = (
         default["misses_of_greedy"] == 0 and default["share_of_solved_by_any"] >= 0.98
     )
-    return (
-        0
-        if good
+    if (
+        good
         and default["median_ms"] < 50
         and default["p95_ms"] < 250
         and not safe["bad_seeds"]
-        else 1
-    )
+    ):
+        return 0
+    return 1
 
 
 if __name__ == "__main__":

@@ -52,7 +52,8 @@ ONAL_OFFSET = 0.2
 def onal(file: RobotFile, u: np.ndarray) -> Cases:
     """Yield quantity, robot and gait: one wave along the body or five connectors, at an unknown frequency."""
     low, high = ONAL_FREQUENCIES_HZ
-    frequency, step = low * (high / low) ** u[0], 2 * math.pi / (4 if u[1] < 0.5 else 5)
+    frequency = low * (high / low) ** u[0]
+    step = 2 * math.pi / (4 if u[1] < 0.5 else 5)
     twin = TwinSnake(file.spec(), timestep=0.002)
     yield "speed_m_s", twin, Gait(frequency, phase_step=step)
     yield (
@@ -93,12 +94,18 @@ ROBOT_CASES: dict[str, Callable[[RobotFile, np.ndarray], Cases]] = {
 def predict(name: str, count: int, seed: int) -> dict[str, Any]:
     """Return median and 95 % interval of every quantity of a robot."""
     file = load_robot_file(ROBOTS / f"{name}.yaml")
-    errors = np.ones(count) if file.has_servos else model_errors(count, seed)
+    if file.has_servos:
+        errors = np.ones(count)
+    else:
+        errors = model_errors(count, seed)
     samples: dict[str, list[float]] = {}
     for u, values, error in zip(*draw(file, count, 2, seed), errors, strict=True):
         for quantity, twin, gait in ROBOT_CASES[name](with_values(file, values), u):
             speed, yaw_rate = motion(twin, gait)
-            result = yaw_rate if quantity.startswith("yaw_rate") else speed * error
+            if quantity.startswith("yaw_rate"):
+                result = yaw_rate
+            else:
+                result = speed * error
             samples.setdefault(quantity, []).append(result)
     return {quantity: interval(values) for quantity, values in samples.items()}
 

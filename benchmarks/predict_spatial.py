@@ -72,7 +72,8 @@ def draw_robots(count: int, seed: int) -> list[tuple[RobotFile, dict[str, Any]]]
     file = load_robot_file(ROBOT)
     robots = []
     for u, values in zip(*draw(file, count, 4, seed), strict=True):
-        wheels, four = bool(u[0] < WHEELS_PROBABILITY), bool(u[1] < FOUR_PROBABILITY)
+        wheels = bool(u[0] < WHEELS_PROBABILITY)
+        four = bool(u[1] < FOUR_PROBABILITY)
         changes: dict[str, Any] = dict(values)
         if not wheels:
             changes["contact.forward"] = np.interp(u[2], (0, 1), SKIN_FORWARD)
@@ -157,17 +158,15 @@ def main() -> None:
         command += f" --runs {options.runs}"
     rows: list[dict[str, Any]] = []
     errors = model_errors(options.robots, options.seed)
-    earlier = (
-        yaml.safe_load(options.runs.read_text("utf-8"))["robots"]
-        if options.runs
-        else None
-    )
+    if options.runs:
+        earlier = yaml.safe_load(options.runs.read_text("utf-8"))["robots"]
+    else:
+        earlier = None
     for k, (file, facts) in enumerate(draw_robots(options.robots, options.seed)):
-        speeds = (
-            fastest(file.spec())
-            if earlier is None
-            else {n: earlier[k][n] for n in NAMES}
-        )
+        if earlier is None:
+            speeds = fastest(file.spec())
+        else:
+            speeds = {n: earlier[k][n] for n in NAMES}
         if earlier is not None and facts != {key: earlier[k][key] for key in facts}:
             raise SystemExit(
                 f"robot {k} of {options.runs} was drawn with other options or"

@@ -45,7 +45,8 @@ LEFT_OUT = (
 PRINTED = 0.01
 SIGNS = {"near": "", "below": "≤ ", "above": "≥ "}
 DIMENSIONS = 16
-AS_IT_STANDS, HALF_STEP = "stands", "half"
+AS_IT_STANDS = "stands"
+HALF_STEP = "half"
 Document = dict[str, Any]
 Numbers = dict[tuple[str, str], float]
 
@@ -65,10 +66,8 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
     """Return the plain data of a robot whose parameters are at the given quantiles."""
     file = RobotFile.model_validate(robot)
     if all(record.uncertain is None for record in file.records().values()):
-        known, own = (
-            load_robot_file("gen4").records(),
-            file.model_dump(mode="json", exclude_none=True),
-        )
+        known = load_robot_file("gen4").records()
+        own = file.model_dump(mode="json", exclude_none=True)
         for key in ("tau_fill_s", "tau_vent_s", "bend_rad"):
             uncertain = known[f"actuator.{key}"].uncertain
             assert uncertain is not None
@@ -91,9 +90,10 @@ def in_robot(robot: Document, shares: np.ndarray) -> Document:
     for path, value in values.items():
         section, key = path.split(".")
         old = changed[section][key]
-        several = (
-            [value] * len(old["value"]) if isinstance(old["value"], list) else value
-        )
+        if isinstance(old["value"], list):
+            several = [value] * len(old["value"])
+        else:
+            several = value
         new = {name: item for name, item in old.items() if name != "uncertain"} | {
             "value": several
         }
@@ -171,10 +171,8 @@ def rows(
         }
         low, middle, high = np.quantile(drawn, (0.025, 0.5, 0.975))
         further = 1.96 * np.hypot(terms["u_num"], terms["u_D"])
-        low, high = (
-            middle - np.hypot(middle - low, further),
-            middle + np.hypot(high - middle, further),
-        )
+        low = middle - np.hypot(middle - low, further)
+        high = middle + np.hypot(high - middle, further)
         short = max(stated - high if claim.rule != "below" else 0.0, 0.0)
         over = max(low - stated if claim.rule != "above" else 0.0, 0.0)
         score = high - low + 40 * (short + over)

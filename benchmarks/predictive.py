@@ -76,7 +76,8 @@ def held(
     predictor: Propagation, truth: Mapping[str, np.ndarray], robots: np.ndarray
 ) -> None:
     """Print the coverage with the priors, and with every parameter measured to ±10 %."""
-    study, rng = predictor.study, np.random.default_rng(2)
+    study = predictor.study
+    rng = np.random.default_rng(2)
     spreads = {
         name: spread.samples for name, spread in predictor.plants["twin"].items()
     }
@@ -87,11 +88,14 @@ def held(
     )
     print("|---|---|---|---|---|---|")
     for metric, column_of in METRICS.items():
-        column, true = column_of(spreads), truth[metric]
+        column = column_of(spreads)
+        true = truth[metric]
         known = np.isfinite(true)
         chaos = PolynomialChaos.fit(study.shares, column[:, None])
         low, high = np.quantile(column, [0.025, 0.975])
-        wide, narrow, widths = (low <= true[known]) & (true[known] <= high), [], []
+        wide = (low <= true[known]) & (true[known] <= high)
+        narrow = []
+        widths = []
         for robot, value in zip(robots[known], true[known], strict=True):
             after = fresh.copy()
             for i, (prior, number) in enumerate(
@@ -157,7 +161,8 @@ def main() -> None:
         {"plants.twin": FINER, "pneumatics": {"kind": "orifice"}},
         options.robots,
     )
-    shipped, drawn = made({}, 2048, 0), made({}, options.robots, 1)
+    shipped = made({}, 2048, 0)
+    drawn = made({}, options.robots, 1)
     robots = drawn.priors.quantile(drawn.shares)
     result = propagate(shipped, options.out / "shipped", local())
     print("Robots with the chamber model of the predictor")

@@ -39,7 +39,8 @@ from witnessed_worlds import KINDS, bodies, drawn
 
 def false_proofs(case: Problem) -> int:
     """Return the number of proofs of infeasibility in a solvable world."""
-    body, grid = case.footprint, obstacle_grid(case.world)
+    body = case.footprint
+    grid = obstacle_grid(case.world)
     proofs = [
         prove_unreachable(case.start, case.goal, body, grid, size)
         for size in (COARSE, FINE)
@@ -56,7 +57,8 @@ def impossible(seed: int, body: Footprint) -> Iterator[tuple[str, Problem]]:
     assert goal.heading is not None, "drawn with one"
     yield "pocket", replace(case, goal=replace(goal, heading=goal.heading + math.pi))
     half = 3 * (body.ahead + max(body.left) + goal.radius)
-    c, s = math.cos(0.3 * seed), math.sin(0.3 * seed)
+    c = math.cos(0.3 * seed)
+    s = math.sin(0.3 * seed)
 
     def wall(ax: float, ay: float, bx: float, by: float) -> Polygon:
         corners = ((ax, ay), (bx, ay), (bx, by), (ax, by))
@@ -99,7 +101,8 @@ def main() -> None:
     lines = []
     for name, body in planned.items():
         for kind in ("pocket", "room"):
-            seconds, proven = [], 0
+            seconds = []
+            proven = 0
             for seed in seeds:
                 case = dict(impossible(seed, body))[kind]
                 begin = time.process_time()

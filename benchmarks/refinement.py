@@ -71,7 +71,10 @@ def main() -> None:
     head = ["change", *(f"{f:g} Hz, offset {o:g}: mm/s (%), rad/s" for f, o in GAITS)]
     for plant in selected.only:
         cases = CASES[plant]
-        friction = {"friction": "wheel"} if plant == "analytical" else {}
+        if plant == "analytical":
+            friction = {"friction": "wheel"}
+        else:
+            friction = {}
         runs = [
             Run(
                 plant,
@@ -94,7 +97,8 @@ def main() -> None:
 
 
 def _cell(metrics: dict[str, Any], base: dict[str, Any]) -> str:
-    speed, before = metrics["com_speed_m_s"], base["com_speed_m_s"]
+    speed = metrics["com_speed_m_s"]
+    before = base["com_speed_m_s"]
     return (
         f"{1e3 * speed:.2f} ({100 * (speed / before - 1):+.2f}),"
         f" {metrics['yaw_rate_rad_s']:+.4f}"

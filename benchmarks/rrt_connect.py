@@ -39,7 +39,9 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
         InputError: the problem has no bounds or no arrival heading, or the footprint
             has transients.
     """
-    bounds, goal, body = problem.world.bounds, problem.goal, problem.footprint
+    bounds = problem.world.bounds
+    goal = problem.goal
+    body = problem.footprint
     if bounds is None or goal.heading is None or body.transients:
         raise InputError(
             "RRT-Connect needs bounds, an arrival heading, and a footprint without"
@@ -92,7 +94,9 @@ def _motion_validator(base: Any) -> Any:
             self, info: Any, moves: MoveSet, grid: ObstacleGrid, radius: float
         ) -> None:
             super().__init__(info)
-            self.moves, self.grid, self.radius = moves, grid, radius
+            self.moves = moves
+            self.grid = grid
+            self.radius = radius
 
         def is_free(self, a: Pose, b: Pose) -> bool:
             path = dubins_path(

@@ -130,7 +130,10 @@ def _task(plant: Plant, duration: float) -> Task:
 def _cell(cost: float | str, four: float | str) -> str:
     if isinstance(cost, str):
         return "diverged"
-    times = "" if isinstance(four, str) else f" ({three_figures(cost / four)})"
+    if isinstance(four, str):
+        times = ""
+    else:
+        times = f" ({three_figures(cost / four)})"
     return f"{three_figures(1e3 * cost)}{times}"
 
 

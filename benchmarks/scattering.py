@@ -64,17 +64,20 @@ def track(kind: str, pitch: float, phase: int, place: int = 0) -> np.ndarray:
         record_hz=RECORD_HZ,
         until=until,
     )
-    return run.com if left or not pitch else run.com[:0]
+    if left or not pitch:
+        return run.com
+    return run.com[:0]
 
 
 @cache
 def snake(kind: str, pitch: float) -> Plant:
     """Return the plant in front of a row of posts (none if the pitch is 0)."""
-    posts = (
-        [{"x_m": ROW_M, "y_m": k * pitch, "radius_m": 0.02} for k in range(-6, 7)]
-        if pitch
-        else []
-    )
+    if pitch:
+        posts = [
+            {"x_m": ROW_M, "y_m": k * pitch, "radius_m": 0.02} for k in range(-6, 7)
+        ]
+    else:
+        posts = []
     changes = {
         "robot": "skin_example",
         "world": {"obstacle_friction": 0.2, "obstacles": posts},
@@ -127,11 +130,10 @@ def main() -> None:
                 found = np.degrees(angles_of)
                 angles[kind, pitch] = known = found[np.isfinite(found)]
                 low, middle, high = np.percentile(known, [10, 50, 90])
-                p = (
-                    ks_2samp(known, angles["analytical", pitch]).pvalue
-                    if kind == "twin"
-                    else math.nan
-                )
+                if kind == "twin":
+                    p = ks_2samp(known, angles["analytical", pitch]).pvalue
+                else:
+                    p = math.nan
                 print(
                     f"| {pitch:g} | {kind} | {len(known)} of {len(found)} |"
                     f" {known.std():.1f} | {low:.0f}, {middle:.0f}, {high:.0f} |"

@@ -68,7 +68,8 @@ def by_distance() -> None:
 def over_heights() -> None:
     """Print the number of height pairs for which north up gives the larger range or R²."""
     heights = np.linspace(-0.95, 0.95, 20)
-    wider, straighter = [], []
+    wider = []
+    straighter = []
     for pair in itertools.product(heights, heights):
         pairs = [[strip(d, pair, o) for o in ORIENTATIONS] for d in (3.1, 3.85, 4.6)]
         wider.append([reach(up) > reach(side) for up, side in pairs])
@@ -149,7 +150,8 @@ def by_chamber() -> None:
     """Print the calibrations for Fig. 14e."""
     rows = []
     for name, sensor in sensors().items():
-        result, smooth = calibrate(sensor), replace(sensor, bits=None).voltage(BENDS)
+        result = calibrate(sensor)
+        smooth = replace(sensor, bits=None).voltage(BENDS)
         back = np.degrees(BENDS[1:][np.diff(smooth) > 0])
         per_volt = np.degrees(abs(result.slope))
         rows.append(

@@ -75,7 +75,9 @@ class MasslessCurve:
         waves: int = 1,
         points: int = 801,
     ) -> None:
-        self._mu, self._amplitude, self._waves = coefficients, amplitude, waves
+        self._mu = coefficients
+        self._amplitude = amplitude
+        self._waves = waves
         self._s = np.linspace(0.0, 1.0, points)
 
     def _centred(self, slope: np.ndarray) -> np.ndarray:
@@ -108,10 +110,8 @@ class MasslessCurve:
         )
         direction = slip / np.sqrt((slip**2).sum(axis=1) + SMALLEST_SLIP**2)[:, None]
         normal = np.stack([-tangent[:, 1], tangent[:, 0]], axis=1)
-        along, across = (
-            (direction * tangent).sum(axis=1),
-            (direction * normal).sum(axis=1),
-        )
+        along = (direction * tangent).sum(axis=1)
+        across = (direction * normal).sum(axis=1)
         mu = np.where(along > 0, forward, backward)
         return (
             slip,
@@ -129,7 +129,9 @@ class MasslessCurve:
 
     def period(self, times: int = 400) -> tuple[float, float]:
         """Return distance and work against friction per period; no period is needed to settle."""
-        motion, pose, work = np.zeros(3), np.zeros(3), 0.0
+        motion = np.zeros(3)
+        pose = np.zeros(3)
+        work = 0.0
         for k in range(times):
             shape = self._shape((k + 0.5) / times)
             found = root(self._balance, motion, args=shape, tol=1e-12)
@@ -140,7 +142,8 @@ class MasslessCurve:
             slip, force = self._friction(motion, *shape)
             work -= trapezoid((slip * force).sum(axis=1), self._s) / times
             heading = pose[2] + motion[2] / times / 2
-            c, s = math.cos(heading), math.sin(heading)
+            c = math.cos(heading)
+            s = math.sin(heading)
             pose += (
                 np.array(
                     [
@@ -184,10 +187,8 @@ def theory() -> Iterator[str]:
     )
     yield "|---|---|---|---|---|---|"
     for name, (*mu, outside) in CASES.items():
-        own, model = (
-            MasslessCurve((mu[0], mu[1], mu[2])).period()[0],
-            wave_speed(continuous_snake(*mu)),
-        )
+        own = MasslessCurve((mu[0], mu[1], mu[2])).period()[0]
+        model = wave_speed(continuous_snake(*mu))
         coefficients = ", ".join(f"{value:g}" for value in mu)
         yield (
             f"| {name} | {coefficients} | {outside:g} | {own:.4f} | {model:.4f} |"
@@ -197,7 +198,8 @@ def theory() -> Iterator[str]:
 
 def matched_robot(ratio: float, waves: int, law: str) -> RobotSpec:
     """Return the example robot with a flat body, a friction ratio, and a gait with some waves along it."""
-    base, height = load_robot("skin_example"), 0.005
+    base = load_robot("skin_example")
+    height = 0.005
     assert base.skin is not None
     return replace(
         base,

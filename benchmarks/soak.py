@@ -109,7 +109,10 @@ def main() -> None:
         "--json", type=Path, metavar="FILE", help="also write the samples to this file"
     )
     arguments = parser.parse_args()
-    begun, samples, cycles, next_report = time.monotonic(), list[Sample](), 0, 0
+    begun = time.monotonic()
+    samples = list[Sample]()
+    cycles = 0
+    next_report = 0
     while time.monotonic() - begun < 60 * arguments.minutes:
         with tempfile.TemporaryDirectory() as name:
             cycle(Path(name))
@@ -118,7 +121,8 @@ def main() -> None:
         if samples[-1].minutes >= next_report:
             next_report += 1
             print(cycles, samples[-1], flush=True)
-    first, last = samples[len(samples) // 4], samples[-1]
+    first = samples[len(samples) // 4]
+    last = samples[-1]
     print(
         f"{cycles} cycles in {last.minutes:.0f} min, memory after a quarter"
         f" {slope(samples):+.1f} MiB/h"

@@ -91,7 +91,8 @@ def point(frequency: float, share: float, lag: float) -> dict[str, Any]:
         for plant in (snake, twin)
     ]
     reference, candidate = runs
-    one, other = plant_metrics(reference), plant_metrics(candidate)
+    one = plant_metrics(reference)
+    other = plant_metrics(candidate)
     differences = compare(reference, candidate).metrics
     return {
         "frequency": frequency,
@@ -152,11 +153,10 @@ def main() -> None:
         "--quick", action="store_true", help="the first gait at 1 Hz only"
     )
     given = words.parse_args()
-    lines = (
-        given.rows.read_text("utf-8").splitlines()
-        if given.rows and given.rows.exists()
-        else []
-    )
+    if given.rows and given.rows.exists():
+        lines = given.rows.read_text("utf-8").splitlines()
+    else:
+        lines = []
     rows = [json.loads(line) for line in lines]
     known = {(row["frequency"], row["share"], row["lag"]) for row in rows}
     orders = [(f, *wave) for f in reversed(FREQUENCIES_HZ) for wave in WAVES]

@@ -24,7 +24,8 @@ from srs_twin.robot.spec import GRAVITY
 STEP_S = 2e-5
 TICK_S = 0.02
 SLIP_M_S = 1e-3
-DURATION_S, LAST_S = 6.0, 2.0
+DURATION_S = 6.0
+LAST_S = 2.0
 
 
 @njit
@@ -37,21 +38,28 @@ def advance(
     for k in range(bends.shape[0]):
         turning, moment = pose_body(bends[k], rates[k], mass, length, gap, body)
         omega = (state[5] - moment) / turning
-        c0, s0 = math.cos(state[2]), math.sin(state[2])
-        ux, uy = state[3] * c0 + state[4] * s0, -state[3] * s0 + state[4] * c0
+        c0 = math.cos(state[2])
+        s0 = math.sin(state[2])
+        ux = state[3] * c0 + state[4] * s0
+        uy = -state[3] * s0 + state[4] * c0
         fx = fy = torque = 0.0
         for i in range(n):
-            c, s = math.cos(body[i, 0]), math.sin(body[i, 0])
-            px, py = body[i, 2], body[i, 3]
-            vx, vy = ux - omega * py + body[i, 4], uy + omega * px + body[i, 5]
-            along, across = vx * c + vy * s, -vx * s + vy * c
+            c = math.cos(body[i, 0])
+            s = math.sin(body[i, 0])
+            px = body[i, 2]
+            py = body[i, 3]
+            vx = ux - omega * py + body[i, 4]
+            vy = uy + omega * px + body[i, 5]
+            along = vx * c + vy * s
+            across = -vx * s + vy * c
             load = mass[i] * GRAVITY / 2
             for side in range(2):
                 arm = track if side == 0 else -track
                 rim = spin[i, side] * radius
                 slip = along - (omega + body[i, 1]) * arm - rim
                 speed = math.sqrt(slip * slip + across * across + SLIP_M_S * SLIP_M_S)
-                f_t, f_n = -mu_n * load * slip / speed, -mu_n * load * across / speed
+                f_t = -mu_n * load * slip / speed
+                f_n = -mu_n * load * across / speed
                 drag = (
                     mu_t
                     * load
@@ -74,15 +82,14 @@ def advance(
 def spinning_speed(run: Run, inertia_factor: float) -> float:
     """Return the mean CoM speed over the last seconds, m/s, with scaled inertia of the wheels."""
     spec = run.spec()
-    g, chambers, gait = (
-        spec.geometry,
-        LagPneumatics(spec, supply_pa=run.supply_pa),
-        Gait(run.frequency),
-    )
+    g = spec.geometry
+    chambers = LagPneumatics(spec, supply_pa=run.supply_pa)
+    gait = Gait(run.frequency)
     gait.reset(spec, TICK_S)
     inertia = inertia_factor * spec.mass.wheel * g.wheel_radius**2 / 2
     times = STEP_S * np.arange(1, round(TICK_S / STEP_S) + 1)
-    state, spin = np.zeros(6), np.zeros((g.connectors, 2))
+    state = np.zeros(6)
+    spin = np.zeros((g.connectors, 2))
     path = [state[:2].copy()]
     for tick in range(round(DURATION_S / TICK_S)):
         trace = chambers.advance(

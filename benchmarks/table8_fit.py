@@ -96,7 +96,9 @@ def with_tables(text: str, tables: Sequence[str]) -> str:
 
 def fit(study: str, threads: int | None = None) -> FitFile:
     """Fit a plant to three rows of Table 8 and predict all rows."""
-    drive, rows, held = drive_of(study), published_runs(), held_values(study)
+    drive = drive_of(study)
+    rows = published_runs()
+    held = held_values(study)
     fitted_rows = offset_runs([row for row in rows if row.offset in FITTED])
     kept = offset_runs([row for row in rows if row.offset not in FITTED])
     start = {name: value for name, value in UNKNOWN.items() if name not in held}
@@ -139,11 +141,10 @@ def title(study: str, held: Iterable[str]) -> str:
     if STUDIES[study].steering != "targets":
         line += ", the offset also on the valves' wave"
     for name in held:
-        where = (
-            "at the analytical plant's fit"
-            if STUDIES[study].held[name] is None
-            else "at a search's end"
-        )
+        if STUDIES[study].held[name] is None:
+            where = "at the analytical plant's fit"
+        else:
+            where = "at a search's end"
         line += f", {name} held {where}"
     return line
 
@@ -279,7 +280,8 @@ def picture(fits: dict[str, FitFile]):
         zip(panels, ("speed (m/s)", "radius (m)"), strict=True)
     ):
         for index, (plant, item) in enumerate(fits.items()):
-            predictions, style = values_of(item, "predicted"), style_of(plant, index)
+            predictions = values_of(item, "predicted")
+            style = style_of(plant, index)
             offsets = np.array(
                 [offset for offset in predictions if which == 0 or offset != 0]
             )

@@ -45,7 +45,8 @@ def edges_table(file: FitFile) -> str:
     ):
         cells = []
         for side in ("left_m", "right_m"):
-            prediction, seen = item.predicted[side], item.measured[side]
+            prediction = item.predicted[side]
+            seen = item.measured[side]
             cells += [
                 f"{seen:g}",
                 f"{prediction:.3f} ({100 * (prediction / seen - 1):+.0f} %)",

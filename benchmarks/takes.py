@@ -68,23 +68,19 @@ def two_segments(spec: RobotSpec) -> RobotSpec:
 def draw(seed: int, noise: float, plant: str) -> Drawn:
     """Draw, write and read the recording with a seed."""
     random = np.random.default_rng(seed)
-    spec = (
-        load_robot("gen2")
-        if plant == "twin" or random.random() < 2 / 3
-        else two_segments(load_robot("gen2"))
-    )
-    fitting = (
-        LAYOUTS[:3]
-        if plant == "twin"
-        else LAYOUTS
-        if spec.segments > 2
-        else LAYOUTS[1:]
-    )
+    if plant == "twin" or random.random() < 2 / 3:
+        spec = load_robot("gen2")
+    else:
+        spec = two_segments(load_robot("gen2"))
+    if plant == "twin":
+        fitting = LAYOUTS[:3]
+    elif spec.segments > 2:
+        fitting = LAYOUTS
+    else:
+        fitting = LAYOUTS[1:]
     layout = str(random.choice(fitting))
-    supply, gait = (
-        random.uniform(30e3, 50e3),
-        Gait(random.uniform(0.5, 2.5), random.uniform(-0.2, 0.2)),
-    )
+    supply = random.uniform(30e3, 50e3)
+    gait = Gait(random.uniform(0.5, 2.5), random.uniform(-0.2, 0.2))
     snake: Any = (
         TwinSnake(spec, supply_pa=supply)
         if plant == "twin"
@@ -163,7 +159,8 @@ def main() -> None:
     words.add_argument("--plant", choices=["compliant", "twin"], default="compliant")
     words.add_argument("--json", type=Path, help="also write the counts to this file")
     options = words.parse_args()
-    rows, counts = [], {}
+    rows = []
+    counts = {}
     for noise in options.noise_mm:
         with ProcessPoolExecutor() as pool:
             some = partial(draw, noise=1e-3 * noise, plant=options.plant)

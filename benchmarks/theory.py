@@ -210,14 +210,16 @@ def work_of_curve(ratio: float, winding: float, waves: int = 2) -> float:
 
 def amplitude() -> Iterator[str]:
     """Yield the table of the best winding angles over the friction ratio, and the fitted exponents."""
-    ratios, best = (10, 30, 100, 300, 1000), dict[str, list[float]]()
+    ratios = (10, 30, 100, 300, 1000)
+    best = dict[str, list[float]]()
     yield (
         "| friction ratio | best α, own solver | model | work per distance, own solver"
         " | model |"
     )
     yield "|---|---|---|---|---|"
     for ratio in ratios:
-        start, least = math.log(1.6 * ratio**-0.24), []
+        start = math.log(1.6 * ratio**-0.24)
+        least = []
         for name, work in (("own solver", work_of_curve), ("model", work_per_distance)):
             found = minimize_scalar(
                 lambda log_winding, work=work, ratio=ratio: work(

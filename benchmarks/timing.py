@@ -151,13 +151,18 @@ def machine() -> dict[str, Any]:
 
 def _cpu_model() -> str:
     table = Path("/proc/cpuinfo")
-    lines = table.read_text("utf-8").splitlines() if table.exists() else []
+    if table.exists():
+        lines = table.read_text("utf-8").splitlines()
+    else:
+        lines = []
     models = [
         line.partition(":")[2].strip()
         for line in lines
         if line.startswith("model name")
     ]
-    return models[0] if models else platform.machine()
+    if models:
+        return models[0]
+    return platform.machine()
 
 
 def _version(package: str) -> str | None:
@@ -169,4 +174,6 @@ def _version(package: str) -> str | None:
 
 def three_figures(value: float) -> str:
     """Return a number with three significant figures, without an exponent."""
-    return f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+    if abs(value) >= 100:
+        return f"{value:.0f}"
+    return f"{value:.3g}"

@@ -42,7 +42,8 @@ Order = tuple[bool, str, str, int]
 
 def posts(x: float, detour: bool, rng: np.random.Generator) -> list[dict[str, float]]:
     """Return a row of posts across the room with random radii and gaps."""
-    wide, row = int(rng.integers(6)) if detour else -1, []
+    wide = int(rng.integers(6)) if detour else -1
+    row = []
     y = -ROOM_Y_M - rng.uniform(0.0, 0.1)
     while y < ROOM_Y_M:
         radius = rng.uniform(*RADII_M)
@@ -122,9 +123,11 @@ def run(order: Order) -> dict[str, Any]:
         seed=seed,
         record_hz=scenario.record_hz,
     )
-    metrics, force = following_metrics(motion), obstacle_force(motion)
+    metrics = following_metrics(motion)
+    force = obstacle_force(motion)
     assert force is not None, "there are obstacles"
-    body, speed = scenario.planner.footprint, scenario.planner.footprint.at(0.0).speed
+    body = scenario.planner.footprint
+    speed = scenario.planner.footprint.at(0.0).speed
     # Every point of the body passes the obstacle once.
     lengths = [
         (t.force, t.end - t.begin + body.ahead + body.behind)
@@ -146,10 +149,13 @@ def run(order: Order) -> dict[str, Any]:
 
 def summary(rows: list[dict[str, Any]]) -> list[str]:
     """Return one row of the table."""
-    ran, reached = [r for r in rows if r["planned"]], [r for r in rows if r["reached"]]
+    ran = [r for r in rows if r["planned"]]
+    reached = [r for r in rows if r["reached"]]
 
     def median(key: str, among: list[dict[str, Any]], digits: int) -> str:
-        return f"{np.median([r[key] for r in among]):.{digits}f}" if among else "–"
+        if among:
+            return f"{np.median([r[key] for r in among]):.{digits}f}"
+        return "–"
 
     return [
         f"{len(ran)} of {len(rows)}",

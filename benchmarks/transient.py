@@ -32,8 +32,11 @@ class Step(Controller):
     kind = "step"
 
     def __init__(self, gait: Controller, offset: float, at: float) -> None:
-        self._gait, self._offset, self._at = gait, offset, at
-        self.frequency, self.layouts = gait.frequency, gait.layouts
+        self._gait = gait
+        self._offset = offset
+        self._at = at
+        self.frequency = gait.frequency
+        self.layouts = gait.layouts
 
     def reset(self, spec, tick, *, seed=0):  # type: ignore[no-untyped-def]
         """See `Controller.reset`."""
@@ -78,7 +81,8 @@ class Turned:
         x, y = self.com[still + 1] - self.com[still - 1]
         old = self.curvature[(self.periods > -4) & (self.periods < -1)].mean()
         place = arc_end(*self.com[still], np.arctan2(y, x), old, -distance[still])
-        c, s = np.cos(place[2]), np.sin(place[2])
+        c = np.cos(place[2])
+        s = np.sin(place[2])
         return ((self.com[at:] - place[:2]) @ np.array([[c, -s], [s, c]]))[
             distance[at:] <= length
         ]
@@ -97,7 +101,8 @@ def turned(
         name, document["controller"]["frequency_hz"]
     )
     scenario = parse_scenario(document)
-    gait, at = scenario.build_controller(), duration / 2
+    gait = scenario.build_controller()
+    at = duration / 2
     assert gait.frequency is not None
     run = rollout(
         scenario.build_plant(plant), Step(gait, after, at), duration, record_hz=RATE
@@ -109,16 +114,13 @@ def turned(
         sums = np.cumsum(values, axis=0)
         return (sums[count:] - sums[:-count]) / count
 
-    heading, com, time = (
-        mean(run["heading"]),
-        mean(run.com),
-        run.time[count:] - period / 2,
-    )
-    turn, distance = (
-        heading[count:] - heading[:-count],
-        np.hypot(*(com[count:] - com[:-count]).T),
-    )
-    curvature, middle = turn / distance, time[count:] - period / 2
+    heading = mean(run["heading"])
+    com = mean(run.com)
+    time = run.time[count:] - period / 2
+    turn = heading[count:] - heading[:-count]
+    distance = np.hypot(*(com[count:] - com[:-count]).T)
+    curvature = turn / distance
+    middle = time[count:] - period / 2
     first = curvature[(middle > 6 * period) & (middle < at - 2 * period)].mean()
     last = curvature[middle > at + 6 * period].mean()
     speed = float(distance.mean() / period)

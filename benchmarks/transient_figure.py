@@ -27,7 +27,8 @@ CASE = ("ilc_curve", -0.3, 0.3, 24.0)
 FOOTPRINT = "gen4_ilc"
 SHOWN_PERIODS = (-1.5, 6.0)
 SHOWN_M = 0.7
-_ASSUMED, _JUMPED = "0.55", "0.15"
+_ASSUMED = "0.55"
+_JUMPED = "0.15"
 
 
 def draw(runs: dict[str, Turned], footprint: Footprint, path: Path) -> None:
@@ -69,10 +70,8 @@ def _assumptions(left: Axes, right: Axes, footprint: Footprint) -> None:
         float(np.interp(o, footprint.offsets, footprint.curvatures))
         for o in (before, after)
     )
-    times, look = (
-        (SHOWN_PERIODS[0], 0.0, SHOWN_PERIODS[1]),
-        {"color": _ASSUMED, "zorder": 0},
-    )
+    times = (SHOWN_PERIODS[0], 0.0, SHOWN_PERIODS[1])
+    look = {"color": _ASSUMED, "zorder": 0}
     left.step(times, (old, new, new), where="post", label="instant change", **look)
     jump = next(
         t for t in footprint.transients if (t.before, t.after) == (before, after)

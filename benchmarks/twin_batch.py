@@ -44,7 +44,8 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
     models = [twin.physics.model for twin in twins]
     engine = Batch(models[0], len(twins), threads)
     engine.set_models(models)
-    scripts, recorders = [], []
+    scripts = []
+    recorders = []
     for k, (scenario, twin) in enumerate(zip(scenarios, twins, strict=True)):
         controller = scenario.build_controller()
         state = twin.reset(pose=scenario.pose, seed=scenario.seed)
@@ -55,7 +56,8 @@ def run_together(scenarios: Sequence[Scenario], threads: int) -> list[Trajectory
         recorders[-1].add(state)
         scripts.append(controller.script(scenario.duration))
         mujoco.mj_getState(models[k], twin.physics.data, engine.state[k], _WHOLE)
-    steps, samples = round(1 / twins[0].timestep), round(first.record_hz)
+    steps = round(1 / twins[0].timestep)
+    samples = round(first.record_hz)
     times = 1.0 / samples * np.arange(1, samples + 1)
     for second in range(round(first.duration)):
         traces = [

@@ -19,7 +19,8 @@ from srs_twin import Gait, Trajectory, load_robot
 from srs_twin.identification.locomotion import GaitRun, PlantModel, fit_locomotion
 from srs_twin.identification.parameters import with_values
 
-SPEC, TWIN = load_robot("gen2"), PlantModel("twin")
+SPEC = load_robot("gen2")
+TWIN = PlantModel("twin")
 GAITS = ((2.0, 0.0), (1.6, 0.2))
 SUPPLY = 48e3
 NOISE = {

@@ -54,7 +54,9 @@ _LARGEST_CHANGE = 0.5  # of the lag per segment, relative to its nominal value
 
 def layouts_of(response: str) -> tuple[str, ...]:
     """Return the valve layouts that a response needs: only separate inlets and outlets can hold."""
-    return ("in_out",) if response == "hold" else Gait.layouts
+    if response == "hold":
+        return ("in_out",)
+    return Gait.layouts
 
 
 def check_robot(spec: RobotSpec) -> None:
@@ -131,12 +133,10 @@ class YieldingGait(Gait):
                 f"amplitude {amplitude!r} is not allowed; it must be"
                 f" {SMALLEST_AMPLITUDE} to 1"
             )
-        self.response, self.gain, self.time, self.threshold = (
-            response,
-            gain,
-            time,
-            threshold,
-        )
+        self.response = response
+        self.gain = gain
+        self.time = time
+        self.threshold = threshold
         self.amplitude = self._nominal_amplitude = amplitude
         self.layouts = layouts_of(response)
 
@@ -149,15 +149,18 @@ class YieldingGait(Gait):
         check_robot(spec)
         super().reset(spec, tick)
         n = spec.segments
-        self._spec, self._place = spec, np.arange(n) - (n - 1) / 2
+        self._spec = spec
+        self._place = np.arange(n) - (n - 1) / 2
         self._full_bend = largest_bend(spec, spec.supply.nominal)
         self._delay = math.atan(2 * math.pi * self.frequency * spec.actuator.tau_fill)
         self._nominal_lag = self.lag = (
             spec.phase_step if self._phase_step is None else self._phase_step
         )
-        self.amplitude, self.blocked = self._nominal_amplitude, np.zeros(n, dtype=bool)
+        self.amplitude = self._nominal_amplitude
+        self.blocked = np.zeros(n, dtype=bool)
         self.rest_level = math.sqrt(1 - self.amplitude**2)
-        self._readings, self._events = SensorReadings(n), list[Event]()
+        self._readings = SensorReadings(n)
+        self._events = list[Event]()
 
     def script(self, duration: float) -> None:  # type: ignore[override]
         """Return None: the valve states depend on the sensors."""
@@ -173,11 +176,9 @@ class YieldingGait(Gait):
         elif self.response == "wave_number":
             self._adapt_lag(time, load)
         valves = self.valves_at(time)
-        return (
-            valves
-            if self.response in RESPONSES[:2]
-            else self._relieve(valves, np.sign(free), load)
-        )
+        if self.response in RESPONSES[:2]:
+            return valves
+        return self._relieve(valves, np.sign(free), load)
 
     def _adapt_amplitude(self, free: np.ndarray, load: np.ndarray) -> None:
         force = 2 / (len(load) * self._full_bend**2) * float(free @ load)
@@ -187,7 +188,9 @@ class YieldingGait(Gait):
         self.rest_level = math.sqrt(1 - self.amplitude**2)
 
     def _adapt_lag(self, time: float, load: np.ndarray) -> None:
-        n, nominal, before = len(load), self._nominal_lag, self.lag
+        n = len(load)
+        nominal = self._nominal_lag
+        before = self.lag
         phase = 2 * math.pi * self.frequency * time - self.phase_lag - self._delay
         force = (
             -24
@@ -215,7 +218,10 @@ class YieldingGait(Gait):
         limit = np.where(self.blocked, self.threshold / 2, self.threshold)
         self.blocked = (-side * load > limit) & (side == first)
         valves = valves.copy()
-        valves[..., self.blocked, :] = 0 if self.response == "hold" else -1
+        if self.response == "hold":
+            valves[..., self.blocked, :] = 0
+        else:
+            valves[..., self.blocked, :] = -1
         return valves
 
     def signals(self) -> dict[str, float]:

@@ -16,7 +16,8 @@ sys.path[:0] = [str(ROOT / "docs/_ext"), str(ROOT)]
 from srs_twin import __version__  # noqa: E402
 from srs_twin.comparison.metrics import VALIDATION  # noqa: E402
 
-project, release = "srs_twin", __version__
+project = "srs_twin"
+release = __version__
 copyright = "the srs_twin authors"  # noqa: A001
 
 extensions = [

@@ -48,7 +48,8 @@ def rewards() -> str:
 def update_tables(page: str) -> str:
     """Return a page with the current tables between its markers."""
     for name, text in (("signals", tables()), ("rewards", rewards())):
-        begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+        begin = f"<!-- {name}: begin -->"
+        end = f"<!-- {name}: end -->"
         before, _, rest = page.partition(begin)
         page = f"{before}{begin}\n{text}\n{end}{rest.partition(end)[2]}"
     return page

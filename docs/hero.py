@@ -94,7 +94,8 @@ def _frames(runs: Runs, geometry: Geometry, times: np.ndarray) -> Iterator[np.nd
         2 * float(np.abs(coms - centre[:, :1])[:, 1].max())
         + 0.75 * geometry.body_length
     )
-    half, height = np.array([-0.5, 0.5]), _WIDTH * floor_height / floor_width
+    half = np.array([-0.5, 0.5])
+    height = _WIDTH * floor_height / floor_width
     # The colour scale covers the whole run, so that it does not depend on the drawn
     # times.
     colors = {
@@ -250,10 +251,8 @@ def hero_figure(scene: bytes, runs: Runs, time: float) -> Figure:
         time: time of the scene, s.
     """
     figure = Figure(figsize=_HERO_SIZE, dpi=_HERO_DPI)
-    scene_axes, image = (
-        figure.add_axes((0.0, 0.0, _SCENE_WIDTH, 1.0)),
-        imread(io.BytesIO(scene)),
-    )
+    scene_axes = figure.add_axes((0.0, 0.0, _SCENE_WIDTH, 1.0))
+    image = imread(io.BytesIO(scene))
     cropped = (
         max(
             0,
@@ -280,7 +279,8 @@ def hero_figure(scene: bytes, runs: Runs, time: float) -> Figure:
         figure.add_axes((0.665, bottom, 0.325, height)) for bottom, height in _PANELS
     )
     first = next(iter(runs.values()))
-    j, period = len(pressure_difference(first)[0]) // 2, gait_period(first) or 1.0
+    j = len(pressure_difference(first)[0]) // 2
+    period = gait_period(first) or 1.0
     for index, (plant, run) in enumerate(runs.items()):
         line = style_of(plant, index).line | {"zorder": style_of(plant, index).zorder}
         bend.plot(run.time, run.stack("bend")[:, j], **line)

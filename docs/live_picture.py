@@ -63,11 +63,14 @@ def true_poses(truth: np.ndarray, spec: RobotSpec) -> np.ndarray:
             (ticks, segments + 4).
         spec: the robot.
     """
-    bends, com, heading = truth[:, 1:-3], truth[:, None, -3:-1], truth[:, -1:]
+    bends = truth[:, 1:-3]
+    com = truth[:, None, -3:-1]
+    heading = truth[:, -1:]
     shape = body_shape(
         bends, spec.mass.array(), spec.geometry.segment_length, spec.geometry.rigid_gap
     )
-    c, s = np.cos(heading), np.sin(heading)
+    c = np.cos(heading)
+    s = np.sin(heading)
     turned = np.stack(
         [c * shape[..., 0] - s * shape[..., 1], s * shape[..., 0] + c * shape[..., 1]],
         axis=-1,
@@ -157,12 +160,11 @@ def draw_frame(
 
 def main() -> None:
     """Simulate the run and write docs/images/live.webp."""
-    frames, prediction = [], None
+    frames = []
+    prediction = None
     recording = recorded(RUN)
-    poses, geometry = (
-        true_poses(recording.truth, recording.spec),
-        recording.spec.geometry,
-    )
+    poses = true_poses(recording.truth, recording.spec)
+    geometry = recording.spec.geometry
     for moment in shadowed(RUN):
         k = round(moment.time * 50)
         if moment.estimate is None or moment.time < START_S:

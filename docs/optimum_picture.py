@@ -33,7 +33,8 @@ GRID_M = 0.1
 
 def simulate_twin(scenario: Scenario) -> Trajectory:
     """Return the trajectory of the twin in a scenario."""
-    plant, controller = scenario.build_plant("twin"), scenario.build_controller()
+    plant = scenario.build_plant("twin")
+    controller = scenario.build_controller()
     return rollout(
         plant,
         controller,
@@ -96,14 +97,16 @@ def main() -> None:
     """Draw docs/images/optimum.webp."""
     folder = Path(sys.argv[1])
     study = json.loads((folder / "study.json").read_text("utf-8"))
-    best, before = study["best"][0]["metrics"], study["begun"]
+    best = study["best"][0]["metrics"]
+    before = study["begun"]
     runs = []
     designs = (
         ("original", load_scenario("gen2_straight"), before),
         ("best", load_scenario(folder / "best/1.yaml"), best),
     )
     for name, scenario, metrics in designs:
-        speed, power = metrics["com_speed_m_s"], metrics["pneumatic_power_w"]
+        speed = metrics["com_speed_m_s"]
+        power = metrics["pneumatic_power_w"]
         text = f"{name}: {speed:.2f} m/s with {power:.0f} W pneumatic power"
         runs.append((text, scenario, simulate_twin(scenario)))
     start = round(START_S / FRAME_S)

@@ -31,7 +31,9 @@ BODY_EVERY_S = 2.0
 
 def draw_tracks(axes: Axes, run: Trajectory) -> None:
     """Draw the connectors that press on the floor over time, and the body at intervals, from above."""
-    x, y, load = run.stack("x"), run.stack("y"), run.stack("load")
+    x = run.stack("x")
+    y = run.stack("y")
+    load = run.stack("load")
     touches = load > 0.0
     time = np.broadcast_to(run.time[:, None], load.shape)
     marks = axes.scatter(

@@ -142,7 +142,9 @@ def pulls(seed: int) -> str:
 def release(robot: RobotSpec, seed: int) -> str:
     """Return a log of the first segment, which hangs with a body at its end, is held bent and is released."""
     draw = np.random.default_rng(seed)
-    g, chamber, bending = robot.geometry, robot.chamber, robot.bending
+    g = robot.geometry
+    chamber = robot.chamber
+    bending = robot.bending
     inertia = float(robot.yaw_inertia()[0]) * _HUNG_MASS_KG / robot.mass.connectors[0]
     hung = Swing(
         g.segment_length,
@@ -226,7 +228,9 @@ def levels(robot: RobotSpec, levels: tuple[int, ...], seed: int) -> str:
 
 def steps(robot: RobotSpec, fills: tuple[float, ...]) -> Schedule:
     """Return a valve schedule that fills each side of the last segment in turn; fills: fill times, s."""
-    states, starts, time = [_vented(robot)], [0.0], _REST_S
+    states = [_vented(robot)]
+    starts = [0.0]
+    time = _REST_S
     for fill in fills:
         for side in (0, 1):
             for state, duration in ((1, fill), (-1, 0.6)):

@@ -178,8 +178,11 @@ class PlantVariants:
         self.refinements = self._refinements()
 
     def _all_switches(self) -> list[Switch]:
-        model, twin, spec = self._model, self._twin, self._scenario.robot
-        law, damping_time = self._twin.law, spec.bending.damping_time
+        model = self._model
+        twin = self._twin
+        spec = self._scenario.robot
+        law = self._twin.law
+        damping_time = spec.bending.damping_time
         one_point = spec.skin is None and model.friction not in TWO_POINT_LAWS
         prescribed = model.model != "compliant"
         half_track = spec.geometry.half_track
@@ -270,7 +273,8 @@ class PlantVariants:
         ]
 
     def _refinements(self) -> list[Refinement]:
-        step, hinges = self._twin.timestep_s, self._twin.hinges_per_segment
+        step = self._twin.timestep_s
+        hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
         finer_model = {
@@ -535,10 +539,8 @@ def main_cause(
     if scenario.robot.is_spatial:
         return None
     end = contact_free_s(trajectories.values())
-    variants, model = (
-        PlantVariants(scenario),
-        plant_metrics(trajectories["analytical"].between(0.0, end)),
-    )
+    variants = PlantVariants(scenario)
+    model = plant_metrics(trajectories["analytical"].between(0.0, end))
     differs = "compliance" in [switch.name for switch in variants.switches]
     if not differs or scenario.planner is not None or model["com_speed_m_s"] is None:
         return None
@@ -671,7 +673,8 @@ def _reporter(
         costs: estimated computing times of the runs.
         is_measured: whether the computing times are in seconds.
     """
-    start, total = time.monotonic(), sum(costs)
+    start = time.monotonic()
+    total = sum(costs)
     progress(0.0, total / min(processor_count(), len(costs)) if is_measured else None)
 
     def report(done: int) -> None:
@@ -688,7 +691,8 @@ def _shares(
     gap: np.ndarray,
 ) -> list[AssumptionShare]:
     """Return the contributions of switches and refinements to the difference."""
-    twin, names = runs[_variant_name({})], [switch.name for switch in variants.switches]
+    twin = runs[_variant_name({})]
+    names = [switch.name for switch in variants.switches]
     differences = {
         subset: gap_between(runs[_variant_name(first | subset)], twin)
         for subset in subsets(names)
@@ -712,17 +716,16 @@ def _refinement_shares(
     all_on: frozenset[str],
 ) -> list[AssumptionShare]:
     """Return the contributions of the refinements to the model with all switches on or to the twin."""
-    model, twin = runs[_variant_name(all_on)], runs[_variant_name({})]
+    model = runs[_variant_name(all_on)]
+    twin = runs[_variant_name({})]
     shares = []
     for refinement in refinements:
         if refinement.plant == "twin":
             before = gap_between(model, runs[_variant_name(refinement.base)])
             after = gap_between(model, runs[refinement.name])
         else:
-            before, after = (
-                gap_between(model, twin),
-                gap_between(runs[refinement.name], twin),
-            )
+            before = gap_between(model, twin)
+            after = gap_between(runs[refinement.name], twin)
         value = refinement.factor * (after - before)
         shares.append(
             _make_share(refinement, "refined", Contribution(value, value, value))

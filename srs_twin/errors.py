@@ -100,11 +100,10 @@ class UnknownNameError(InputError):
         suggestion = did_you_mean(name, names)
         # Do not list many names, because they would hide the suggestion.
         hide_list = suggestion and len(names) > longest
-        rest = (
-            ""
-            if hide_list
-            else f" (available: {format_names(names, listing, longest)})"
-        )
+        if hide_list:
+            rest = ""
+        else:
+            rest = f" (available: {format_names(names, listing, longest)})"
         super().__init__(f"unknown {kind} '{name}'{suggestion}{rest}")
 
 
@@ -230,7 +229,10 @@ class WorkerDiedError(SrsError):
 def describe_error(error: BaseException) -> str:
     """Return type and message of an error with its place, preferably in a part from outside the package."""
     frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
-    where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})" if frames else ""
+    if frames:
+        where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
+    else:
+        where = ""
     if isinstance(error, SyntaxError):
         where = ""  # the message has it
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
@@ -332,11 +334,9 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     *first, final = sorted(close, key=lambda name: -similarity[name])[
         :_MAX_SUGGESTIONS
     ] or [""]
-    return (
-        f"; did you mean {', '.join(first)}{' or ' if first else ''}{final}?"
-        if final
-        else ""
-    )
+    if final:
+        return f"; did you mean {', '.join(first)}{' or ' if first else ''}{final}?"
+    return ""
 
 
 def _split_name(name: str) -> tuple[str, str]:
@@ -355,7 +355,8 @@ def _similarity(text: str, name: str) -> float:
         return whole
     if name.startswith(text):
         return max(whole, 0.85 + 0.1 * len(text) / len(name))
-    text, words = _WORD_SEPARATOR.sub("_", text), _WORD_SEPARATOR.split(name)
+    text = _WORD_SEPARATOR.sub("_", text)
+    words = _WORD_SEPARATOR.split(name)
     # The first words of the name (it may end in a unit), or any words of it.
     prefix = 0.95 * max(
         (_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0
@@ -388,7 +389,8 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
             )
     ratio = period_s / step_s
     if not math.isfinite(ratio):
-        period, step = format_exact(period_s), format_exact(step_s)
+        period = format_exact(period_s)
+        step = format_exact(step_s)
         raise InputError(f"{name} {period} s is too long for {step_name} {step} s")
     if not _is_whole(ratio):
         raise TimeStepError(name, period_s, step_name, step_s)
@@ -439,7 +441,8 @@ class SamplingGrid(NamedTuple):
 
     def rates_near(self, rate: float) -> Iterator[float]:
         """Yield rates (Hz) close to a given one that fit this plant."""
-        ticks_per_sample, samples_per_tick = 1 / (self.tick * rate), self.tick * rate
+        ticks_per_sample = 1 / (self.tick * rate)
+        samples_per_tick = self.tick * rate
         yield from (1 / (k * self.tick) for k in _integers_near(ticks_per_sample))
         if self.step is None:
             yield from (n / self.tick for n in _integers_near(samples_per_tick))
@@ -487,4 +490,6 @@ def nearest_rate(
     fitting = sorted(
         filter(fits, candidates), key=lambda candidate: abs(math.log(candidate / rate))
     )
-    return shortest_decimal(fitting[0], fits) if fitting else None
+    if fitting:
+        return shortest_decimal(fitting[0], fits)
+    return None

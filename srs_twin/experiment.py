@@ -124,7 +124,8 @@ class PreparedRun:
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
         """Build plants and controllers; arguments as in `prepare`."""
-        kinds, scenario = tuple(plants or scenario.plants), scenario.run_on(plants)
+        kinds = tuple(plants or scenario.plants)
+        scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
             pairs = {
                 kind: (scenario.build_plant(kind), scenario.build_controller())
@@ -186,12 +187,16 @@ class PreparedRun:
                 diverged.append(error)
                 trajectories[kind] = error.trajectory
             walls[kind] = time.perf_counter() - start
-        attribution, failed_attributions = None, []
+        attribution = None
+        failed_attributions = []
         # Too early a contact leaves no difference to explain, and the headline says so.
         before = _before_contact(trajectories) or {"plants": {}}
         starts = [plant["com_speed_m_s"] for plant in before["plants"].values()]
         if explain is not None and not diverged and None not in starts:
-            explaining = partial(progress, "attribution") if progress else None
+            if progress:
+                explaining = partial(progress, "attribution")
+            else:
+                explaining = None
             try:
                 attribution = explain(
                     scenario, trajectories, progress=explaining, wall_s=walls
@@ -239,7 +244,8 @@ class PreparedRun:
             attribution: attribution of the difference, if computed.
             cause: main cause of the difference, see `execute`.
         """
-        scenario, measured = self.scenario, self.scenario.measured
+        scenario = self.scenario
+        measured = self.scenario.measured
         comparison = None
         if all(plant in trajectories for plant in PLANTS):
             factor = scenario.file.comparison.gap_factor
@@ -270,7 +276,8 @@ class PreparedRun:
             metrics["body_overlap_m"] = {
                 k: overlap for k, overlap in overlaps.items() if overlap
             }
-        drawn, differences = dict(trajectories), {}
+        drawn = dict(trajectories)
+        differences = {}
         if measured is not None:
             drawn[MEASURED] = measured
             differences = {
@@ -341,7 +348,8 @@ class PreparedRun:
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 
-        title, report = self.scenario.title, fresh / REPORT
+        title = self.scenario.title
+        report = fresh / REPORT
         write_report(
             report,
             content,
@@ -374,10 +382,12 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
         intervals of the metrics of each plant; "segments": ranges of the twin's speed
         over stiffness and damping of its segments, or None.
     """
-    reference = (
-        scenario.name if scenario.name in shipped_names("scenario") else scenario.source
-    )
-    name, renew = f"{scenario.name}.json", f"`srs-twin uncertainty {reference} --write`"
+    if scenario.name in shipped_names("scenario"):
+        reference = scenario.name
+    else:
+        reference = scenario.source
+    name = f"{scenario.name}.json"
+    renew = f"`srs-twin uncertainty {reference} --write`"
     path = next(
         (p for p in (INTERVALS / name, data_root() / INTERVALS / name) if p.is_file()),
         None,
@@ -386,7 +396,8 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
         return {"stale": f"no interval is stored; {renew} makes one"}
     try:
         data = json.loads(path.read_text("utf-8"))
-        digest, plants = data["digest"], data["plants"]
+        digest = data["digest"]
+        plants = data["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         return {
             "stale": (
@@ -394,7 +405,8 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
                 " again"
             )
         }
-    own, contact = data.get("contact") or UNSTATED_CONTACT, twin_contact(scenario)
+    own = data.get("contact") or UNSTATED_CONTACT
+    contact = twin_contact(scenario)
     if "twin" in plants and contact is not None and own != contact:
         return {
             "stale": (
@@ -432,7 +444,8 @@ def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
 
     They are None if too few whole gait periods precede it.
     """
-    end, names = contact_free_s(runs.values()), ("com_speed_m_s", "yaw_rate_rad_s")
+    end = contact_free_s(runs.values())
+    names = ("com_speed_m_s", "yaw_rate_rad_s")
     if math.isinf(end):
         return None
     metrics = {kind: plant_metrics(run.between(0.0, end)) for kind, run in runs.items()}
@@ -533,7 +546,8 @@ def compare(
         raise InputError("a scenario is run on both plants; remove the second argument")
     scenario = load_scenario(reference, set=set or {})
     run = PreparedRun.build(scenario, Path(), PLANTS)
-    trajectories, walls = {}, {}
+    trajectories = {}
+    walls = {}
     for kind, (plant, controller) in run.pairs.items():
         start = time.perf_counter()
         trajectories[kind] = rollout(plant, controller, **scenario.timing)

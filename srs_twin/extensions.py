@@ -217,11 +217,12 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
     )
     problem = ""
     if not is_file:
-        problem = (
-            ""
-            if module
-            else "no such module; give a file that ends in .py, or an installed module"
-        )
+        if module:
+            problem = ""
+        else:
+            problem = (
+                "no such module; give a file that ends in .py, or an installed module"
+            )
     elif not os.path.isfile(entry):
         problem = "no such file"
     elif not name.isidentifier() or os.pathsep in entry:
@@ -250,7 +251,9 @@ class _PluginFinder:
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> Any:
         file = plugins().get(name, "")
-        return spec_from_file_location(name, file) if file.endswith(".py") else None
+        if file.endswith(".py"):
+            return spec_from_file_location(name, file)
+        return None
 
 
 sys.meta_path.append(_PluginFinder)

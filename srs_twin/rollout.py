@@ -151,12 +151,12 @@ def rollout(
             soft = PENETRATION_M * plant.spec.scale.length
             check_start(plant, state, TOUCHING_M if begin is None else soft)
         recorder.add(state)
-        observers, start = tuple(observers), float(state.time)
-        script = (
-            None
-            if until is not None or observers
-            else controller.script(start + ticks * plant.tick)
-        )
+        observers = tuple(observers)
+        start = float(state.time)
+        if until is not None or observers:
+            script = None
+        else:
+            script = controller.script(start + ticks * plant.tick)
         if script is not None and start:
             script = script.slice(start, start + ticks * plant.tick)
         try:
@@ -181,11 +181,9 @@ def _play_script(
     A chunk is a whole number of recorded ticks. Ticks after the last sample are
     simulated without recording.
     """
-    plant, stride, controller = (
-        recorder.plant,
-        recorder.stride,
-        _describe_controller(recorder.controller),
-    )
+    plant = recorder.plant
+    stride = recorder.stride
+    controller = _describe_controller(recorder.controller)
     chunk = max(1, round(plant.max_chunk_s / plant.tick / stride)) * stride
     recorded = ticks - ticks % stride
     done = 0
@@ -216,7 +214,8 @@ def _step_ticks(
     progress: Callable[[float], None] | None,
 ) -> None:
     """Alternate controller and plant, one tick at a time, until the run ends."""
-    plant, controller = recorder.plant, recorder.controller
+    plant = recorder.plant
+    controller = recorder.controller
     for observe in observers:
         observe(state)
     for k in range(1, ticks + 1):
@@ -293,7 +292,8 @@ class Recorder:
     def __init__(
         self, plant: Plant, controller: Controller, record_hz: float, duration: float
     ) -> None:
-        self.plant, self.controller = plant, controller
+        self.plant = plant
+        self.controller = controller
         self.samples, self.stride = sample_counts(
             plant.tick, record_hz, plant.sample_step
         )
@@ -363,7 +363,8 @@ class Recorder:
         )
 
     def _metadata(self) -> dict[str, object]:
-        plant, geometry = self.plant, self.plant.spec.geometry
+        plant = self.plant
+        geometry = self.plant.spec.geometry
         return {
             **plant.describe(),
             **self._settings,
@@ -486,11 +487,10 @@ def run_many(
 
         job = jobs[k]
         try:
-            controller = (
-                job.controller
-                if isinstance(job.controller, Controller)
-                else job.controller()
-            )
+            if isinstance(job.controller, Controller):
+                controller = job.controller
+            else:
+                controller = job.controller()
             parts = {"plant": _build_plant(job, thread_data), "controller": controller}
             return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
@@ -540,7 +540,8 @@ def run_batch(
         recorders = _record_start(
             batch, controllers, duration, record_hz, poses=poses, seed=seed
         )
-        samples, stride = recorders[0].samples, recorders[0].stride
+        samples = recorders[0].samples
+        stride = recorders[0].stride
         for tick in range(1, ticks + 1):
             histories = batch.advance(policy(batch.state), samples)
             for recorder, history, error in zip(
@@ -640,7 +641,8 @@ def run_scripts(
         recorders = _record_start(
             batch, controllers, duration, record_hz, poses=poses, seed=seed
         )
-        samples, stride = recorders[0].samples, recorders[0].stride
+        samples = recorders[0].samples
+        stride = recorders[0].stride
         recorded = ticks - ticks % stride
         chunk = max(1, round(batch.twins[0].max_chunk_s / batch.tick / stride)) * stride
         for done in range(0, recorded, chunk):
@@ -679,7 +681,8 @@ def _build_plant(job: Job, thread_data: threading.local) -> Plant:
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:
-        thread_data.plant, thread_data.builder = job.plant(), job.plant
+        thread_data.plant = job.plant()
+        thread_data.builder = job.plant
     plant: Plant = thread_data.plant
     return plant
 

@@ -88,10 +88,8 @@ def srs_twin() -> Command:
 @contextmanager
 def as_in_a_process() -> Iterator[None]:
     """Use Python's default warning filters; afterwards restore environment, signals and warnings."""
-    environ, handlers = (
-        dict(os.environ),
-        {number: signal.getsignal(number) for number in ENDINGS},
-    )
+    environ = dict(os.environ)
+    handlers = {number: signal.getsignal(number) for number in ENDINGS}
     with warnings.catch_warnings():
         warnings.simplefilter("default")
         for category in (

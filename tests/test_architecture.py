@@ -264,7 +264,8 @@ def test_the_picture_of_the_rooms_is_what_the_imports_draw(root, tmp_path):
         f" pathlib.Path({str(tmp_path / 'rooms.svg')!r}))"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-    drawn, kept = tmp_path / "rooms.svg", root / "docs" / "images" / "rooms.svg"
+    drawn = tmp_path / "rooms.svg"
+    kept = root / "docs" / "images" / "rooms.svg"
     assert drawn.read_text() == kept.read_text(), (
         "`uv run python docs/rooms.py` draws it anew"
     )

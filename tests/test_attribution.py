@@ -81,10 +81,8 @@ def test_shapley_values_of_null_and_symmetric_players():
 
 
 def test_plot_has_bars_sorted_by_size_that_add_up():
-    small, large = (
-        np.array([0.001, 0.1, 0.0, 0.0]),
-        np.array([-0.004, 0.7, 0.05, 0.002]),
-    )
+    small = np.array([0.001, 0.1, 0.0, 0.0])
+    large = np.array([-0.004, 0.7, 0.05, 0.002])
     shares = [
         AssumptionShare(
             name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged"
@@ -276,7 +274,8 @@ def test_shares_equal_the_changes_of_switches_and_refinements():
         )
 
     model = ran("analytical", inertia="connector")
-    twin, gap = runs["twin"], gap_between(model, runs["twin"])
+    twin = runs["twin"]
+    gap = gap_between(model, runs["twin"])
     coarse = s.build_plant("twin").timestep
     finer = ran(
         "analytical", inertia="connector", timestep=0.002 / 4, slip_speed=0.00025 / 4
@@ -422,7 +421,8 @@ def test_diverged_variant_is_named_and_keeps_the_run(tmp_path, monkeypatch):
 
 
 def test_only_long_runs_under_feedback_are_attributed_over_a_window():
-    gait, learning = load_scenario("gen1_straight"), load_scenario("ilc_straight")
+    gait = load_scenario("gen1_straight")
+    learning = load_scenario("ilc_straight")
     assert _window(gait, gait.build_controller(), 1e3) is None
     controller = learning.build_controller()
     assert (
@@ -509,7 +509,8 @@ def blocked(x):
 def test_main_cause_refers_to_the_time_before_the_contact():
     s = blocked(0.45)
     runs = both(s)
-    end, first = contact_free_s(runs.values()), touches(runs["twin"])[0].begin
+    end = contact_free_s(runs.values())
+    first = touches(runs["twin"])[0].begin
     assert end == pytest.approx(first - 0.01) and 1.5 <= end < s.duration
     cause = main_cause(s, runs)
     compliant = rollout(
@@ -575,7 +576,8 @@ def test_early_contact_leaves_nothing_to_explain(tmp_path, srs_twin):
     assert "attribution" not in metrics and metrics["ignores_obstacles"] == [
         "analytical"
     ]
-    twin, model = metrics["plants"]["twin"], metrics["plants"]["analytical"]
+    twin = metrics["plants"]["twin"]
+    model = metrics["plants"]["analytical"]
     kinds = {
         plant: [event["kind"] for event in events]
         for plant, events in metrics["events"].items()

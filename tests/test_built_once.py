@@ -79,7 +79,8 @@ def test_a_command_builds_each_plant_and_each_controller_once(
 
 def way_from_compare() -> list[str]:
     """Return the package's files that are on the stack, one a frame, down to the function of the command."""
-    frame, files = sys._getframe(1), []
+    frame = sys._getframe(1)
+    files = []
     while frame is not None:
         file = Path(frame.f_code.co_filename)
         if file.is_relative_to(PACKAGE):

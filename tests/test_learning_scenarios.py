@@ -119,10 +119,8 @@ def test_a_target_out_of_reach_is_warned_of():
 
 def test_the_shipped_pairs_differ_in_nothing_but_the_learning():
     for name in ("straight", "curve"):
-        learning, without = (
-            load_scenario(f"ilc_{name}"),
-            load_scenario(f"ilc_{name}_without"),
-        )
+        learning = load_scenario(f"ilc_{name}")
+        without = load_scenario(f"ilc_{name}_without")
         assert learning.robot == without.robot and learning.duration == without.duration
         assert learning.controller.offset == without.controller.offset
         assert learning.controller.frequency_hz == without.controller.frequency_hz
@@ -156,7 +154,8 @@ def stopped(tmp_path_factory) -> Any:
 
 @pytest.mark.slow
 def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
-    ended, whole = stopped.trajectories["analytical"], stopped.trajectories["twin"]
+    ended = stopped.trajectories["analytical"]
+    whole = stopped.trajectories["twin"]
     assert ended.time[-1] < 4.0 and whole.time[-1] == pytest.approx(8.0)
     assert ended.metadata["control"]["faults"] == [
         "segment 1: sensor dead, all readings of a period are lost"

@@ -94,7 +94,8 @@ def test_the_formulas_of_tables_2_5_and_6():
 
 
 def test_generation_1_is_that_of_table_2():
-    table, robot = load_table("table2"), load_robot("gen1")
+    table = load_table("table2")
+    robot = load_robot("gen1")
     assert robot.geometry.connectors == table["connectors"]
     assert (robot.friction.mu_t, robot.friction.mu_n) == (table["mu_t"], table["mu_n"])
     segments = table["connectors"] - 1
@@ -110,7 +111,8 @@ def test_generation_1_is_that_of_table_2():
 
 @pytest.mark.parametrize(("name", "table"), [("gen2", "table5"), ("gen3", "table6")])
 def test_generations_2_and_3_are_those_of_tables_5_and_6(name, table):
-    table, robot = load_table(table), load_robot(name)
+    table = load_table(table)
+    robot = load_robot(name)
     masses = [table["connector_mass_kg"]] * int(table["connectors"])
     if "tail_mass_kg" in table.values:
         masses[-1] = table["tail_mass_kg"]
@@ -164,7 +166,8 @@ def test_table_8_is_that_of_the_sweep():
 
 
 def test_table_9_follows_from_table_8_and_is_that_of_the_footprint():
-    table, weaker = load_table("table9"), by_offset()[0.3]
+    table = load_table("table9")
+    weaker = by_offset()[0.3]
     assert math.degrees(weaker.speed_m_s / weaker.radius_m) == pytest.approx(
         table["turn_rate_deg_per_s"], rel=0.02
     )

@@ -243,7 +243,8 @@ def test_inspect_gives_the_facts_of_the_command(command):
 
 
 def test_a_friction_fit_is_that_of_the_command(command, place, capsys):
-    pulls, check = EXAMPLES / "pulls.csv", EXAMPLES / "pulls_check.csv"
+    pulls = EXAMPLES / "pulls.csv"
+    check = EXAMPLES / "pulls_check.csv"
     found = srs.calibrate_friction([pulls], "gen2", validate=[check])
     assert files(place) == {"small.yaml"} and capsys.readouterr() == ("", "")
     command(

@@ -36,7 +36,9 @@ class Clock(Plant):
     name = "clock"
 
     def __init__(self, tick: float = 0.02, *, breaks_at: float = np.inf) -> None:
-        self.spec, self.tick, self._breaks_at = SPEC, tick, breaks_at
+        self.spec = SPEC
+        self.tick = tick
+        self._breaks_at = breaks_at
         self.commands: list[np.ndarray] = []
         self.resets: list[tuple[Any, int]] = []
 
@@ -59,7 +61,8 @@ class Clock(Plant):
         return np.full((4, 2), self._ticks)
 
     def _state(self, time: float) -> SnakeState:
-        connectors, segments = np.zeros(5), np.zeros(4)
+        connectors = np.zeros(5)
+        segments = np.zeros(4)
         return SnakeState(
             time=time,
             com=np.array([self._ticks, -time]),
@@ -229,7 +232,8 @@ def test_analytical_steps_end_on_samples(timestep):
     ("frequency", "offset"), [(2.0, 0.0), (1.7, -0.3), (0.9, 0.94), (49.0, 0.1)]
 )
 def test_script_equals_stepping_every_tick(record_hz, frequency, offset):
-    plant, gait = AnalyticalSnake(SPEC), Gait(frequency, offset)
+    plant = AnalyticalSnake(SPEC)
+    gait = Gait(frequency, offset)
     scripted_run = rollout(plant, gait, 0.62, record_hz=record_hz)
     stepped_run = rollout(
         plant, gait, 0.62, record_hz=record_hz, observers=[lambda state: None]
@@ -254,7 +258,8 @@ def test_long_script_is_simulated_in_chunks_with_progress():
 
 def test_resumed_run_continues_its_script():
     """The resumed run equals the rest of an uninterrupted run."""
-    plant, gait = AnalyticalSnake(SPEC), Gait(1.7, -0.3)
+    plant = AnalyticalSnake(SPEC)
+    gait = Gait(1.7, -0.3)
     whole = rollout(plant, gait, 0.6, record_hz=50)
     rollout(plant, gait, 0.24, record_hz=50)
     kept = plant.save(), gait.save()
@@ -274,7 +279,8 @@ def test_resumed_run_continues_its_script():
 
 
 def test_pose_and_seed_are_passed_to_plant_and_controller():
-    plant, controller = Clock(), Scripted()
+    plant = Clock()
+    controller = Scripted()
     rollout(plant, controller, 0.1, pose=(1.0, 2.0, 3.0), seed=7)
     assert plant.resets == [((1.0, 2.0, 3.0), 7)]
     assert controller.prepared == ("gen2", 0.02, 7)

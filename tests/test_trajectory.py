@@ -89,7 +89,8 @@ def test_rewritten_trajectory_has_the_same_bytes(original):
 
 def test_bytes_do_not_depend_on_the_order_of_metadata():
     columns = {"time": np.arange(3.0)}
-    one, other = {"plant": "twin", "robot": "gen2"}, {"robot": "gen2", "plant": "twin"}
+    one = {"plant": "twin", "robot": "gen2"}
+    other = {"robot": "gen2", "plant": "twin"}
     assert written(Trajectory(columns, metadata=one)) == written(
         Trajectory(columns, metadata=other)
     )

@@ -83,10 +83,8 @@ def recorded(kind, plant):
     data = {"robot": "gen2", "duration_s": 0.1, "controller": CONTROLLERS[kind]}
     data["plants"] = {plant: {"tick_s": 0.01}}
     if kind == "follow":
-        goal, circle = (
-            {"x_m": 0.6, "y_m": 0.1},
-            {"x_m": 0.3, "y_m": 0.8, "radius_m": 0.05},
-        )
+        goal = {"x_m": 0.6, "y_m": 0.1}
+        circle = {"x_m": 0.3, "y_m": 0.8, "radius_m": 0.05}
         data["world"] = {"goal": goal, "obstacles": [circle]}
         data["planner"] = {"kind": "best_first", "footprint": "gen2_section52"}
     scenario = parse_scenario(data, name="short")

@@ -98,7 +98,8 @@ class KeyTables:
         self, name: str, key_path: str, schema: Schema, inner: list[tuple[str, Schema]]
     ) -> str:
         """Return the allowed values of a key; append blocks without a section to `inner`."""
-        links, plain = [], []
+        links = []
+        plain = []
         for option, form in self._options(schema):
             definition = option.get("$ref", "").rpartition("/")[2]
             block = self.root["$defs"][definition] if definition else option

@@ -28,7 +28,8 @@ class Valve:
         Args:
             number: pin.
         """
-        self._pin, self._pwm = Pin(number, Pin.OUT, value=0), None
+        self._pin = Pin(number, Pin.OUT, value=0)
+        self._pwm = None
 
     def fill(self, share):
         """Fill for a share (0 to 1) of the carrier's period; 0 vents and 1 fills, both at once."""
@@ -65,8 +66,10 @@ def vent():
 
 NAME = "snake"  # in the topics: srs/NAME/...
 BROKER, PORT = "192.168.1.10", 1883  # an IPv4 address, no name
-USER, PASSWORD = "", ""
-WIFI_NAME, WIFI_PASSWORD = "", ""
+USER = ""
+PASSWORD = ""
+WIFI_NAME = ""
+WIFI_PASSWORD = ""
 
 WATCHDOG_MS = (
     1000  # After a hang the chambers vent within this time. ESP32: not below 1000.
@@ -108,7 +111,8 @@ class Network:
         """Switch it on; this may take a second."""
         import network
 
-        self._wlan, self._tried = network.WLAN(network.STA_IF), None
+        self._wlan = network.WLAN(network.STA_IF)
+        self._tried = None
         self._wlan.active(True)
 
     def keep(self, now):

@@ -115,7 +115,8 @@ class SenderClock:
 
     def forget(self):
         """Drop what was measured."""
-        self.offset, self.settled = None, False
+        self.offset = None
+        self.settled = False
         self._least = {}  # least difference of each second
         self._first = (
             None  # (time, difference) of the message since which the offset is steady
@@ -124,9 +125,11 @@ class SenderClock:
 
     def age(self, sent, now):
         """Take a message's times (ms) and return the message's age, ms."""
-        apart, second = now - sent, now // 1000
+        apart = now - sent
+        second = now // 1000
         if self._first is None or apart < self._first[1] - SETTLED_WITHIN_MS:
-            self._first, self._steady = (now, apart), 0
+            self._first = (now, apart)
+            self._steady = 0
         self._steady += 1
         if now - self._first[0] >= SETTLE_MS and self._steady >= SETTLE_MESSAGES:
             self.settled = True
@@ -152,7 +155,8 @@ class Commands:
             segments: number of segments of the robot.
         """
         self.refused = self.stale = 0
-        self._segments, self._clock = segments, SenderClock()
+        self._segments = segments
+        self._clock = SenderClock()
         self._newest = None  # ms, the controller's clock
         self._in_time = self._expires = 0  # ms, ours
         self._vented = [0] * segments
@@ -187,7 +191,9 @@ class Commands:
             return True
         self._in_time = now
         if self._clock.settled:
-            self._plus, self._minus, self._expires = plus, minus, now + HOLD_MS - age
+            self._plus = plus
+            self._minus = minus
+            self._expires = now + HOLD_MS - age
         return True
 
     def valves(self, now):

@@ -52,7 +52,8 @@ class Firmware:
 
     def __init__(self):
         """Connect to nothing yet; the first tick does."""
-        self._uptime, self._commands = Uptime(), Commands(board.SEGMENTS)
+        self._uptime = Uptime()
+        self._commands = Commands(board.SEGMENTS)
         self._client = MqttClient(
             (board.BROKER, board.PORT),
             ("srs-" + board.NAME).encode(),

@@ -22,14 +22,12 @@ _RETRY_MS = 1000
 _READS = 16  # per call of `poll`
 _CHUNK = bytearray(1024)
 _LARGEST_WAITING = 4096  # bytes to send; messages beyond are dropped
-_CONNECT, _CONNACK, _PUBLISH, _SUBSCRIBE, _PING, _DISCONNECT = (
-    0x10,
-    0x20,
-    0x30,
-    0x82,
-    0xC0,
-    0xE0,
-)
+_CONNECT = 0x10
+_CONNACK = 0x20
+_PUBLISH = 0x30
+_SUBSCRIBE = 0x82
+_PING = 0xC0
+_DISCONNECT = 0xE0
 _CLOSED, _CONNECTING, _GREETED, _READY = range(4)
 _IPPROTO_TCP, _TCP_NODELAY = (
     6,
@@ -42,7 +40,8 @@ def _text(content):
 
 
 def _packet(kind, body):
-    head, rest = bytearray([kind]), len(body)
+    head = bytearray([kind])
+    rest = len(body)
     while rest > 127:
         head.append(rest & 127 | 128)
         rest >>= 7
@@ -86,11 +85,15 @@ class MqttClient:
             + (_text(user) + _text(password) if user else b""),
         )
         self._subscribing = _packet(_SUBSCRIBE, b"\0\1" + _text(subscription) + b"\0")
-        self._socket, self._retry = None, 0
+        self._socket = None
+        self._retry = 0
         self._reset(0)
 
     def _reset(self, now):
-        self._state, self._in, self._out, self._skip = _CLOSED, b"", b"", 0
+        self._state = _CLOSED
+        self._in = b""
+        self._out = b""
+        self._skip = 0
         self._heard = self._pinged = now
 
     def poll(self, now):
@@ -168,7 +171,8 @@ class MqttClient:
             if event[1] & (select.POLLERR | select.POLLHUP):
                 raise OSError(errno.ECONNREFUSED)
             if event[1] & select.POLLOUT:
-                self._state, self._out = _GREETED, self._greeting
+                self._state = _GREETED
+                self._out = self._greeting
                 return True
         return False
 
@@ -217,7 +221,8 @@ class MqttClient:
                 if len(self._in) >= 5:
                     raise OSError(errno.EINVAL)
                 return
-            start, end = at + 1, at + 1 + length
+            start = at + 1
+            end = at + 1 + length
             if length > LARGEST_BYTES:
                 self._skip = max(0, end - len(self._in))
                 self._in = self._in[end:]

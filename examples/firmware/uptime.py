@@ -19,8 +19,10 @@ class Uptime:
             ticks: function that returns the ticks, ms.
             difference: function that subtracts two values of `ticks`.
         """
-        self._ticks, self._difference = ticks, difference
-        self._last, self._total = ticks(), 0
+        self._ticks = ticks
+        self._difference = difference
+        self._last = ticks()
+        self._total = 0
 
     def ms(self):
         """Return the time since start, ms."""

@@ -51,10 +51,8 @@ def main(argv: list[str] | None = None) -> None:
     Args:
         argv: arguments after the program name; default: those of this process.
     """
-    sys.stdout, sys.stderr = (
-        _without_broken_pipes(sys.stdout),
-        _without_broken_pipes(sys.stderr),
-    )
+    sys.stdout = _without_broken_pipes(sys.stdout)
+    sys.stderr = _without_broken_pipes(sys.stderr)
     gc.set_threshold(_GC_THRESHOLD)
     # Without objects to collect, the interpreter ends 0.7 s earlier; the system frees
     # their memory anyway.
@@ -165,11 +163,9 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
 
 def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
     """Format a warning; warnings about the machine omit the location in the code."""
-    return (
-        as_started(f"warning: {message}\n")
-        if category in (CacheWarning, EngineWarning, SessionWarning, UnitWarning)
-        else _PYTHON_FORMATWARNING(message, category, *location)
-    )
+    if category in (CacheWarning, EngineWarning, SessionWarning, UnitWarning):
+        return as_started(f"warning: {message}\n")
+    return _PYTHON_FORMATWARNING(message, category, *location)
 
 
 def _is_interrupt(error: BaseException | None) -> bool:

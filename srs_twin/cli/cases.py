@@ -36,7 +36,9 @@ class CaseResult:
     @property
     def metrics(self) -> Mapping[str, Any]:
         """Content of `metrics.json`; empty if the run is not complete."""
-        return {} if self.run is None else self.run.metrics
+        if self.run is None:
+            return {}
+        return self.run.metrics
 
     @property
     def verdicts(self) -> Counter[str]:
@@ -47,7 +49,10 @@ class CaseResult:
 
     def exit_code(self, fails: Set[str]) -> int:
         """Return the highest exit code of the errors and of expectations whose state is in `fails`."""
-        failed = EXPECTATION_FAILED if fails & self.verdicts.keys() else 0
+        if fails & self.verdicts.keys():
+            failed = EXPECTATION_FAILED
+        else:
+            failed = 0
         return max([failed, *(error.exit_code for error in self.errors)])
 
 
@@ -70,12 +75,16 @@ class Case:
     @property
     def name(self) -> str:
         """Name of the scenario, or of its file if the scenario is invalid."""
-        return Path(self.source).stem if self.scenario is None else self.scenario.name
+        if self.scenario is None:
+            return Path(self.source).stem
+        return self.scenario.name
 
     @property
     def label(self) -> str:
         """Name of the scenario with its overridden fields."""
-        return self.name if self.scenario is None else self.scenario.label
+        if self.scenario is None:
+            return self.name
+        return self.scenario.label
 
     def document(self) -> Mapping[str, object]:
         """Return the result as JSON data: `metrics.json` or the errors."""

@@ -223,7 +223,8 @@ def is_robot(name: str) -> bool:
 
         document = load_yaml(require_file(Path(name)))
         return document.get("geometry") is not None or document.get("base") is not None
-    robots, scenarios = shipped_names("robot"), shipped_names("scenario")
+    robots = shipped_names("robot")
+    scenarios = shipped_names("scenario")
     if name not in (*robots, *scenarios):
         raise UnknownNameError(
             "scenario or robot", name, (*scenarios, *robots), "`srs-twin list`"
@@ -246,7 +247,9 @@ def _leaves(
 
 
 def _text(value: Any) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
+    if isinstance(value, str):
+        return value
+    return json.dumps(value)
 
 
 def schema(

@@ -39,7 +39,9 @@ def launcher() -> str:
         return "uv run "
     # `uvx` sets only UV, which a user may set as well; its environments are in uv's
     # archive.
-    return "uvx " if "UV" in os.environ and "archive-v" in sys.prefix else ""
+    if "UV" in os.environ and "archive-v" in sys.prefix:
+        return "uvx "
+    return ""
 
 
 def as_started(text: str) -> str:
@@ -169,8 +171,10 @@ class Display(ABC):
     first_line_s = LINE_INTERVAL_S
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
-        self.title, self._quiet = title, quiet
-        self._start, self._next_line = time.monotonic(), self.first_line_s
+        self.title = title
+        self._quiet = quiet
+        self._start = time.monotonic()
+        self._next_line = self.first_line_s
         self._progress: Any = None
         self._bars: dict[str, Any] = {}
 
@@ -243,7 +247,8 @@ class RunCounter(Display):
     ) -> None:
         """Create a counter; `status` returns additional text for each update."""
         super().__init__(title, quiet=quiet)
-        self.total, self._status = total, status
+        self.total = total
+        self._status = status
         self._done = self._failed = 0
         self._first_done_s = 0.0
 
@@ -263,7 +268,8 @@ class RunCounter(Display):
     def follow(self, title: str, total: int, row: Any) -> None:
         """Show the runs of a part of a study, see `studies.sweep.execution.Progress`."""
         if row is None:
-            self.title, self.total = title, total
+            self.title = title
+            self.total = total
             self._done = self._failed = 0
         else:
             self(failed=row.exit_code != 0)
@@ -310,7 +316,8 @@ class ScenarioProgress(Display):
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
-        self._stage, self._fraction = "", 0.0
+        self._stage = ""
+        self._fraction = 0.0
         self._remaining_s: float | None = None
 
     def __enter__(self) -> Self:
@@ -327,17 +334,18 @@ class ScenarioProgress(Display):
         self, stage: str, fraction: float, remaining_s: float | None = None
     ) -> None:
         """Update the completed fraction of a stage, 0 to 1; show a stage that is estimated to be long."""
-        is_new, self._stage = stage != self._stage, stage
-        self._fraction, self._remaining_s = fraction, remaining_s
+        is_new = stage != self._stage
+        self._stage = stage
+        self._fraction = fraction
+        self._remaining_s = remaining_s
         is_long = is_new and (remaining_s or 0.0) >= DISPLAY_DELAY_S
         self._show(now=is_long)
 
     def _status(self) -> str:
-        left = (
-            ""
-            if self._remaining_s is None
-            else f", about {self._remaining_s:.0f} s left"
-        )
+        if self._remaining_s is None:
+            left = ""
+        else:
+            left = f", about {self._remaining_s:.0f} s left"
         return f"{self._fraction:.0%}{left}"
 
     def _line(self) -> str:

@@ -89,10 +89,8 @@ def _show(difference: Difference) -> None:
         title = f"{change.where}{dot and ', '}{plant}"
         if title not in tables:
             tables[title] = new_table("metric", "a", "b", "b − a", "%", title=title)
-            tables[title].columns[0].no_wrap, tables[title].columns[0].overflow = (
-                False,
-                "fold",
-            )
+            tables[title].columns[0].no_wrap = False
+            tables[title].columns[0].overflow = "fold"
         tables[title].add_row(metric, *_cells(change))
     for table in tables.values():
         console().print(table)
@@ -106,7 +104,8 @@ def _cells(change: ChangedValue) -> list[str]:
     from srs_twin.comparison.diff import tolerance_names
     from srs_twin.comparison.sampling import is_near_zero, split_unit
 
-    a, b = change.a, change.b
+    a = change.a
+    b = change.b
     digits = next((n for n in range(4, 18) if _text(a, n) != _text(b, n)), 17)
     numbers = isinstance(a, float | int) and isinstance(b, float | int)
     shift = f"{b - a:+.3g}" if numbers else ""  # type: ignore[operator]

@@ -122,10 +122,8 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
     if case.result is None:
         run = run._replace(outcome="skipped", message="not finished")
     elif case.result.errors:
-        text, kind = (
-            "\n".join(map(str, case.result.errors)),
-            type(case.result.errors[0]).__name__,
-        )
+        text = "\n".join(map(str, case.result.errors))
+        kind = type(case.result.errors[0]).__name__
         run = run._replace(outcome="error", message=text, kind=kind, text=text)
     yield run
     metrics = case.result.metrics if case.result else {}
@@ -173,11 +171,9 @@ def _add_outcome(
         "known": f"known: {row.get('known')}",
         "not_judged": f"not judged: {row.get('reason')}",
     }
-    return (
-        test._replace(outcome="skipped", message=skipped[state])
-        if state in skipped
-        else test
-    )
+    if state in skipped:
+        return test._replace(outcome="skipped", message=skipped[state])
+    return test
 
 
 def _escape(text: str) -> str:

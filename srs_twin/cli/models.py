@@ -101,7 +101,8 @@ def check(
     from srs_twin.plants.twin.mjcf.export import stale_files
     from srs_twin.robot.file import load_robot
 
-    failed, reports = 0, []
+    failed = 0
+    reports = []
     for model in models or _exportable_robots():
         path, robot = _find_model(model)
         report = check_mjcf(path)

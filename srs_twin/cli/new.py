@@ -94,16 +94,14 @@ class RobotOptions:
             raise InputError(
                 "a robot with servos has no supply; remove --pressure or --servo"
             )
-        supply = (
-            _PRESSURE_KPA
-            if self.servo
-            else _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
-        )
-        of = (
-            "largest angle of a joint"
-            if self.servo
-            else "bend of one segment at that pressure"
-        )
+        if self.servo:
+            supply = _PRESSURE_KPA
+        else:
+            supply = _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
+        if self.servo:
+            of = "largest angle of a joint"
+        else:
+            of = "bend of one segment at that pressure"
         bend = _answer(
             f"{of}, rad", self.bend, _SERVO_BEND_RAD if self.servo else _BEND_RAD
         )
@@ -186,11 +184,17 @@ def robot(
     from srs_twin.robot.file import load_robot
 
     values: dict[str, Any] = _robot_values(size, servo=options.servo)
-    values["wheels"] = "" if options.skin else _filled("wheels_geometry.txt", values)
+    if options.skin:
+        values["wheels"] = ""
+    else:
+        values["wheels"] = _filled("wheels_geometry.txt", values)
     values["contact"] = _filled(
         "skin_contact.txt" if options.skin else "wheels_contact.txt", values
     )
-    values["spring"] = "" if options.servo else _filled("pressure_spring.txt", values)
+    if options.servo:
+        values["spring"] = ""
+    else:
+        values["spring"] = _filled("pressure_spring.txt", values)
     values["drive"] = _filled(
         "servo_drive.txt" if options.servo else "pressure_drive.txt", values
     )
@@ -209,7 +213,8 @@ def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
 
     count, length, mass, supply, bend = size
     scale = length / count / _PITCH_M
-    air, share = _AIR_ML * scale**3, _JOINT_SHARE if servo else 0.037 / _PITCH_M
+    air = _AIR_ML * scale**3
+    share = _JOINT_SHARE if servo else 0.037 / _PITCH_M
     return {
         "segments": count,
         "connectors": count + 1,
@@ -286,7 +291,8 @@ def study(
     Options:
         --scenario SCENARIO: Shipped scenario or scenario file.
     """
-    check, title = load(LOADERS["study"]), f"{name}: fastest gait"
+    check = load(LOADERS["study"])
+    title = f"{name}: fastest gait"
     path = _write(
         "study.yaml", name, out, check, title=title, scenario=json.dumps(scenario)
     )
@@ -299,7 +305,8 @@ def controller(name: NameArgument, out: OutOption = None) -> None:
 
     cls = "".join(part.capitalize() for part in name.split("_"))
     path = _write("controller.txt", name, out, allow_plugin, cls=cls)
-    module, beside = path.stem, str(path.with_suffix(".yaml"))
+    module = path.stem
+    beside = str(path.with_suffix(".yaml"))
     try:
         scenario = _write(
             "own_controller.yaml",
@@ -326,7 +333,9 @@ for _command in (robot, scenario, controller, study):
 def _answer(question: str, value: float | None, default: float) -> float:
     """Return a given option, otherwise the user's answer, or the default without a terminal."""
     if value is not None or not sys.stdin.isatty():
-        return default if value is None else value
+        if value is None:
+            return default
+        return value
     return float(typer.prompt(question, default=default, err=True))
 
 
@@ -348,7 +357,10 @@ def _write(
             f"{name!r} is not allowed as a name: use letters a to z, digits and _, a"
             " letter first"
         )
-    path = Path(out) if out else Path(f"{name}{_SUFFIXES[Path(template).suffix]}")
+    if out:
+        path = Path(out)
+    else:
+        path = Path(f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
         raise InputError(f"{path} exists; use another name or --out")
     from srs_twin.io.files import write_text

@@ -127,7 +127,10 @@ def print_json(document: Any) -> None:
 def parse_plants(text: str | None) -> list[str] | None:
     """Return the plants named by `--plants`, in a fixed order; None if the option was not given."""
     plants = ("analytical", "twin")
-    names = [name.strip() for name in text.split(",")] if text else []
+    if text:
+        names = [name.strip() for name in text.split(",")]
+    else:
+        names = []
     for name in names:
         check_choice("--plants:", name, plants)
     return [plant for plant in plants if plant in names] or None
@@ -200,7 +203,8 @@ def expand_option_groups(
     }
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        members, annotations = [parameter], hints
+        members = [parameter]
+        annotations = hints
         if name in groups:
             members = list(inspect.signature(groups[name]).parameters.values())
             annotations = get_type_hints(groups[name], include_extras=True)
@@ -230,7 +234,8 @@ def expand_option_groups(
             )
         command(**values)
 
-    run.__doc__, run.__annotations__ = description, {}
+    run.__doc__ = description
+    run.__annotations__ = {}
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     return run
 

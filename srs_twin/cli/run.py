@@ -191,7 +191,10 @@ def make_cases(names: Sequence[str]) -> list[Case]:
         # A shipped scenario takes precedence over a folder of the same name. For names
         # that are too long, `isdir` returns False, whereas `glob` raises an error.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
-        files = sorted(map(str, Path(name).glob("*.yaml"))) if is_folder else []
+        if is_folder:
+            files = sorted(map(str, Path(name).glob("*.yaml")))
+        else:
+            files = []
         sources += files or [name]
     return [Case(source) for source in dict.fromkeys(sources)]
 
@@ -214,7 +217,10 @@ def _load(
         with _record_input_errors(case):
             scenario = case.scenario or load_scenario(case.source, set=changes)
             case.scenario = scenario = scenario.run_on(plants)
-            case.folder = base if out and len(cases) == 1 else base / scenario.name
+            if out and len(cases) == 1:
+                case.folder = base
+            else:
+                case.folder = base / scenario.name
             if case.folder in folders:
                 raise InputError(
                     f"{case.source}: another scenario is named '{scenario.name}' and"

@@ -42,7 +42,8 @@ def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     Args:
         metrics: content of `metrics.json`.
     """
-    plants, published_values = metrics["plants"], published(metrics["expectations"])
+    plants = metrics["plants"]
+    published_values = published(metrics["expectations"])
     lines = [
         [
             *(
@@ -66,7 +67,8 @@ def show(result: RunResult) -> None:
     """Print the table, the events and the expectations of a run on stdout."""
     terminal = console()
     print(*textwrap.wrap(headline(result.metrics), terminal.width), "", sep="\n")
-    lines, plants = rows(result.metrics), result.metrics["plants"]
+    lines = rows(result.metrics)
+    plants = result.metrics["plants"]
     headings = ["metric", "unit", *plants, "difference", "%", "published"]
     columns = [
         k
@@ -83,11 +85,12 @@ def show(result: RunResult) -> None:
         terminal.print(_attribution_table(result.metrics["attribution"]))
     left_out = left_out_line(result.metrics["left_out"])
     checked = result.metrics["expectations"]
-    heading = (
-        [f"expectations of the scenario: {tally(Counter(map(verdict, checked)))}"]
-        if checked
-        else []
-    )
+    if checked:
+        heading = [
+            f"expectations of the scenario: {tally(Counter(map(verdict, checked)))}"
+        ]
+    else:
+        heading = []
     for text in [
         *event_lines(result.metrics),
         *heading,
@@ -130,11 +133,17 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.4f}" if abs(value) >= _ZERO else "0"
+    if abs(value) >= _ZERO:
+        return f"{value:+.4f}"
+    return "0"
 
 
 def _number(value: float | str | None) -> str:
-    return "" if value is None else value if isinstance(value, str) else f"{value:.4g}"
+    if value is None:
+        return ""
+    if isinstance(value, str):
+        return value
+    return f"{value:.4g}"
 
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:

@@ -144,7 +144,8 @@ def play(
     from srs_twin.scenario.modified import changes_text
 
     overrides = ChangeOptions(set_).changes()
-    scenario, robot = None, None
+    scenario = None
+    robot = None
     if is_robot(name):
         robot, changes = _changed_robot(name, overrides)
     else:
@@ -251,16 +252,18 @@ def render(
     name_suffix, write = _writer(video, image, _parse_size(size), fps, speed)
     suffix = VIDEO_SUFFIX if video is not None else IMAGE_SUFFIX
     output = video if video is not None else out
-    target = None if output is None else _target(Path(output), suffix, len(runs))
+    if output is None:
+        target = None
+    else:
+        target = _target(Path(output), suffix, len(runs))
     jobs: list[tuple[FinishedRun, Path]] = []
     parts: list[Trajectory] = []
     for run in map(load_run, runs):
         is_file = target is not None and target.suffix
-        path = (
-            target
-            if target and is_file
-            else (target or run.folder) / f"{run.name}{name_suffix}"
-        )
+        if target and is_file:
+            path = target
+        else:
+            path = (target or run.folder) / f"{run.name}{name_suffix}"
         jobs.append((run, path))
     for run, path in jobs:
         if "twin" not in run.trajectories:
@@ -335,8 +338,10 @@ def _part(run: Trajectory, begin: float | None, end: float | None) -> Trajectory
     Raises:
         InputError: the run has less than two samples in this interval.
     """
-    first, last = float(run.time[0]), float(run.time[-1])
-    low, high = first if begin is None else begin, last if end is None else end
+    first = float(run.time[0])
+    last = float(run.time[-1])
+    low = first if begin is None else begin
+    high = last if end is None else end
     part = run.between(low, high)
     if len(part) < _MIN_SAMPLES:
         raise InputError(

@@ -41,7 +41,8 @@ def centre_lines(
         Shape (samples, segments, divisions + 3, 2), m.
     """
     theta = trajectory.stack("theta")
-    front, rear = trajectory.position[:, :-1], trajectory.position[:, 1:]
+    front = trajectory.position[:, :-1]
+    rear = trajectory.position[:, 1:]
     bend = (theta[:, :-1] - theta[:, 1:])[..., None]
     fraction = np.linspace(0.0, 1.0, divisions + 1)
     heading = theta[:, :-1, None]
@@ -68,7 +69,8 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -
         Shape (samples, points, 2), m.
     """
     theta = trajectory.stack("theta")
-    front, rear = theta[:, :-1, None], theta[:, 1:, None]
+    front = theta[:, :-1, None]
+    rear = theta[:, 1:, None]
     arc = front - (front - rear) * np.linspace(0.0, 1.0, divisions + 1)
     headings = np.concatenate([front, arc, rear], axis=2)
     lines = centre_lines(trajectory, geometry, divisions)
@@ -117,7 +119,9 @@ def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
         largest = max(
             largest, geometry.width - float(distance[apart].min(initial=np.inf))
         )
-    return largest if largest >= _MIN_OVERLAP * geometry.width else 0.0
+    if largest >= _MIN_OVERLAP * geometry.width:
+        return largest
+    return 0.0
 
 
 def _unit(angle: Array) -> Array:

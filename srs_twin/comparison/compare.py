@@ -139,7 +139,8 @@ def in_body_frame(
         left.
     """
     x, y = np.moveaxis(position - com[..., None, :], -1, 0)
-    cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
+    cos = np.cos(heading)[..., None]
+    sin = np.sin(heading)[..., None]
     return np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
 
 
@@ -172,10 +173,8 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
 
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     """Return the times of the reference that the candidate covers."""
-    first, last = (
-        candidate.time[0] - _TIME_ROUNDING_S,
-        candidate.time[-1] + _TIME_ROUNDING_S,
-    )
+    first = candidate.time[0] - _TIME_ROUNDING_S
+    last = candidate.time[-1] + _TIME_ROUNDING_S
     common: np.ndarray = reference.time[
         (reference.time >= first) & (reference.time <= last)
     ]
@@ -203,7 +202,8 @@ def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
 def _gait_differences(
     reference: Trajectory, candidate: Trajectory, factor: float
 ) -> dict[str, float | None]:
-    metrics, reference_metrics = plant_metrics(candidate), plant_metrics(reference)
+    metrics = plant_metrics(candidate)
+    reference_metrics = plant_metrics(reference)
     own = metrics["com_speed_m_s"]
     if own is None or reference_metrics["com_speed_m_s"] is None:
         return {"com_speed_rel": None, "gap_factor": factor, "yaw_rate_abs": None}
@@ -220,7 +220,9 @@ def _gait_differences(
 
 
 def _ratio(numerator: float, denominator: float) -> float | None:
-    return numerator / denominator if denominator else None
+    if denominator:
+        return numerator / denominator
+    return None
 
 
 _PREFIX = "measured_"
@@ -375,7 +377,9 @@ class Attribution:
     @property
     def extent(self) -> str:
         """The window as text; empty if the attribution refers to the whole runs."""
-        return "" if self.window_s is None else f"first {self.window_s:g} s of the runs"
+        if self.window_s is None:
+            return ""
+        return f"first {self.window_s:g} s of the runs"
 
     def document(self) -> dict[str, object]:
         """Return the entry of metrics.json."""
@@ -389,7 +393,8 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
         InputError: as in `compare`.
         ValueError: one of the runs has no gait metrics.
     """
-    before, after = plant_metrics(reference), plant_metrics(candidate)
+    before = plant_metrics(reference)
+    after = plant_metrics(candidate)
     names = list(MEASURES)[:-1]
     if any(metrics[name] is None for metrics in (before, after) for name in names):
         raise ValueError(

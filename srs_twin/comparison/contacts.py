@@ -92,7 +92,9 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
 
 def _duration(begin: float, end: float) -> str:
     # The duration of a contact in a single sample is unknown.
-    return f", for {end - begin:.2g} s" if end > begin else ""
+    if end > begin:
+        return f", for {end - begin:.2g} s"
+    return ""
 
 
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
@@ -113,7 +115,10 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     if trajectory.has("clearance"):
         least = float(trajectory["clearance"].min())
         # Only the force shows a contact between two samples.
-        metrics["clearance_m"] = min(least, 0.0) if metrics["contacts"] else least
+        if metrics["contacts"]:
+            metrics["clearance_m"] = min(least, 0.0)
+        else:
+            metrics["clearance_m"] = least
     return metrics
 
 
@@ -143,9 +148,9 @@ def _touching(trajectory: Trajectory) -> np.ndarray | None:
     force = obstacle_force(trajectory)
     if force is not None:
         return np.asarray(force.max(axis=1) > TOUCH_N)
-    return (
-        trajectory["clearance"] < -TOUCHING_M if trajectory.has("clearance") else None
-    )
+    if trajectory.has("clearance"):
+        return trajectory["clearance"] < -TOUCHING_M
+    return None
 
 
 def _spells(trajectory: Trajectory) -> list[np.ndarray]:

@@ -113,7 +113,9 @@ class ChangedValue:
         if not (_is_number(self.a) and _is_number(self.b)) or self.a == 0:
             return None
         change = (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
-        return change if math.isfinite(change) else None
+        if math.isfinite(change):
+            return change
+        return None
 
 
 @dataclass(frozen=True)
@@ -160,7 +162,11 @@ class Difference:
 def _json_value(value: object) -> object:
     if not isinstance(value, float) or math.isfinite(value):
         return value
-    return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    if math.isnan(value):
+        return "NaN"
+    if value > 0:
+        return "Infinity"
+    return "-Infinity"
 
 
 @checked
@@ -183,7 +189,9 @@ def diff(
     a, b = (
         given if isinstance(given, Results) else read_results(given) for given in (a, b)
     )
-    allowed, before, after = tolerances or Tolerances(), a.values, b.values
+    allowed = tolerances or Tolerances()
+    before = a.values
+    after = b.values
     wheres, other_wheres = (
         {where for where, _ in values} for values in (before, after)
     )

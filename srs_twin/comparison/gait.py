@@ -108,11 +108,9 @@ class GaitWindow:
             samples < _MIN_SAMPLES_PER_PERIOD
             or len(trajectory) < MIN_PERIODS * _MIN_SAMPLES_PER_PERIOD
         )
-        return (
-            f"the run has fewer than {_MIN_SAMPLES_PER_PERIOD} samples per gait period"
-            if few
-            else ""
-        )
+        if few:
+            return f"the run has fewer than {_MIN_SAMPLES_PER_PERIOD} samples per gait period"
+        return ""
 
     @classmethod
     def ending_at(
@@ -129,7 +127,8 @@ class GaitWindow:
         Returns:
             None if the window would begin before the run.
         """
-        start, step = end - periods * period, float(np.median(np.diff(trajectory.time)))
+        start = end - periods * period
+        step = float(np.median(np.diff(trajectory.time)))
         if start < trajectory.time[0] - _PERIOD_ROUNDING * period:
             return None
         return cls(
@@ -281,7 +280,9 @@ def turning_radius(
     if abs(turn) < STRAIGHT_TURN_RAD:
         return None
     radius = speed * period / (2 * math.sin(turn / 2))
-    return radius if abs(radius) <= STRAIGHT_BODY_LENGTHS * length else None
+    if abs(radius) <= STRAIGHT_BODY_LENGTHS * length:
+        return radius
+    return None
 
 
 def path_curvature(chord: float, turn: float) -> float:
@@ -389,7 +390,8 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     if window is not None:
         heading, _ = window.running_mean(trajectory, trajectory["heading"])
         _, velocity = window.running_mean(trajectory, trajectory.com)
-        c, s = np.cos(heading), np.sin(heading)
+        c = np.cos(heading)
+        s = np.sin(heading)
         ahead = float((c * velocity[:, 0] + s * velocity[:, 1]).mean())
         left = float((c * velocity[:, 1] - s * velocity[:, 0]).mean())
         metrics["travel_speed_m_s"] = math.hypot(ahead, left)
@@ -427,8 +429,10 @@ def spatial_differences(
     if not (reference.has("z") and candidate.has("z")):
         return {}
     differences: dict[str, float | None] = dict.fromkeys(SPATIAL_DIFFERENCES)
-    before, after = spatial_metrics(reference), spatial_metrics(candidate)
-    speed, other = before["travel_speed_m_s"], after["travel_speed_m_s"]
+    before = spatial_metrics(reference)
+    after = spatial_metrics(candidate)
+    speed = before["travel_speed_m_s"]
+    other = after["travel_speed_m_s"]
     if speed is not None and other is not None:
         turn = (after["travel_direction_rad"] or 0.0) - (
             before["travel_direction_rad"] or 0.0

@@ -73,10 +73,8 @@ class PeriodAmplitudes:
         shape = (max(whole, 0), sensed.shape[-1], 2)
         result = cls(*np.full((3, *shape), math.nan))
         for side, name in enumerate(("plus", "minus")):
-            target, duty = (
-                trajectory.stack(f"target_{name}"),
-                trajectory.stack(f"duty_{name}"),
-            )
+            target = trajectory.stack(f"target_{name}")
+            duty = trajectory.stack(f"duty_{name}")
             for j in range(shape[1]):
                 bend = sensed[:, j] if side == 0 else -sensed[:, j]
                 edges = fill_starts[j, side] + period * (
@@ -87,9 +85,10 @@ class PeriodAmplitudes:
                     zip(samples[:-1], samples[1:], strict=True)
                 ):
                     valid = bend[first:end][np.isfinite(bend[first:end])]
-                    result.amplitude[n, j, side] = (
-                        valid.max() if len(valid) else math.nan
-                    )
+                    if len(valid):
+                        result.amplitude[n, j, side] = valid.max()
+                    else:
+                        result.amplitude[n, j, side] = math.nan
                     # A sample is taken at the end of its tick, so the last one still
                     # belongs to the period.
                     result.target[n, j, side] = target[end - 1, j]
@@ -101,9 +100,10 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
     """Return the gait period (s) and the start of the first fill of each chamber, shape (segments, 2), s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
-    fill_starts = (
-        np.array(listed, dtype=float) if isinstance(listed, list) else np.empty(0)
-    )
+    if isinstance(listed, list):
+        fill_starts = np.array(listed, dtype=float)
+    else:
+        fill_starts = np.empty(0)
     if (
         frequency is None
         or fill_starts.shape != (segments, 2)
@@ -183,7 +183,9 @@ class PathFit:
             )
             return side
         outward = np.hypot(offset[..., 0], offset[..., 1]) - abs(self.radius)
-        return outward if self.radius > 0 else -outward
+        if self.radius > 0:
+            return outward
+        return -outward
 
 
 def box_edges(
@@ -197,7 +199,8 @@ def box_edges(
     inside = (trajectory.time >= window.start - 1e-9) & (
         trajectory.time <= window.end + 1e-9
     )
-    theta, position = trajectory.stack("theta")[inside], trajectory.position[inside]
+    theta = trajectory.stack("theta")[inside]
+    position = trajectory.position[inside]
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     offset = path.right_offset(offset_to_sides(position, theta, half))
     return float(offset.min()), float(offset.max())
@@ -301,7 +304,8 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     """
     by_period = PeriodAmplitudes.from_trajectory(trajectory)
     period = 1 / (positive_number(trajectory, "gait_frequency_hz") or math.nan)
-    path, before = _path(trajectory, period), _curvature_before(trajectory, period)
+    path = _path(trajectory, period)
+    before = _curvature_before(trajectory, period)
     return {
         **dict.fromkeys(LEARNING_UNITS),
         **_amplitudes(by_period),
@@ -316,17 +320,14 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
 
 
 def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
-    working = (
-        ~np.isnan(by_period.target[-1:])
-        if len(by_period.target)
-        else np.zeros((0, 0, 2), dtype=bool)
-    )
+    if len(by_period.target):
+        working = ~np.isnan(by_period.target[-1:])
+    else:
+        working = np.zeros((0, 0, 2), dtype=bool)
     if not working.any():
         return {}
-    error, target = (
-        np.abs(by_period.error[:, working[0]]),
-        by_period.target[:, working[0]],
-    )
+    error = np.abs(by_period.error[:, working[0]])
+    target = by_period.target[:, working[0]]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
     # Periods are numbered from 1, and convergence begins after the last period outside
@@ -350,12 +351,15 @@ def _growth(by_period: PeriodAmplitudes) -> float | None:
     if not len(by_period.duty):
         return None
     unchanged = (by_period.duty == by_period.duty[0]).all(axis=(1, 2))
-    last = len(unchanged) - 1 if unchanged.all() else int(np.argmin(unchanged)) - 1
-    first_mean, last_mean = (
-        by_period.amplitude[0].mean(),
-        by_period.amplitude[last].mean(),
-    )
-    return float(last_mean / first_mean) if last > 0 and first_mean > 0 else None
+    if unchanged.all():
+        last = len(unchanged) - 1
+    else:
+        last = int(np.argmin(unchanged)) - 1
+    first_mean = by_period.amplitude[0].mean()
+    last_mean = by_period.amplitude[last].mean()
+    if last > 0 and first_mean > 0:
+        return float(last_mean / first_mean)
+    return None
 
 
 def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
@@ -372,13 +376,17 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
     }
     length = body_length(trajectory)
     moves = abs(chords.mean()) >= MIN_TRAVEL_BODY_LENGTHS * length
-    path = PathFit.from_trajectory(trajectory, window) if moves else None
+    if moves:
+        path = PathFit.from_trajectory(trajectory, window)
+    else:
+        path = None
     if path is None:
         return metrics
     metrics["path_curvature_per_m"] = path_curvature(
         float(chords.mean()), float(turns.mean())
     )
-    speeds, yaw_rates = chords / period, turns / period
+    speeds = chords / period
+    yaw_rates = turns / period
     mean = turning_radius(float(speeds.mean()), float(yaw_rates.mean()), period, length)
     pairs = zip(speeds.tolist(), yaw_rates.tolist(), strict=True)
     radii = [
@@ -418,11 +426,10 @@ def _curvature_change(
     first, last = (
         None if curvature is None else abs(curvature) for curvature in (before, after)
     )
-    ratio = (
-        None
-        if first is None or last is None or first < _MIN_CURVATURE
-        else last / first
-    )
+    if first is None or last is None or first < _MIN_CURVATURE:
+        ratio = None
+    else:
+        ratio = last / first
     return {
         "path_bend_before_per_m": first,
         "path_bend_per_m": last,

@@ -92,7 +92,9 @@ def relative_difference(metric: str, reference: float, value: float) -> str:
     per_cent = _per_cent(metric, reference, value)
     if value != reference and not per_cent:
         return f"{value - reference:+.3g}"
-    return f"{per_cent} %" if per_cent else "0"
+    if per_cent:
+        return f"{per_cent} %"
+    return "0"
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:
@@ -103,11 +105,9 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
     if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
     per_cent = 100 * (value - reference) / reference
-    return (
-        "0"
-        if value == reference
-        else f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
-    )
+    if value == reference:
+        return "0"
+    return f"{per_cent:{'+.1f' if abs(per_cent) >= _TENTH else '+.1g'}}"
 
 
 def published(
@@ -304,7 +304,8 @@ def headline(metrics: Mapping[str, Any]) -> str:
     Args:
         metrics: contents of metrics.json.
     """
-    text, preset = _summary(metrics), metrics.get("preset")
+    text = _summary(metrics)
+    preset = metrics.get("preset")
     sentences = [*_contacts(metrics), text]
     sentences += [
         *[_COMPLIANCE] * ("compliance" in text),
@@ -337,20 +338,33 @@ def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
 
 def _meeting(metrics: Mapping[str, Any], name: str) -> str:
     """Return whether a plant ignores obstacles, when it first meets one, and for how long in total."""
-    plant, events = metrics["plants"][name], metrics["events"][name]
+    plant = metrics["plants"][name]
+    events = metrics["events"][name]
     begins = [event["time"] for event in events if event["kind"] in CONTACT_EVENTS]
     ignores = name in metrics.get("ignores_obstacles", ())
     if not begins:
-        return "ignores obstacles" if ignores else "touches none"
-    what = "an obstacle" if plant.get("object_moved_m") is None else "an object"
-    how = "ignores obstacles and overlaps one" if ignores else f"touches {what}"
-    times = f"{len(begins)} times, first " if len(begins) > 1 else ""
+        if ignores:
+            return "ignores obstacles"
+        return "touches none"
+    if plant.get("object_moved_m") is None:
+        what = "an obstacle"
+    else:
+        what = "an object"
+    if ignores:
+        how = "ignores obstacles and overlaps one"
+    else:
+        how = f"touches {what}"
+    if len(begins) > 1:
+        times = f"{len(begins)} times, first "
+    else:
+        times = ""
     return f"{how} {times}at {begins[0]:.3g} s, for {plant['contact_time_s']:.2g} s"
 
 
 def _summary(metrics: Mapping[str, Any]) -> str:
     plants = metrics["plants"]
-    model, twin = plants.get("analytical"), plants.get("twin")
+    model = plants.get("analytical")
+    twin = plants.get("twin")
     one = model or twin or {}
     if model and twin:
         return _summary_of_both(metrics, plants)
@@ -361,13 +375,15 @@ def _summary(metrics: Mapping[str, Any]) -> str:
         )
     if one.get("com_speed_m_s") is not None:
         turn = one.get("yaw_rate_rad_s") or 0.0
-        how = (
-            "straight on"
-            if abs(turn) < STRAIGHT_RAD_S
-            else f"turning by {turn:.3g} rad/s"
-        )
+        if abs(turn) < STRAIGHT_RAD_S:
+            how = "straight on"
+        else:
+            how = f"turning by {turn:.3g} rad/s"
         moved = one.get("object_moved_m")
-        objects = "" if moved is None else f"; it moves an object by {moved:.2g} m"
+        if moved is None:
+            objects = ""
+        else:
+            objects = f"; it moves an object by {moved:.2g} m"
         return f"The {name} crawls at {one['com_speed_m_s']:.3g} m/s, {how}{objects}."
     if one.get("goal_reached") is not None:
         return f"The {name} {_arrives(one)}."
@@ -382,7 +398,8 @@ def _summary(metrics: Mapping[str, Any]) -> str:
 def _summary_of_both(
     metrics: Mapping[str, Any], plants: Mapping[str, Mapping[str, Any]]
 ) -> str:
-    model, twin = plants["analytical"], plants["twin"]
+    model = plants["analytical"]
+    twin = plants["twin"]
     if model.get("goal_reached") is not None and twin.get("goal_reached") is not None:
         return f"The twin {_arrives(twin)}; the model {_arrives(model)}."
     if model.get("error_rms_rad") is not None and twin.get("error_rms_rad") is not None:
@@ -455,13 +472,14 @@ def _direction(plant: Mapping[str, Any]) -> str:
 
 
 def _arrives(plant: Mapping[str, Any]) -> str:
-    reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
+    if plant["goal_reached"]:
+        reached = "reaches its goal"
+    else:
+        reached = "does not reach its goal"
     cross_track = plant.get("cross_track_rms_m")
-    return (
-        reached
-        if cross_track is None
-        else f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
-    )
+    if cross_track is None:
+        return reached
+    return f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
 
 
 def _compared(
@@ -517,9 +535,10 @@ def _main_cause(
         )
         if not rest:
             return f"; {name} {does}"
-        others = (
-            f"by another {abs(rest)} %" if rest * share > 0 else f"offset {abs(rest)} %"
-        )
+        if rest * share > 0:
+            others = f"by another {abs(rest)} %"
+        else:
+            others = f"offset {abs(rest)} %"
         return f"; {name} {does}, other effects {others}"
     return ""
 
@@ -578,16 +597,23 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     for group in metric_groups():
         if group.main and measured(group.main):
             return [*group.short_table, *additional, *_COMPARISON]
-    usual = _BENCH if measured("error_rms_rad", "final_bend_rad") else _GAIT
+    if measured("error_rms_rad", "final_bend_rad"):
+        usual = _BENCH
+    else:
+        usual = _GAIT
     return [*usual, *additional, *_COMPARISON]
 
 
 def tidy(metric: str, value: Any) -> Any:
     """Return the value of a metric for display: yes or no, and 0 for negligible rates."""
     if is_yes_no(metric) and value is not None:
-        return "yes" if value else "no"
+        if value:
+            return "yes"
+        return "no"
     rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
-    return 0.0 if rate and abs(value) < ZERO else value
+    if rate and abs(value) < ZERO:
+        return 0.0
+    return value
 
 
 class ResultRow(NamedTuple):
@@ -621,15 +647,15 @@ def result_rows(
             out.
         text: function that formats a value.
     """
-    units, plants = all_units(), metrics["plants"]
+    units = all_units()
+    plants = metrics["plants"]
     for name in names:
         unit = "" if units[name] == "1" else units[name]
         values = [plant.get(name) for plant in plants.values()]
-        between = (
-            (metrics.get("comparison") or {}).get(name)
-            if name in COMPARISON_UNITS
-            else None
-        )
+        if name in COMPARISON_UNITS:
+            between = (metrics.get("comparison") or {}).get(name)
+        else:
+            between = None
         if between is not None:
             yield ResultRow(
                 name, unit, [""] * len(plants), text(tidy(name, between)), ""
@@ -730,11 +756,10 @@ def plant_metrics(
     steps = np.diff(trajectory.com, axis=0)
     simulated = float(trajectory.time[-1] - trajectory.time[0])
     window = GaitWindow.from_trajectory(trajectory)
-    gait = (
-        dict.fromkeys(_GAIT_METRICS)
-        if window is None
-        else _gait_metrics(trajectory, window)
-    )
+    if window is None:
+        gait = dict.fromkeys(_GAIT_METRICS)
+    else:
+        gait = _gait_metrics(trajectory, window)
     following = trajectory.has("reference")
     ends = trajectory.metadata.get("base") == "clamped" and not following
     return {
@@ -763,7 +788,8 @@ def plant_metrics(
 
 def _gait_metrics(trajectory: Trajectory, window: GaitWindow) -> dict[str, object]:
     speeds, yaw_rates = running_rates(trajectory, window)
-    speed, yaw_rate = float(speeds.mean()), float(yaw_rates.mean())
+    speed = float(speeds.mean())
+    yaw_rate = float(yaw_rates.mean())
     bend = trajectory.stack("bend")
     amplitude = window.amplitude(trajectory, bend)
     return {

@@ -93,9 +93,10 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
     if len(trajectory) == 0:
         raise InputError(f"{run}: the trajectory has no samples")
     for name in ("time", *names):
-        values = (
-            trajectory[name] if name in trajectory.columns else trajectory.stack(name)
-        )
+        if name in trajectory.columns:
+            values = trajectory[name]
+        else:
+            values = trajectory.stack(name)
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))
         if bad.size:
             raise InputError(

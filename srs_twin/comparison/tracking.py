@@ -75,7 +75,8 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
         time: equally spaced except for the last sample, shape (samples,), s.
         values: shape (samples,).
     """
-    values, time = values[:-1], time[:-1]
+    values = values[:-1]
+    time = time[:-1]
     if len(values) < 8 or np.ptp(values) == 0:
         return None
     period = (time[-1] - time[0]) / (len(time) - 1)
@@ -88,16 +89,21 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
         step = step if finer is None else finer / quarter
     frequency = float(step / (2 * np.pi * period))
     fit = fit_sine(time, values, frequency)
-    return frequency if fit.residual <= _MAX_SINE_RESIDUAL * fit.amplitude else None
+    if fit.residual <= _MAX_SINE_RESIDUAL * fit.amplitude:
+        return frequency
+    return None
 
 
 def _phase_step(values: np.ndarray, spacing: int) -> float | None:
     """Return the phase difference between samples of a sine with a given spacing, between 0 and π."""
     middle = values[spacing:-spacing]
     sums = values[2 * spacing :] + values[: -2 * spacing]
-    middle, sums = middle - middle.mean(), sums - sums.mean()
+    middle = middle - middle.mean()
+    sums = sums - sums.mean()
     cosine = (middle @ sums) / (2 * (middle @ middle))
-    return float(np.arccos(cosine)) if 0 < 1 - cosine < 2 else None
+    if 0 < 1 - cosine < 2:
+        return float(np.arccos(cosine))
+    return None
 
 
 def step_response(
@@ -117,10 +123,8 @@ def step_response(
         are not reached before the end of the run.
     """
     response = (bend - before) / (after - before)
-    low, high = (
-        _first_crossing(time, response, 0.1),
-        _first_crossing(time, response, 0.9),
-    )
+    low = _first_crossing(time, response, 0.1)
+    high = _first_crossing(time, response, 0.9)
     overshoot = max(0.0, float(response.max()) - 1.0)
     return {
         "rise_time_s": None if low is None or high is None else high - low,
@@ -235,7 +239,8 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         InputError: columns are missing or unusable.
     """
     check_columns(trajectory, "reference_1", "bend_1")
-    reference, bend = trajectory["reference_1"], trajectory["bend_1"]
+    reference = trajectory["reference_1"]
+    bend = trajectory["bend_1"]
     metrics: dict[str, float | None] = dict.fromkeys(TRACKING_UNITS)
     metrics["error_rms_rad"] = rms(reference - bend)
     metrics |= _openings(trajectory)
@@ -249,7 +254,8 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
 def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
     """Return the metrics of a step at sample `begin` (0 for a constant reference) and of the steady state."""
-    reference, bend = trajectory["reference_1"], trajectory["bend_1"]
+    reference = trajectory["reference_1"]
+    bend = trajectory["bend_1"]
     target = float(reference[-1])
     before = float(reference[0] if begin else bend[0])
     time = trajectory.time[begin:] - trajectory.time[begin]
@@ -375,7 +381,8 @@ class ReadingCurve:
             return None
         check_columns(trajectory, "bend_1")
         read = np.isfinite(trajectory["sensed_1"])
-        bend, sensed = trajectory["bend_1"][read], trajectory["sensed_1"][read]
+        bend = trajectory["bend_1"][read]
+        sensed = trajectory["sensed_1"][read]
         # Rounding centres a bin at 0, so that bends to both sides are treated alike.
         _, bins, samples = np.unique(
             np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
@@ -449,7 +456,8 @@ def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
 
 def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
     """Return the change of the field at the Hall element per sensed bend, T/rad; None if it is not known."""
-    hall, line = _mapping(sensor.get("hall")), _mapping(sensor.get("calibration"))
+    hall = _mapping(sensor.get("hall"))
+    line = _mapping(sensor.get("calibration"))
     values = (
         hall.get("gain"),
         hall.get("gain_error"),
@@ -461,8 +469,12 @@ def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
         return None
     gain, drift, sensitivity, slope = numbers
     rad_per_tesla = gain * (1 + drift) * sensitivity * slope
-    return abs(1 / rad_per_tesla) if rad_per_tesla else None
+    if rad_per_tesla:
+        return abs(1 / rad_per_tesla)
+    return None
 
 
 def _mapping(value: object) -> Mapping[str, object]:
-    return value if isinstance(value, Mapping) else {}
+    if isinstance(value, Mapping):
+        return value
+    return {}

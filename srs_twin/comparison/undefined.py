@@ -112,14 +112,18 @@ def why_undefined(
 
 
 def _of(reason: str) -> Undefined | None:
-    return Undefined(reason) if reason else None
+    if reason:
+        return Undefined(reason)
+    return None
 
 
 def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
     """Return the reason why one of the runs has no gait metrics; empty for a run that ended early."""
     for run in runs:
         if reason := GaitWindow.missing_reason(run):
-            return "" if run.metadata.get("ended_by") else reason
+            if run.metadata.get("ended_by"):
+                return ""
+            return reason
         if (column := _ENERGY.get(metric)) and not run.has(column):
             return f"the run does not record {column}"
     return ""
@@ -134,11 +138,9 @@ def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
     if measured.metadata.get("bends_only") and metric != "measured_bend_rms_rad":
         return "only bends were recorded"
     clamped = any(run.metadata.get("base") == "clamped" for run in runs.values())
-    return (
-        "the robot was clamped at its head"
-        if clamped and metric in _OF_TWO_GAITS
-        else ""
-    )
+    if clamped and metric in _OF_TWO_GAITS:
+        return "the robot was clamped at its head"
+    return ""
 
 
 def _tracking(
@@ -210,9 +212,9 @@ def _other(metric: str, run: Trajectory) -> str:
     if metric in READING_UNITS:
         if ReadingCurve.from_trajectory(run) is None:
             return "the run has no sensor, or an ideal one"
-        return "the sensor has no Hall element" if metric == "reading_range_t" else ""
-    return (
-        "the run is not on a bench without a reference"
-        if metric == "final_bend_rad"
-        else ""
-    )
+        if metric == "reading_range_t":
+            return "the sensor has no Hall element"
+        return ""
+    if metric == "final_bend_rad":
+        return "the run is not on a bench without a reference"
+    return ""

@@ -38,7 +38,9 @@ def first_implausible(values: Any) -> float | None:
     """Return the first element that is not finite or too large, or None."""
     flat = np.ravel(values)
     wrong = flat[~(np.abs(flat) < LARGEST_PLAUSIBLE)]
-    return float(wrong[0]) if len(wrong) else None
+    if len(wrong):
+        return float(wrong[0])
+    return None
 
 
 def check_positive(name: str, value: Any, unit: str = "") -> None:
@@ -84,9 +86,10 @@ def blas_kernels() -> tuple[str, ...]:
     kernels = set()
     for library in ThreadpoolController().select(user_api="blas").info():
         path = Path(library["filepath"])
-        package = (
-            path.relative_to(packages).parts[0] if path.is_relative_to(packages) else ""
-        )
+        if path.is_relative_to(packages):
+            package = path.relative_to(packages).parts[0]
+        else:
+            package = ""
         if package.partition(".")[0] in ("", "numpy", "scipy") and library.get(
             "architecture"
         ):
@@ -107,11 +110,10 @@ def concatenate_records(records: Sequence[Record]) -> Record:
     if len(records) == 1:
         return records[0]
     kind: Any = type(records[0])
-    names = (
-        kind._fields
-        if issubclass(kind, tuple)
-        else [field.name for field in fields(kind)]
-    )
+    if issubclass(kind, tuple):
+        names = kind._fields
+    else:
+        names = [field.name for field in fields(kind)]
     whole: Record = kind(
         *(
             np.concatenate([getattr(record, name) for record in records])

@@ -83,11 +83,10 @@ class _PartLibrary(JITCodeLibrary):
             self._collect(libraries)
             for library in list(libraries)[1:]:
                 is_part = isinstance(library, _PartLibrary)
-                code = (
-                    library._final_module
-                    if is_part
-                    else library._get_module_for_linking()
-                )
+                if is_part:
+                    code = library._final_module
+                else:
+                    code = library._get_module_for_linking()
                 module.link_in(code, preserve=True)
             for function in module.functions:
                 if (

@@ -259,8 +259,10 @@ class _TaskRun:
     def __init__(
         self, program: bytes, packed: Sequence[bytes], count: int, attempts: int
     ) -> None:
-        self._program, self._packed = program, packed
-        self._count, self._attempts = count, attempts
+        self._program = program
+        self._packed = packed
+        self._count = count
+        self._attempts = attempts
         self._waiting = deque(range(len(packed)))
         self._finished = deque[TaskResult[Any]]()
         self._deaths = [0] * len(packed)  # of workers, per task
@@ -325,7 +327,9 @@ class _TaskRun:
                 self._finished.append(TaskResult(worker.number, result, error))
             elif error is not None:
                 raise error
-            worker.ready, worker.number, self._failed_starts = True, None, 0
+            worker.ready = True
+            worker.number = None
+            self._failed_starts = 0
 
     def _handle_death(self, worker: _Worker) -> None:
         """Remove a dead worker and repeat its task, or report it as failed."""
@@ -336,10 +340,8 @@ class _TaskRun:
         elif (
             worker.start_time > self._last_failed_start
         ):  # workers that started together count once
-            self._failed_starts, self._last_failed_start = (
-                self._failed_starts + 1,
-                time.monotonic(),
-            )
+            self._failed_starts = self._failed_starts + 1
+            self._last_failed_start = time.monotonic()
             if self._failed_starts == self._attempts:
                 raise WorkerDiedError(exit_code, self._attempts) from None
         if (number := worker.number) is not None:

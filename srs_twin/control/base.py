@@ -102,7 +102,8 @@ class Controller(Claimable, Stateful, ABC):
 
     def events(self) -> list[Event]:
         """Return the events since the last call."""
-        events, self._events = getattr(self, "_events", []), []
+        events = getattr(self, "_events", [])
+        self._events = []
         return events
 
     def describe(self) -> dict[str, object]:

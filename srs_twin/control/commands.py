@@ -106,7 +106,8 @@ class CommandedGait(Stateful):
         Raises:
             InputError: the gait or the supply cannot follow the command.
         """
-        self._pneumatics, self.command = pneumatics, command
+        self._pneumatics = pneumatics
+        self.command = command
         self.gait = Gait(command.frequency, command.offset)
         self.gait.reset(spec, tick)
         pneumatics.set_supply_pressure(command.pressure)
@@ -124,7 +125,8 @@ class CommandedGait(Stateful):
         """
         if command.frequency != self.gait.frequency:
             self.gait.change_frequency(command.frequency, time)
-        self.gait.offset, self.gait.pitch = command.offset, pitch
+        self.gait.offset = command.offset
+        self.gait.pitch = pitch
         self._pneumatics.set_supply_pressure(command.pressure)
         self.command = command
         return self.gait.valves_at(time)
@@ -159,13 +161,12 @@ class ScheduledOffset(Controller):
                 f"times {times[1:]} s of offset changes are not allowed; they must be"
                 " above 0 and increasing"
             )
-        self.kind, self.frequency, self.layouts = (
-            controller.kind,
-            controller.frequency,
-            controller.layouts,
-        )
+        self.kind = controller.kind
+        self.frequency = controller.frequency
+        self.layouts = controller.layouts
         self.changes = tuple(changes)
-        self._inner, self._initial_offset = controller, controller.offset
+        self._inner = controller
+        self._initial_offset = controller.offset
 
     @property
     def offset(self) -> float:
@@ -176,7 +177,8 @@ class ScheduledOffset(Controller):
         """See `Controller.reset`."""
         self._inner.offset = self._initial_offset
         self._inner.reset(spec, tick, seed=seed)
-        self._applied, self._events = 0, list[Event]()
+        self._applied = 0
+        self._events = list[Event]()
 
     def step(self, state: SnakeState) -> np.ndarray:
         """See `Controller.step`."""
@@ -185,7 +187,8 @@ class ScheduledOffset(Controller):
             self._applied < len(self.changes)
             and time >= self.changes[self._applied][0] - _TIME_ROUNDING_S
         ):
-            before, after = self._inner.offset, self.changes[self._applied][1]
+            before = self._inner.offset
+            after = self.changes[self._applied][1]
             self._inner.offset = after
             self._events.append(
                 Event(time, "offset", f"offset {before:g} to {after:g}")

@@ -121,7 +121,8 @@ class ChamberPeriods(Stateful):
         Raises:
             InputError: a period has too few readings.
         """
-        self.period, self._tick = 1 / frequency, tick
+        self.period = 1 / frequency
+        self._tick = tick
         if self.period / tick < MIN_READINGS_PER_PERIOD * (1 - _PERIOD_ROUNDING):
             raise InputError(
                 f"a gait of {frequency:g} Hz has fewer than {MIN_READINGS_PER_PERIOD}"
@@ -132,24 +133,22 @@ class ChamberPeriods(Stateful):
         fraction = np.stack([phase_lag, phase_lag + math.pi], axis=-1) / (2 * math.pi)
         fraction = (fraction + _PERIOD_ROUNDING) % 1 - _PERIOD_ROUNDING
         fraction = np.where(fraction > 0.5 + _PERIOD_ROUNDING, fraction - 1, fraction)
-        self.fill_starts = (
-            np.zeros(fraction.shape) if common else fraction * self.period
-        )
+        if common:
+            self.fill_starts = np.zeros(fraction.shape)
+        else:
+            self.fill_starts = fraction * self.period
         self.number = np.where(self.fill_starts < -_PERIOD_ROUNDING * self.period, 1, 0)
         self.peak: np.ndarray = np.full(fraction.shape, math.nan)
         self.span: np.ndarray = np.full(fraction.shape, math.nan)
         self.lost: np.ndarray = np.zeros(fraction.shape)
         self.started: np.ndarray = np.full(fraction.shape, -math.inf)
-        self._max, self._min = (
-            np.full(fraction.shape, -math.inf),
-            np.full(fraction.shape, math.inf),
-        )
-        self._unsteered, self._common = self.fill_starts, common
+        self._max = np.full(fraction.shape, -math.inf)
+        self._min = np.full(fraction.shape, math.inf)
+        self._unsteered = self.fill_starts
+        self._common = common
         self._bends: np.ndarray = np.zeros(fraction.shape)
-        self._readings, self._lost_readings = (
-            np.zeros(fraction.shape),
-            np.zeros(fraction.shape),
-        )
+        self._readings = np.zeros(fraction.shape)
+        self._lost_readings = np.zeros(fraction.shape)
         self._set_next()
 
     def steer(self, shift: float) -> None:
@@ -197,7 +196,8 @@ class ChamberPeriods(Stateful):
         self.started = np.where(
             ended, self.fill_starts + (self.number - 1) * self.period, self.started
         )
-        self._max[begun], self._min[begun] = -math.inf, math.inf
+        self._max[begun] = -math.inf
+        self._min[begun] = math.inf
         self._readings[begun] = self._lost_readings[begun] = 0
         self.number = self.number + begun
         self._set_next()
@@ -310,7 +310,8 @@ class Duties(Stateful):
             return []
         error = np.where(working[:, None], self.error, math.nan)
         j, side = np.unravel_index(np.nanargmax(np.abs(error)), error.shape)
-        low, high = self.value[working].min(), self.value[working].max()
+        low = self.value[working].min()
+        high = self.value[working].max()
         text = (
             f"after period {period}: largest amplitude error {error[j, side]:+.3g} rad"
             f" (segment {j + 1}, {SIDES[int(side)]} chamber), duties now {low:.3g} to"

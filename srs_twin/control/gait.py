@@ -109,7 +109,10 @@ class PitchWave:
     @property
     def rest_levels(self) -> tuple[float, float]:
         """Levels sin(π r/2) below which the wave to the left and right, and the pitch wave, rest."""
-        ratio = self.share / (1 - self.share) if self.share < 1 else math.inf
+        if self.share < 1:
+            ratio = self.share / (1 - self.share)
+        else:
+            ratio = math.inf
         return _rest_level(1 / ratio if ratio > 1 else 1.0), _rest_level(
             min(ratio, 1.0)
         )
@@ -175,7 +178,8 @@ class Gait(Controller):
         self.frequency = _checked_frequency(frequency)
         self.offset = offset
         self.phase = phase
-        self._phase_step, self._phases = phase_step, phases or ()
+        self._phase_step = phase_step
+        self._phases = phases or ()
         self.rest_level = math.sin(math.pi / 2 * rest_share)
         if pitch is not None and rest_share:
             raise InputError(
@@ -230,7 +234,10 @@ class Gait(Controller):
             self.pitch.check(spec)
         self._axes = spec.chamber.axes if spec.is_spatial else None
         slots = count_slots(tick, spec.scale)
-        step = spec.phase_step if self._phase_step is None else self._phase_step
+        if self._phase_step is None:
+            step = spec.phase_step
+        else:
+            step = self._phase_step
         self.phase_lag = step * np.arange(spec.segments) - self.phase
         if self._phases:
             self.phase_lag = self.phase_lag + np.asarray(self._phases)
@@ -271,11 +278,10 @@ class Gait(Controller):
         # Evaluate the wave only near its changes: in the slot of a change and in the
         # two adjacent slots, because rounding may move the change by one slot.
         period, (up, down) = 1 / self.frequency, self._crossings()
-        angles = (
-            [-up, math.pi + up, -down, math.pi + down]
-            if self.rest_level
-            else [-up, math.pi + up]
-        )
+        if self.rest_level:
+            angles = [-up, math.pi + up, -down, math.pi + down]
+        else:
+            angles = [-up, math.pi + up]
         phases = np.add.outer(self.phase_lag, angles).ravel() / (2 * math.pi) * period
         numbers = np.arange(
             math.floor(-phases.max() / period), math.ceil(duration / period) + 1
@@ -299,7 +305,8 @@ class Gait(Controller):
         up = _three_levels(
             np.sin(pitch.frequency_ratio * angle - pitch.lag_rad), rest_up
         )
-        left[:, : pitch.lifted_segments], up[:, : pitch.lifted_segments] = 0, 1
+        left[:, : pitch.lifted_segments] = 0
+        up[:, : pitch.lifted_segments] = 1
         push = left[..., None] * self._axes[:, 0] + up[..., None] * self._axes[:, 1]
         return np.where(push > 1e-9, 1, -1).astype(np.int8)
 
@@ -337,7 +344,8 @@ class Gait(Controller):
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
     """Return 1, 0 or −1 for values above, within and below the rest level; sign(0) = +1 without rest."""
     # The tolerance makes the sign of an exact zero independent of rounding.
-    low, high = -rest - 1e-12, rest - 1e-12
+    low = -rest - 1e-12
+    high = rest - 1e-12
     if rest >= 1:
         high = rest + 1e-12  # the wave only touches the level
     return np.where(value >= high, 1, np.where(value >= low, 0, -1) if rest else -1)

@@ -81,7 +81,8 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
             to 1 (left ones).
         pulses: number of equal pulses in the tick.
     """
-    slots, chamber = len(valves) // pulses, 0 if duty >= 0 else 1
+    slots = len(valves) // pulses
+    chamber = 0 if duty >= 0 else 1
     valves[:, -hold:] = -1
     for pulse in range(pulses):
         begin = pulse * slots
@@ -149,9 +150,14 @@ class Grasp(Controller):
         check_choice("mode", mode, MODES)
         check_choice("side", side, SIDES)
         check_release(mode, drag_m)
-        self.frequency, self.mode, self.side, self.hold = frequency, mode, side, hold
-        self.curl_s, self.drag_after_s = curl_s, drag_after_s
-        self.release_after_s, self.drag_m = release_after_s, drag_m
+        self.frequency = frequency
+        self.mode = mode
+        self.side = side
+        self.hold = hold
+        self.curl_s = curl_s
+        self.drag_after_s = drag_after_s
+        self.release_after_s = release_after_s
+        self.drag_m = drag_m
         self._gait = Gait(frequency, phase_step=phase_step)
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -162,12 +168,18 @@ class Grasp(Controller):
         """
         check_hold(self.hold, spec)
         self._gait.reset(spec, tick)
-        self._tick, self._segments = tick, spec.segments
+        self._tick = tick
+        self._segments = spec.segments
         self._free_bend = largest_bend(spec, spec.supply.nominal)
-        self.phase, self.grip, self.duty, self.finished = Phase.CURL, 0.0, 0.0, False
-        self._since, self._start = 0.0, np.zeros(2)
+        self.phase = Phase.CURL
+        self.grip = 0.0
+        self.duty = 0.0
+        self.finished = False
+        self._since = 0.0
+        self._start = np.zeros(2)
         self._past: list[np.ndarray] = []
-        self._readings, self._events = SensorReadings(spec.segments), list[Event]()
+        self._readings = SensorReadings(spec.segments)
+        self._events = list[Event]()
 
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick, shape (slots, segments, 2)."""
@@ -183,11 +195,10 @@ class Grasp(Controller):
             valves = np.repeat(valves[None], _SLOTS, axis=0)
         if self.phase is Phase.CURL:
             valves[:] = -1
-        duty = (
-            min(time / self.curl_s, 1.0)
-            if self.phase is Phase.CURL
-            else float(self.phase is Phase.DRAG)
-        )
+        if self.phase is Phase.CURL:
+            duty = min(time / self.curl_s, 1.0)
+        else:
+            duty = float(self.phase is Phase.DRAG)
         self.duty = toward * duty
         hold_with(valves, self.hold, self.duty)
         return valves
@@ -226,7 +237,8 @@ class Grasp(Controller):
 
     def _begin(self, phase: Phase, time: float, com: np.ndarray) -> None:
         if phase is Phase.DRAG:
-            self._since, self._start = time, com.copy()
+            self._since = time
+            self._start = com.copy()
         self.phase = phase
         name = phase.name.lower()
         text = (

@@ -125,7 +125,10 @@ class ILC(Controller):
                 raise UnknownNameError(name, word, _CHOICES[name])
         if isinstance(target, str) and target != SMALLEST:
             raise UnknownNameError("target", target, [SMALLEST])
-        fixed_target = None if isinstance(target, str) else float(target)
+        if isinstance(target, str):
+            fixed_target = None
+        else:
+            fixed_target = float(target)
         numbers = {"k": k, "carrier_hz": carrier_hz}
         if fixed_target is not None:
             numbers["target"] = fixed_target
@@ -144,9 +147,13 @@ class ILC(Controller):
                 " or more"
             )
         self.frequency = frequency
-        self._fixed_target, self._k = fixed_target, k
-        self._free_periods, self._carrier_hz = free_periods, carrier_hz
-        self._on_fault, self._clock, self._steering = on_fault, clock, steering
+        self._fixed_target = fixed_target
+        self._k = k
+        self._free_periods = free_periods
+        self._carrier_hz = carrier_hz
+        self._on_fault = on_fault
+        self._clock = clock
+        self._steering = steering
         self._offset = validated_offset(offset)
         self._initialise(0)
 
@@ -265,7 +272,8 @@ class ILC(Controller):
 
     def _learn(self, time: float) -> None:
         """Check the modules and update the duties of the chambers that have completed a period."""
-        periods, faults = self._periods, self.faults
+        periods = self._periods
+        faults = self.faults
         ended = periods.advance(time)
         if not ended.any():
             return
@@ -294,7 +302,8 @@ class ILC(Controller):
 
     def _record_amplitudes(self, time: float, measured: np.ndarray) -> None:
         """Record amplitudes up to the period after the free ones; then set the target amplitude."""
-        number, working = self._periods.number, self.faults.working
+        number = self._periods.number
+        working = self.faults.working
         recorded = measured & (
             (number <= self._free_periods + 2) | np.isnan(self._record[1])
         )

@@ -81,13 +81,13 @@ class ModuleFaults(Stateful):
         self.resumed = np.full(segments, -math.inf)
         self._period = period
         # Successive periods in which each chamber was too weak, or too strong.
-        self._weak, self._strong = (
-            np.zeros((segments, 2), dtype=int),
-            np.zeros((segments, 2), dtype=int),
-        )
+        self._weak = np.zeros((segments, 2), dtype=int)
+        self._strong = np.zeros((segments, 2), dtype=int)
         self._cleared = np.zeros((segments, 2), dtype=bool)
-        self._test_started, self._bent_above = np.zeros(segments), np.zeros(segments)
-        self._rest_sum, self._rest_count = np.zeros(segments), np.zeros(segments)
+        self._test_started = np.zeros(segments)
+        self._bent_above = np.zeros(segments)
+        self._rest_sum = np.zeros(segments)
+        self._rest_count = np.zeros(segments)
         self._events: list[Event] = []
 
     @property
@@ -97,7 +97,8 @@ class ModuleFaults(Stateful):
 
     def events(self) -> list[Event]:
         """Return the events since the last call."""
-        events, self._events = self._events, []
+        events = self._events
+        self._events = []
         return events
 
     def check_sensors(
@@ -175,11 +176,10 @@ class ModuleFaults(Stateful):
     ) -> None:
         """Vent the segments of suspected chambers; arrays have the shape (segments, 2), targets in rad."""
         for j in np.flatnonzero(chambers.any(axis=1) & self.working):
-            self.tested[j], self.testing = True, True
-            self._test_started[j], self._bent_above[j] = (
-                time,
-                BENT_RATIO * float(target[j].min()),
-            )
+            self.tested[j] = True
+            self.testing = True
+            self._bent_above[j] = BENT_RATIO * float(target[j].min())
+            self._test_started[j] = time
             self._rest_sum[j] = self._rest_count[j] = 0
             text = f"segment {j + 1}: a valve may be stuck; both chambers vent"
             self._events.append(Event(time, "fault_suspected", text))
@@ -196,7 +196,8 @@ class ModuleFaults(Stateful):
         self._rest_sum[resting] += reading[resting]
         self._rest_count += resting
         for j in np.flatnonzero(self.tested & (elapsed >= VENTING_PERIODS + 1)):
-            self.tested[j], self.resumed[j] = False, time
+            self.tested[j] = False
+            self.resumed[j] = time
             self._end_test(
                 time, int(j), self._rest_sum[j] / max(self._rest_count[j], 1)
             )

@@ -124,7 +124,8 @@ class PulseWidthModulator(Stateful):
             filling = np.stack(
                 [phase < duties[..., 0], phase >= 1 - duties[..., 1]], axis=-1
             )
-        self._period_number, self.duty = int(number[-1]), duties[-1]
+        self._period_number = int(number[-1])
+        self.duty = duties[-1]
         self._ticks += 1
         return np.where(filling, 1, -1).astype(np.int8)
 

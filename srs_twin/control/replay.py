@@ -26,7 +26,8 @@ class Replay(Controller):
     state_attributes = ()
 
     def __init__(self, schedule: Schedule, frequency: float | None = None) -> None:
-        self.schedule, self.frequency = schedule, frequency
+        self.schedule = schedule
+        self.frequency = frequency
         self.layouts = layouts_for(schedule.states)
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:

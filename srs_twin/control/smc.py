@@ -99,8 +99,10 @@ class VelocityFilter(Stateful):
         self._w = math.sqrt(2) * math.pi * cutoff
         self._tick = tick
         self.lag = 1 / self._w
-        decay, angle = np.exp(-self._w * tick), self._w * tick
-        self._cos, self._sin = decay * np.cos(angle), decay * np.sin(angle)
+        decay = np.exp(-self._w * tick)
+        angle = self._w * tick
+        self._cos = decay * np.cos(angle)
+        self._sin = decay * np.sin(angle)
         self._last: np.ndarray | None = None
         self.value: np.ndarray = np.zeros(cutoff.shape)
         self.rate: np.ndarray = np.zeros(cutoff.shape)
@@ -112,19 +114,17 @@ class VelocityFilter(Stateful):
             reading: shape (segments,).
         """
         if self._last is None:
-            self.value, self.rate = (
-                np.array(reading, dtype=float),
-                np.zeros(np.shape(reading)),
-            )
+            self.value = np.array(reading, dtype=float)
+            self.rate = np.zeros(np.shape(reading))
         else:
             # The particular solution for a linear reading is that line, delayed by the
             # lag; the deviation from it is a homogeneous solution and decays.
             slope = (reading - self._last) / self._tick
-            deviation, rate_deviation = (
-                self.value - (self._last - slope * self.lag),
-                self.rate - slope,
-            )
-            w, c, s = self._w, self._cos, self._sin
+            deviation = self.value - (self._last - slope * self.lag)
+            rate_deviation = self.rate - slope
+            w = self._w
+            c = self._cos
+            s = self._sin
             self.value = (
                 reading
                 - slope * self.lag
@@ -327,7 +327,8 @@ class IterativeSMC(SlidingMode):
         )
         if self._pulses.due():
             self._update()
-        self._error_sum, self._count = self._error_sum + self._error, self._count + 1
+        self._error_sum = self._error_sum + self._error
+        self._count = self._count + 1
         return self._pulses.step(
             np.stack([(1 + self._mu) / 2, (1 - self._mu) / 2], axis=-1)
         )
@@ -343,12 +344,13 @@ class IterativeSMC(SlidingMode):
 
     def _update(self) -> None:
         """Update μ from the mean errors since the last update; before the first one the error was 0."""
-        elapsed = self._count * self._tick if self._count else self._pulses.period
+        if self._count:
+            elapsed = self._count * self._tick
+        else:
+            elapsed = self._pulses.period
         mean = self._error_sum / max(self._count, 1)
         self._sigma = (self._error - self._last_error) / elapsed + self.D * mean
         self._mu = np.clip(self._mu + self.K * self._sigma, -1.0, 1.0)
-        self._last_error, self._error_sum, self._count = (
-            self._error,
-            np.zeros_like(self._error_sum),
-            0,
-        )
+        self._last_error = self._error
+        self._error_sum = np.zeros_like(self._error_sum)
+        self._count = 0

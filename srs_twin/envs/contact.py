@@ -270,12 +270,14 @@ class GraspTask(CameraTask):
         self, rng: np.random.Generator, last: Episode | None = None
     ) -> GraspEpisode:
         """See `Task.begin`."""
-        spec, seed = self._variation.draw(rng), int(rng.integers(2**32))
+        spec = self._variation.draw(rng)
+        seed = int(rng.integers(2**32))
         ranges = (_OBJECT_RADII_M, _MASSES_KG, _LOADS_N, _BEHIND_M, _GAPS_M)
         radius, mass, load, behind, gap = (
             float(rng.uniform(*limits)) for limits in ranges
         )
-        side, geometry = (1 if rng.random() < 0.5 else -1), spec.geometry
+        side = 1 if rng.random() < 0.5 else -1
+        geometry = spec.geometry
         front = geometry.body_length / 2 - (geometry.segments - HOLD) * geometry.pitch
         y = side * (geometry.width / 2 + gap + radius)
         item = MovableObject(
@@ -300,16 +302,20 @@ class GraspEpisode(ObservedEpisode):
     ) -> None:
         """Place the straight snake at the origin."""
         state = twin.reset(seed=seed)
-        self._item, self._gait = item, Gait(GRASP_FREQUENCY_HZ)
+        self._item = item
+        self._gait = Gait(GRASP_FREQUENCY_HZ)
         self._gait.reset(twin.spec, twin.tick)
-        self._command, self._driven, self._moved = [0.0, 0.0, 0.0], 0.0, 0.0
+        self._command = [0.0, 0.0, 0.0]
+        self._driven = 0.0
+        self._moved = 0.0
         self._grips: list[np.ndarray] = []
         super().__init__(task, twin, state, seed)
 
     def _initialise_from_state(self) -> None:
         """See `Episode._initialise_from_state`."""
         super()._initialise_from_state()
-        self._moved, self._grips = self._distance_moved(), []
+        self._moved = self._distance_moved()
+        self._grips = []
 
     def _valves(self, action: list[float]) -> np.ndarray:
         grip, drive, self._gait.offset = self._command = action
@@ -361,7 +367,8 @@ class GraspEpisode(ObservedEpisode):
         )
 
     def _reward_values(self) -> dict[str, float]:
-        before, self._moved = self._moved, self._distance_moved()
+        before = self._moved
+        self._moved = self._distance_moved()
         holding = np.asarray(self.state.position)[-HOLD - 1 :]
         gripped = self._is_gripped()
         # Distances to the holding connectors behind the first one locate the object in

@@ -158,13 +158,16 @@ class CrawlEpisode(ObservedEpisode):
     ) -> None:
         """Place the snake at the origin of a world with a goal."""
         assert world.goal is not None, "the task sets a goal"
-        self.world, self.goal, limits = world, world.goal, task.limits
+        self.world = world
+        self.goal = world.goal
+        limits = task.limits
         mean_command = GaitCommand(
             0.0, *(sum(pair) / 2 for pair in (limits.frequency, limits.pressure))
         )
         state = twin.reset(pose=(0.0, 0.0, heading), seed=seed)
         self._gait = CommandedGait(twin.spec, twin.tick, twin.pneumatics, mean_command)
-        self._distance, self._offset = self._goal_distance(state), 0.0
+        self._distance = self._goal_distance(state)
+        self._offset = 0.0
         super().__init__(task, twin, state, seed)
 
     def identity(self) -> dict[str, Any]:
@@ -179,14 +182,16 @@ class CrawlEpisode(ObservedEpisode):
                 f"option goal {abbreviate(place)} is not allowed; give x and y in m"
             )
         x, y = given.tolist()
-        name, goal = (
-            f"option goal ({x:g}, {y:g}) is not allowed",
-            Goal(x, y, None, GOAL_RADIUS_M),
-        )
+        name = f"option goal ({x:g}, {y:g}) is not allowed"
+        goal = Goal(x, y, None, GOAL_RADIUS_M)
         if hit := obstacle_at(self.world, x, y):
-            relation = "outside" if hit.startswith("the bounds") else "inside"
+            if hit.startswith("the bounds"):
+                relation = "outside"
+            else:
+                relation = "inside"
             raise InputError(f"{name}; it is {relation} {hit}")
-        self.goal, self.world = goal, replace(self.world, goal=goal)
+        self.goal = goal
+        self.world = replace(self.world, goal=goal)
         self._initialise_from_state()
         if self._distance <= goal.radius:
             raise InputError(
@@ -227,8 +232,10 @@ class CrawlEpisode(ObservedEpisode):
 
     def _reward_values(self) -> dict[str, float]:
         room, (x, y) = self.world.bounds, self.state.com
-        before, self._distance = self._distance, self._goal_distance(self.state)
-        offset_before, self._offset = self._offset, self._gait.command.offset
+        before = self._distance
+        self._distance = self._goal_distance(self.state)
+        offset_before = self._offset
+        self._offset = self._gait.command.offset
         if self._distance <= self.goal.radius:
             self.ending = "goal_reached"
         elif self.collisions_end and self._touching():
@@ -337,7 +344,9 @@ class CrawlTask(CameraTask):
                 f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g}"
                 f" s; it must be {1 / STEP_S:g} Hz or more"
             )
-        self.name, self.arena, self.camera = name, arena, camera
+        self.name = name
+        self.arena = arena
+        self.camera = camera
         self.has_obstacles = arena.obstacles > 0
         self.limits = self._gait_limits()
         self.actions = self._action_signals()
@@ -375,9 +384,11 @@ class CrawlTask(CameraTask):
 
     def _draw_obstacles(self, goal: Goal, seed: int) -> tuple[Circle, ...]:
         """Return the obstacles of an episode."""
-        rng, circles = np.random.default_rng(seed), []
+        rng = np.random.default_rng(seed)
+        circles = []
         for x in self.arena.rows:
-            gate, shift = rng.integers(1, _SITES - 1), rng.uniform(-_SHIFT_M, _SHIFT_M)
+            gate = rng.integers(1, _SITES - 1)
+            shift = rng.uniform(-_SHIFT_M, _SHIFT_M)
             for site in set(range(_SITES)) - {int(gate)}:
                 y = (site - (_SITES - 1) / 2) * _SPACING_M + shift
                 circles.append(Circle(x, float(y), float(rng.uniform(*_RADII_M))))

@@ -47,7 +47,8 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
         """Initialise with a task and the generator of its episodes."""
-        self._task, self._rng = task, rng
+        self._task = task
+        self._rng = rng
         self._renderer: EpisodeRenderer | None = None
 
     @property
@@ -87,7 +88,9 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
 
     def time(self) -> float:
         """Return the time of the episode, s."""
-        return 0.0 if self.episode is None else float(self.episode.state.time)
+        if self.episode is None:
+            return 0.0
+        return float(self.episode.state.time)
 
     def timestep(self) -> float:
         """Return the duration of a step, s."""
@@ -141,7 +144,9 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         """Return the final discount: 0 if terminated, 1 if truncated; None while the episode runs."""
         if physics.result.terminated:
             return 0.0
-        return 1.0 if physics.result.truncated else None
+        if physics.result.truncated:
+            return 1.0
+        return None
 
 
 class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  # dm_control has no types
@@ -168,5 +173,6 @@ def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnviron
 
 
 def _spec(signal: Signal) -> specs.BoundedArray:
-    low, high = lower_bounds((signal,)), upper_bounds((signal,))
+    low = lower_bounds((signal,))
+    high = upper_bounds((signal,))
     return specs.BoundedArray((1,), np.float32, low, high, signal.name)

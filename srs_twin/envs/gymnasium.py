@@ -122,11 +122,10 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         """
         check_seed(seed)
         checked = _checked_options(options)
-        rng = (
-            copy.deepcopy(self.np_random)
-            if seed is None
-            else seeding.np_random(seed)[0]
-        )
+        if seed is None:
+            rng = copy.deepcopy(self.np_random)
+        else:
+            rng = seeding.np_random(seed)[0]
         # Do not reuse the twin of the running episode with options, because they may be
         # refused.
         episode = self.task.begin(rng, None if checked else self.episode)
@@ -162,11 +161,9 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
             InputError: no episode has started, or OpenGL cannot render without a
                 display here.
         """
-        return (
-            None
-            if self.render_mode is None
-            else self._renderer.render(self._current_episode())
-        )
+        if self.render_mode is None:
+            return None
+        return self._renderer.render(self._current_episode())
 
     def close(self) -> None:
         """Release the renderer."""
@@ -378,7 +375,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
 
     def _step_on_device(self, actions: np.ndarray) -> list[StepResult]:
         """Step all running episodes as one batch and reset the ended ones."""
-        batch, ended = self._batch, np.flatnonzero(self._ended).tolist()
+        batch = self._batch
+        ended = np.flatnonzero(self._ended).tolist()
         results = {k: self._begin_next(k) for k in ended}
         running = [k for k in range(self.num_envs) if k not in results]
         vented = np.full(
@@ -396,18 +394,20 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves])
         )
         for k in running:
-            episode, error = self.envs[k]._current_episode(), batch.errors[k]
-            results[k] = (
-                episode.finish_step(batch.state.at(k))
-                if error is None
-                else episode.diverged(error)
-            )
+            episode = self.envs[k]._current_episode()
+            error = batch.errors[k]
+            if error is None:
+                results[k] = episode.finish_step(batch.state.at(k))
+            else:
+                results[k] = episode.diverged(error)
         if ended:
             self._reset_device_poses(ended)
         return [results[k] for k in range(self.num_envs)]
 
     def _step_or_reset(self, k: int, action: np.ndarray) -> StepResult:
-        return self._begin_next(k) if self._ended[k] else self.envs[k].step(action)
+        if self._ended[k]:
+            return self._begin_next(k)
+        return self.envs[k].step(action)
 
     def _begin_next(self, k: int) -> StepResult:
         """Start the next episode of an environment, in place of a step."""

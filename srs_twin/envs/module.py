@@ -45,7 +45,8 @@ class ModuleTask(Task):
         reach: largest reference bend, rad.
     """
 
-    name, step_s = "Module", STEP_S
+    name = "Module"
+    step_s = STEP_S
     reward_terms = (
         RewardTerm(
             "error_rad_s",

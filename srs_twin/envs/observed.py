@@ -55,10 +55,8 @@ class ObservedEpisode(Episode):
         self, task: CameraTask, twin: TwinSnake, state: SnakeState, seed: int
     ) -> None:
         """Initialise; see `Episode.__init__`."""
-        self._frames, self._readings = (
-            CameraFrames(task.camera, seed),
-            SensorReadings(state.sensed.size),
-        )
+        self._frames = CameraFrames(task.camera, seed)
+        self._readings = SensorReadings(state.sensed.size)
         self._air = float(state.air)
         super().__init__(task, twin, state)
 
@@ -91,7 +89,8 @@ class ObservedEpisode(Episode):
 
     def _costs(self) -> dict[str, float]:
         """Return the values of `COSTS` in the last step."""
-        before, self._air = self._air, float(self.state.air)
+        before = self._air
+        self._air = float(self.state.air)
         return {"time_s": self._task.step_s, "air_j": self._air - before}
 
     def _info(self) -> dict[str, Any]:
@@ -101,12 +100,10 @@ class ObservedEpisode(Episode):
 
 def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
     """Return the position of a point relative to an observed pose, ahead and to the left, m."""
-    c, s, dx, dy = (
-        math.cos(seen.heading),
-        math.sin(seen.heading),
-        x - seen.x,
-        y - seen.y,
-    )
+    c = math.cos(seen.heading)
+    s = math.sin(seen.heading)
+    dx = x - seen.x
+    dy = y - seen.y
     return c * dx + s * dy, c * dy - s * dx
 
 

@@ -201,7 +201,8 @@ class _Baseline(ABC):
 
     def __init__(self, task: Task) -> None:
         """Initialise for an episode of the task."""
-        self._task, self._names = task, [signal.name for signal in task.observations]
+        self._task = task
+        self._names = [signal.name for signal in task.observations]
         self._steps = 0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -345,7 +346,8 @@ class Score:
 def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
     """Run one episode of a task, drawn from `rng`, with a policy."""
     episode = task.begin(rng)
-    result, total = episode.first, 0.0
+    result = episode.first
+    total = 0.0
     while not episode.ending:
         result = episode.step(policy(result.observation))
         total += result.reward
@@ -355,7 +357,8 @@ def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
 class _OffsetStore(Controller):
     """Controller that stores the offset of a follower in place of a gait."""
 
-    kind, frequency = "helm", FREQUENCY_HZ
+    kind = "helm"
+    frequency = FREQUENCY_HZ
     offset = 0.0
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -376,7 +379,8 @@ def _pose(values: Mapping[str, float]) -> Pose:
 
 
 def _world_position(pose: Pose, ahead: float, left: float) -> tuple[float, float]:
-    c, s = math.cos(pose.heading), math.sin(pose.heading)
+    c = math.cos(pose.heading)
+    s = math.sin(pose.heading)
     return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
 
 

@@ -51,10 +51,12 @@ class EpisodeRenderer:
         from srs_twin.viewing.mujoco.stage import Skins
 
         physics = episode.twin.physics
-        model, data = physics.model, physics.data
+        model = physics.model
+        data = physics.data
         if model is not self._model:
             self.close()
-            self._canvas, self._model = Canvas(model, *self.size), model
+            self._canvas = Canvas(model, *self.size)
+            self._model = model
             self._skins = Skins(model, episode.twin.spec.segments)
         self._skins.show(episode.state.pressure, episode.twin.spec.supply.nominal)
         mujoco.mj_camlight(model, data)
@@ -73,8 +75,10 @@ class EpisodeRenderer:
 
 def _camera(episode: Episode) -> mujoco.MjvCamera:
     """Return a camera that looks down on the snake and its goal from a distance at which both are visible."""
-    camera, target = mujoco.MjvCamera(), episode.twin.physics.center_of_mass()
-    camera.elevation, camera.azimuth = _ELEVATION_DEG, 90.0
+    camera = mujoco.MjvCamera()
+    target = episode.twin.physics.center_of_mass()
+    camera.elevation = _ELEVATION_DEG
+    camera.azimuth = 90.0
     camera.distance = _BODY_LENGTHS * episode.twin.spec.geometry.body_length
     if episode.goal is not None:
         to_goal = np.array([episode.goal.x, episode.goal.y]) - target[:2]

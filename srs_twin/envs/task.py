@@ -91,17 +91,17 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
     if values.dtype.kind not in "biuf" or values.shape != shape:
         return None
     values = values.astype(float)
-    return values if np.isfinite(values).all() else None
+    if np.isfinite(values).all():
+        return values
+    return None
 
 
 def abbreviate(value: object) -> str:
     """Return a short text of a value for messages; a large array is described by its shape."""
     if isinstance(value, np.ndarray):
-        return (
-            f"of shape {value.shape}"
-            if value.size > _MAX_PRINTED_VALUES
-            else str(value.tolist())
-        )
+        if value.size > _MAX_PRINTED_VALUES:
+            return f"of shape {value.shape}"
+        return str(value.tolist())
     return reprlib.repr(value)
 
 
@@ -238,8 +238,12 @@ class Task(ABC):
             warnings.warn(text, DeprecationWarning, stacklevel=3)
         defaults = {term.name: term.weight for term in self.reward_terms}
         check_names("reward term", rewards or (), defaults)
-        self.action_range, self.weights = action_range, defaults | dict(rewards or {})
-        self._requested_groups = None if observations is None else tuple(observations)
+        self.action_range = action_range
+        self.weights = defaults | dict(rewards or {})
+        if observations is None:
+            self._requested_groups = None
+        else:
+            self._requested_groups = tuple(observations)
         variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)
         own = (
@@ -249,11 +253,9 @@ class Task(ABC):
         )
         allowed = keywords(TwinSnake).union(*own) - _RESERVED_TWIN_ARGUMENTS
         check_names("setting of the task or its twin", twin_settings, allowed)
-        self.limit_s, self._variation, self._twin_settings = (
-            limit_s,
-            variation,
-            twin_settings,
-        )
+        self.limit_s = limit_s
+        self._variation = variation
+        self._twin_settings = twin_settings
         self.robot = variation.file.spec()
         if not self.spatial:
             self.robot.require_planar("an environment other than Crawl3D")
@@ -270,18 +272,17 @@ class Task(ABC):
             UnknownNameError: a group does not exist.
             InputError: no group is selected.
         """
-        selected = (
-            tuple(groups) if self._requested_groups is None else self._requested_groups
-        )
+        if self._requested_groups is None:
+            selected = tuple(groups)
+        else:
+            selected = self._requested_groups
         check_names("group of observations", selected, groups)
         if not selected:
             raise InputError(
                 f"observations: give at least one group of {', '.join(groups)}"
             )
-        self.groups, self._selected_groups = (
-            groups,
-            tuple(name for name in groups if name in selected),
-        )
+        self.groups = groups
+        self._selected_groups = tuple(name for name in groups if name in selected)
         self.observations = tuple(
             signal for name in self._selected_groups for signal in groups[name]
         )
@@ -329,11 +330,10 @@ class Task(ABC):
             for bounds in (lower_bounds, upper_bounds)
         )
         given = np.asarray(values, dtype=float)
-        scaled = (
-            given
-            if self.action_range == "physical"
-            else 2 * (given - low) / (high - low) - 1
-        )
+        if self.action_range == "physical":
+            scaled = given
+        else:
+            scaled = 2 * (given - low) / (high - low) - 1
         return scaled.astype(np.float32)
 
     @property
@@ -400,14 +400,13 @@ class Episode(Stateful, ABC):
 
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
         """Initialise; a subclass sets its attributes before, because this makes the first observation."""
-        self.twin, self.state = twin, state
+        self.twin = twin
+        self.state = state
         self._task = task
         self._rewards = dict.fromkeys(task.weights, 0.0)
         self._bounds = lower_bounds(task.observations), upper_bounds(task.observations)
-        self._steps, self._max_steps = (
-            0,
-            count_steps("limit_s", task.limit_s, "step", task.step_s),
-        )
+        self._steps = 0
+        self._max_steps = count_steps("limit_s", task.limit_s, "step", task.step_s)
         self.first = StepResult(self._observation(), 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
@@ -537,5 +536,6 @@ class Episode(Stateful, ABC):
     def _info(self) -> dict[str, Any]:
         """Return diagnostics as name → value; names end in the unit."""
         rewards = {f"reward_{name}": value for name, value in self._rewards.items()}
-        time, air = float(self.state.time), float(self.state.air)
+        time = float(self.state.time)
+        air = float(self.state.air)
         return {"time_s": time, "air_j": air, "ending": self.ending, **rewards}

@@ -66,7 +66,8 @@ class Variation:
             file = robot_in(Document("robot", robot))
             name = file.name
         else:
-            file, name = load_robot_file(robot), os.fspath(robot)
+            file = load_robot_file(robot)
+            name = os.fspath(robot)
         if fit_file is not None and fit_file.robot != name:
             raise InputError(
                 f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'"
@@ -105,9 +106,10 @@ def _draw_fitted_values(
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
     # Use eigenvalues, because correlations of 1 make the covariance singular.
-    drawn = (
-        rng.multivariate_normal(values, covariance, method="eigh") if fitted else values
-    )
+    if fitted:
+        drawn = rng.multivariate_normal(values, covariance, method="eigh")
+    else:
+        drawn = values
     unknowns = free_parameters(spec, (parameter.name for parameter in fitted))
     bounds = {unknown.name: unknown for unknown in unknowns}
     result = {

@@ -84,7 +84,8 @@ class Response:
         Raises:
             InputError: the recording has no log.
         """
-        trajectory, log = recording.trajectory, log_of(recording, name)
+        trajectory = recording.trajectory
+        log = log_of(recording, name)
         log_metadata = trajectory.metadata.get("valve_log")
         is_estimated = isinstance(log_metadata, Mapping) and log_metadata.get(
             "offset_estimated"

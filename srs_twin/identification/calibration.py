@@ -161,12 +161,10 @@ def calibrate_friction(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec, paths, kept = (
-        locals(),
-        load_robot(robot),
-        _texts(files),
-        _texts(validate),
-    )
+    given = locals()
+    spec = load_robot(robot)
+    paths = _texts(files)
+    kept = _texts(validate)
     if _all_of_kind(
         [*paths, *kept], is_pull_table, "table of pulls", "recording of a coasting test"
     ):
@@ -175,10 +173,8 @@ def calibrate_friction(
                 f"{paths[1]}: a fit uses one table of pulls; give further ones with"
                 " --validate"
             )
-        pulls, validation_pulls = (
-            read_pull_table(paths[0]),
-            [read_pull_table(path) for path in kept],
-        )
+        pulls = read_pull_table(paths[0])
+        validation_pulls = [read_pull_table(path) for path in kept]
         estimate = fit_pulls(pulls, validation=validation_pulls)
         title = f"Friction of {spec.name} from pulls"
         return _finished(
@@ -201,10 +197,8 @@ def calibrate_friction(
         notify(recording.summary.text())
         return CoastingTest.from_trajectory(recording.trajectory, path)
 
-    runs, validation = (
-        [coasting_test(path) for path in paths],
-        [coasting_test(path) for path in kept],
-    )
+    runs = [coasting_test(path) for path in paths]
+    validation = [coasting_test(path) for path in kept]
     estimate = fit_coasting(
         runs,
         spec,
@@ -256,12 +250,10 @@ def calibrate_actuator(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec, paths, kept = (
-        locals(),
-        load_robot(robot),
-        _texts(files),
-        _texts(validate),
-    )
+    given = locals()
+    spec = load_robot(robot)
+    paths = _texts(files)
+    kept = _texts(validate)
     held = f"Actuators of {spec.name} from held pressures"
     if _all_of_kind(
         [*paths, *kept], is_static_table, "table of constant pressures", "recording"
@@ -361,12 +353,10 @@ def calibrate_locomotion(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec, paths, kept = (
-        locals(),
-        load_robot(robot),
-        _texts(files),
-        _texts(validate),
-    )
+    given = locals()
+    spec = load_robot(robot)
+    paths = _texts(files)
+    kept = _texts(validate)
     plant_model = PlantModel(plant, _plant_settings(plant, model, law))
     supply = spec.supply.nominal if supply_pa is None else supply_pa
     recordings, kept_recordings = _recordings(
@@ -438,7 +428,8 @@ def calibrate_damping(
     Raises:
         InputError: a file cannot be read, or the data do not allow the fit.
     """
-    given, spec = locals(), load_robot(robot)
+    given = locals()
+    spec = load_robot(robot)
     body = HangingBody.of(spec, mass_kg, inertia_kg_m2)
     decays = [read_decay(path, start=from_s, noise=noise_rad) for path in _texts(files)]
     for decay in decays:
@@ -471,7 +462,10 @@ def _finished(
 ) -> Calibration:
     """Return the result of a fit, and write it if the arguments `given` to the function name a file."""
     robot = given["robot"]
-    name = robot.name if isinstance(robot, RobotSpec) else os.fspath(robot)
+    if isinstance(robot, RobotSpec):
+        name = robot.name
+    else:
+        name = os.fspath(robot)
     data = tuple(data_sets(fitted, validation))
     result = Calibration(estimate, method, title, name, data, plateaus)
     if given["out"] is not None:
@@ -537,7 +531,8 @@ def _all_of_kind(
     """
     kinds = [is_first(path) for path in files]
     if len(set(kinds)) > 1:
-        one, other = files[kinds.index(True)], files[kinds.index(False)]
+        one = files[kinds.index(True)]
+        other = files[kinds.index(False)]
         raise InputError(f"{one} is a {first}, {other} a {second}; fit them separately")
     return kinds[0]
 

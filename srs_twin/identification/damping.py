@@ -136,7 +136,8 @@ class HangingBody:
 
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
         """Return the first segment of a robot with this body at its end."""
-        g, chamber = spec.geometry, spec.chamber
+        g = spec.geometry
+        chamber = spec.chamber
         plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
         air = (plus, minus, bend_law(spec), chamber.dead_volume, chamber.displacement)
         return HangingSegment(
@@ -212,7 +213,10 @@ class _DampingFit:
         closed: bool,
         leak: float | None,
     ) -> None:
-        self.decays, self.spec, self.body, self.closed = decays, spec, body, closed
+        self.decays = decays
+        self.spec = spec
+        self.body = body
+        self.closed = closed
         self.encloses_air = closed and decays[0].pressure is None
         self.segment = body.segment(spec, self.encloses_air)
         self.free_leak = self.encloses_air and leak is None
@@ -235,7 +239,8 @@ class _DampingFit:
         first = self.decays[0]
         # The squared frequency is linear in k: the weight adds a constant, the air a
         # share of k.
-        segment, air = self.body.segment(self.spec, self.closed), self._air_at_end()
+        segment = self.body.segment(self.spec, self.closed)
+        air = self._air_at_end()
         one, two = (
             ringing(segment, Material(k, 0.0), 0.0, air).frequency ** 2
             for k in (1.0, 2.0)
@@ -357,7 +362,8 @@ class _DampingFit:
                 None: viscous damping.
         """
         values = self.values | dict(values)
-        material, branches = self._material(values), NO_BRANCHES
+        material = self._material(values)
+        branches = NO_BRANCHES
         air = (
             self._swing(values, 0, constant_about)[1][2:4]
             if self.encloses_air
@@ -373,15 +379,19 @@ class _DampingFit:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the bends of recording k, rad, and the last state; arguments as in `small_swing`."""
         values = self.values | dict(values)
-        decay, grid, material = self.decays[k], self.grids[k], self._material(values)
-        branches, moments = NO_BRANCHES, np.empty(0)
+        decay = self.decays[k]
+        grid = self.grids[k]
+        material = self._material(values)
+        branches = NO_BRANCHES
+        moments = np.empty(0)
         air = self._enclosed_air(decay, material.leak)
         rest = values[f"rest_{k}"] + self.air[k]
         for j, ratio in enumerate(_CREEP_RATIOS):
             rest = rest + values[f"creep_{j}_{k}"] * np.exp(
                 (grid[0] - grid) * decay.pulsation / ratio
             )
-        bend, rate = values[f"bend_{k}"], values[f"rate_{k}"]
+        bend = values[f"bend_{k}"]
+        rate = values[f"rate_{k}"]
         if constant_about is not None:
             material, branches, moments = constant_loss(material, constant_about, rate)
         start = np.concatenate([[bend, rate], air, moments])
@@ -479,10 +489,8 @@ def _derived(
     ]
     changes = []
     for parameter in (estimate.parameters[k] for k in rows):
-        value, step = (
-            parameter.value or 0.0,
-            _ERROR_STEP * (parameter.standard_error or 0.0),
-        )
+        value = parameter.value or 0.0
+        step = _ERROR_STEP * (parameter.standard_error or 0.0)
         up, down = (
             logarithm({parameter.name: value + sign * step}) for sign in (1, -1)
         )
@@ -491,14 +499,13 @@ def _derived(
     variance = float(row @ estimate.correlation[np.ix_(rows, rows)] @ row)
     error = math.hypot(math.sqrt(max(variance, 0.0)), model_error)
     freedom = max(estimate.independent - len(estimate.parameters), 1.0)
-    half, value = (
-        float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error,
-        math.exp(logarithm({})),
-    )
+    half = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
+    value = math.exp(logarithm({}))
     verdict: Verdict = (
         "identified" if error <= IDENTIFIED_ERROR else "weakly identified"
     )
     if estimate.misfit:
         verdict = "cannot tell"
-    low, high = value * math.exp(-half), value * math.exp(half)
+    low = value * math.exp(-half)
+    high = value * math.exp(half)
     return Parameter(name, unit, verdict, value, value * error, low, high)

@@ -151,7 +151,8 @@ def read_decay(
     clock = table.clock(f"no time; a recording of a decay has {DECAY_COLUMNS}")
     rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
     known = np.isfinite(rows.values).all(axis=1)
-    time, values = rows.time[known], rows.values[known]
+    time = rows.time[known]
+    values = rows.values[known]
     if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
         problem = (
             f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are"
@@ -250,16 +251,19 @@ def _noise(bend: np.ndarray) -> float:
 def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
     """Return the samples at which the bend turns back by more than a threshold."""
     turns: list[int] = []
-    extreme, direction = 0, 0.0
+    extreme = 0
+    direction = 0.0
     for k, value in enumerate(bend):
         ahead = (value - bend[extreme]) * direction
         if direction == 0.0 and abs(value - bend[0]) > threshold:
-            extreme, direction = k, math.copysign(1.0, value - bend[0])
+            extreme = k
+            direction = math.copysign(1.0, value - bend[0])
         elif ahead > 0:
             extreme = k
         elif ahead < -threshold:
             turns.append(extreme)
-            extreme, direction = k, -direction
+            extreme = k
+            direction = -direction
     return turns
 
 

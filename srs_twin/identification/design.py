@@ -169,7 +169,8 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     )
 
     def steps(robot: RobotSpec) -> Array:
-        chambers, bends = LagPneumatics(robot, supply_pa=supply), []
+        chambers = LagPneumatics(robot, supply_pa=supply)
+        bends = []
         for state in (1, -1):
             valves = np.full((robot.segments, 2), -1)
             valves[0, 0] = state
@@ -279,9 +280,13 @@ def calibrate_design(robot: StrPath, want: Mapping[str, float]) -> ExperimentDes
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
     """
-    file, shares = load_robot_file(robot), (np.arange(64) + 0.5) / 64
+    file = load_robot_file(robot)
+    shares = (np.arange(64) + 0.5) / 64
     has_priors = any(record.uncertain for record in file.records().values())
-    priors = Priors.from_robot(file).parameters if has_priors else ()
+    if has_priors:
+        priors = Priors.from_robot(file).parameters
+    else:
+        priors = ()
     known = {
         prior.path: (prior.value, float(prior.quantile(shares).std()))
         for prior in priors
@@ -352,7 +357,8 @@ def choose_experiments(
         is_useful = (narrowed[too_wide] < _MIN_NARROWING * current[too_wide]).any()
         if not np.isfinite(scores[best]) or not is_useful:
             break
-        information, current = information + gains[best], narrowed
+        information = information + gains[best]
+        current = narrowed
         chosen.append(best)
         after.append(current)
     columns = {

@@ -68,7 +68,9 @@ class Residual:
     @property
     def rms(self) -> float:
         """Root mean square, in the unit."""
-        return float(np.sqrt(np.mean(self.values**2))) if len(self.values) else 0.0
+        if len(self.values):
+            return float(np.sqrt(np.mean(self.values**2)))
+        return 0.0
 
 
 @dataclass(frozen=True)
@@ -103,9 +105,10 @@ class Parameter:
         numbers = (self.value, self.standard_error, self.low, self.high)
         is_empty = self.verdict == "not identifiable"
         if any((number is None) != is_empty for number in numbers):
-            expected = (
-                "no numbers" if is_empty else "value, standard_error, low and high"
-            )
+            if is_empty:
+                expected = "no numbers"
+            else:
+                expected = "value, standard_error, low and high"
             raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
 
 
@@ -183,16 +186,20 @@ class FitEstimate(HtmlResult):
     def misfit(self) -> tuple[str, ...]:
         """One line per kind of signal that the model does not explain; empty if it explains the data."""
         explained = explains_data(self.residuals, self.residual_scale)
-        return () if explained else (MISFIT_MESSAGE, *describe_misfit(self.residuals))
+        if explained:
+            return ()
+        return (MISFIT_MESSAGE, *describe_misfit(self.residuals))
 
     def with_fixed(self, known: Sequence[Parameter]) -> FitEstimate:
         """Return the estimate with additional measured parameters, uncorrelated with the fitted ones."""
-        size, count = len(self.parameters), len(known)
+        size = len(self.parameters)
+        count = len(known)
         correlation = np.eye(size + count)
         correlation[:size, :size] = self.correlation
         for i, parameter in enumerate(self.parameters):
             if parameter.value is None:
-                correlation[i], correlation[:, i] = np.nan, np.nan
+                correlation[i] = np.nan
+                correlation[:, i] = np.nan
         return replace(
             self, parameters=(*self.parameters, *known), correlation=correlation
         )
@@ -204,7 +211,9 @@ class FitEstimate(HtmlResult):
             for r in self.residuals
             if r.role == role and len(r.values)
         ]
-        return float(np.sqrt(np.concatenate(squares).mean())) if squares else None
+        if squares:
+            return float(np.sqrt(np.concatenate(squares).mean()))
+        return None
 
     def text(self) -> str:
         """Return the estimate as text, one line per parameter."""
@@ -273,7 +282,10 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
         before, after = np.sum(halves, axis=0)
         is_growing = len(worst.values) >= _MIN_SERIES and after > _GROWTH**2 * before
         growing = ", growing with time" if is_growing else ""
-        where = f", most in {name}" if (name := worst.name.rpartition(" ")[0]) else ""
+        if name := worst.name.rpartition(" ")[0]:
+            where = f", most in {name}"
+        else:
+            where = ""
         yield f"residuals of {kind}: {scale:.3g} times the noise{where}{growing}"
 
 
@@ -311,7 +323,8 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
     kept = pairs[: ends[0]] if ends.size else pairs
     lags = 2 * len(kept) - 1  # without lag 0
     uncorrected = max(1.0, float(2 * kept.sum() - 1))
-    samples, time = sum(len(residuals) for residuals in long), uncorrected
+    samples = sum(len(residuals) for residuals in long)
+    time = uncorrected
     for _ in range(_ITERATIONS):
         removed = min(unknowns * time / samples, _MAX_REMOVED_SHARE)
         time = max(

@@ -76,7 +76,8 @@ class FollowerRun:
     def run(self) -> tuple[float, float]:
         """Return the largest excursions during the run-up and after it, m."""
         scenario = parse_scenario(self.document | {"seed": self.seed})
-        planner, follower = scenario.planner, scenario.build_controller()
+        planner = scenario.planner
+        follower = scenario.build_controller()
         assert planner is not None and isinstance(follower, Follower), (
             "checked by `measure_excursions`"
         )
@@ -117,10 +118,12 @@ class FollowerRun:
         metadata = following(trajectory)
         assert metadata is not None, "a follower ran"
         start = metadata["plans"][-1]["time"]
-        excess, is_after = beyond(trajectory), trajectory.time >= start
-        during_run_up = (
-            float(excess[~is_after].max(initial=0.0)) if self.run_up else 0.0
-        )
+        excess = beyond(trajectory)
+        is_after = trajectory.time >= start
+        if self.run_up:
+            during_run_up = float(excess[~is_after].max(initial=0.0))
+        else:
+            during_run_up = 0.0
         has_arrived = metadata["ending"] == next(iter(ENDINGS))
         return during_run_up, float(excess[is_after].max()) if has_arrived else LOST_M
 
@@ -132,7 +135,10 @@ def _random_arcs(
 
     The first arc is curved, as it is in plans after a run-up.
     """
-    arcs, left, heading, curvature = [], LENGTH_M, 0.0, 0.0
+    arcs = []
+    left = LENGTH_M
+    heading = 0.0
+    curvature = 0.0
     while left > _MIN_ARC_M:
         curvature = float(
             rng.choice([value for value in (low, 0.0, high) if value != curvature])
@@ -144,7 +150,8 @@ def _random_arcs(
             length = (math.copysign(_MAX_HEADING, curvature) - heading) / curvature
         if length > _MIN_ARC_M:
             arcs.append((curvature, length))
-            heading, left = heading + curvature * length, left - length
+            heading = heading + curvature * length
+            left = left - length
     return arcs
 
 
@@ -182,7 +189,8 @@ def calibrate_margin(
             written.
     """
     loaded = load_scenario(scenario, set=[*Override.list_of(set), NO_MARGIN])
-    kinds, done = plants or tuple(loaded.plants), itertools.count(1)
+    kinds = plants or tuple(loaded.plants)
+    done = itertools.count(1)
     source = find_file("footprint", loaded.file.section("planner").footprint)
     file = load_footprint_file(source)
     path = None if out is None else Path(out) / f"{file.name}.yaml"
@@ -235,7 +243,8 @@ def measure_excursions(
     Raises:
         InputError: the scenario does not follow a plan, or a run failed.
     """
-    planner, controller = scenario.file.section("planner"), scenario.controller
+    planner = scenario.file.section("planner")
+    controller = scenario.controller
     if planner is None or not isinstance(controller, FollowFile):
         raise InputError(
             f"{scenario.name}: it follows no plan; margins are only for"

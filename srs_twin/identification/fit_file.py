@@ -160,11 +160,9 @@ _MAX_COMMAND_LENGTH = 2000
 
 def short_command(command: str) -> str:
     """Return a command for a fit file, cut if it is too long."""
-    return (
-        command
-        if len(command) <= _MAX_COMMAND_LENGTH
-        else command[: _MAX_COMMAND_LENGTH - 1] + "…"
-    )
+    if len(command) <= _MAX_COMMAND_LENGTH:
+        return command
+    return command[: _MAX_COMMAND_LENGTH - 1] + "…"
 
 
 _DIGITS = 9
@@ -461,8 +459,12 @@ def _parameter_entry(parameter: Parameter) -> ParameterEntry:
 
 
 def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else 0.0
+    if math.isfinite(value):
+        return float(f"{value:.{_DIGITS}g}")
+    return 0.0
 
 
 def _rounded_or_none(value: float | None) -> float | None:
-    return None if value is None else _rounded(value)
+    if value is None:
+        return None
+    return _rounded(value)

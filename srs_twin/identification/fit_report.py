@@ -97,7 +97,8 @@ def residual_plot(residuals: Sequence[Residual]) -> Figure:
 
 
 def _panel(axes: Axes, residual: Residual) -> None:
-    values, color = residual.values, _COLORS[residual.role]
+    values = residual.values
+    color = _COLORS[residual.role]
     axes.axhspan(-2 * residual.scale, 2 * residual.scale, color="0.9", linewidth=0)
     if len(values) <= _MAX_BARS:
         axes.bar(np.arange(len(values)), values, width=0.4, color=color)

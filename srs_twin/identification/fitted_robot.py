@@ -76,10 +76,8 @@ def robot_override(
         for parameter in used
         if parameter.value is not None
     }
-    held, changed = (
-        fit.held.keys() & {"actuator.bend_rad"},
-        _changed_fixed_values(fit, file.spec()),
-    )
+    held = fit.held.keys() & {"actuator.bend_rad"}
+    changed = _changed_fixed_values(fit, file.spec())
     fixed = {name: fit.held[name] for name in held} | changed
     spec = with_values(file.spec() if over is None else over, fixed | values)
     block: dict[str, Any] = {"base": fit.robot}
@@ -212,11 +210,9 @@ def _prior(parameter: ParameterEntry) -> dict[str, object]:
         if factor > 1.0 and value:
             return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
         return {}
-    return (
-        {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}}
-        if high > low
-        else {}
-    )
+    if high > low:
+        return {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}}
+    return {}
 
 
 def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]:
@@ -237,7 +233,9 @@ def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
         f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries
     )
     source = f"fit {fit.name} ({fit.method}), 95 %: {words}"
-    return source if len(source) <= 1000 else source[:997] + "..."
+    if len(source) <= 1000:
+        return source
+    return source[:997] + "..."
 
 
 def merge_overrides(
@@ -277,9 +275,10 @@ def merge_overrides(
         if pairs := earlier + override.pop("correlated", []):
             block["correlated"] = pairs
         for key, value in override.items():
-            block[key] = (
-                block.get(key, {}) | value if isinstance(value, Mapping) else value
-            )
+            if isinstance(value, Mapping):
+                block[key] = block.get(key, {}) | value
+            else:
+                block[key] = value
         spec = apply_fit(fit, spec, weak=weak)
     return block
 

@@ -95,11 +95,13 @@ class FitProgress(Display):
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
-        self._runs, self._smallest_rms = 0, 0.0
+        self._runs = 0
+        self._smallest_rms = 0.0
 
     def __call__(self, runs: int, smallest_rms: float) -> None:
         """Show a model run; `smallest_rms` is the best weighted RMS so far."""
-        self._runs, self._smallest_rms = runs, smallest_rms
+        self._runs = runs
+        self._smallest_rms = smallest_rms
         self._show()
 
     def _line(self) -> str:
@@ -246,13 +248,16 @@ class FitOutput:
             InputError: the name is not allowed, or the file exists and was written by
                 another command.
         """
-        name, out = options.name, options.out
-        source = (
-            "--name"
-            if name
-            else f"{'--out' if out else '--robot'} names the fit, without --name"
-        )
-        default = Path(out).stem if out else f"{Path(robot).stem}_{method}"
+        name = options.name
+        out = options.out
+        if name:
+            source = "--name"
+        else:
+            source = f"{'--out' if out else '--robot'} names the fit, without --name"
+        if out:
+            default = Path(out).stem
+        else:
+            default = f"{Path(robot).stem}_{method}"
         checked = check_file_name(name or default, source)
         path = Path(out) if out else Path(FITS) / f"{checked}.yaml"
         if path.suffix not in (".yaml", ".yml"):

@@ -112,7 +112,8 @@ class GaitSetup:
                     f"{name} {value:g} {unit} is not allowed; it must be finite and"
                     " above 0"
                 )
-        spec, supply = self.spec, self.spec.supply
+        spec = self.spec
+        supply = self.spec.supply
         spec.require_planar("a footprint")
         if spec.segments < 2:
             raise InputError(
@@ -135,9 +136,9 @@ class GaitSetup:
     @property
     def twin_contact(self) -> str | None:
         """Contact of the twin; None for another plant."""
-        return (
-            self.contact or ModelSettings.contact.name if self.plant == "twin" else None
-        )
+        if self.plant == "twin":
+            return self.contact or ModelSettings.contact.name
+        return None
 
     @property
     def period(self) -> float:
@@ -147,12 +148,16 @@ class GaitSetup:
     @property
     def settling_periods(self) -> int:
         """Number of gait periods until pressures or learnt duties are steady after a start."""
-        return 16 if self.controller == "ilc" else 8
+        if self.controller == "ilc":
+            return 16
+        return 8
 
     @property
     def transient_periods(self) -> int:
         """Gait periods allowed for the transient after a change of offset."""
-        return 12 if self.controller == "ilc" else 6
+        if self.controller == "ilc":
+            return 12
+        return 6
 
     @property
     def offsets(self) -> tuple[float, ...]:
@@ -342,7 +347,8 @@ class FootprintStudy:
             DivergedError: a run diverged; the message names it.
             InputError: the snake does not move forward at an offset.
         """
-        setup, factory = self.setup, self.setup.plant_factory()
+        setup = self.setup
+        factory = self.setup.plant_factory()
         phases = [k / self.phases for k in range(self.phases)]
         jobs = [
             setup.steady_job(factory, offset, 2 * math.pi * phase, self.periods)
@@ -474,9 +480,10 @@ def footprint_study(
     Raises:
         InputError: a value is not allowed.
     """
-    rows = (
-        setup.offsets if offsets is None else tuple(float(offset) for offset in offsets)
-    )
+    if offsets is None:
+        rows = setup.offsets
+    else:
+        rows = tuple(float(offset) for offset in offsets)
     study = FootprintStudy(setup, rows, (), **counts)
     return replace(
         study, changes=default_changes(rows) if changes is None else tuple(changes)
@@ -488,7 +495,8 @@ def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]
 
     A planner interpolates linearly between measured changes.
     """
-    low, high = min(offsets), max(offsets)
+    low = min(offsets)
+    high = max(offsets)
     full = [offset for offset in (low, 0.0, high) if offset in offsets]
     pairs = [(a, b) for a in full for b in full if a != b]
     if 0.0 in offsets:

@@ -75,7 +75,10 @@ def footprint(
     """
     from srs_twin.robot.file import load_robot
 
-    requested_offsets = None if offsets is None else _parse_numbers(offsets)
+    if offsets is None:
+        requested_offsets = None
+    else:
+        requested_offsets = _parse_numbers(offsets)
     from srs_twin.identification.footprint_report import (
         calibrate_footprint,
         footprint_file,

@@ -50,7 +50,9 @@ _SPREADS = {
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     """Return a measurement as the content of a file, with unit, status and source of each column."""
-    setup, paths, source = measured.setup, measured.steady, _source(measured)
+    setup = measured.setup
+    paths = measured.steady
+    source = _source(measured)
     edge = "as curvature_per_m; the farthest that any repeat reached"
     # The straight snake at the start is longer than during the gait, so its length is
     # an upper bound.
@@ -145,9 +147,10 @@ def calibrate_footprint(
         InputError: a setting is not allowed, or the file exists or cannot be written.
     """
     spec = load_robot(robot)
-    frequency = (
-        FREQUENCY_HZ.get(controller, 1.0) if frequency_hz is None else frequency_hz
-    )
+    if frequency_hz is None:
+        frequency = FREQUENCY_HZ.get(controller, 1.0)
+    else:
+        frequency = frequency_hz
     supply = spec.supply.nominal if supply_pa is None else supply_pa
     setup = GaitSetup(
         spec,
@@ -168,7 +171,10 @@ def calibrate_footprint(
     )
     file_name = check_file_name(name or f"{spec.name}_{controller}", "--name")
     path = None if out is None else Path(out) / f"{file_name}.yaml"
-    robot_name = spec.name if isinstance(robot, RobotSpec) else os.fspath(robot)
+    if isinstance(robot, RobotSpec):
+        robot_name = spec.name
+    else:
+        robot_name = os.fspath(robot)
     if path is not None:
         if not overwrite:
             check_same_study(path, study, robot_name, file_name)
@@ -295,6 +301,6 @@ def _plant_text(setup: GaitSetup) -> str:
     named = {"twin": "the twin", "analytical": "the analytical model compliant"}[
         setup.plant
     ]
-    return (
-        named if setup.chambers == "lag" else f"{named} with {setup.chambers} chambers"
-    )
+    if setup.chambers == "lag":
+        return named
+    return f"{named} with {setup.chambers} chambers"

@@ -111,7 +111,8 @@ class Pulls:
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "mass"):
-            value, error = getattr(self, name), getattr(self, f"{name}_error")
+            value = getattr(self, name)
+            error = getattr(self, f"{name}_error")
             if not (
                 math.isfinite(value)
                 and value > 0
@@ -223,12 +224,16 @@ def _parameter(
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # Welch-Satterthwaite formula; the shared errors of k and m get many degrees of
     # freedom, as if exactly known.
-    freedom = (len(values) - 1) * (error**2 / variance) ** 2 if variance > 0 else np.inf
+    if variance > 0:
+        freedom = (len(values) - 1) * (error**2 / variance) ** 2
+    else:
+        freedom = np.inf
     half_width = float(stats.t.ppf(0.5 + LEVEL / 2, freedom)) * error
     verdict: Verdict = (
         "identified" if error <= IDENTIFIED_ERROR * mean else "weakly identified"
     )
-    low, high = max(mean - half_width, 0.0), mean + half_width
+    low = max(mean - half_width, 0.0)
+    high = mean + half_width
     return Parameter(_NAMES[k], "1", verdict, float(mean), float(error), low, high)
 
 
@@ -410,18 +415,19 @@ class CoastingTest:
         Raises:
             InputError: the test is too short or too slow, or the robot turns.
         """
-        time, com = trajectory.time, trajectory.com
+        time = trajectory.time
+        com = trajectory.com
         if len(time) < _MIN_SAMPLES:
             raise InputError(
                 f"{name}: {len(time)} samples; {_MIN_SAMPLES} or more are needed"
             )
         speed = np.hypot(*moving_slope(time, com).T)
-        first = (
-            int(np.argmax(speed))
-            if start is None
-            else int(np.searchsorted(time, start))
-        )
-        time, com = time[first:], com[first:]
+        if start is None:
+            first = int(np.argmax(speed))
+        else:
+            first = int(np.searchsorted(time, start))
+        time = time[first:]
+        com = com[first:]
         if len(time) < _MIN_SAMPLES:
             raise InputError(
                 f"{name}: {len(time)} samples after the push; {_MIN_SAMPLES} or more"
@@ -444,15 +450,12 @@ class CoastingTest:
         path = np.concatenate([[0.0], np.cumsum(steps)])
         position = np.stack([path.real, path.imag], axis=1)
         guess = moving_slope(time, position)[0]
-        velocity, span = (
-            (float(guess[0]), float(guess[1])),
-            (float(time[0]), float(time[-1])),
-        )
-        bends = (
-            trajectory.stack("bend")[first:].mean(axis=0)
-            if trajectory.has("bend_1")
-            else None
-        )
+        velocity = (float(guess[0]), float(guess[1]))
+        span = (float(time[0]), float(time[-1]))
+        if trajectory.has("bend_1"):
+            bends = trajectory.stack("bend")[first:].mean(axis=0)
+        else:
+            bends = None
         return cls(
             name,
             trajectory_hash(trajectory),
@@ -548,15 +551,15 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
             return fit
     low = min(fit.low for fit in fits if fit.low is not None)
     high = max(fit.high for fit in fits if fit.high is not None)
-    verdict, why, value = parameter.verdict, parameter.why, parameter.value or 0.0
+    verdict = parameter.verdict
+    why = parameter.why
+    value = parameter.value or 0.0
     if (
         verdict == "identified"
         and max(value - low, high - value) > _MAX_HALF_WIDTH * value
     ):
-        verdict, why = (
-            "weakly identified",
-            f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %",
-        )
+        verdict = "weakly identified"
+        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
     error = (high - low) / 2 / _STDS_IN_HALF_WIDTH
     return replace(
         parameter, verdict=verdict, standard_error=error, low=low, high=high, why=why
@@ -608,9 +611,11 @@ class _CoastingModel:
 
     def _misalignment(self, run: CoastingTest, side: float) -> float:
         """Return ε of a run; `side` has the meaning of `fit`."""
-        known, error = run.bends, _BEND_ERROR_RAD
+        known = run.bends
+        error = _BEND_ERROR_RAD
         if known is None:
-            known, error = self.spec.modules.array("bias"), _UNSEEN_BEND_RAD
+            known = self.spec.modules.array("bias")
+            error = _UNSEEN_BEND_RAD
         errors = error * np.random.default_rng(0).normal(size=(_BEND_DRAWS, len(known)))
         change = float(np.quantile(misalignment(errors, self.spec), LEVEL))
         return max(float(misalignment(known, self.spec)) + side * change, 0.0)
@@ -640,12 +645,15 @@ class _CoastingModel:
         self, run: CoastingTest, fitted: Mapping[str, float]
     ) -> Sequence[Residual]:
         """Return the residuals of a run with fitted coefficients; only its motion is fitted."""
-        angle, motion = self._misalignment(run, 0.0), _motion(run, 0)
+        angle = self._misalignment(run, 0.0)
+        motion = _motion(run, 0)
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
             return self._residuals(run, 0, {**fitted, **values}, angle)
 
-        return least_squares(residuals, motion).residuals if motion else residuals({})
+        if motion:
+            return least_squares(residuals, motion).residuals
+        return residuals({})
 
 
 _SHARP_SLIP = 1e-12
@@ -662,7 +670,10 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)
     rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
     limit = _MAX_ROLL_ANGLE_RAD / 2
-    angle = min(max(float(moved[1] / moved[0]), -limit), limit) if rolls else 0.0
+    if rolls:
+        angle = min(max(float(moved[1] / moved[0]), -limit), limit)
+    else:
+        angle = 0.0
     turned = (
         (late - run.position[: max(1, few // 4)].mean(axis=0))
         @ [1.0, 1.0j]

@@ -123,8 +123,10 @@ def _acceleration(moment, bend, rate, segment):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _slopes(state, creep, creep_slope, material, segment, branches, result):  # type: ignore[no-untyped-def]
-    bend, rate = state[0], state[1]
-    deviation, deviation_rate = creep - bend, creep_slope - rate
+    bend = state[0]
+    rate = state[1]
+    deviation = creep - bend
+    deviation_rate = creep_slope - rate
     result[2] = result[3] = 0.0
     if segment.encloses_air:
         x = x_rate = 0.0
@@ -165,13 +167,16 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
             shape (branches, 2).
     """
     result = np.empty(len(time))
-    state, trial = start.copy(), start.copy()
-    total, slopes = np.empty_like(start), np.empty_like(start)
+    state = start.copy()
+    trial = start.copy()
+    total = np.empty_like(start)
+    slopes = np.empty_like(start)
     result[0] = state[0]
     for k in range(len(time) - 1):
         interval = time[k + 1] - time[k]
         steps = int(interval * frequency / _MAX_ANGLE_STEP) + 1
-        h, rise = interval / steps, (rest[k + 1] - rest[k]) / interval
+        h = interval / steps
+        rise = (rest[k + 1] - rest[k]) / interval
         for j in range(steps):
             total[:] = 0.0
             trial[:] = state
@@ -308,7 +313,8 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
             hold, rad/s.
     """
     x = _BRANCH_RATIOS
-    storage, loss = x**2 / (1 + x**2), x / (1 + x**2)
+    storage = x**2 / (1 + x**2)
+    loss = x / (1 + x**2)
     wanted = material.stiffness * material.damping_time * pulsation
     strongest = material.stiffness * (1 - _SMALLEST_RELAXED_SHARE) / storage.sum()
     strength = min(wanted / loss.sum(), strongest)

@@ -132,7 +132,8 @@ def identifiability(
     undetermined = (singular <= _DERIVATIVE_ERRORS * derivative_error) | (
         singular <= _RELATIVE_CUTOFF * singular.max(initial=0.0)
     )
-    determined, unidentifiable = directions[~undetermined], directions[undetermined]
+    determined = directions[~undetermined]
+    unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
     # Without data the prior remains: uniform between the bounds, with the variance
     # width²/12.
@@ -170,11 +171,9 @@ class Accuracy:
 
     def parameter(self, i: int) -> Parameter:
         """Return parameter i with verdict and interval."""
-        unknown, z, index = (
-            self.unknowns[i],
-            float(self.z[i]),
-            int(np.searchsorted(self.inside, i)),
-        )
+        unknown = self.unknowns[i]
+        z = float(self.z[i])
+        index = int(np.searchsorted(self.inside, i))
         lost = ""
         if i not in self.inside:
             lost = _describe_bound(unknown, z)
@@ -182,7 +181,8 @@ class Accuracy:
             lost = self.known.describe(index)
         if lost:
             return Parameter(unknown.name, unknown.unit, "not identifiable", why=lost)
-        error, value = float(self.known.errors[index]), unknown.value(z)
+        error = float(self.known.errors[index])
+        value = unknown.value(z)
         verdict, why = self._verdict(error, self.spread[i])
         if 2 * self.bias[i] ** 2 > error**2:
             true = unknown.value(z - self.bias[i])
@@ -192,9 +192,11 @@ class Accuracy:
             )
             why = "; ".join(filter(None, (why, model_error)))
         if not self.explained:
-            verdict, why = "cannot tell", f"{MISFIT_MESSAGE}: {_SPREAD_ONLY}"
+            verdict = "cannot tell"
+            why = f"{MISFIT_MESSAGE}: {_SPREAD_ONLY}"
         half = self.quantile * error
-        low, high = unknown.value(z - half), unknown.value(z + half)
+        low = unknown.value(z - half)
+        high = unknown.value(z + half)
         std = unknown.slope(value) * error
         return Parameter(
             unknown.name, unknown.unit, verdict, value, std, low, high, why

@@ -111,11 +111,9 @@ class SearchOptions:
     @property
     def effective_tolerance(self) -> float:
         """Tolerance after defaults."""
-        return (
-            max(1e-12, 1e-3 * self.step**2)
-            if self.tolerance is None
-            else self.tolerance
-        )
+        if self.tolerance is None:
+            return max(1e-12, 1e-3 * self.step**2)
+        return self.tolerance
 
 
 @dataclass(frozen=True)
@@ -143,9 +141,14 @@ class Search:
         options: SearchOptions,
         watch: Watch | None,
     ) -> None:
-        self.unknowns, self._options, self._residuals = unknowns, options, residuals
-        self._watch, self._runs, self._smallest_rms = watch, 0, np.inf
-        self._is_searching, self._runs_left = False, np.inf
+        self.unknowns = unknowns
+        self._options = options
+        self._residuals = residuals
+        self._watch = watch
+        self._runs = 0
+        self._smallest_rms = np.inf
+        self._is_searching = False
+        self._runs_left = np.inf
         self._best = SearchResult(np.zeros(0), np.inf, False)
         if not unknowns:
             raise InputError("a fit needs at least one free parameter; name one")
@@ -189,11 +192,9 @@ class Search:
         self._record_run(z, weighted)
         if self._is_searching and self._best.converged:
             raise _SearchStoppedError
-        return (
-            weighted
-            if only is None
-            else _weighted([residual for residual in fitted if only(residual)])
-        )
+        if only is None:
+            return weighted
+        return _weighted([residual for residual in fitted if only(residual)])
 
     def _record_run(self, z: Array, weighted: Array) -> None:
         """Count a model run, keep the best point, and report the progress."""
@@ -211,8 +212,10 @@ class Search:
         """Return the Jacobian by central differences of step h, one-sided at bounds, shape (samples, n)."""
         columns = []
         for i in range(len(z)):
-            up, down = z.copy(), z.copy()
-            up[i], down[i] = min(z[i] + h, self.high[i]), max(z[i] - h, self.low[i])
+            up = z.copy()
+            down = z.copy()
+            up[i] = min(z[i] + h, self.high[i])
+            down[i] = max(z[i] - h, self.low[i])
             columns.append(
                 (self.weighted(up, only) - self.weighted(down, only))
                 / (up[i] - down[i])
@@ -226,13 +229,15 @@ class Search:
             z: coordinates.
             noise: standard deviation of a weighted residual.
         """
-        step, wide = self._options.step, self._options.identifiability_step
+        step = self._options.step
+        wide = self._options.identifiability_step
         if wide is not None:
             smallest = float(
                 np.linalg.svd(self.jacobian(z, wide), compute_uv=False)[-1]
             )
             step = wide if noise > step * smallest else step
-        fine, coarse = self.jacobian(z, step), self.jacobian(z, 2 * step)
+        fine = self.jacobian(z, step)
+        coarse = self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
         # If the model is not smooth, both Jacobians are equally accurate; half their
@@ -253,7 +258,8 @@ class Search:
         """Search from a start, with the first stage if there is one; if stopped, return the best point."""
         options = self._options
         self._best = SearchResult(start, np.inf, False)
-        self._is_searching, self._runs_left = True, options.max_runs or np.inf
+        self._is_searching = True
+        self._runs_left = options.max_runs or np.inf
         try:
             if options.first_stage is None:
                 return self._minimize_with_kinks(start)
@@ -272,13 +278,18 @@ class Search:
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
         """Minimise with all residuals; a coarse step, then a fine one, leaves local minima at kinks."""
-        fine, coarse = self._options.step, self._options.coarse_step
+        fine = self._options.step
+        coarse = self._options.coarse_step
         end = self._minimize(start, fine)
         for _ in range(_MAX_COARSE_SEARCHES):
             if coarse is None:
                 break
-            before, other = end, self._minimize(end.z, coarse)
-            end = self._minimize(other.z, fine) if other.cost < before.cost else before
+            before = end
+            other = self._minimize(end.z, coarse)
+            if other.cost < before.cost:
+                end = self._minimize(other.z, fine)
+            else:
+                end = before
             if not end.cost < _IMPROVEMENT * before.cost:
                 break
         return end
@@ -290,7 +301,10 @@ class Search:
 
         # Add one observation per parameter at its start, so that parameters without
         # effect on the filtered residuals stay there.
-        prior = np.zeros((0, len(start))) if only is None else np.eye(len(start))
+        if only is None:
+            prior = np.zeros((0, len(start)))
+        else:
+            prior = np.eye(len(start))
         result = optimize.least_squares(
             lambda z: np.concatenate([self.weighted(z, only), prior @ (z - start)]),
             start,
@@ -310,7 +324,9 @@ class _SearchStoppedError(Exception):
 
 def _weighted(residuals: Sequence[Residual]) -> Array:
     weighted = [residual.values / residual.scale for residual in residuals]
-    return np.concatenate(weighted) if weighted else np.zeros(0)
+    if weighted:
+        return np.concatenate(weighted)
+    return np.zeros(0)
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
@@ -390,14 +406,13 @@ def _estimate(
     """Return the values of the best search with their accuracy."""
     from scipy import stats
 
-    z, unknowns = best.z, search.unknowns
+    z = best.z
+    unknowns = search.unknowns
     residuals = search.residuals(z)
     samples, independent, freedom = _count_samples(residuals, len(unknowns))
     variance = 2 * best.cost / samples * max(independent / freedom, 1.0)
-    noise, scale = (
-        float(np.sqrt(variance * samples / independent)),
-        float(np.sqrt(variance)),
-    )
+    noise = float(np.sqrt(variance * samples / independent))
+    scale = float(np.sqrt(variance))
     jacobian, error = search.jacobian_and_error(z, noise)
     # A parameter without effect may end anywhere, so a bound at its end means nothing.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
@@ -408,7 +423,8 @@ def _estimate(
     widths = (search.high - search.low)[inside]
     names = [unknowns[i].name for i in inside]
     known = identifiability(jacobian[:, inside], error[:, inside], noise, widths, names)
-    bias, explained = np.zeros(len(z)), explains_data(residuals, scale)
+    bias = np.zeros(len(z))
+    explained = explains_data(residuals, scale)
     if refit is not None and explained:
         errors = np.full(len(z), np.inf)
         errors[inside] = known.errors
@@ -462,12 +478,11 @@ def _iterate_bias(
         refit: fit of data from the reference.
         errors: standard errors in z; smaller changes end the iteration.
     """
-    bias, change = search.bias(z, refit), np.full(len(z), np.inf)
+    bias = search.bias(z, refit)
+    change = np.full(len(z), np.inf)
     for _ in range(_MAX_REFITS - 1):
-        before, bias = (
-            bias,
-            search.bias(np.clip(z - bias, search.low, search.high), refit),
-        )
+        before = bias
+        bias = search.bias(np.clip(z - bias, search.low, search.high), refit)
         change = bias - before
         if (np.abs(change) <= errors).all():
             break

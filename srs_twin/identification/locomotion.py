@@ -109,13 +109,12 @@ def measured_length(
         return None
     from scipy import stats
 
-    parameter, count = free_parameters(spec, requested)[0], spec.segments
+    parameter = free_parameters(spec, requested)[0]
+    count = spec.segments
     straight_lengths = np.empty((len(marked), count))
     for row, recording in zip(straight_lengths, marked, strict=True):
-        bends, lengths = (
-            recording.trajectory.stack("bend"),
-            recording.trajectory.stack("length"),
-        )
+        bends = recording.trajectory.stack("bend")
+        lengths = recording.trajectory.stack("length")
         row[:] = [
             np.polyfit(q**2, length, 1)[1]
             for q, length in zip(bends.T, lengths.T, strict=True)
@@ -265,20 +264,20 @@ class PlantModel:
         self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None
     ) -> Plant:
         """Return the plant of a robot, optionally with given chambers."""
-        settings = (
-            self.settings
-            if chambers is None
-            else {**self.settings, "pneumatics": chambers}
-        )
+        if chambers is None:
+            settings = self.settings
+        else:
+            settings = {**self.settings, "pneumatics": chambers}
         if self.plant == "twin":
             from srs_twin.plants.twin.snake import TwinSnake
 
             return TwinSnake(spec, supply_pa=supply_pa, **settings)
         from srs_twin.plants.analytical import AnalyticalSnake
 
-        steps = (
-            _COMPLIANT_STEPS if settings.get("model") == "compliant" else _CLOSE_STEPS
-        )
+        if settings.get("model") == "compliant":
+            steps = _COMPLIANT_STEPS
+        else:
+            steps = _CLOSE_STEPS
         steps = {name: value * spec.scale.time for name, value in steps.items()}
         return AnalyticalSnake(spec, supply_pa=supply_pa, **{**steps, **settings})
 
@@ -486,17 +485,16 @@ def _shapes(
             axis=1,
         )
 
-    path, heading = (
-        resample(trajectory, trajectory.com),
-        resample(trajectory, trajectory["heading"])[:, 0],
-    )
+    path = resample(trajectory, trajectory.com)
+    heading = resample(trajectory, trajectory["heading"])[:, 0]
     if is_aligned:
         # Align the paths, because a plant starts at the origin: only the shape of the
         # path is compared.
         target = resample(measured, measured.com)
         target_heading = resample(measured, measured["heading"])[:, 0]
         turn = float((target_heading - heading).mean())
-        c, s = math.cos(turn), math.sin(turn)
+        c = math.cos(turn)
+        s = math.sin(turn)
         path = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]]) + target.mean(
             axis=0
         )

@@ -57,16 +57,23 @@ class FreeParameter:
 
     def coordinate(self, value: float) -> float:
         """Return the coordinate z of a value."""
-        return math.log(value) if self.scale is None else value / self.scale
+        if self.scale is None:
+            return math.log(value)
+        return value / self.scale
 
     def value(self, coordinate: float) -> float:
         """Return the value at z, clipped to the bounds."""
-        value = math.exp(coordinate) if self.scale is None else coordinate * self.scale
+        if self.scale is None:
+            value = math.exp(coordinate)
+        else:
+            value = coordinate * self.scale
         return min(max(value, self.low), self.high)
 
     def slope(self, value: float) -> float:
         """Return the derivative of the value by z."""
-        return value if self.scale is None else self.scale
+        if self.scale is None:
+            return value
+        return self.scale
 
 
 @dataclass(frozen=True)

@@ -99,14 +99,15 @@ class Poses:
         """
         relative = points[..., 0] + 1j * points[..., 1] - self.place[..., None]
         relative = relative * np.exp(-1j * self.heading)[..., None]
-        u, w = relative.real, relative.imag
-        across, down = curvature * u, 1 - curvature * w
+        u = relative.real
+        w = relative.imag
+        across = curvature * u
+        down = 1 - curvature * w
         left = (2 * w - curvature * (u**2 + w**2)) / (1 + np.hypot(across, down))
-        along = (
-            np.arctan2(across, down) / curvature
-            if abs(curvature) > _STRAIGHT_PER_M
-            else u
-        )
+        if abs(curvature) > _STRAIGHT_PER_M:
+            along = np.arctan2(across, down) / curvature
+        else:
+            along = u
         return along, left
 
 
@@ -134,11 +135,10 @@ def period_averaged_path(
     )
     chord = (velocity[:, 0] + 1j * velocity[:, 1]) * window.period
     half = turn / 2
-    inside = (
-        half / 12
-        if abs(half) < _SMALL_TURN_RAD
-        else (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
-    )
+    if abs(half) < _SMALL_TURN_RAD:
+        inside = half / 12
+    else:
+        inside = (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
     place = mean[:, 0] + 1j * mean[:, 1] - 1j * inside * chord
     times = window.times(window.periods - 1) + window.period / 2
     return times, Poses(place, np.unwrap(np.angle(chord)))
@@ -183,7 +183,8 @@ class SteadyPath:
             InputError: the snake does not move forward.
         """
         chords, turns = displacement_per_period(trajectory, window)
-        chord, turn = float(chords.mean()), float(turns.mean())
+        chord = float(chords.mean())
+        turn = float(turns.mean())
         if not chord >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
             raise InputError(
                 f"the snake moves {1000 * chord:.3g} mm ahead in a gait period, too"
@@ -321,7 +322,8 @@ def measure_transient(
         for out in (left - after.left, -left - after.right)
     ]
     left_excess, right_excess = (max(float(distance), 0.0) for distance in excess)
-    length, place = after.speed * (settled - change.time), jump.place
+    length = after.speed * (settled - change.time)
+    place = jump.place
     turn = float(np.angle(np.exp(1j * jump.heading)))
     return Transient(
         change.before,

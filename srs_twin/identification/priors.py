@@ -154,7 +154,8 @@ class Priors:
             }
             for p in self.parameters
         ]
-        correlated = (
-            [] if self.independent else [{"correlation": self.correlation.tolist()}]
-        )
+        if self.independent:
+            correlated = []
+        else:
+            correlated = [{"correlation": self.correlation.tolist()}]
         return [*rows, *correlated]

@@ -70,7 +70,8 @@ def replay_scenario(
     Raises:
         InputError: the recording cannot be read or does not fit the robot.
     """
-    robot_file, path = _load_robot(robot, fits), Path(motion)
+    robot_file = _load_robot(robot, fits)
+    path = Path(motion)
     given = {"motion": os.fspath(motion), **recording}
     document = {
         "name": results_name(path),
@@ -105,7 +106,8 @@ def _duration(
         for key, value in recording.items()
         if key not in ("motion", "valves")
     }
-    motion, valves = recording["motion"], recording.get("valves")
+    motion = recording["motion"]
+    valves = recording.get("valves")
     (log,) = logs_of([motion], [valves] if valves else [])
     settings["map"] = read_map(settings.get("map", {}))
     measured = RecordingReader(**settings).take(motion, log, robot.spec())

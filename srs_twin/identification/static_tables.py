@@ -116,8 +116,10 @@ class StaticTable:
         Raises:
             InputError: the recording has no log or no plateau.
         """
-        trajectory, log = recording.trajectory, log_of(recording, name)
-        time, bend = trajectory.time, measured_bends(recording)
+        trajectory = recording.trajectory
+        log = log_of(recording, name)
+        time = trajectory.time
+        bend = measured_bends(recording)
         pressure = np.stack(
             [trajectory.stack(f"{log.kind}_{side}") for side in SIDES], axis=-1
         )
@@ -126,15 +128,15 @@ class StaticTable:
             pressure = np.select(
                 [pressure == 1, pressure == -1], [supply_pa, 0.0], np.nan
             )
-        frame_error = (
-            trajectory.stack("bend_error")
-            if trajectory.has("bend_error")
-            else np.zeros_like(bend)
-        )
+        if trajectory.has("bend_error"):
+            frame_error = trajectory.stack("bend_error")
+        else:
+            frame_error = np.zeros_like(bend)
         wait = 5 * max(
             spec.actuator.tau_fill, spec.actuator.tau_vent, spec.actuator.tau_mode
         )
-        points, longest = [], 0.0
+        points = []
+        longest = 0.0
         for begin, end in _constant_intervals(pressure, band):
             longest = max(longest, float(time[end - 1] - time[begin]))
             frames = _settled_frames(time, pressure, band, begin, end, wait)
@@ -204,19 +206,26 @@ def _settled_frames(
     slope = np.polyfit(
         since[frames - begin], pressure[frames].reshape(len(frames), -1), 1
     )[0]
-    return None if (np.abs(slope) * span > band.ravel()).any() else frames
+    if (np.abs(slope) * span > band.ravel()).any():
+        return None
+    return frames
 
 
 def _constant_intervals(
     pressure: np.ndarray, band: np.ndarray
 ) -> Iterator[tuple[int, int]]:
     """Yield (first frame, last frame + 1) of intervals with all pressures within ±band and none NaN."""
-    begin, low, high = 0, pressure[0], pressure[0]
+    begin = 0
+    low = pressure[0]
+    high = pressure[0]
     for k, row in enumerate(pressure[1:], start=1):
-        low, high = np.minimum(low, row), np.maximum(high, row)
+        low = np.minimum(low, row)
+        high = np.maximum(high, row)
         if not (high - low <= 2 * band).all():
             yield begin, k
-            begin, low, high = k, row, row
+            begin = k
+            low = row
+            high = row
     yield begin, len(pressure)
 
 
@@ -358,7 +367,9 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     values[..., 2:] = np.nan
     for column, column_cells in zip(table.columns, cells.T, strict=True):
         values[:, column.number - 1, names.index(column.name)] = column_cells
-    pressure, bend, error = values[..., :2], values[..., 2], values[..., 3]
+    pressure = values[..., :2]
+    bend = values[..., 2]
+    error = values[..., 3]
     if not (np.abs(pressure) <= _MAX_PRESSURE_PA).all():
         raise table.file.error(
             f"pressures must be from {-_MAX_PRESSURE_PA:g} to {_MAX_PRESSURE_PA:g} Pa"
@@ -408,7 +419,8 @@ def fit_static(
         base = with_values(spec, fixed)
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
-            robot, result = with_values(base, values), []
+            robot = with_values(base, values)
+            result = []
             for table, role in data:
                 difference = (
                     table.bend
@@ -434,7 +446,10 @@ def fit_static(
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
-    starts = {_BEND_LIMIT: min(1.5 * max(largest, 0.1), 6.0)} if unlimited else {}
+    if unlimited:
+        starts = {_BEND_LIMIT: min(1.5 * max(largest, 0.1), 6.0)}
+    else:
+        starts = {}
     default = [*per_segment(spec, *MODULE_PARAMETERS), _BEND_LIMIT]
     searched = default if names is None else list(names)
     linear = search(searched, {}, starts)
@@ -490,7 +505,10 @@ def _fit_dead_zone(
     if not _is_significant(complete, linear):
         return linear
     partial = with_dead_zone({_ONSET_SHARE: 0.8} | complete.values, {})
-    best = partial if _is_significant(partial, complete) else complete
+    if _is_significant(partial, complete):
+        best = partial
+    else:
+        best = complete
     why = (
         f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"
         f" {best.rms('fit'):.3g}"

@@ -99,7 +99,8 @@ def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
 
 def _accepts(kind: Any, value: object) -> bool:
     """Return whether a value has an annotated type; elements of sequences count, those of mappings do not."""
-    origin, parts = get_origin(kind) or kind, get_args(kind)
+    origin = get_origin(kind) or kind
+    parts = get_args(kind)
     if origin in (Any, object):
         return True
     if origin in (Union, UnionType):
@@ -120,15 +121,14 @@ def _shown(value: object) -> str:
     if isinstance(value, type):
         return f"the class {value.__name__}"
     kind = type(value)
-    return (
-        reprlib.repr(value)
-        if kind.__module__ == "builtins"
-        else f"of type {kind.__name__}"
-    )
+    if kind.__module__ == "builtins":
+        return reprlib.repr(value)
+    return f"of type {kind.__name__}"
 
 
 def _described(kind: Any) -> str:
-    origin, parts = get_origin(kind) or kind, get_args(kind)
+    origin = get_origin(kind) or kind
+    parts = get_args(kind)
     if origin in (Union, UnionType):
         return " or ".join(dict.fromkeys(map(_described, parts)))
     if origin is tuple:
@@ -136,8 +136,6 @@ def _described(kind: Any) -> str:
     if origin is Literal:
         return _DESCRIPTIONS["str"]
     words = _DESCRIPTIONS.get(origin.__name__, f"a {origin.__name__}")
-    return (
-        f"{words}, each {_described(parts[0])}"
-        if origin in (Iterable, Sequence)
-        else words
-    )
+    if origin in (Iterable, Sequence):
+        return f"{words}, each {_described(parts[0])}"
+    return words

@@ -182,11 +182,9 @@ class Document:
     def origin(self, loc: Loc) -> str:
         """Return the origin of a value: "set by --set …", or "set in" and the file."""
         line = self.values.get(loc, (0, 0))[0]
-        return (
-            f"set by {self.override_labels[-line - 1]}"
-            if line < 0
-            else f"set in {self.name}"
-        )
+        if line < 0:
+            return f"set by {self.override_labels[-line - 1]}"
+        return f"set in {self.name}"
 
     def get(self, *loc: str | int) -> Any:
         """Return the value at a path, or None if there is none."""
@@ -206,7 +204,8 @@ class Document:
             kind: kind of shipped files whose name may be given instead; empty: a text
                 is always a path.
         """
-        text, position = self.get(*loc), self.values.get(loc, (0, 0))
+        text = self.get(*loc)
+        position = self.values.get(loc, (0, 0))
         if (
             self.folder is None
             or position <= (0, 0)
@@ -239,11 +238,9 @@ class Document:
         override. A value from the base keeps its path.
         """
         existing = self.existing_prefix(prefix + loc)
-        return (
-            existing
-            if len(existing) > len(prefix) + 1 or existing == prefix + loc
-            else prefix + loc
-        )
+        if len(existing) > len(prefix) + 1 or existing == prefix + loc:
+            return existing
+        return prefix + loc
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem with the value or key at a path; a missing value has the position of its parent."""
@@ -263,7 +260,10 @@ class Document:
 
     def _placed(self, position: Position, message: str) -> str:
         line, column = position
-        place = f"{self.name}:{line}:{column}" if line > 0 else self.name
+        if line > 0:
+            place = f"{self.name}:{line}:{column}"
+        else:
+            place = self.name
         return f"{self.override_labels[-line - 1] if line < 0 else place}: {message}"
 
     @contextmanager
@@ -330,7 +330,8 @@ def parse_yaml(text: str, name: str) -> Document:
     try:
         reader.read()
     except yaml.MarkedYAMLError as error:
-        mark, begin = error.problem_mark or error.context_mark, error.context_mark
+        mark = error.problem_mark or error.context_mark
+        begin = error.context_mark
         context = error.context or ""
         if begin and begin.line < mark.line:
             context += f" that begins in line {begin.line + 1}"
@@ -344,7 +345,8 @@ def parse_yaml(text: str, name: str) -> Document:
         reader.fail(_position(mark) if mark else (0, 0), f"not YAML: {problem}")
     except ReaderError as error:
         before = text[: error.position]
-        line, column = before.count("\n") + 1, error.position - before.rfind("\n")
+        line = before.count("\n") + 1
+        column = error.position - before.rfind("\n")
         reader.fail(
             (line, column),
             f"not YAML: unusable character U+{ord(text[error.position]):04X}",
@@ -365,11 +367,9 @@ def _explain(problem: str, lines: list[str], mark: Any) -> str:
         "<block end>, but found '(<block|-)", problem
     ):
         return "; its indent is wrong: keys of one block begin in the same column"
-    return (
-        "; a key is followed by a colon and a blank"
-        if "expected ':'" in problem
-        else ""
-    )
+    if "expected ':'" in problem:
+        return "; a key is followed by a colon and a blank"
+    return ""
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:
@@ -414,7 +414,9 @@ def has_child(value: Any, key: str | int) -> bool:
 
 def child(value: Any, key: str | int) -> Any:
     """Return an entry of a dict or list, or None if there is none."""
-    return value[key] if has_child(value, key) else None
+    if has_child(value, key):
+        return value[key]
+    return None
 
 
 def _position(mark: Any) -> Position:
@@ -478,7 +480,9 @@ class _Reader:
             # A value may have several lines; other control characters could change a
             # terminal.
             text = self._text(event, keep="\n\t")
-            return _resolve_scalar(text) if event.implicit[0] else text
+            if event.implicit[0]:
+                return _resolve_scalar(text)
+            return text
         if isinstance(event, yaml.AliasEvent):
             return None
         if len(loc) >= MAX_DEPTH:
@@ -532,11 +536,10 @@ class _Reader:
         if text != event.value:
             bad = event.value[len(os.path.commonprefix([text, event.value]))]
             surrogate = "\ud800" <= bad <= "\udfff"
-            what = (
-                "half a surrogate pair"
-                if surrogate
-                else f"the control character {escape_unprintable(bad)}"
-            )
+            if surrogate:
+                what = "half a surrogate pair"
+            else:
+                what = f"the control character {escape_unprintable(bad)}"
             self._refuse(f"{what} is not allowed in text")
         return text
 
@@ -551,13 +554,12 @@ class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
 
 
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
-    style = (
-        '"'
-        if _UNUSUAL.search(text)
-        else "'"
-        if _resolve_scalar(text) is not text
-        else None
-    )
+    if _UNUSUAL.search(text):
+        style = '"'
+    elif _resolve_scalar(text) is not text:
+        style = "'"
+    else:
+        style = None
     return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=style)
 
 

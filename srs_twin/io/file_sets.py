@@ -219,7 +219,8 @@ def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
     Raises:
         BlockingIOError: another process holds the lock for longer than `timeout_s`.
     """
-    deadline, locked = time.monotonic() + timeout_s, False
+    deadline = time.monotonic() + timeout_s
+    locked = False
     handle = os.open(folder, os.O_RDONLY)
     try:
         while not locked:

@@ -47,7 +47,9 @@ def data_root() -> Path:
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
-    return packed if packed.is_dir() else package.parent
+    if packed.is_dir():
+        return packed
+    return package.parent
 
 
 def shipped_folder(kind: str) -> Path:
@@ -118,7 +120,8 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
         InputError: the path is not a file of this kind.
         UnknownNameError: no shipped file has the name.
     """
-    text, names = os.fspath(name_or_path), shipped_names(kind)
+    text = os.fspath(name_or_path)
+    names = shipped_names(kind)
     if isinstance(name_or_path, os.PathLike) or is_path(text):
         return require_file(Path(text), names=names)
     if text in names:
@@ -172,7 +175,9 @@ def _escape(character: str) -> str:
     # Python decodes a byte 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF
     # ("surrogateescape").
     byte = ord(character) - 0xDC00
-    return f"\\x{byte:02x}" if 0x80 <= byte <= 0xFF else ascii(character)[1:-1]
+    if 0x80 <= byte <= 0xFF:
+        return f"\\x{byte:02x}"
+    return ascii(character)[1:-1]
 
 
 def check_printable(argument: StrPath) -> None:
@@ -183,7 +188,10 @@ def check_printable(argument: StrPath) -> None:
     """
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
-        reason = "not UTF-8" if match[0] >= "\ud800" else "a control character in it"
+        if match[0] >= "\ud800":
+            reason = "not UTF-8"
+        else:
+            reason = "a control character in it"
         raise InputError(
             f"{escape_unprintable(text)}: cannot be used ({reason}); rename it"
         )
@@ -415,11 +423,10 @@ def require_file(
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
-            hint = (
-                f", such as {display_path(path / inside[0])}"
-                if inside
-                else f" ({suffix}; there is none in it)"
-            )
+            if inside:
+                hint = f", such as {display_path(path / inside[0])}"
+            else:
+                hint = f" ({suffix}; there is none in it)"
             raise InputError(f"{display_path(path)}: a folder; give one file{hint}")
         if path.exists():
             raise InputError(f"{display_path(path)}: not a regular file")
@@ -438,11 +445,10 @@ def require_file(
         if path.name
     ]
     hint = did_you_mean(str(path), siblings) or did_you_mean(str(path), names) or remedy
-    looked = (
-        f" (looked for {' and '.join(map(display_path, places))})"
-        if len(places) > 1
-        else ""
-    )
+    if len(places) > 1:
+        looked = f" (looked for {' and '.join(map(display_path, places))})"
+    else:
+        looked = ""
     raise InputError(f"{display_path(path)}: no such file{looked}{hint}")
 
 
@@ -474,7 +480,10 @@ def check_output_folder(
             with tempfile.TemporaryFile(dir=trial):
                 pass
     except OSError as error:
-        remedy = f"; give another folder with {option}" if option else ""
+        if option:
+            remedy = f"; give another folder with {option}"
+        else:
+            remedy = ""
         reason = error.strerror or str(error)
         raise InputError(
             f"{display_path(folder)}: cannot write there ({reason}){remedy}"

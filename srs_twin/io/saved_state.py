@@ -102,7 +102,9 @@ def _why_not_copyable(value: object) -> str | None:
         return "a function without a name in its module"
     if isinstance(value, GeneratorType):
         return "a generator"
-    return "a task of another thread" if isinstance(value, Future | Executor) else None
+    if isinstance(value, Future | Executor):
+        return "a task of another thread"
+    return None
 
 
 class Stateful(DeepCopied):
@@ -203,7 +205,9 @@ def check_kind(label: str, saved: object, present: object) -> None:
 
 
 def _copy_state(value: object) -> object:
-    return value.state_dict() if isinstance(value, Stateful) else copy.deepcopy(value)
+    if isinstance(value, Stateful):
+        return value.state_dict()
+    return copy.deepcopy(value)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +254,10 @@ class SavedState:
                 f"{key} {saved.get(key)!r} instead of {current.get(key)!r}"
                 for key in differing[:3]
             ]
-            rest = f", and {len(differing) - 3} more" if len(differing) > 3 else ""
+            if len(differing) > 3:
+                rest = f", and {len(differing) - 3} more"
+            else:
+                rest = ""
             raise InputError(
                 f"{label}: the saved state has other settings:"
                 f" {', '.join(listed)}{rest}"
@@ -335,11 +342,10 @@ def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
             "items": [[str(key), _encode(item, arrays)] for key, item in value.items()],
         }
     if isinstance(value, tuple | list | deque):
-        kind = (
-            _class_name(type(value))
-            if hasattr(value, "_fields")
-            else type(value).__name__
-        )
+        if hasattr(value, "_fields"):
+            kind = _class_name(type(value))
+        else:
+            kind = type(value).__name__
         return {"@": kind, "items": [_encode(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
@@ -373,11 +379,10 @@ def _class_name(kind: type) -> str:
 def _find_class(name: str) -> type:
     """Return a dataclass, named tuple or enum of this package by name; other classes could run code."""
     module, _, kind = name.partition(":")
-    cls = (
-        getattr(importlib.import_module(module), kind)
-        if module.startswith(_PACKAGE)
-        else None
-    )
+    if module.startswith(_PACKAGE):
+        cls = getattr(importlib.import_module(module), kind)
+    else:
+        cls = None
     is_record = isinstance(cls, type) and (
         issubclass(cls, Enum) or hasattr(cls, "_fields")
     )

@@ -106,7 +106,9 @@ def _number(text: str) -> float:
 def _integer(text: str) -> int | float:
     # Python rejects integers with thousands of digits; shorter ones may still be too
     # large for a float.
-    return int(text) if len(text) < 19 else _number(text)
+    if len(text) < 19:
+        return int(text)
+    return _number(text)
 
 
 def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -120,7 +122,8 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
 
 def _depth(data: object) -> int:
     """Return the depth of nested lists and objects, at most one more than is allowed."""
-    layer, depth = [data], 0
+    layer = [data]
+    depth = 0
     while layer and depth <= MAX_DEPTH:
         layer = [inner for value in layer for inner in _children(value)]
         depth += 1
@@ -334,11 +337,10 @@ def _parse_array(raw: bytes) -> np.ndarray:
     stream = io.BytesIO(raw)
     try:
         version = np.lib.format.read_magic(stream)
-        read_header = (
-            np.lib.format.read_array_header_1_0
-            if version == (1, 0)
-            else np.lib.format.read_array_header_2_0
-        )
+        if version == (1, 0):
+            read_header = np.lib.format.read_array_header_1_0
+        else:
+            read_header = np.lib.format.read_array_header_2_0
         shape, _, kind = read_header(stream)
     # The header is parsed as Python, which raises many kinds of errors.
     except Exception as error:

@@ -145,7 +145,8 @@ def validate(
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        schema, elsewhere = _schema_of(model), getattr(model, "elsewhere", {})
+        schema = _schema_of(model)
+        elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
             # The path may not exist in the data: a missing key, or a default that is
             # invalid together with the given keys.
@@ -161,15 +162,21 @@ def validate(
                 and (path := format_path(loc)) in elsewhere
             ):
                 message = f"unknown key; did you mean {elsewhere[path]}?"
-            user_loc = prefix + loc if absent else document.user_path(prefix, loc)
+            if absent:
+                user_loc = prefix + loc
+            else:
+                user_loc = document.user_path(prefix, loc)
             document.report(user_loc, message, at_key=item["type"] == "extra_forbidden")
         return None
-    contradictions = (
-        list(file.contradictions()) if hasattr(file, "contradictions") else []
-    )
+    if hasattr(file, "contradictions"):
+        contradictions = list(file.contradictions())
+    else:
+        contradictions = []
     for loc, message in contradictions:
         document.report(document.user_path(prefix, loc), message)
-    return None if contradictions else file
+    if contradictions:
+        return None
+    return file
 
 
 @cache
@@ -196,7 +203,8 @@ def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str
 
 def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
     """Report a block whose kind (the discriminator of a union) is missing or unknown."""
-    context, block = item["ctx"], item["input"]
+    context = item["ctx"]
+    block = item["input"]
     key = context["discriminator"].strip("'")
     if not isinstance(block, Mapping):
         document.report(
@@ -212,7 +220,10 @@ def _report_block_kind(document: Document, item: Any, loc: Loc) -> None:
         close = ""
         if isinstance(value, str):
             retired = RETIRED_KINDS.get(value)
-            close = f": {retired}" if retired else did_you_mean(value, names)
+            if retired:
+                close = f": {retired}"
+            else:
+                close = did_you_mean(value, names)
         document.report(
             (*loc, key),
             f"must be one of {format_names(names)}, not"
@@ -228,11 +239,10 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
         if str(loc[-1]).isdigit():
             return "unknown key; write a decimal point, not a comma"
         listed = ", ".join(keys[:MAX_LISTED_NAMES])
-        more = (
-            f", … ({_LIST_HINT} lists all {len(keys)})"
-            if len(keys) > MAX_LISTED_NAMES
-            else ""
-        )
+        if len(keys) > MAX_LISTED_NAMES:
+            more = f", … ({_LIST_HINT} lists all {len(keys)})"
+        else:
+            more = ""
         return f"unknown key{close or f'; allowed: {listed}{more}'}"
     if kind == "value_error":
         return str(item["ctx"]["error"])
@@ -241,17 +251,16 @@ def _message(item: Any, schema: Schema, loc: Loc, data: Any) -> str:
         dict.fromkeys(describe_schema(option, schema, brief=True) for option in options)
     )
     if kind == "missing":
-        return f"missing; it must be {words}" if words else "missing"
-    value, flat = (
-        item["input"],
-        [inner for option in options for inner in _alternatives(option, schema)],
-    )
+        if words:
+            return f"missing; it must be {words}"
+        return "missing"
+    value = item["input"]
+    flat = [inner for option in options for inner in _alternatives(option, schema)]
     choices = [choice for option in options for choice in _choices(option, schema)]
-    close = (
-        did_you_mean(value, choices)
-        if isinstance(value, str) and len(choices) > 1
-        else ""
-    )
+    if isinstance(value, str) and len(choices) > 1:
+        close = did_you_mean(value, choices)
+    else:
+        close = ""
     if (
         isinstance(value, str)
         and _WITH_UNIT.fullmatch(value)
@@ -280,12 +289,15 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
         math.pi / 180
     ] * key.endswith("_rad")
     for option in options:
-        low, high = option.get("minimum"), option.get("maximum")
+        low = option.get("minimum")
+        high = option.get("maximum")
         if low is not None and high is not None and not low <= value <= high:
             fitting = [
                 factor * value for factor in factors if low < factor * value < high
             ]
-            return f"; did you mean {fitting[0]:.4g}?" if fitting else ""
+            if fitting:
+                return f"; did you mean {fitting[0]:.4g}?"
+            return ""
     return ""
 
 
@@ -317,12 +329,14 @@ def _describe_value(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
-        return f"text {value!r}" if len(value) <= 40 else f"text {value[:40]!r}…"
+        if len(value) <= 40:
+            return f"text {value!r}"
+        return f"text {value[:40]!r}…"
     if isinstance(value, dict):
         return "a block of keys"
-    return (
-        f"a list of {len(value)}" if isinstance(value, list) else _format_number(value)
-    )
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    return _format_number(value)
 
 
 def _format_number(value: float) -> str:
@@ -331,21 +345,18 @@ def _format_number(value: float) -> str:
         return "NaN"
     if abs(value) > 1e300:
         return "infinity"
-    return (
-        str(int(value)) if value == int(value) and abs(value) < 1e15 else f"{value:g}"
-    )
+    if value == int(value) and abs(value) < 1e15:
+        return str(int(value))
+    return f"{value:g}"
 
 
 def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
     if choices := _choices(schema, root):
         names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
+        if len(names) == 1:
+            return names[0]
         return (
-            names[0]
-            if len(names) == 1
-            else (
-                "one of"
-                f" {format_names(names, _LIST_HINT) if brief else ', '.join(names)}"
-            )
+            f"one of {format_names(names, _LIST_HINT) if brief else ', '.join(names)}"
         )
     kind = schema.get("type")
     if kind in ("number", "integer"):
@@ -354,26 +365,34 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
         ) + _describe_range(schema)
     if kind == "array":
         inner = describe_schema(schema.get("items", {}), root, brief=brief)
-        count = (
-            f" of {schema['minItems']}"
-            if schema.get("minItems") == schema.get("maxItems", -1)
-            else ""
-        )
-        return f"a list{count} (each {inner})" if inner else f"a list{count}"
+        if schema.get("minItems") == schema.get("maxItems", -1):
+            count = f" of {schema['minItems']}"
+        else:
+            count = ""
+        if inner:
+            return f"a list{count} (each {inner})"
+        return f"a list{count}"
     if kind == "object":
         keys = ", ".join(schema.get("properties", {}))
-        return f"a block of keys ({keys})" if keys else "a block of keys"
+        if keys:
+            return f"a block of keys ({keys})"
+        return "a block of keys"
     if kind == "string":
         longest = schema.get("maxLength")
-        return f"text of 1 to {longest} characters" if longest else "text"
+        if longest:
+            return f"text of 1 to {longest} characters"
+        return "text"
     return {"boolean": "true or false"}.get(str(kind), "")
 
 
 def _describe_range(schema: Schema) -> str:
-    low, high = schema.get("minimum"), schema.get("maximum")
+    low = schema.get("minimum")
+    high = schema.get("maximum")
     if low is not None and high is not None:
         return f" from {_format_number(low)} to {_format_number(high)}"
-    return f" of at least {_format_number(low)}" if low is not None else ""
+    if low is not None:
+        return f" of at least {_format_number(low)}"
+    return ""
 
 
 def _choices(schema: Schema, root: Schema) -> list[Any]:
@@ -403,7 +422,10 @@ def _alternatives(
     if not inner:
         yield schema
         return
-    key = None if data is _ANY else schema.get("discriminator", {}).get("propertyName")
+    if data is _ANY:
+        key = None
+    else:
+        key = schema.get("discriminator", {}).get("propertyName")
     for option in (
         flat for member in inner for flat in _alternatives(member, root, data)
     ):
@@ -427,7 +449,8 @@ def _schemas_at(root: Schema, loc: Loc, data: Any) -> Iterator[Schema]:
                 else:
                     inner = option.get("items")
                 inner_schemas += [inner] if isinstance(inner, Mapping) else []
-        schemas, data = inner_schemas, child(data, key)
+        schemas = inner_schemas
+        data = child(data, key)
     yield from schemas
 
 

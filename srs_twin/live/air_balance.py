@@ -113,7 +113,9 @@ class SupplyFilter(Stateful):
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
         if not there.any():
             return
-        residual, response, variance = residual[there], response[there], sd[there] ** 2
+        residual = residual[there]
+        response = response[there]
+        variance = sd[there] ** 2
         # If most chambers agree on a change, outliers are those that differ from it.
         change = 0.0
         if len(residual) >= _AGREE:
@@ -148,10 +150,8 @@ class SupplyFilter(Stateful):
         """
         if len(residual) < _AGREE:
             return False
-        change, deviation = (
-            float(np.median(residual / response)),
-            float(np.median(residual / sd)),
-        )
+        change = float(np.median(residual / response))
+        deviation = float(np.median(residual / sd))
         if abs(change) < SUDDEN * self.nominal or abs(deviation) < _SUDDEN_SD:
             return False
         self.variance = max(self.variance, (change / 4) ** 2)
@@ -259,16 +259,16 @@ class LeakDetector(Stateful):
                 pressure, 0 without any inflow; the first variant has no fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
-        self._chamber, self._nominal, self._unit = (
-            spec.chamber,
-            supply_pa,
-            capacity * supply_pa,
-        )
+        self._chamber = spec.chamber
+        self._nominal = supply_pa
+        self._unit = capacity * supply_pa
         self._conductance = conductance * REFERENCE_PA / self._unit
         self._leaks, self._shares = np.array(variants, dtype=float).T
-        shape, count = (spec.segments, 2), len(variants)
+        shape = (spec.segments, 2)
+        count = len(variants)
         self.fit = np.tile([1.0, 0.0], (*shape, 1))
-        self.scatter, self.learnt = np.full(shape, SCATTER**2), np.zeros(shape)
+        self.scatter = np.full(shape, SCATTER**2)
+        self.learnt = np.zeros(shape)
         # Inverse covariance of the fit.
         self._prior = np.diag([1 / FLOW_SD**2, 1 / LOSS_SD**2])
         self._information = np.tile(self._prior, (*shape, 1, 1))
@@ -279,15 +279,15 @@ class LeakDetector(Stateful):
         self._time = np.full(shape, np.nan)
         # Amount and its standard deviation, at the start of the stroke and at the last
         # pressure.
-        self._begun, self._reached = np.zeros((*shape, 2)), np.zeros((*shape, 2))
+        self._begun = np.zeros((*shape, 2))
+        self._reached = np.zeros((*shape, 2))
         # Gauge pressure, inflow of each variant, derivative of the inflow by the supply
         # pressure; integrals.
-        self._rates, self._sums = (
-            np.zeros((*shape, count + 2)),
-            np.zeros((*shape, count + 2)),
-        )
+        self._rates = np.zeros((*shape, count + 2))
+        self._sums = np.zeros((*shape, count + 2))
         # Supply pressure at the start of the stroke and at the last pressure.
-        self._supply, self._supply_sd = np.zeros((*shape, 2)), 0.0
+        self._supply = np.zeros((*shape, 2))
+        self._supply_sd = 0.0
         self._log_likelihood = np.zeros((*shape, count))
 
     def drop(self, chambers: np.ndarray) -> None:
@@ -347,7 +347,8 @@ class LeakDetector(Stateful):
             Changes of the log-likelihoods of the variants, shape (segments, 2,
             variants).
         """
-        seen, continues = ~np.isnan(pressure), self._continues(time, pressure, filled)
+        seen = ~np.isnan(pressure)
+        continues = self._continues(time, pressure, filled)
         change = np.where(continues, supply[0] - self._supply[..., 1], 0.0)
         # Correct the inflow of the stroke for the change of the estimated supply
         # pressure.
@@ -389,7 +390,8 @@ class LeakDetector(Stateful):
         supply: tuple[float, float],
     ) -> None:
         """Integrate to the pressures of filling chambers."""
-        chamber, inside = self._chamber, np.nan_to_num(pressure) + AMBIENT_PA
+        chamber = self._chamber
+        inside = np.nan_to_num(pressure) + AMBIENT_PA
         size, growth = _volume(
             chamber.dead_volume, chamber.displacement, bend[:, None], [0, 1]
         )
@@ -398,7 +400,8 @@ class LeakDetector(Stateful):
             [held * size, held * np.abs(growth) * bend_sd[:, None]], axis=-1
         )
         self._reached[filling] = reached[filling]
-        line, sd = supply[0], max(supply[1], 1.0)
+        line = supply[0]
+        sd = max(supply[1], 1.0)
         lines = np.append(self._shares * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._shares > 0.0
@@ -411,7 +414,8 @@ class LeakDetector(Stateful):
         self._sums += since[..., None] * (self._rates + rates) / 2
         self._rates[filling] = rates[filling]
         begins &= filling
-        self._begun[begins], self._supply[begins, 0] = self._reached[begins], line
+        self._begun[begins] = self._reached[begins]
+        self._supply[begins, 0] = line
         self._time[filling] = time
 
     def _residual(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -420,7 +424,8 @@ class LeakDetector(Stateful):
         Returns:
             Of each variant, shape (segments, 2, variants).
         """
-        inflow, outflow = self._sums[..., 1:-1], self._sums[..., :1]
+        inflow = self._sums[..., 1:-1]
+        outflow = self._sums[..., :1]
         row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
         gain = (self._reached - self._begun)[..., :1]
         residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
@@ -449,7 +454,8 @@ class LeakDetector(Stateful):
 
     def _accumulate(self, used: np.ndarray) -> None:
         """Note the most informative message of each stroke; it is learnt from if the stroke is sound."""
-        inflow, pending = self._sums[..., 1], self._pending
+        inflow = self._sums[..., 1]
+        pending = self._pending
         residual, variance, learnt = (values[..., 0] for values in self._residual())
         # Errors are common to the messages of a stroke, so only one message counts.
         weight = 1 / (variance - learnt)
@@ -474,7 +480,8 @@ class LeakDetector(Stateful):
         scatter = np.maximum(
             self.scatter[chambers] + share * excess[:, 0], LEAST_SCATTER**2
         )
-        self.learnt[chambers], self.scatter[chambers] = learnt, scatter
+        self.learnt[chambers] = learnt
+        self.scatter[chambers] = scatter
         information = (
             FORGETTING * self._information[chambers] + (1 - FORGETTING) * self._prior
         )

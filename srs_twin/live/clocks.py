@@ -137,12 +137,16 @@ class SenderClock:
 
     def delay_quantile(self, share: float) -> float:
         """Return a quantile of the jitter, s."""
-        return float(np.quantile(self._excess(), share)) if self._seen else 0.0
+        if self._seen:
+            return float(np.quantile(self._excess(), share))
+        return 0.0
 
     @property
     def jitter(self) -> float:
         """RMS of the excess delay, s."""
-        return float(np.sqrt(np.mean(self._excess() ** 2))) if self._seen else math.nan
+        if self._seen:
+            return float(np.sqrt(np.mean(self._excess() ** 2)))
+        return math.nan
 
     def _excess(self) -> np.ndarray:
         return np.array([delay for _, delay in self._seen]) - self.offset
@@ -165,7 +169,9 @@ class ReorderBuffer:
         """Create a buffer that holds messages for a time (s)."""
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
-        self.hold, self._least, self._handed = hold_s, hold_s, -math.inf
+        self.hold = hold_s
+        self._least = hold_s
+        self._handed = -math.inf
         self._calls = 0
         self._waiting: list[tuple[float, int, int, Message]] = []
         self._number = itertools.count()
@@ -173,11 +179,10 @@ class ReorderBuffer:
 
     def push(self, message: Message) -> None:
         """Add a message."""
-        sender = (
-            f"{message.source}, {message.kind}"
-            if message.kind == COMMAND
-            else message.source
-        )
+        if message.kind == COMMAND:
+            sender = f"{message.source}, {message.kind}"
+        else:
+            sender = message.source
         clock = self.clocks.setdefault(sender, SenderClock())
         jumps = clock.jumps
         time = clock.update(message.sent, message.arrived)
@@ -229,7 +234,8 @@ class ReorderBuffer:
                 clock.delay_quantile(_IN_TIME) for clock in self.clocks.values()
             )
             self.hold = min(max(self._least, longest), max(self._least, MOST_HOLD_S))
-        until, due = now - self.hold, []
+        until = now - self.hold
+        due = []
         while self._waiting and self._waiting[0][0] <= until:
             time, _, _, message = heapq.heappop(self._waiting)
             due.append((time, message))

@@ -44,9 +44,11 @@ class CommandHistory:
 
     def __init__(self, segments: int) -> None:
         """Create an empty history."""
-        self._times, self._duties = deque([-math.inf]), deque([np.zeros((segments, 2))])
+        self._times = deque([-math.inf])
+        self._duties = deque([np.zeros((segments, 2))])
         self._carrier = False
-        self._reported, self._report_s = -math.inf, REPORTED_S
+        self._reported = -math.inf
+        self._report_s = REPORTED_S
 
     def add(self, time: float, message: Message) -> tuple[np.ndarray, float] | None:
         """Add a command, or the valve states that the robot reports; either message may be lost.
@@ -70,7 +72,8 @@ class CommandHistory:
         start = time + DELAY_S if message.kind == COMMAND else time - self._report_s
         new = duty(message.values)
         k = bisect.bisect(self._times, start)
-        gap, change = start - self._times[k - 1], np.abs(new - self._duties[k - 1])
+        gap = start - self._times[k - 1]
+        change = np.abs(new - self._duties[k - 1])
         lost = len(self._times) > 2 and gap > _GAP_FACTOR * np.median(
             np.diff(self._times)
         )
@@ -96,7 +99,8 @@ class CommandHistory:
         Returns:
             Shape (times, segments, 2).
         """
-        starts, duties = list(self._times), list(self._duties)
+        starts = list(self._times)
+        duties = list(self._duties)
         for time, message in waiting:
             k = bisect.bisect(starts, time + DELAY_S)
             starts.insert(k, time + DELAY_S)
@@ -135,7 +139,8 @@ class CommandPeriod:
 
     def commands(self, slots: int) -> np.ndarray:
         """Return the duties of the next slots, repeated or constant, shape (slots, segments, 2)."""
-        past, lag = np.array(self._duties), self.period()
+        past = np.array(self._duties)
+        lag = self.period()
         return (
             past[-lag:][np.arange(slots) % lag]
             if lag

@@ -197,8 +197,10 @@ class ContactObserver(Stateful):
         """
         if spec.segments < 2:
             raise InputError("contact estimates need a robot with two or more segments")
-        self._spec, self._sample = spec, sample_s
-        g, in_samples = spec.geometry, spec.scale.time / sample_s
+        self._spec = spec
+        self._sample = sample_s
+        g = spec.geometry
+        in_samples = spec.scale.time / sample_s
         self.stations = np.linspace(
             0.0, g.body_length, _STATIONS_PER_SEGMENT * spec.segments + 1
         )
@@ -218,12 +220,16 @@ class ContactObserver(Stateful):
     def set_period(self, period: int) -> None:
         """Set the period of the commands in samples, and discard the means of another period."""
         n = self._spec.segments
-        self.period, self._samples, self._count, self._changed = period, 0, 0, 0
+        self.period = period
+        self._samples = 0
+        self._count = 0
+        self._changed = 0
         self._bins = np.zeros(max(period, 1), dtype=int)
         self._sums = np.zeros(
             (max(period, 1), 4, n)
         )  # means of bend, free bend and both commands
-        self._variance, self._filtered = np.zeros(n), np.zeros(n)
+        self._variance = np.zeros(n)
+        self._filtered = np.zeros(n)
         self._window: deque[tuple[np.ndarray, np.ndarray]] = deque(maxlen=self._length)
         self._recent: deque[np.ndarray | None] = deque(
             maxlen=self._past + 1
@@ -256,7 +262,8 @@ class ContactObserver(Stateful):
         if self._samples < self._settled:
             return None
         free = air_bend(self._spec, np.asarray(pressure, dtype=float))
-        mean, known = self._sums[k], self._bins[k]
+        mean = self._sums[k]
+        known = self._bins[k]
         if known and np.abs(np.asarray(command).T - mean[2:]).max() > _SAME_COMMAND:
             self._changed += 1
             if self._changed > self.period // 2:
@@ -270,18 +277,20 @@ class ContactObserver(Stateful):
         sample = np.stack([sensed, free, *np.asarray(command, dtype=float).T])
         # Samples may be missing, but the scatter of those that are there must be known.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
-        estimate = (
-            self._estimate(sample, k)
-            if learnt and self._samples >= self._learnt
-            else None
-        )
+        if learnt and self._samples >= self._learnt:
+            estimate = self._estimate(sample, k)
+        else:
+            estimate = None
         if estimate is None or estimate.score < _LEARNING_SCORE:
             self._learn(sample, k)
-        return estimate if len(self._window) == self._length else None
+        if len(self._window) == self._length:
+            return estimate
+        return None
 
     def _learn(self, sample: np.ndarray, k: int) -> None:
         """Add a sample to the means and to the variance of the deviation from them."""
-        mean, known = self._sums[k], self._bins[k]
+        mean = self._sums[k]
+        known = self._bins[k]
         if known:
             # The mean of few samples is uncertain, too.
             error = (sample[0] - mean[0] - sample[1] + mean[1]) * math.sqrt(
@@ -301,7 +310,8 @@ class ContactObserver(Stateful):
             self._shape = self._sums[:, 0].copy()
         if self._body is None or self._body[0] is not self._shape:
             body = PushedBody(self._spec, self._shape, self._sample, self.stations)
-            station, patterns = np.tile(np.arange(len(self.stations)), 2), []
+            station = np.tile(np.arange(len(self.stations)), 2)
+            patterns = []
             force = np.repeat([self._friction, -self._friction], len(self.stations))
             for k in range(self.period):
                 moment = body.step(
@@ -320,7 +330,8 @@ class ContactObserver(Stateful):
         return self._body[1:]
 
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
-        mean, share = self._sums[k], math.sqrt(self._bins[k] / (self._bins[k] + 1))
+        mean = self._sums[k]
+        share = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = sample[0] - mean[0] - sample[1] + mean[1]
         pattern = self._pushed_body()[1][k]
         weighted = pattern * share**2 / self._variance
@@ -340,11 +351,9 @@ class ContactObserver(Stateful):
         ):
             self._start()
         touched = score > THRESHOLD and self._hypotheses is not None
-        return (
-            self._contact(score)
-            if touched
-            else ContactEstimate(touched=False, score=score)
-        )
+        if touched:
+            return self._contact(score)
+        return ContactEstimate(touched=False, score=score)
 
     def _compare(self, filtered: np.ndarray | None) -> None:
         """Compare the hypotheses with the filtered deviation of a sample, None if it is missing."""
@@ -356,25 +365,22 @@ class ContactObserver(Stateful):
 
     def _start(self) -> None:
         """Compare hypotheses with contact from each possible onset on with the recent samples."""
-        first, size = (
-            self._samples - len(self._recent),
-            self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS,
-        )
+        first = self._samples - len(self._recent)
+        size = self._friction * _LEAST_FORCE * _FORCE_RATIO**_POWERS
         grid = np.meshgrid(
             np.arange(len(self.stations)), np.concatenate([size, -size]), indexing="ij"
         )
         station, force = (values.ravel() for values in grid)
         nothing = np.zeros((len(force), self._spec.segments))
-        now, cost_before = Hypotheses.none(self._spec.segments), 0.0
+        now = Hypotheses.none(self._spec.segments)
+        cost_before = 0.0
         for i, filtered in enumerate(self._recent):
             if i % self._onset_step == 0:
                 start = self._pushed_body()[0].free_velocity[
                     (first + i - 1) % self.period
                 ]
-                velocity, cost = (
-                    np.tile(start, (len(force), 1)),
-                    np.full(len(force), cost_before),
-                )
+                velocity = np.tile(start, (len(force), 1))
+                cost = np.full(len(force), cost_before)
                 now = now.joined(Hypotheses(station, force, velocity, nothing, cost))
             if filtered is not None:
                 cost_before += float((filtered**2 / self._variance).sum())

@@ -131,16 +131,18 @@ def emulate(
         supply_kpa=pressure,
         start=_pose(start),
     )
-    known, over = name or Path(robot).stem, interruption()
+    known = name or Path(robot).stem
+    over = interruption()
     settings = {
         "speaks": known,
         "kinds": (COMMAND,),
         "chambers": emulated.spatial_chambers,
     }
     with broker_link(known, emulated.segments, mqtt, user, ca, **settings) as link:
-        capture = (
-            None if natnet is None else _motion_capture(natnet, emulated.segments + 1)
-        )
+        if natnet is None:
+            capture = None
+        else:
+            capture = _motion_capture(natnet, emulated.segments + 1)
         if not quiet:
             seen = f", seen at {natnet}" if natnet else ""
             say(f"{known} is on the air at {mqtt}{seen}; Ctrl-C ends it")

@@ -100,20 +100,22 @@ class Fault:
             raise UnknownNameError(f"way of {kind}", how, ways)
         if (side is not None) != (of == "chamber") or (number is not None) != bool(of):
             needed = f"is of one {of}" if of else "is of the whole robot"
-            example = (
-                f"{kind}:2+@5"
-                if of == "chamber"
-                else f"{kind}:2@5"
-                if of
-                else f"{kind}@5"
-            )
+            if of == "chamber":
+                example = f"{kind}:2+@5"
+            elif of:
+                example = f"{kind}:2@5"
+            else:
+                example = f"{kind}@5"
             raise InputError(f"{text!r}: {kind} {needed}; {example} would be one")
         most = segments + (of == "connector")
         if number is not None and not 1 <= int(number) <= most:
             raise InputError(
                 f"{text!r}: there is no {of} {number}; the robot has {most}"
             )
-        variant = ways[how] if how is not None else next(iter(ways.values()))
+        if how is not None:
+            variant = ways[how]
+        else:
+            variant = next(iter(ways.values()))
         return cls(
             kind, int(number or 0), _SIDES.get(side or "", 0), variant, float(since)
         )
@@ -166,7 +168,10 @@ class EmulatedRobot:
             InputError: the robot does not exist, or a fault is invalid.
         """
         if pneumatics is None:
-            pneumatics = "lag" if load_robot_file(robot).is_spatial else "orifice"
+            if load_robot_file(robot).is_spatial:
+                pneumatics = "lag"
+            else:
+                pneumatics = "orifice"
         changes = dict(changes or {})
         modules = {"gain_spread": gain_spread} | changes.pop("modules", {})
         asked = parse_scenario(
@@ -189,12 +194,14 @@ class EmulatedRobot:
         assert isinstance(self.twin, TwinSnake)
         self._air = self.twin.pneumatics
         spec = self.twin.spec
-        self.segments, self.tick = spec.segments, tick
+        self.segments = spec.segments
+        self.tick = tick
         self.spatial_chambers = spec.chambers if spec.is_spatial else 0
         self.faults = tuple(Fault.parse(fault, spec.segments) for fault in faults)
         if any(fault.kind == "stuck_valve" for fault in self.faults):
             spec.require_planar("fault stuck_valve, which names a + or − chamber,")
-        self._rng, self._noise = np.random.default_rng((seed, 0xE0)), noise_rad
+        self._rng = np.random.default_rng((seed, 0xE0))
+        self._noise = noise_rad
         self.supply_pa = self.supply_now_pa = asked.supply_pa
         self._share = self._left = 1.0
         self._air.stuck = tuple(
@@ -235,13 +242,15 @@ class EmulatedRobot:
             else:
                 self._left = fault.how
                 self.regulate(self._share)
-        wanted = (
-            np.full(self.valves.shape, -1.0)
-            if command is None
-            else np.asarray(command, dtype=float)
-        )
+        if command is None:
+            wanted = np.full(self.valves.shape, -1.0)
+        else:
+            wanted = np.asarray(command, dtype=float)
         pulses = self._pulses.step(duty(wanted))
-        obeyed = wanted.astype(np.int8) if are_states(wanted) else pulses
+        if are_states(wanted):
+            obeyed = wanted.astype(np.int8)
+        else:
+            obeyed = pulses
         self.valves = obeyed[-1] if obeyed.ndim == 3 else obeyed
         self.state = self.twin.step(obeyed)
         return self.state
@@ -273,7 +282,8 @@ class EmulatedRobot:
 
     def bodies(self) -> dict[int, RigidBody]:
         """Return the rigid bodies of motion capture by connector, from 1 at the head, y up."""
-        time, bodies = float(self.state.time), {}
+        time = float(self.state.time)
+        bodies = {}
         lost = {
             e.number for e in self.faults if e.kind == "lost_marker" and e.since <= time
         }
@@ -286,10 +296,8 @@ class EmulatedRobot:
                 w, a, b, c = map(float, self.state.orientation[i])
                 turn = a, c, -b, w
             else:
-                height, half = (
-                    _HEIGHT_M,
-                    (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2,
-                )
+                height = _HEIGHT_M
+                half = (float(self.state.theta[i]) + dz / _MARKER_DISTANCE_M) / 2
                 turn = 0.0, math.sin(half), 0.0, math.cos(half)
             place = float(x) + dx, height, -(float(y) + dy)
             bodies[i + 1] = RigidBody(place, turn, tracked=i + 1 not in lost)
@@ -316,11 +324,9 @@ class Transport:
             jitter: largest delay, uniformly distributed, s.
             seed: random seed.
         """
-        self._loss, self._jitter, self._rng = (
-            loss,
-            jitter,
-            np.random.default_rng((seed, 0xA1)),
-        )
+        self._loss = loss
+        self._jitter = jitter
+        self._rng = np.random.default_rng((seed, 0xA1))
         self._waiting: list[tuple[float, int, partial[None]]] = []
         self._number = itertools.count()
 
@@ -329,10 +335,8 @@ class Transport:
     ) -> None:
         """Add a call of `send` at a time of our clock (s)."""
         if self._rng.random() >= self._loss:
-            delayed, call = (
-                due + self._rng.random() * self._jitter,
-                partial(send, *values, **named),
-            )
+            delayed = due + self._rng.random() * self._jitter
+            call = partial(send, *values, **named)
             heapq.heappush(self._waiting, (delayed, next(self._number), call))
 
     def send_until(self, due: float) -> None:
@@ -371,14 +375,19 @@ def emulate(
         ``ticks``, and ``late``: number of ticks that began more than a tick late.
     """
     transport = transport or Transport()
-    begun, tick, done, late = clock(), robot.tick, 0, 0
-    command, heard = None, -math.inf
+    begun = clock()
+    tick = robot.tick
+    done = 0
+    late = 0
+    command = None
+    heard = -math.inf
     link.send(STATUS, "running")
     try:
         while done * tick < duration and not stop():
             for message in link.received():
                 if message.kind == COMMAND:
-                    command, heard = message.values, message.arrived
+                    command = message.values
+                    heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
             # The state is that at the end of the tick, so it is published then.

@@ -125,7 +125,9 @@ class EnsembleFilter:
             seed: random seed.
             error: standard deviations of the model's errors.
         """
-        self.spec, self.error, self.noise = spec, error, MeasurementNoise()
+        self.spec = spec
+        self.error = error
+        self.noise = MeasurementNoise()
         self._rng = np.random.default_rng((seed, 0xE5))
         n = self._segments = spec.segments
         sizes = {
@@ -185,7 +187,8 @@ class EnsembleFilter:
             dt: duration, s.
             step: longest time step, s.
         """
-        error, disturbance = self.error, self._of("disturbance")
+        error = self.error
+        disturbance = self._of("disturbance")
         decay = math.exp(-dt / error.disturbance_s)
         disturbance *= decay
         disturbance += (
@@ -235,7 +238,8 @@ class EnsembleFilter:
         if not self.placed:
             self._place(poses)
             self.odometry.interrupt()
-        pose, bend = self.members[:, _POSE].mean(axis=0), self.mean("bend")
+        pose = self.members[:, _POSE].mean(axis=0)
+        bend = self.mean("bend")
         predicted = self.poses()
         turn = poses[:, 2] - predicted[:, :, 2].mean(axis=0)
         # Measured headings may differ from the estimate by whole turns.
@@ -263,7 +267,8 @@ class EnsembleFilter:
         self._moved_frames = self._moved_frames + 1 if moved else 0
         # A single frame with large residuals may be a tracking error.
         if self._moved_frames >= _MOVED_FRAMES:
-            self.placed, self._moved_frames = False, 0
+            self.placed = False
+            self._moved_frames = 0
         return innovation
 
     def apply_odometry(self) -> None:
@@ -272,10 +277,12 @@ class EnsembleFilter:
 
     def poses(self) -> np.ndarray:
         """Return x, y (m), heading (rad) of the connectors, shape (members, connectors, 3)."""
-        bend, g = self._of("bend"), self.spec.geometry
+        bend = self._of("bend")
+        g = self.spec.geometry
         x, y, heading = self.members[:, _POSE].T[..., None]
         shape = body_shape(bend, self._dynamics.mass, g.segment_length, g.rigid_gap)
-        c, s = np.cos(heading), np.sin(heading)
+        c = np.cos(heading)
+        s = np.sin(heading)
         return np.stack(
             [
                 x + c * shape[..., 0] - s * shape[..., 1],
@@ -340,8 +347,10 @@ class EnsembleFilter:
 
     def _localisation(self) -> dict[str, np.ndarray]:
         """Return the columns that each measurement corrects, shape (measurements, columns)."""
-        n, width = self._segments, self.members.shape[1]
-        bend, pressure = np.zeros((n, width)), np.zeros((2 * n, width))
+        n = self._segments
+        width = self.members.shape[1]
+        bend = np.zeros((n, width))
+        pressure = np.zeros((2 * n, width))
         first = {name: columns.start for name, columns in self.columns.items()}
         for j in range(n):
             # A pressure error since the last message has also changed the bend, so both
@@ -382,7 +391,8 @@ class EnsembleFilter:
         """Estimate the noise of frames from residuals before and after the correction."""
         if np.isnan(before * after).all():
             return
-        usual, variance = getattr(self.noise, name), self._frame_noise[name] ** 2
+        usual = getattr(self.noise, name)
+        variance = self._frame_noise[name] ** 2
         # The expected product of the residuals is the noise variance if the filter is
         # consistent. The limits keep a single frame from changing the estimate by much.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
@@ -396,7 +406,8 @@ class EnsembleFilter:
         seen = ~np.isnan(poses).any(axis=1)
         if not seen.any():
             return
-        heading, noise = self._of("heading")[:, 0], self.noise
+        heading = self._of("heading")[:, 0]
+        noise = self.noise
         turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
         # All members turn to the same side, even if the angles are close to ±π.
         heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
@@ -426,11 +437,10 @@ class EnsembleFilter:
         )
         for name, values in (("pressure", pressure), ("lagged", lagged)):
             self._of(name)[:] = values.reshape(len(self.members), -1)
-        bias, velocity = (
-            self._of("bias") + self._of("disturbance"),
-            self._of("motion").copy(),
-        )
-        pose, bend = self.members[:, _POSE], self._of("bend")
+        bias = self._of("bias") + self._of("disturbance")
+        velocity = self._of("motion").copy()
+        pose = self.members[:, _POSE]
+        bend = self._of("bend")
         bend[:], valid = self._dynamics.bend(
             pose, bend, velocity, (linear, speed), bias, h
         )

@@ -59,7 +59,8 @@ class Estimate:
             time: time on the controller's clock, s.
             pressure: pressures of the chambers, shape (segments, 2), Pa.
         """
-        n, still = len(self.connectors), np.zeros_like(self.bend)
+        n = len(self.connectors)
+        still = np.zeros_like(self.bend)
         return SnakeState(
             time=np.float64(time),
             com=self.pose[:2],
@@ -156,11 +157,9 @@ class PredictionCalibration:
                 )
             )
             if len(self._error) != len(error):
-                self._error, self._stated, self._count = (
-                    np.zeros_like(error),
-                    np.zeros_like(error),
-                    0,
-                )
+                self._error = np.zeros_like(error)
+                self._stated = np.zeros_like(error)
+                self._count = 0
             self._count += 1
             weight = max(1 / _MEMORY, 1 / self._count)
             self._error = self._error + weight * (error**2 - self._error)
@@ -195,11 +194,10 @@ class IntervalCalibration:
 
     def __init__(self, groups: Sequence[int]) -> None:
         """Begin with a scale of 1; `groups` are the numbers of values with a common scale."""
-        self._starts, self._counts = np.cumsum([0, *groups[:-1]]), np.array(groups)
-        self._square, self._compared = (
-            np.ones(len(groups)),
-            np.full(len(groups), -np.inf),
-        )
+        self._starts = np.cumsum([0, *groups[:-1]])
+        self._counts = np.array(groups)
+        self._square = np.ones(len(groups))
+        self._compared = np.full(len(groups), -np.inf)
         self._open: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=200)
 
     @property
@@ -265,7 +263,8 @@ class LiveContact:
         """Create the observer of a robot, without learnt means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
-        self._period, self._repeated = 0, 0
+        self._period = 0
+        self._repeated = 0
         self.estimate: ContactEstimate | None = None
 
     def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
@@ -299,7 +298,10 @@ class LiveContact:
         """
         if not period:
             return
-        self._repeated = self._repeated + 1 if period == self._period else 0
+        if period == self._period:
+            self._repeated = self._repeated + 1
+        else:
+            self._repeated = 0
         self._period = period
         if self._repeated * SLOT_S >= _STEADY_S and period != self._observer.period:
             self._observer.set_period(period)

@@ -152,14 +152,15 @@ class FaultDetector(Stateful):
             spec: the robot.
             supply_pa: nominal supply pressure, gauge, Pa.
         """
-        self._spec, actuator = spec, spec.actuator
-        self._fill, self._vent, self._tau = (
-            actuator.tau_fill,
-            actuator.tau_vent,
-            actuator.tau_mode,
-        )
-        count, kinds = spec.segments, len(HYPOTHESES)
-        self.supply, self._gain = SupplyFilter(supply_pa), chamber_gains(spec)
+        self._spec = spec
+        actuator = spec.actuator
+        self._fill = actuator.tau_fill
+        self._vent = actuator.tau_vent
+        self._tau = actuator.tau_mode
+        count = spec.segments
+        kinds = len(HYPOTHESES)
+        self.supply = SupplyFilter(supply_pa)
+        self._gain = chamber_gains(spec)
         # The pressures of a robot that already moves, or that restarted, are unknown at
         # first.
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
@@ -206,7 +207,8 @@ class FaultDetector(Stateful):
 
     def restart(self) -> None:
         """Begin again with unknown pressures, as after a restart of the robot; keep all that was learnt."""
-        self.time, self._level = 0.0, math.nan
+        self.time = 0.0
+        self._level = math.nan
         self.leaks.drop(np.ones(self.leaks.learnt.shape, dtype=bool))
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
@@ -239,7 +241,8 @@ class FaultDetector(Stateful):
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         rows = np.zeros_like(mean)
-        rows[:, _State.OFFSET], rows[:, _State.SCALE] = 1.0, np.nan_to_num(bends)
+        rows[:, _State.OFFSET] = 1.0
+        rows[:, _State.SCALE] = np.nan_to_num(bends)
         variance = np.einsum(
             "sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows
         )
@@ -292,7 +295,8 @@ class FaultDetector(Stateful):
         drive = self._gain[:, None] * self._delayed
         drive = drive * self._bend_share(drive)
         rows = np.ones((*self.probability.shape, 6))
-        rows[..., _State.PLUS], rows[..., _State.MINUS] = drive[..., 0], -drive[..., 1]
+        rows[..., _State.PLUS] = drive[..., 0]
+        rows[..., _State.MINUS] = -drive[..., 1]
         rows[..., [_State.OFFSET, _State.SCALE]] = 0.0
         log_likelihood = np.zeros(self.probability.shape)
         if readings is not None:
@@ -301,7 +305,8 @@ class FaultDetector(Stateful):
             log_likelihood += self._sensor_log_likelihood(readings)
             bends = np.einsum("smk,smk->sm", rows, self.mean)
             sensed = rows.copy()
-            sensed[..., _State.OFFSET], sensed[..., _State.SCALE] = 1.0, bends
+            sensed[..., _State.OFFSET] = 1.0
+            sensed[..., _State.SCALE] = bends
             log_likelihood += self._correct(sensed, readings, _NOISE_RAD, reads)
             self._last = np.where(np.isnan(readings), self._last, readings)
         if markers is not None:
@@ -410,11 +415,10 @@ class FaultDetector(Stateful):
 
     def _sensor_log_likelihood(self, readings: np.ndarray) -> np.ndarray:
         """Return log-likelihoods of missing readings (silent sensor) and equal ones (frozen sensor)."""
-        log_likelihood, lost = (
-            np.zeros(self.probability.shape),
-            np.isnan(readings)[:, None],
-        )
-        silent, frozen = SENSORS == Sensor.SILENT, SENSORS == Sensor.FROZEN
+        log_likelihood = np.zeros(self.probability.shape)
+        lost = np.isnan(readings)[:, None]
+        silent = SENSORS == Sensor.SILENT
+        frozen = SENSORS == Sensor.FROZEN
         log_likelihood[:, ~silent] = np.where(
             lost, math.log(_LOSS), math.log(1 - _LOSS)
         )
@@ -505,10 +509,16 @@ class FaultDetector(Stateful):
         """Correct the supply pressure if all segments are weak at once; detect and clear `starved`."""
         weak = SUPPLY_SHARES < 1.0
         kind = np.flatnonzero(weak)[self.probability[:, weak].sum(axis=0).argmax()]
-        share = SUPPLY_SHARES[kind] if math.isnan(self._level) else self._level
+        if math.isnan(self._level):
+            share = SUPPLY_SHARES[kind]
+        else:
+            share = self._level
         # Several leaks at once are a failure of the supply if the pressures are low as
         # well.
-        common = weak if math.isnan(self._level) else weak | (LEAK_RATES > 0.0)
+        if math.isnan(self._level):
+            common = weak
+        else:
+            common = weak | (LEAK_RATES > 0.0)
         if (
             share < _FAILED_BELOW
             and (self.probability[:, common].sum(axis=1) > 0.5).mean() > 0.5

@@ -184,7 +184,8 @@ class FaultNaming(Stateful):
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, _LEAK_THRESHOLD, _THRESHOLD)
         patience = factor * np.where(LEAK, _LEAK_PATIENCE_S, _PATIENCE_S) - 1e-9
-        weak, count = likely[:, WEAK], len(likely)
+        weak = likely[:, WEAK]
+        count = len(likely)
         if count > 1:
             other_weak = (weak.sum() - weak) / (count - 1)
             likely[:, WEAK] = weak * np.minimum(2 * other_weak, 1.0)

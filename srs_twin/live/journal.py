@@ -78,7 +78,8 @@ class Journal:
             self._file, use_chunking=False, compression=CompressionType.NONE
         )
         self._writer.start(profile="", library="srs_twin")
-        self._path, self.trouble = path, ""
+        self._path = path
+        self.trouble = ""
         self._channels: dict[tuple[str, str], int] = {}
         self._schema = self._writer.register_schema(
             name="srs_twin.Message", encoding="jsonschema", data=b'{"type": "object"}'
@@ -239,10 +240,8 @@ def _message(
             raise ValueError("a topic of another program")
         if kind == POSES:
             said = json.loads(data)
-            poses, sent = (
-                np.array(said["poses"], dtype=float).reshape(-1, 4),
-                float(said["t"]),
-            )
+            poses = np.array(said["poses"], dtype=float).reshape(-1, 4)
+            sent = float(said["t"])
             names = tuple(map(str, said["names"]))
             places = all(map(is_place, np.nan_to_num(poses, nan=0.0)))
             if len(names) != len(poses) or not abs(sent) <= LATEST_S or not places:
@@ -263,14 +262,16 @@ def in_order(
     A jump in time by more than `LONGEST_GAP_S` is accepted as a pause only if the next
     message confirms it.
     """
-    last, odd = math.nan, None
+    last = math.nan
+    odd = None
     for message in messages:
         # `odd` is the last message with a jump in time, which waits for its
         # confirmation.
         if odd is not None and abs(message.arrived - odd.arrived) <= LONGEST_GAP_S:
             if math.isnan(last) or odd.arrived > last:
                 yield odd
-                last, odd = odd.arrived, None
+                last = odd.arrived
+                odd = None
         follows = abs(message.arrived - last) <= LONGEST_GAP_S
         if odd is not None:
             refuse(BadMessageError(_NOT_IN_ORDER))
@@ -303,7 +304,8 @@ class McapLink(Link):
                 robot.
         """
         super().__init__()
-        self._speed, self._over = speed, threading.Event()
+        self._speed = speed
+        self._over = threading.Event()
         self._messages = self._of_the_robot(path, robot, segments)
         self._first = self._begun = math.nan
         self._next = math.inf
@@ -358,7 +360,8 @@ class McapLink(Link):
                     - (clock() - self._begun) * self._speed
                 )
                 if not ahead <= LONGEST_GAP_S:  # also NaN, at first
-                    self._first, self._begun = message.arrived, clock()
+                    self._first = message.arrived
+                    self._begun = clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
                 while (

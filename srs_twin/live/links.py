@@ -98,11 +98,10 @@ class Link(ABC):
 
     def _refuse(self, error: Exception) -> None:
         """Count a refused message by its reason; for unexpected errors the reason is the error's name."""
-        reason = (
-            str(error)[:80]
-            if isinstance(error, BadMessageError)
-            else type(error).__name__
-        )
+        if isinstance(error, BadMessageError):
+            reason = str(error)[:80]
+        else:
+            reason = type(error).__name__
         name = f"bad: {reason}"
         if name not in self.counts and len(self.counts) >= _MOST_REASONS:
             name = "bad: for other reasons"
@@ -230,11 +229,15 @@ class MqttLink(Link):
             raise InputError(
                 "MQTT needs paho-mqtt: pip install 'srs-twin[live]'"
             ) from error
-        self._robot, self._topics = robot, {topic(robot, k): k for k in kinds}
+        self._robot = robot
+        self._topics = {topic(robot, k): k for k in kinds}
         self._shape = {"segments": segments, "chambers": chambers}
-        self.connected, self._answered, self._why = False, threading.Event(), ""
+        self.connected = False
+        self._answered = threading.Event()
+        self._why = ""
         self._client = client = mqtt.Client(CallbackAPIVersion.VERSION2)
-        client.on_connect, client.on_disconnect = self._on_connect, self._on_disconnect
+        client.on_connect = self._on_connect
+        client.on_disconnect = self._on_disconnect
         client.on_message = self._on_message
         client.reconnect_delay_set(1, 2)
         if login.user is not None:
@@ -303,7 +306,8 @@ class MqttLink(Link):
         reason: Any,
         _properties: object,
     ) -> None:
-        self.connected, self._why = not reason.is_failure, str(reason)
+        self.connected = not reason.is_failure
+        self._why = str(reason)
         if self.connected:
             self.counts["connected"] += 1
             # Else small messages wait for the acknowledgement of the one before, up to

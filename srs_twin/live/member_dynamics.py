@@ -61,11 +61,14 @@ class MemberDynamics:
 
     def __init__(self, spec: RobotSpec) -> None:
         """Prepare the model of a robot."""
-        self._spec, g, mu = spec, spec.geometry, spec.friction
+        self._spec = spec
+        g = spec.geometry
+        mu = spec.friction
         solid = BodyParameters.of(
             spec.mass.array(), spec.yaw_inertia(), g.segment_length, g.rigid_gap
         )
-        lean, drag = g.com_height / (2 * g.half_track), mu.drag / g.connectors
+        lean = g.com_height / (2 * g.half_track)
+        drag = mu.drag / g.connectors
         unit = spec.scale.time
         floor = floor_friction(
             "wheel",
@@ -109,7 +112,8 @@ class MemberDynamics:
             stages of each step, shapes (1 + 2 steps, members, segments), and the time
             step, s.
         """
-        actuator, slots = self._spec.actuator, len(valves.duty)
+        actuator = self._spec.actuator
+        slots = len(valves.duty)
         steps = math.ceil(dt / slots / step - 1e-6)
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
@@ -117,22 +121,28 @@ class MemberDynamics:
         # Interpolate the random walk of the pressures over the steps, so that it also
         # acts on the bends.
         noise = noise / math.sqrt(dt)
-        traces, lags = [pressure[None].copy()], [lagged[None].copy()]
+        traces = [pressure[None].copy()]
+        lags = [lagged[None].copy()]
         for duty in valves.duty:
             index = rates.advance(duty, dt / slots)
             change = rates.rate[index] + noise * np.sqrt(rates.wander[index])
-            fill, vent = duty / actuator.tau_fill, (1 - duty) / actuator.tau_vent
+            fill = duty / actuator.tau_fill
+            vent = (1 - duty) / actuator.tau_vent
             rate, end = relaxation_of(
                 fill, vent, valves.supply[:, None], valves.leak, change
             )
-            start, after = (traces[-1][-1], lags[-1][-1]), stages[:, None, None, None]
+            start = (traces[-1][-1], lags[-1][-1])
+            after = stages[:, None, None, None]
             traces.append(relaxed(start[0], rate, end, after))
             lags.append(
                 followed(start[1], start[0], (rate, end), actuator.tau_mode, after)
             )
-        whole, behind = np.concatenate(traces), np.concatenate(lags)
-        pressure[:], lagged[:] = whole[-1], behind[-1]
-        linear, pull = (signed * behind).sum(axis=-1), (signed * whole).sum(axis=-1)
+        whole = np.concatenate(traces)
+        behind = np.concatenate(lags)
+        pressure[:] = whole[-1]
+        lagged[:] = behind[-1]
+        linear = (signed * behind).sum(axis=-1)
+        pull = (signed * whole).sum(axis=-1)
         return linear, (pull - linear) / actuator.tau_mode, h
 
     def bend(
@@ -186,18 +196,14 @@ def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
         law: a `BendLaw`.
     """
     times, members, segments = linear.shape
-    bends, rates = (
-        np.empty((members, times, segments)),
-        np.empty((members, times, segments)),
-    )
+    bends = np.empty((members, times, segments))
+    rates = np.empty((members, times, segments))
     for m in range(members):
         for t in range(times):
             for j in range(segments):
                 free, slope, _ = apply_bend_law(linear[t, m, j], law)
-                bends[m, t, j], rates[m, t, j] = (
-                    bias[m, j] + free,
-                    slope * speed[t, m, j],
-                )
+                bends[m, t, j] = bias[m, j] + free
+                rates[m, t, j] = slope * speed[t, m, j]
     return bends, rates
 
 
@@ -220,19 +226,17 @@ def _advance(states, velocities, steps, free, model, work):  # type: ignore[no-u
 @compiled
 def _set_momenta(states, velocities, model, work):  # type: ignore[no-untyped-def]
     """Fill velocities and momenta of bodies from their velocities in the frames of their mean headings."""
-    segments, ahead, momentum = (
-        work.bend.shape[0],
-        compliant_kernels.BENDS,
-        work.momentum,
-    )
+    segments = work.bend.shape[0]
+    ahead = compliant_kernels.BENDS
+    momentum = work.momentum
     moment = work.bend  # any numbers: the moments of the air do not change the momenta
     for m in range(states.shape[0]):
-        state, u = states[m], velocities[m]
-        c, s = math.cos(state[kernels.HEADING]), math.sin(state[kernels.HEADING])
-        state[kernels.STATE_VX], state[kernels.STATE_VY] = (
-            c * u[0] - s * u[1],
-            s * u[0] + c * u[1],
-        )
+        state = states[m]
+        u = velocities[m]
+        c = math.cos(state[kernels.HEADING])
+        s = math.sin(state[kernels.HEADING])
+        state[kernels.STATE_VX] = c * u[0] - s * u[1]
+        state[kernels.STATE_VY] = s * u[0] + c * u[1]
         bend = state[ahead : ahead + segments]
         compliant_kernels.balance(bend, u, moment, 0.0, model, model.floor, work)
         state[kernels.MOMENT] = momentum[2]

@@ -182,11 +182,10 @@ def decode(
     except (ValueError, RecursionError) as error:
         # Omit the position in the text: reasons are counted, so there must be few
         # different ones.
-        reason = (
-            error.msg
-            if isinstance(error, json.JSONDecodeError)
-            else type(error).__name__
-        )
+        if isinstance(error, json.JSONDecodeError):
+            reason = error.msg
+        else:
+            reason = type(error).__name__
         raise BadMessageError(f"no JSON: {reason}") from None
     if not isinstance(document, Mapping):
         raise BadMessageError(f"a JSON object is needed, not {type(document).__name__}")

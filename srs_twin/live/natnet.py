@@ -95,7 +95,8 @@ class _Reader:
     """Cursor that reads values from a packet."""
 
     def __init__(self, data: bytes) -> None:
-        self._data, self.at = memoryview(data), 0
+        self._data = memoryview(data)
+        self.at = 0
 
     def read(self, form: str) -> tuple[Any, ...]:
         """Read little-endian numbers in a format of `struct`."""
@@ -197,7 +198,8 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
     Raises:
         BadMessageError: the content is invalid.
     """
-    packet, names = _Reader(content), dict[int, str]()
+    packet = _Reader(content)
+    names = dict[int, str]()
     for _ in range(packet.count()):
         (kind,) = packet.read("i")
         end = None
@@ -284,7 +286,8 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
         count = packet.count()
         packet.read("3f" * count + "i" * count + "f" * count)
     error, params = packet.read("fH")
-    place, turn = tuple(rest[:3]), tuple(rest[3:])
+    place = tuple(rest[:3])
+    turn = tuple(rest[3:])
     # The flag alone does not suffice: some senders send zeros for an unknown rotation.
     tracked = (
         bool(params & _TRACKED)

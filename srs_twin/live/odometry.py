@@ -75,16 +75,20 @@ class LocalConnection(Stateful):
             mass: of each connector with its share of the segments, kg.
         """
         n = spec.segments
-        self._spec, self._mass = spec, mass
+        self._spec = spec
+        self._mass = mass
         self._powers = [
             np.array(list(combinations_with_replacement(range(n), power)))
             for power in (1, 2, 3)
         ]
         count = n * (1 + sum(map(len, self._powers)))
         self.weights: Array = np.zeros((count, 3))
-        self._gram, self._sums = np.zeros((count, count)), np.zeros((count, 3))
-        self._noise, self._scatter = _NOISE_RAD**2, np.square(_SCATTER)
-        self._frames, self._block = 0, np.zeros(3)
+        self._gram = np.zeros((count, count))
+        self._sums = np.zeros((count, 3))
+        self._noise = _NOISE_RAD**2
+        self._scatter = np.square(_SCATTER)
+        self._frames = 0
+        self._block = np.zeros(3)
         self._root: Array = np.eye(count) * PRIOR / _NOISE_RAD
 
     def snapshot(self) -> LocalConnection:
@@ -110,14 +114,17 @@ class LocalConnection(Stateful):
 
     def kinematic_matrix(self, bends: Array) -> Array:
         """Return A_w, as `matrix`."""
-        g, mu, n = self._spec.geometry, self._spec.friction, self._spec.segments
+        g = self._spec.geometry
+        mu = self._spec.friction
+        n = self._spec.segments
         shapes = body_shape(
             bends + _DIFFERENCE_RAD * np.eye(n + 1, n, -1),
             self._mass,
             g.segment_length,
             g.rigid_gap,
         )
-        place, moves = shapes[0], (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
+        place = shapes[0]
+        moves = (shapes[1:] - shapes[0]) / _DIFFERENCE_RAD
         heading = relative_headings(bends)
         ahead = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         directions = np.stack(
@@ -209,13 +216,15 @@ class Odometry:
         self, connection: LocalConnection, bends: Array, rng: np.random.Generator
     ) -> None:
         """Create an odometry at the bends of the members, shape (members, segments), rad."""
-        self.connection, self.twist = connection, np.zeros(3)
+        self.connection = connection
+        self.twist = np.zeros(3)
         self._features = np.zeros(len(connection.weights))
         draws = rng.normal(size=(len(bends), len(self._features), 3))
         self._draws = draws - draws.mean(axis=0)
         self._forecasting = False
         # Bends at the last step, and the time since.
-        self._bends, self._elapsed = bends.copy(), 0.0
+        self._bends = bends.copy()
+        self._elapsed = 0.0
         self._frame_age = math.inf
 
     def advance(self, dt: float) -> None:
@@ -232,19 +241,27 @@ class Odometry:
         """
         if not self._elapsed:
             return
-        before, after = self._bends.mean(axis=0), bends.mean(axis=0)
+        before = self._bends.mean(axis=0)
+        after = bends.mean(axis=0)
         features = self.connection.features(before, after)
-        change = bends - self._bends if self._forecasting else after - before
+        if self._forecasting:
+            change = bends - self._bends
+        else:
+            change = after - before
         step = change @ self.connection.matrix((before + after) / 2).T
         step = step + self.connection.sample_model_error(features, self._draws)
         # The heading in the middle of the step makes the integration second-order
         # accurate.
         heading = pose[:, 2] + step[:, 2] / 2
-        c, s, x, y = np.cos(heading), np.sin(heading), step[:, 0], step[:, 1]
+        c = np.cos(heading)
+        s = np.sin(heading)
+        x = step[:, 0]
+        y = step[:, 1]
         pose += np.column_stack([c * x - s * y, s * x + c * y, step[:, 2]])
         self.twist = step.mean(axis=0) / self._elapsed
         self._features = self._features + features
-        self._bends, self._elapsed = bends.copy(), 0.0
+        self._bends = bends.copy()
+        self._elapsed = 0.0
 
     def learn(self, pose: Array, bend: Array, poses: Array, bends: Array) -> None:
         """Fit the connection to a frame.
@@ -255,17 +272,20 @@ class Odometry:
             poses: poses of the members after the correction.
             bends: bends of the members after the correction, rad.
         """
-        connection, now = self.connection, bends.mean(axis=0)
+        connection = self.connection
+        now = bends.mean(axis=0)
         if self._frame_age < _LONGEST_FRAME_INTERVAL_S:
             x, y, turn = poses.mean(axis=0) - pose
-            c, s = math.cos(pose[2]), math.sin(pose[2])
+            c = math.cos(pose[2])
+            s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
             # Add the learnt part again, because the fit concerns the whole motion since
             # the last frame.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)
-        self._features, self._frame_age = np.zeros_like(self._features), 0.0
+        self._features = np.zeros_like(self._features)
+        self._frame_age = 0.0
         self._bends[:] = bends
 
     def interrupt(self) -> None:
@@ -285,7 +305,8 @@ class Odometry:
             bends: bends of these members in the prediction, rad.
         """
         other = copy.copy(self)
-        other.connection, other._forecasting = self.connection.snapshot(), True
+        other.connection = self.connection.snapshot()
+        other._forecasting = True
         other._draws = self._draws[: len(bends)]
         other._bends = self._bends[: len(bends)] + bends - before
         return other

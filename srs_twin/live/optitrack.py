@@ -30,7 +30,8 @@ class _UdpLink(Link):
 
     def __init__(self, sockets: Iterable[socket.socket]) -> None:
         super().__init__()
-        self._sockets, self._over = list(sockets), threading.Event()
+        self._sockets = list(sockets)
+        self._over = threading.Event()
         for own in self._sockets:
             own.settimeout(_LISTENS_S)
         self._threads = [
@@ -96,7 +97,8 @@ class FrameNumbers:
         """Count a frame by its number; a late frame is no longer lost."""
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
-            self._newest, self._missing = number, set()
+            self._newest = number
+            self._missing = set()
         elif number > newest:
             if number > newest + 1:
                 counts["frames lost"] += number - newest - 1
@@ -142,7 +144,8 @@ class NatNetLink(_UdpLink):
                 address.
         """
         # Packets carry the sender's numeric address.
-        host, local = resolved(host), resolved(local)
+        host = resolved(host)
+        local = resolved(local)
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             own.bind((local, 0))
@@ -152,9 +155,14 @@ class NatNetLink(_UdpLink):
         super().__init__([own])
         self.version: natnet.Version | None = None
         self.names: dict[int, str] = {}
-        self._server, self._local, self._up = (host, port), local, up
-        self._asked, self._asked_names, self._last = 0.0, 0.0, -1.0
-        self._unknown, self._numbers = False, FrameNumbers()
+        self._server = (host, port)
+        self._local = local
+        self._up = up
+        self._asked = 0.0
+        self._asked_names = 0.0
+        self._last = -1.0
+        self._unknown = False
+        self._numbers = FrameNumbers()
         self._group: tuple[str, int] | None = None
         self._start()
 
@@ -166,7 +174,10 @@ class NatNetLink(_UdpLink):
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
         content = natnet.Packet.CONNECT, b"Ping\0"
         # A restarted server has forgotten its clients and must be asked again.
-        asked = [content] if silent else [(natnet.Packet.KEEPALIVE, b"\0")]
+        if silent:
+            asked = [content]
+        else:
+            asked = [(natnet.Packet.KEEPALIVE, b"\0")]
         if self.version is not None and (
             not self.names
             or self._unknown
@@ -202,7 +213,8 @@ class NatNetLink(_UdpLink):
         elif self.version is None:
             raise BadMessageError("a packet before the server said its version")
         elif kind == natnet.Packet.MODELDEF:
-            self.names, self._unknown = natnet.read_models(content, self.version), False
+            self.names = natnet.read_models(content, self.version)
+            self._unknown = False
         elif kind == natnet.Packet.FRAME:
             frame = natnet.read_frame(content, self.version)
             self._last = arrived
@@ -294,16 +306,15 @@ class NatNetServer(_UdpLink):
             raise InputError(f"{host}:{port} cannot be listened on: {error}") from error
         super().__init__([own])
         self.port: int = own.getsockname()[1]
-        self._names, self._number = dict(names), 0
+        self._names = dict(names)
+        self._number = 0
         self._clients = dict[tuple[str, int], float]()
         self._start()
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
         """Send a frame (time of our clock, s)."""
-        packet, now = (
-            natnet.write_frame(natnet.Frame(self._number, time, bodies)),
-            clock(),
-        )
+        packet = natnet.write_frame(natnet.Frame(self._number, time, bodies))
+        now = clock()
         self._number += 1
         for client, heard in list(self._clients.items()):
             if now - heard < 10 * _ASKS_EVERY_S:

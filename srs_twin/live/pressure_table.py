@@ -26,16 +26,12 @@ class ValveAges(Stateful):
 
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Begin with vented chambers; tables have a number of bins of a width (s)."""
-        self.filling, self.age, self._dt = (
-            np.zeros((segments, 2), dtype=int),
-            np.zeros((segments, 2)),
-            0.0,
-        )
-        self._chambers, self._bins, self._width_s = (
-            np.indices((segments, 2)),
-            bins,
-            width_s,
-        )
+        self.filling = np.zeros((segments, 2), dtype=int)
+        self.age = np.zeros((segments, 2))
+        self._dt = 0.0
+        self._chambers = np.indices((segments, 2))
+        self._bins = bins
+        self._width_s = width_s
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -61,7 +57,8 @@ class ValveAges(Stateful):
         # The age is that at the start of the step, so it grows by the duration of the
         # step before.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
-        self.filling, self._dt = filling, dt
+        self.filling = filling
+        self._dt = dt
 
 
 class PressureRates:
@@ -95,10 +92,8 @@ class PressureRates:
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
         self.wander = np.full_like(self.rate, (wander * supply) ** 2)
-        self._least, self._time_in_bin = (
-            (self._LEAST_WANDER * supply) ** 2,
-            np.zeros_like(self.rate),
-        )
+        self._least = (self._LEAST_WANDER * supply) ** 2
+        self._time_in_bin = np.zeros_like(self.rate)
 
     def advance(self, duty: np.ndarray, dt: float) -> BinIndex:
         """Advance by dt (s) with a duty of the valves, shape (segments, 2); return the bins."""
@@ -142,14 +137,16 @@ class PressureLevels(Stateful):
     """
 
     state_attributes = ("ages", "_count", "_mean", "_variance")
-    _BINS, _WIDTH_S = 25, 0.02
+    _BINS = 25
+    _WIDTH_S = 0.02
     _MOST_COUNTED = 40
     """Number of pressures over which a mean is taken."""
 
     def __init__(self, segments: int, sd: float) -> None:
         """Begin with means of 0 and an initial standard deviation."""
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
-        self._count, self._mean = np.ones(self.ages.shape), np.zeros(self.ages.shape)
+        self._count = np.ones(self.ages.shape)
+        self._mean = np.zeros(self.ages.shape)
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:

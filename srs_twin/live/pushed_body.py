@@ -63,9 +63,12 @@ class PushedBody:
             sample_s: time between samples, s.
             stations: distances behind the first connector, m.
         """
-        self._spec, g, unit = spec, spec.geometry, spec.scale.time
+        self._spec = spec
+        g = spec.geometry
+        unit = spec.scale.time
         self._steps = max(1, round(sample_s / (SUBSTEP_S * unit)))
-        self._h, self._mass = sample_s / self._steps, spec.mass.array()
+        self._h = sample_s / self._steps
+        self._mass = spec.mass.array()
         period = len(bends)
         count = period * self._steps
         knots = np.arange(period + 1) * sample_s
@@ -77,7 +80,8 @@ class PushedBody:
         angle = relative_headings(q)
         ahead = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         aside = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
-        rate, spin = self._rate(place), self._rate(angle)
+        rate = self._rate(place)
+        spin = self._rate(angle)
         self._tabulate_wheels(place, ahead, aside, rate, spin)
         inertia = (self._mass * (place**2).sum(axis=-1) + spec.yaw_inertia()).sum(
             axis=-1
@@ -89,14 +93,13 @@ class PushedBody:
         self._tabulate_moments(place, rate, aside, stations)
         self.free_velocity = np.zeros((period, 3))
         self.free_moment = np.zeros((period, spec.segments))
-        u, none = np.zeros((1, 3)), np.zeros(1)
+        u = np.zeros((1, 3))
+        none = np.zeros(1)
         laps = int(np.ceil(_SETTLING_S * unit / (period * sample_s))) + 1
         for k in range(1, laps * period + 1):
             u, moment = self.step(k, u, none, np.zeros(1, dtype=int))
-            self.free_velocity[k % period], self.free_moment[k % period] = (
-                u[0],
-                moment[0],
-            )
+            self.free_velocity[k % period] = u[0]
+            self.free_moment[k % period] = moment[0]
 
     def _rate(self, table: np.ndarray) -> np.ndarray:
         return np.asarray(
@@ -113,7 +116,8 @@ class PushedBody:
     ) -> None:
         """Fill the Jacobian (count, 4N, 3) of the velocities of the wheels along, then across."""
         arm = self._spec.geometry.half_track
-        jacobian, drift = [], []
+        jacobian = []
+        drift = []
         for direction in (ahead, aside):
             for side in (arm, -arm):
                 turn = _cross(place + side * aside, direction)
@@ -122,10 +126,8 @@ class PushedBody:
                     (rate * direction).sum(axis=-1)
                     - (spin * side if direction is ahead else 0.0)
                 )
-        self._jacobian, self._drift = (
-            np.concatenate(jacobian, axis=1),
-            np.concatenate(drift, axis=1),
-        )
+        self._jacobian = np.concatenate(jacobian, axis=1)
+        self._drift = np.concatenate(drift, axis=1)
         along, across = np.split(self._jacobian, 2, axis=1)
         pairs = [(along, along), (along, across), (across, along), (across, across)]
         products = [
@@ -142,7 +144,9 @@ class PushedBody:
         stations: np.ndarray,
     ) -> None:
         """Fill the moments per friction, acceleration and force, at the samples only."""
-        spec, g, every = self._spec, self._spec.geometry, slice(None, None, self._steps)
+        spec = self._spec
+        g = self._spec.geometry
+        every = slice(None, None, self._steps)
         n = spec.segments
         j = np.minimum((stations / g.pitch).astype(int), n - 1)
         share = (stations / g.pitch - j)[:, None]
@@ -150,8 +154,11 @@ class PushedBody:
         normal = (1 - share) * aside[:, j] + share * aside[:, j + 1]
         normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
         self._push = np.concatenate([normal, _cross(point, normal)[..., None]], axis=-1)
-        place, rate, jacobian = place[every], rate[every], self._jacobian[every]
-        point, normal = point[every], normal[every]
+        place = place[every]
+        rate = rate[every]
+        jacobian = self._jacobian[every]
+        point = point[every]
+        normal = normal[every]
         middle = (place[:, :-1] + place[:, 1:]) / 2
         front = np.arange(n + 1) <= np.arange(n)[:, None]
         arms = front[..., None] * (place[:, None] - middle[:, :, None])
@@ -180,7 +187,8 @@ class PushedBody:
             0.0,
         )
         # Mean of max(c - s, 0) over the cuts c of the arc.
-        begin, end = g.rigid_gap / 2, g.rigid_gap / 2 + g.segment_length
+        begin = g.rigid_gap / 2
+        end = g.rigid_gap / 2 + g.segment_length
         behind = share[:, 0] * g.pitch
         at = np.clip(behind, begin, end)
         lever = (end - at) ** 2 / (2 * g.segment_length) + np.maximum(
@@ -224,7 +232,8 @@ class PushedBody:
         wheels, _ = self._friction(g, u)
         load = wheels @ self._jacobian[g] + push
         load[:, 2] -= growth[g] * u[:, 2]
-        s, w = g // self._steps, u[:, 2:]
+        s = g // self._steps
+        w = u[:, 2:]
         moment = (
             wheels @ self._on_friction[s] + force[:, None] * self._on_push[s, station]
         )
@@ -234,8 +243,13 @@ class PushedBody:
 
     def _friction(self, g: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces of the wheels (bodies, 4N) and the slopes of their sum (bodies, 3, 3)."""
-        spec, mu, points = self._spec, self._spec.friction, 2 * len(self._mass)
-        law = getattr(friction, spec.skin.law) if spec.skin else friction.wheel
+        spec = self._spec
+        mu = self._spec.friction
+        points = 2 * len(self._mass)
+        if spec.skin:
+            law = getattr(friction, spec.skin.law)
+        else:
+            law = friction.wheel
         slip = u @ self._jacobian[g].T + self._drift[g]
         load = np.tile(self._mass, 2) * GRAVITY / 2
         mu_t = mu.mu_t + mu.drag / (self._mass.sum() * GRAVITY)

@@ -57,7 +57,8 @@ class EstimateTable:
 
     def __init__(self, spec: RobotSpec) -> None:
         """Begin without rows."""
-        self._spec, self._rows = spec, list[np.ndarray]()
+        self._spec = spec
+        self._rows = list[np.ndarray]()
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -202,7 +203,8 @@ Keys = Callable[[], Iterable[str]]
 
 def warm_up(spec: RobotSpec) -> None:
     """Load and compile all code that a live twin needs, before the robot sends messages."""
-    shadow, n = Shadow(spec, members=8), spec.segments
+    shadow = Shadow(spec, members=8)
+    n = spec.segments
     rows = np.outer(-spec.geometry.pitch * np.arange(n + 1), [1.0, 0.0, 0.0, 0.0])
     names = tuple(f"connector_{i}" for i in range(1, n + 2))
     for k in range(round(_WARM_UP_S / TICK_S)):
@@ -280,13 +282,13 @@ class Session:
             InputError: the folder cannot be written, or holds the state of another
                 robot.
         """
-        self.shadow, self._links, self._out, self._steering = (
-            shadow,
-            list(links),
-            out,
-            steering,
-        )
-        self._commands, self._views, self._keys = commands, list(views), keys
+        self.shadow = shadow
+        self._links = list(links)
+        self._out = out
+        self._steering = steering
+        self._commands = commands
+        self._views = list(views)
+        self._keys = keys
         self._journal: Journal | None = None
         self.resumed = out is not None and (out / STATE).exists()
         if out is not None:
@@ -302,14 +304,15 @@ class Session:
         self.estimate: Estimate | None = None
         self.faults: dict[tuple[str, str], float] = {}
         self.problems: list[str] = []
-        self.ticks, self.latency = (
-            deque[float](maxlen=_KEPT),
-            deque[float](maxlen=_KEPT),
-        )
-        self.lag, self.view_s = 0.0, 0.0
+        self.ticks = deque[float](maxlen=_KEPT)
+        self.latency = deque[float](maxlen=_KEPT)
+        self.lag = 0.0
+        self.view_s = 0.0
         self._table = EstimateTable(shadow.spec)
         self._prediction: Prediction | None = None
-        self._start, self._stopped, self._slow = 0.0, False, False
+        self._start = 0.0
+        self._stopped = False
+        self._slow = False
         self._intervals = {
             work: Interval(seconds) for work, seconds in INTERVALS_S.items()
         }
@@ -337,7 +340,9 @@ class Session:
         return self._summary
 
     def _loop(self, duration: float, stop: Callable[[], bool]) -> None:
-        clock, start, done = self._links[0].clock, self._start, 0
+        clock = self._links[0].clock
+        start = self._start
+        done = 0
         if self._steering is not None:
             self._steering.follower.submit = self._pool.submit
         while (
@@ -540,7 +545,8 @@ class Session:
 
     def _end(self) -> None:
         """Vent the robot, send the last status and write the files; each step runs even if another fails."""
-        seconds, error = time.monotonic() - self._start, sys.exception()
+        seconds = time.monotonic() - self._start
+        error = sys.exception()
         with ExitStack() as steps:  # callbacks run in reverse order
             steps.callback(self._write)
             steps.callback(self._close_journal)
@@ -553,7 +559,10 @@ class Session:
 
     def _say_goodbye(self, error: BaseException | None) -> None:
         if self._commands is not None and self._steering is not None:
-            text = "stopped" if error is None else f"stopped: {type(error).__name__}"
+            if error is None:
+                text = "stopped"
+            else:
+                text = f"stopped: {type(error).__name__}"
             self._commands.send(STATUS, text, wait_s=_GOODBYE_S)
 
     def _close_journal(self) -> None:

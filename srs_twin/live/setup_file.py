@@ -95,7 +95,8 @@ class SetupFile(Section):
 
     def options(self) -> dict[str, Any]:
         """Return the file's values by the names of the options of `srs-twin shadow`; without absent ones."""
-        broker, capture = self.broker, self.motion_capture
+        broker = self.broker
+        capture = self.motion_capture
         values = {
             "robot": self.robot,
             "name": self.name,

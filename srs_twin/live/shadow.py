@@ -121,17 +121,20 @@ class Shadow:
         """
         spec.require_planar("the live twin")
         n = spec.segments
-        self.spec, self._supply = (
-            spec,
-            spec.supply.nominal if supply_pa is None else supply_pa,
-        )
+        self.spec = spec
+        if supply_pa is None:
+            self._supply = spec.supply.nominal
+        else:
+            self._supply = supply_pa
         self.ensemble = EnsembleFilter(spec, members=members, seed=seed)
         self.faults = FaultDetector(spec, supply_pa=self._supply)
         self.ensemble.set_modules(*self.faults.modules())
-        self.buffer, self.time = ReorderBuffer(), math.nan
+        self.buffer = ReorderBuffer()
+        self.time = math.nan
         self._frames = frames or {f"connector_{i}": i for i in range(1, n + 2)}
         self._due: deque[tuple[float, Message]] = deque()
-        self.skipped, self.interruptions = 0.0, 0
+        self.skipped = 0.0
+        self.interruptions = 0
         self._commands = CommandHistory(n)
         self._heard = dict.fromkeys(_KINDS, -math.inf)
         # Sending time of the last used measurement of each sender.
@@ -210,14 +213,16 @@ class Shadow:
         """Return a function that computes a prediction on any thread, for `prediction_calibration`."""
         # All inputs are collected here, because the filter changes while another thread
         # predicts.
-        per_step, slots = round(_PREDICTION_STEP_S / SLOT_S), round(HORIZON_S / SLOT_S)
+        per_step = round(_PREDICTION_STEP_S / SLOT_S)
+        slots = round(HORIZON_S / SLOT_S)
         commands = self.command_period.commands(slots)
         fine = np.repeat(commands, _SUBSLOTS, axis=0)
         inputs = [
             self._valve_input(duties) for duties in np.split(fine, slots // per_step)
         ]
         times = self.time + _PREDICTION_STEP_S * np.arange(1, len(inputs) + 1)
-        begun, heading = self.time, float(self.ensemble.mean("heading")[0])
+        begun = self.time
+        heading = float(self.ensemble.mean("heading")[0])
         ensemble = self.ensemble.copy(_PREDICTION_MEMBERS)
 
         def run() -> Prediction:
@@ -307,7 +312,8 @@ class Shadow:
             self.time = time
         self._advance(time)
         for message in measured:
-            kind, values = message.kind, message.values
+            kind = message.kind
+            values = message.values
             if kind == POSES:
                 self._use_frame(message)
             elif kind == BENDS:
@@ -376,7 +382,8 @@ class Shadow:
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
-        begun, dt = self.time, (time - self.time) / slots
+        begun = self.time
+        dt = (time - self.time) / slots
         steps = math.ceil(dt / STEP_S - 1e-6)
         for k in range(1, slots + 1):
             duties = self._commands.at(
@@ -444,7 +451,8 @@ class Shadow:
         self._intervals.predict(now, value, sd)
         sd = sd * self._intervals.scale
         n = len(value) - 3
-        pose, pose_sd = value[n:], sd[n:]
+        pose = value[n:]
+        pose_sd = sd[n:]
         # Errors of sensors and transport delays are constant, so they do not average
         # out in the ensemble.
         _, sensor_sd = self.faults.corrected(value[:n])

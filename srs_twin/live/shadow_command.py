@@ -152,13 +152,12 @@ def shadow(
         play = None if mcap is None else (mcap, speed)
         session, shown = _session(stack, lab, play, twin, steering, out, (window, web))
         if not quiet:
-            keys = (
-                ""
-                if mcap
-                else (
-                    "; p pauses, v vents, g goes on, s stops" if follow else "; s stops"
-                )
-            )
+            if mcap:
+                keys = ""
+            elif follow:
+                keys = "; p pauses, v vents, g goes on, s stops"
+            else:
+                keys = "; s stops"
             _print_start(lab.topic_name, session.resumed, keys, shown)
         result = session.run(
             math.inf if lab.duration is None else lab.duration, over.is_set
@@ -199,14 +198,18 @@ def _twin(
     from srs_twin.live.steering import EstimateSteering
     from srs_twin.scenario.loading import load_scenario
 
-    frames = frames_of(lab.body, spec.geometry.connectors) if lab.body else None
+    if lab.body:
+        frames = frames_of(lab.body, spec.geometry.connectors)
+    else:
+        frames = None
     supply = None if lab.pressure is None else lab.pressure * 1000
     twin = Shadow(spec, supply_pa=supply, members=members, seed=seed, frames=frames)
-    steering = (
-        EstimateSteering(load_scenario(follow), twin, TICK_S, press_on=lab.press_on)
-        if follow
-        else None
-    )
+    if follow:
+        steering = EstimateSteering(
+            load_scenario(follow), twin, TICK_S, press_on=lab.press_on
+        )
+    else:
+        steering = None
     warm_up(spec)
     return twin, steering
 
@@ -259,11 +262,15 @@ def _session(
                 stack.enter_context(NatNetLink(host, port, local=lab.local, up=lab.up))
             )
         keys = stack.enter_context(typed_words())
-    views, shown = [], ""
+    views = []
+    shown = ""
     if window or web or out is not None:
         from srs_twin.viewing.rerun.live import live_view
 
-        keep = None if out is None else create_numbered_file(out, RECORDINGS)
+        if out is None:
+            keep = None
+        else:
+            keep = create_numbered_file(out, RECORDINGS)
         view, shown = stack.enter_context(
             live_view(spec, recording=keep, window=window, web=web)
         )
@@ -288,7 +295,8 @@ def _print_start(name: str, resumed: bool, keys: str, page: str) -> None:
 
 
 def _print_result(result: dict[str, Any]) -> None:
-    ticks, latency = result["tick_ms"], result["latency_ms"]
+    ticks = result["tick_ms"]
+    latency = result["latency_ms"]
     if ticks["median"] is not None:
         say(
             f"{result['seconds']:.1f} s, ticks of {ticks['median']:.1f} ms, 99 % below"

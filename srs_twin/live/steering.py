@@ -66,7 +66,8 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
     """
     texts = []
     for field in fields(RobotSpec):
-        first, second = getattr(one, field.name), getattr(other, field.name)
+        first = getattr(one, field.name)
+        second = getattr(other, field.name)
         if field.name in ("name", "title", "variation") or first == second:
             continue
         if not (is_dataclass(first) and type(first) is type(second)):
@@ -75,14 +76,17 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
         for name in (inner.name for inner in fields(first)):
             # Parameters are compared one by one, so that the message can name the one
             # that differs.
-            a, b = getattr(first, name), getattr(second, name)
+            a = getattr(first, name)
+            b = getattr(second, name)
             if a != b and (field.name, name) not in _MODEL_FIELDS:
                 texts.append(f"{field.name}.{name} ({_short(a)} and {_short(b)})")
     return texts
 
 
 def _short(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)
 
 
 class EstimateSteering:
@@ -123,12 +127,15 @@ class EstimateSteering:
                 f" '{shadow.spec.name}'; they differ in {', '.join(differ[:3])}{more}"
             )
         controller.least_margin = 0.0 if press_on else LEAST_MARGIN
-        self.follower, self._start, self._tick = controller, Pose(*scenario.pose), tick
+        self.follower = controller
+        self._start = Pose(*scenario.pose)
+        self._tick = tick
         self._seed = scenario.seed
         self._stuck = np.zeros(shadow.spec.segments, dtype=int)
         self._steps = self._waited = 0
         self._lost_s = self._uncertain_s = self._empty_s = self._paused_s = 0.0
-        self._given_up, self._control = "", GO
+        self._given_up = ""
+        self._control = GO
         self._events: list[tuple[float, str]] = []
         self._pressure = np.zeros((shadow.spec.segments, 2))
         self._last = self.vented()
@@ -150,7 +157,8 @@ class EstimateSteering:
     def control(self, word: str) -> None:
         """Obey a control word: `PAUSE` keeps the valves as they are, `VENT` vents all, `GO` continues."""
         if word != self._control:
-            self._control, self._paused_s = word, 0.0
+            self._control = word
+            self._paused_s = 0.0
             self._log(f"control: {word}")
 
     def step(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
@@ -188,7 +196,9 @@ class EstimateSteering:
             if self._paused_s <= PAUSE_LIMIT_S:
                 return self._last
             self.control(VENT)
-        return self.vented() if self._control == VENT else self._steer(estimate, shadow)
+        if self._control == VENT:
+            return self.vented()
+        return self._steer(estimate, shadow)
 
     def _is_uncertain(self, estimate: Estimate) -> bool:
         """Return whether the position is too uncertain for steering."""
@@ -204,11 +214,10 @@ class EstimateSteering:
             return self.vented()
         if not self._steps:
             self._begin(estimate, shadow)
-        self._empty_s = (
-            self._empty_s + self._tick
-            if shadow.faults.supply.share < _EMPTY_BELOW
-            else 0.0
-        )
+        if shadow.faults.supply.share < _EMPTY_BELOW:
+            self._empty_s = self._empty_s + self._tick
+        else:
+            self._empty_s = 0.0
         if self._empty_s > PATIENCE_S:
             self.give_up(EMPTY)
             return self.vented()
@@ -232,14 +241,18 @@ class EstimateSteering:
         duty = (valves.mean(axis=0) if valves.ndim == 3 else valves + 0.0) / 2 + 0.5
         # With equal pressures on both sides, a segment with a stuck valve remains
         # straight.
-        duty[stuck == Chamber.FILLS], duty[stuck == Chamber.VENTS] = 1.0, 0.0
-        return 2 * duty - 1 if np.isin(duty, (0.0, 1.0)).all() else duty
+        duty[stuck == Chamber.FILLS] = 1.0
+        duty[stuck == Chamber.VENTS] = 0.0
+        if np.isin(duty, (0.0, 1.0)).all():
+            return 2 * duty - 1
+        return duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
         """Prepare the follower; make a new plan if the robot is not at the scenario's initial pose."""
         # The robot itself adds noise and delays, so the follower must not simulate
         # them. Commands take effect one tick after the estimate.
-        follower, lag = self.follower, DELAY_S + self._tick
+        follower = self.follower
+        lag = DELAY_S + self._tick
         camera = Camera(follower.conditions.camera.rate_hz)
         follower.conditions = replace(
             follower.conditions, camera=camera, delay=0.0, lag=lag

@@ -74,12 +74,14 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
         grid: obstacles and bounds, see `collision.ObstacleGrid`.
     """
     ahead, behind, left, right = extent
-    bounds, origin = grid[2], grid[3]
+    bounds = grid[2]
+    origin = grid[3]
     h = (length + ahead + behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(
         pose[0], pose[1], pose[2], curvature, (length + ahead - behind) / 2
     )
-    left, right = left + ROUNDING_MARGIN, right + ROUNDING_MARGIN
+    left = left + ROUNDING_MARGIN
+    right = right + ROUNDING_MARGIN
     # Test a bounding square first: most regions are far from the bounds.
     reach = h + max(left, right)
     if (
@@ -144,11 +146,9 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
     x, y, c, s = middle
     reach = region[1] + max(region[2], region[3])
     if k < circles.shape[0]:
-        dx, dy, radius = (
-            circles[k, 0] - x,
-            circles[k, 1] - y,
-            circles[k, 2] + ROUNDING_MARGIN,
-        )
+        dx = circles[k, 0] - x
+        dy = circles[k, 1] - y
+        radius = circles[k, 2] + ROUNDING_MARGIN
         # Test bounding circles first: they are cheap and exclude most items.
         if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
             return False
@@ -156,7 +156,10 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
         # positive.
         return _region_distance(abs(c * dx + s * dy), c * dy - s * dx, region) < radius
     k -= circles.shape[0]
-    ax, ay, bx, by = sides[k, 0] - x, sides[k, 1] - y, sides[k, 2] - x, sides[k, 3] - y
+    ax = sides[k, 0] - x
+    ay = sides[k, 1] - y
+    bx = sides[k, 2] - x
+    by = sides[k, 3] - y
     if _distance_from_origin(ax, ay, bx, by) >= reach:
         return False
     return _side_crosses(
@@ -167,17 +170,16 @@ def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untype
 @kernel_only
 def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
     """Return the range of cells (end exclusive) along an axis within `reach` of a position."""
-    first, last = (
-        np.floor((position - reach) / cell),
-        np.floor((position + reach) / cell),
-    )
+    first = np.floor((position - reach) / cell)
+    last = np.floor((position + reach) / cell)
     return np.int64(min(max(first, 0), count)), np.int64(min(max(last + 1, 0), count))
 
 
 @kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
     """Return n and s of a point u ahead and w to the left of a point on an arc, m (module docstring)."""
-    ku, kw = curvature * u, 1 - curvature * w
+    ku = curvature * u
+    kw = 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
     return n, np.arctan2(ku, kw) / curvature if abs(curvature) > _STRAIGHT else u
 
@@ -199,10 +201,12 @@ def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
 @kernel_only
 def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     """Return the distance of a line segment from the origin, m."""
-    dx, dy = bx - ax, by - ay
+    dx = bx - ax
+    dy = by - ay
     # The lower limit avoids 0/0 for a segment without length.
     t = min(1.0, max(0.0, -(ax * dx + ay * dy) / max(dx * dx + dy * dy, 1e-300)))
-    px, py = ax + t * dx, ay + t * dy
+    px = ax + t * dx
+    py = ay + t * dy
     return np.sqrt(px * px + py * py)
 
 
@@ -210,7 +214,8 @@ def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
     """Return whether a line segment from (au, aw) to (bu, bw) enters the region."""
     curvature, h, left, right, end_u, end_w, ec, es = region
-    du, dw = bu - au, bw - aw
+    du = bu - au
+    dw = bw - aw
     # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
@@ -237,7 +242,9 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
 def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
     """Return a quotient if it is between 0 and 1, otherwise 0."""
     t = numerator / denominator if denominator != 0 else 0.0
-    return t if 0 < t < 1 else 0.0
+    if 0 < t < 1:
+        return t
+    return 0.0
 
 
 @kernel_only
@@ -259,15 +266,15 @@ def _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):  # type: i
         s = h if k == 0 else -h
         if k >= 2:
             turn = (k - 2) * np.pi / 2 - heading
-            s = (
-                (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / curvature
-                if curvature != 0
-                else 2 * h + 1
-            )
+            if curvature != 0:
+                s = (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / curvature
+            else:
+                s = 2 * h + 1
         if abs(s) <= h:
             px, py, direction = arc_end(x, y, heading, curvature, s)
             for n in (left, -right):
-                ex, ey = px - n * np.sin(direction), py + n * np.cos(direction)
+                ex = px - n * np.sin(direction)
+                ey = py + n * np.cos(direction)
                 if ex < bounds[0] or ex > bounds[1] or ey < bounds[2] or ey > bounds[3]:
                     return True
     return False

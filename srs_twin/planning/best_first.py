@@ -92,14 +92,18 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
             or (best is not None and not settings.improve)
         ):
             break
-    spec, expanded = trees[0].spec, settings.nodes - search.nodes
-    outcome, reason, cell = Outcome.UNREACHABLE, result.reason, (spec.cell, spec.sector)
+    spec = trees[0].spec
+    expanded = settings.nodes - search.nodes
+    outcome = Outcome.UNREACHABLE
+    reason = result.reason
+    cell = (spec.cell, spec.sector)
     resolution = (
         f"at cells of {1000 * spec.cell:.3g} mm and {math.degrees(spec.sector):.3g}"
         " degrees"
     )
     if best is not None:
-        outcome, reason = Outcome.FOUND, "a free path"
+        outcome = Outcome.FOUND
+        reason = "a free path"
     elif result.reason and not result.final:
         reason = (
             f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
@@ -150,14 +154,18 @@ class _Search:
         The primitives of the problem, if given, are those of the first level. Each
         level halves arcs and cells; the third and later ones have more curvatures.
         """
-        problem, body, factor = self.problem, self.problem.footprint, 2**level
+        problem = self.problem
+        body = self.problem.footprint
+        factor = 2**level
         first = problem.primitives or Primitives(
             _CURVATURES, _COARSEST_TURN, _COARSEST_TURN / min(body.tightest)
         )
         number = first.count if level < 2 else 2 * first.count - 1
         arcs = Primitives(number, first.turn / factor, first.length / factor)
-        cell, sector = _CELL_SHARE * arcs.length, 2 * math.pi / (_SECTORS * factor)
-        target, weight = make_target(problem.goal, body), self.settings.weight
+        cell = _CELL_SHARE * arcs.length
+        sector = 2 * math.pi / (_SECTORS * factor)
+        target = make_target(problem.goal, body)
+        weight = self.settings.weight
         spec = SearchSpec(
             make_move_set(arcs, body),
             target,
@@ -193,7 +201,8 @@ class _Search:
     @cached_property
     def guidance(self) -> tuple[GridHeuristic, np.ndarray]:
         """Grid distances and narrow passages, which are the same at all levels."""
-        problem, body = self.problem, self.problem.footprint
+        problem = self.problem
+        body = self.problem.footprint
         margin = 4 / min(body.tightest)
         heuristic = grid_heuristic(
             problem.goal, problem.start, problem.world, body.narrowest, margin
@@ -234,7 +243,10 @@ class _Search:
                         else arcs
                     )
                 if tree.exhausted and turn >= len(proofs):
-                    end = "back from the goal" if tree.backward else "on from the start"
+                    if tree.backward:
+                        end = "back from the goal"
+                    else:
+                        end = "on from the start"
                     return _LevelResult(
                         reason=f"no free arc leads {end} to an untested pose"
                     )
@@ -248,11 +260,9 @@ class _Search:
 
     def infeasible(self, resolution: Resolution) -> str:
         """Return the reason why no path exists; empty without a proof at this resolution."""
-        start, goal, body = (
-            self.problem.start,
-            self.problem.goal,
-            self.problem.footprint,
-        )
+        start = self.problem.start
+        goal = self.problem.goal
+        body = self.problem.footprint
         if resolution is COARSE and is_disconnected(
             start, goal, self.problem.world, body.narrowest
         ):
@@ -272,7 +282,8 @@ class _Search:
 
     def finish(self, arcs: ArcSequence, moves: MoveSet) -> tuple[Segment, ...]:
         """Return the path as segments, shortened if the settings ask for it."""
-        start, body = self.problem.start, self.problem.footprint
+        start = self.problem.start
+        body = self.problem.footprint
         path = path_from_arcs(start, arcs, body)
         if not self.settings.smooth:
             return path
@@ -284,8 +295,12 @@ class _Search:
         is_better = _path_length(shorter) < _path_length(
             path
         ) and self.checker.is_path_free(shorter)
-        return shorter if is_better else path
+        if is_better:
+            return shorter
+        return path
 
 
 def _path_length(path: tuple[Segment, ...] | None) -> float:
-    return math.inf if path is None else math.fsum(s.length for s in path)
+    if path is None:
+        return math.inf
+    return math.fsum(s.length for s in path)

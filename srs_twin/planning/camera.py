@@ -108,10 +108,14 @@ class PeriodMean(Stateful):
             time: time of the frame, s.
             pose: measured pose.
         """
-        integrals, last, period_start = self._integrals, self._last, time - self._period
+        integrals = self._integrals
+        last = self._last
+        period_start = time - self._period
         if not integrals:
             integrals.append((time, np.zeros(3)))
-            self._last, self.pose, self.time = np.array([*pose]), pose, time
+            self._last = np.array([*pose])
+            self.pose = pose
+            self.time = time
             return
         turn = math.remainder(pose.heading - float(last[2]), 2 * math.pi)
         self._last = np.array([pose.x, pose.y, last[2] + turn])

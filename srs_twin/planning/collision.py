@@ -97,7 +97,8 @@ def build_grid(
             np.zeros((0, 0, 2), dtype=np.int64),
             np.zeros(0, dtype=np.int64),
         )
-    origin, extent = low.min(axis=0), np.ptp(np.vstack([low, high]), axis=0)
+    origin = low.min(axis=0)
+    extent = np.ptp(np.vstack([low, high]), axis=0)
     # About four items per cell keep both the lists and the grid small.
     cell = max(
         float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS), 1e-9
@@ -154,14 +155,18 @@ class Checker:
             length: length of the arc, m.
             wider: widths added to the left and right edges, m.
         """
-        body, motion = self.footprint, self.footprint.at(curvature)
-        left, right = motion.left + wider[0], motion.right + wider[1]
+        body = self.footprint
+        motion = self.footprint.at(curvature)
+        left = motion.left + wider[0]
+        right = motion.right + wider[1]
         extent = body.ahead, body.behind, left, right
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
         """Return whether a path is free, with edges widened by the transients after changes of offset."""
-        wider, lasting, none = (0.0, 0.0), 0.0, (0.0, 0.0)
+        wider = (0.0, 0.0)
+        lasting = 0.0
+        none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
             # A change of offset starts a transient; overlapping transients combine to
             # the larger values.
@@ -170,10 +175,8 @@ class Checker:
                     before.offset, segment.offset
                 )
                 old = wider if lasting > 0 else none
-                wider, lasting = (
-                    (max(left, old[0]), max(right, old[1])),
-                    max(length, lasting),
-                )
+                wider = (max(left, old[0]), max(right, old[1]))
+                lasting = max(length, lasting)
             widened = min(lasting, segment.length)
             if widened > 0 and not self.is_arc_free(
                 segment.start, segment.curvature, widened, wider
@@ -258,7 +261,8 @@ def nearest_obstacles(world: World, points: np.ndarray) -> list[str]:
     import shapely
 
     x, y = points.T
-    names, distances = [""], [np.full(len(points), np.inf)]
+    names = [""]
+    distances = [np.full(len(points), np.inf)]
     if world.bounds is not None:
         (west, east), (south, north) = world.bounds.x, world.bounds.y
         names.append("bounds")

@@ -51,7 +51,8 @@ def plan(
     loaded = load_scenario(scenario, set=changed.changes())
     folder = Path(out) if out else RUNS_FOLDER / loaded.name
     planned = plan_scenario(loaded, out=folder, search=search)
-    result, metrics = planned.plan, planned.metrics
+    result = planned.plan
+    metrics = planned.metrics
     checked = _check_expectations(loaded, metrics)
     if as_json:
         print((folder / PLAN).read_text("utf-8"), end="")
@@ -86,7 +87,8 @@ def _check_expectations(
 
 def _print_plan(planned: ScenarioPlan) -> None:
     """Print the outcome of a plan, with its length and quality if there is a path."""
-    result, quality = planned.plan, planned.quality
+    result = planned.plan
+    quality = planned.quality
     print(f"{planned.scenario.label}: {result.outcome.value}: {result.reason}")
     if quality is not None:
         print(
@@ -94,11 +96,10 @@ def _print_plan(planned: ScenarioPlan) -> None:
             f" speeds, {_counted(len(result.segments), 'segment')}, kink"
             f" {result.kink:.3g} rad"
         )
-        edges = (
-            "the footprint and margin"
-            if result.touches is None
-            else "the edges that must stay free"
-        )
+        if result.touches is None:
+            edges = "the footprint and margin"
+        else:
+            edges = "the edges that must stay free"
         print(_quality_words(quality, edges))
         for touch in result.touches or ():
             print(
@@ -110,17 +111,23 @@ def _print_plan(planned: ScenarioPlan) -> None:
 
 
 def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+    if count == 1:
+        return f"{count} {noun}"
+    return f"{count} {noun}s"
 
 
 def _quality_words(quality: PathQuality, edges: str) -> str:
     """Return the quality of a path as a sentence; `edges` names the edges with the clearance."""
     from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
-    ratio, clearance = quality.length_over_least, quality.clearance_m
+    ratio = quality.length_over_least
+    clearance = quality.clearance_m
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
     # Clearances above the largest one are not measured.
-    more = "at least " if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M else ""
+    if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M:
+        more = "at least "
+    else:
+        more = ""
     return f"{length}, {more}{1000 * clearance:.0f} mm of clearance beyond {edges}"

@@ -65,21 +65,26 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
             then.
         radius: turning radius, m.
     """
-    dx, dy = (to_x - x) / radius, (to_y - y) / radius
+    dx = (to_x - x) / radius
+    dy = (to_y - y) / radius
     best = (0.0, 0.0, 0.0, np.inf, np.inf, np.inf)
     if any_heading:
-        c, s = np.cos(heading), np.sin(heading)
-        u, w = c * dx + s * dy, c * dy - s * dx
+        c = np.cos(heading)
+        s = np.sin(heading)
+        u = c * dx + s * dy
+        w = c * dy - s * dx
         if np.sqrt(u * u + w * w) < _ROUNDING:  # start and end coincide
             best = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         for side in (1.0, -1.0):
             best = _shortest_to_point(best, side, u, side * w)
     else:
-        d, line = np.sqrt(dx * dx + dy * dy), np.arctan2(dy, dx)
+        d = np.sqrt(dx * dx + dy * dy)
+        line = np.arctan2(dy, dx)
         if d < _ROUNDING:
             # The line between coinciding points has no direction; rounding could add a
             # full turn.
-            d, line = 0.0, heading
+            d = 0.0
+            line = heading
         for side in (1.0, -1.0):
             best = _shortest_to_pose(
                 best, side, d, side * (heading - line), side * (to_heading - line)
@@ -98,14 +103,19 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
         d: distance between the poses in radii.
         a, b: headings at start and end relative to the line between them, rad.
     """
-    sa, sb, ca, cb, cab = np.sin(a), np.sin(b), np.cos(a), np.cos(b), np.cos(a - b)
+    sa = np.sin(a)
+    sb = np.sin(b)
+    ca = np.cos(a)
+    cb = np.cos(b)
+    cab = np.cos(a - b)
     # LSL: the straight line is an outer tangent of both turning circles.
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
         # The turning circles coincide: the direction of the straight line is undefined,
         # one arc is the path.
-        square, turn = 0.0, b
+        square = 0.0
+        turn = b
     best = _shorter(
         best,
         side,
@@ -149,7 +159,8 @@ def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):
         t = _wrapped(np.arctan2(u, w + 1) + sign * opening)
-        cx, cy = 2 * np.sin(t), 2 * np.cos(t) - 1
+        cx = 2 * np.sin(t)
+        cy = 2 * np.cos(t) - 1
         q = _wrapped(np.arctan2(w - cy, u - cx) - np.arctan2(-np.cos(t), -np.sin(t)))
         best = _shorter(best, -side, side, 0.0, t, q, 0.0)
     return best
@@ -167,4 +178,6 @@ def _shorter(best, first, middle, last, t, p, q):  # type: ignore[no-untyped-def
 def _wrapped(angle):  # type: ignore[no-untyped-def]
     """Return an angle in [0, 2 pi); a full turn within rounding is 0."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
-    return max(angle, 0.0) if angle < _FULL_TURN - _ROUNDING else 0.0
+    if angle < _FULL_TURN - _ROUNDING:
+        return max(angle, 0.0)
+    return 0.0

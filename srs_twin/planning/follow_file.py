@@ -102,7 +102,9 @@ class FollowFile(ControllerSection):
             InputError: start or goal is not possible.
         """
         planner: ScenarioPlanner = context.products["planner"]
-        body, problem, settle = planner.footprint, planner.problem, self.settle_m
+        body = planner.footprint
+        problem = planner.problem
+        settle = self.settle_m
         if settle is None:
             settle = body.settle or self.parameters["settle"].default
         law: Steering = PathLaw(body, **self.arguments(PathLaw) | {"settle": settle})

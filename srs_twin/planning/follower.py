@@ -197,8 +197,10 @@ class Follower(Controller):
                 f"controller '{self.gait.kind}' has no offset to steer by; use gait"
                 " or ilc"
             )
-        self.frequency, self.layouts = self.gait.frequency, self.gait.layouts
-        self._low, self._high = self.footprint.offsets[0], self.footprint.offsets[-1]
+        self.frequency = self.gait.frequency
+        self.layouts = self.gait.layouts
+        self._low = self.footprint.offsets[0]
+        self._high = self.footprint.offsets[-1]
         self._tightest = self.footprint.curvatures[0], self.footprint.curvatures[-1]
         self.plans: list[tuple[float, Plan]] = [(0.0, self.plan)]
         self.ending: str | None = None
@@ -210,10 +212,8 @@ class Follower(Controller):
         self.gait.reset(spec, tick, seed=seed)
         self._period = period = 1 / self.frequency
         conditions = self.conditions
-        self._frames, self._mean = (
-            CameraFrames(conditions.camera, seed),
-            PeriodMean(period),
-        )
+        self._frames = CameraFrames(conditions.camera, seed)
+        self._mean = PeriodMean(period)
         shows = conditions.delay + conditions.lag
         self._predictor = Predictor(self.footprint, period, shows, conditions.settle)
         # Distance in one gait period below which the snake is stuck.
@@ -222,15 +222,19 @@ class Follower(Controller):
         self._pending: deque[tuple[float, float]] = deque()
         self._commanded = 0.0
         self._position = _UNKNOWN
-        self._tries, self._not_before = 0, 0.0
+        self._tries = 0
+        self._not_before = 0.0
         self._requested = ""
         self._coming: tuple[str, Future[Renewal]] | None = None
         self._running_up = (
             self.conditions.run_up > 0 and self.conditions.stray is not None
         )
         self._events: list[Event] = []
-        self.finished, self.ending, self.plans = False, None, []
-        body, own = (self.body or self.footprint).at(0.0), self.footprint.at(0.0)
+        self.finished = False
+        self.ending = None
+        self.plans = []
+        body = (self.body or self.footprint).at(0.0)
+        own = self.footprint.at(0.0)
         self._reserve = _RESERVE_SHARE * max(body.left - own.left, 0.0)
         self._checker = Checker(self.world, self.footprint)
         self._s = 0.0
@@ -243,7 +247,10 @@ class Follower(Controller):
             reason, coming = self._coming
             self._coming = None
             self._receive_plan(time, reason, coming.result())
-        frame = self._frames.capture(state) if not self.finished else None
+        if not self.finished:
+            frame = self._frames.capture(state)
+        else:
+            frame = None
         if frame is not None:
             self._mean.add(time, frame)
             self._update_offset(time)
@@ -281,12 +288,14 @@ class Follower(Controller):
 
     def events(self) -> list[Event]:
         """Return the events since the last call: those of the gait, new plans, and the ending."""
-        events, self._events = self.gait.events() + self._events, []
+        events = self.gait.events() + self._events
+        self._events = []
         return events
 
     def describe(self) -> dict[str, object]:
         """Return the description of the gait, with plans, footprint, world and ending."""
-        goal, conditions = asdict(self.goal), asdict(self.conditions)
+        goal = asdict(self.goal)
+        conditions = asdict(self.conditions)
         return self.gait.describe() | {
             "gait": self.gait.kind,
             "following": {
@@ -306,7 +315,8 @@ class Follower(Controller):
 
     def _update_offset(self, time: float) -> None:
         """Estimate the pose and send a new offset."""
-        mean, predictor = self._mean, self._predictor
+        mean = self._mean
+        predictor = self._predictor
         assert mean.pose is not None
         predictor.command(time, self._commanded)
         predictor.measure(time, mean.time, mean.pose, whole=mean.complete)
@@ -314,14 +324,14 @@ class Follower(Controller):
         self._check_progress(time, here)
         if self.finished:
             return
-        law, later = self.law, time + self.conditions.delay
+        law = self.law
+        later = time + self.conditions.delay
         # Predict to the time at which the frames show the effect of the command.
         shows = later + self.conditions.lag
-        pose = (
-            predictor.predict(mean.time, mean.pose, shows)
-            if law.predicts
-            else mean.pose
-        )
+        if law.predicts:
+            pose = predictor.predict(mean.time, mean.pose, shows)
+        else:
+            pose = mean.pose
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = law.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
@@ -338,8 +348,11 @@ class Follower(Controller):
     def _check_progress(self, time: float, here: Pose) -> None:
         """Check whether the snake has arrived, deviates too far, or is stuck."""
         point = self._locate(here)
-        self._s, self._position = max(point.s, 0.0), (here, point)
-        moved, goal, stray = self._predictor.moved, self.goal, self.conditions.stray
+        self._s = max(point.s, 0.0)
+        self._position = (here, point)
+        moved = self._predictor.moved
+        goal = self.goal
+        stray = self.conditions.stray
         # Distances over whole periods, because a snake moves back and forth within
         # each.
         if moved is None or moved > self._stuck_distance:
@@ -352,7 +365,8 @@ class Follower(Controller):
             else:
                 self._request_plan(time, here, "goal_missed")
         elif self._requested:
-            reason, self._requested = self._requested, ""
+            reason = self._requested
+            self._requested = ""
             self._request_plan(time, here, reason)
         elif self._running_up and point.s >= self.conditions.run_up:
             self._running_up = False
@@ -381,10 +395,8 @@ class Follower(Controller):
                 for i in (0, 1)
             )
             heading = on.heading + math.atan2(last - first, piece)
-            x, y = (
-                on.x - first * math.sin(on.heading),
-                on.y + first * math.cos(on.heading),
-            )
+            x = on.x - first * math.sin(on.heading)
+            y = on.y + first * math.cos(on.heading)
             curvature = min(
                 max(self._path.curvature(point.s + k * piece), self._tightest[0]),
                 self._tightest[1],
@@ -436,9 +448,10 @@ class Follower(Controller):
         """Start on a new plan; if none was found, continue on the old plan if the reason allows it."""
         plan = renewal.plan
         if plan is not None:
-            margin = (
-                "" if renewal.share == 1 else f", {renewal.share:.0%} of the margin"
-            )
+            if renewal.share == 1:
+                margin = ""
+            else:
+                margin = f", {renewal.share:.0%} of the margin"
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({reason}{margin})"
             self._events.append(Event(time, "replanned", text))
             self._start_plan(time, plan)
@@ -473,7 +486,8 @@ class Follower(Controller):
         )
 
     def _finish(self, time: float, reason: str, text: str = "") -> None:
-        self.finished, self.ending = True, reason
+        self.finished = True
+        self.ending = reason
         self._events.append(Event(time, reason, text or ENDINGS[reason]))
 
     def _set_offset(self, offset: float) -> None:

@@ -133,7 +133,8 @@ class Footprint:
             behind: see the class, m.
         """
         half = width / 2
-        wide, narrow = half + shift, half - shift
+        wide = half + shift
+        narrow = half - shift
         title = f"box {1000 * width:g} mm, shift {1000 * shift:g} mm"
         turns = (-offset, 0.0, offset), (-curvature, 0.0, curvature), (speed,) * 3
         return cls(
@@ -181,7 +182,8 @@ class Footprint:
             turn_share: fraction of the tightest curvatures, at most 1.
             margin: width added to both edges, m.
         """
-        low, high = turn_share * self.curvatures[0], turn_share * self.curvatures[-1]
+        low = turn_share * self.curvatures[0]
+        high = turn_share * self.curvatures[-1]
         # Rows almost at the limits would give intervals of almost no width.
         inner = [
             k
@@ -205,7 +207,8 @@ class Footprint:
         Raises:
             InputError: the curvature is outside the table.
         """
-        low, high = self.curvatures[0], self.curvatures[-1]
+        low = self.curvatures[0]
+        high = self.curvatures[-1]
         if not low - CURVATURE_TOLERANCE <= curvature <= high + CURVATURE_TOLERANCE:
             raise InputError(
                 f"curvature {curvature:g} 1/m is outside the footprint's range {low:g}"
@@ -253,7 +256,9 @@ class Footprint:
             ]
         )
         lags = -np.array([t.dheading for t in self.transients])
-        return float(changes @ lags / (changes @ changes)) if changes.any() else None
+        if changes.any():
+            return float(changes @ lags / (changes @ changes))
+        return None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return delay δ and length T (m) of the transition arc after a change of offset (see `planner`).
@@ -265,7 +270,8 @@ class Footprint:
         for size, t in self._measured(after - before):
             step = self._curvature(t.after) - self._curvature(t.before)
             if t.dheading * step < 0:
-                delay, moment = -t.dheading / step, 2 * t.dy / step
+                delay = -t.dheading / step
+                moment = 2 * t.dy / step
                 # The arc cannot be shorter than its delay, see the curvature κ_t.
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
@@ -318,7 +324,8 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             )
     if problems:
         return problems
-    low, high = footprint.curvatures[0], footprint.curvatures[-1]
+    low = footprint.curvatures[0]
+    high = footprint.curvatures[-1]
     if not low < 0 < high:
         problems.append(
             (
@@ -340,8 +347,12 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         edges = np.add(getattr(footprint, name), extra)
         row = int(np.argmax(turn * edges))
         if turn[row] * edges[row] >= 1:
-            tightest, offset = turn[row] == turn.max(), footprint.offsets[row]
-            which = "tightest turn" if tightest else f"turn of offset {offset:g}"
+            tightest = turn[row] == turn.max()
+            offset = footprint.offsets[row]
+            if tightest:
+                which = "tightest turn"
+            else:
+                which = f"turn of offset {offset:g}"
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
             problems.append((name, f"{edges[row]:g} m reaches {where}"))
     return problems

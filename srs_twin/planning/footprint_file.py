@@ -386,7 +386,8 @@ def margin_for(
     Raises:
         InputError: no measurement covers the conditions, or it has too few runs.
     """
-    paths, run_ups = [0.0], [0.0]
+    paths = [0.0]
+    run_ups = [0.0]
     for condition in conditions:
         covering = [block for block in measured if block.conditions.covers(condition)]
         if not covering:

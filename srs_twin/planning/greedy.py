@@ -98,7 +98,8 @@ def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:
 
     The length is infinite for a point straight behind the pose.
     """
-    dx, dy = x - pose.x, y - pose.y
+    dx = x - pose.x
+    dy = y - pose.y
     distance = math.hypot(dx, dy)
     bearing = math.remainder(math.atan2(dy, dx) - pose.heading, 2 * math.pi)
     if distance < 1e-12 or abs(bearing) < 1e-9:
@@ -113,7 +114,8 @@ def _best_child(
     tip: Pose, other: Pose, arcs: Primitives, checker: Checker
 ) -> tuple[float, Pose] | None:
     """Return curvature and end of the free arc with the lowest score; None if all are blocked."""
-    best, lowest = None, math.inf
+    best = None
+    lowest = math.inf
     for i, (curvature, child) in enumerate(
         zip(arcs.curvatures, arcs.children(tip), strict=True)
     ):
@@ -122,7 +124,8 @@ def _best_child(
             + arc_through(child, other.x, other.y)[1]
         )
         if score < lowest and checker.is_arc_free(tip, float(curvature), arcs.length):
-            best, lowest = (float(curvature), child), score
+            best = (float(curvature), child)
+            lowest = score
     return best
 
 
@@ -132,11 +135,9 @@ def _joint(
     """Return curvature and length of the arc between the newest nodes if it is short, free and possible."""
     curvature, length = arc_through(here, there.x, there.y)
     near = length < arcs.length and abs(curvature) <= arcs.curvatures[-1]
-    return (
-        (curvature, length)
-        if near and checker.is_arc_free(here, curvature, length)
-        else None
-    )
+    if near and checker.is_arc_free(here, curvature, length):
+        return (curvature, length)
+    return None
 
 
 def _joined_path(

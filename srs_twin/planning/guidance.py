@@ -78,7 +78,9 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
         and 0 <= row < heuristic.distance.shape[1]
     ):
         distance = heuristic.distance[column, row]
-        return distance if distance < np.inf else 0.0
+        if distance < np.inf:
+            return distance
+        return 0.0
     return 0.0
 
 
@@ -103,8 +105,10 @@ def grid_heuristic(
     x = np.arange(west + cell / 2, east + cell / 2, cell)
     y = np.arange(south + cell / 2, north + cell / 2, cell)
     free = _free_cells(x, y, cell, world, clearance)
-    column, row = int((goal.x - west) / cell), int((goal.y - south) / cell)
-    column, row = min(column, len(x) - 1), min(row, len(y) - 1)
+    column = int((goal.x - west) / cell)
+    row = int((goal.y - south) / cell)
+    column = min(column, len(x) - 1)
+    row = min(row, len(y) - 1)
     # From the goal, so that one search gives the distances of all cells.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
@@ -132,10 +136,8 @@ def _free_cells(
     free = np.ones((len(x), len(y)), dtype=bool)
     for circle in world.obstacles:
         reach = circle.radius + clearance
-        columns, rows = (
-            _cell_window(x, circle.x, reach, cell),
-            _cell_window(y, circle.y, reach, cell),
-        )
+        columns = _cell_window(x, circle.x, reach, cell)
+        rows = _cell_window(y, circle.y, reach, cell)
         outside = (
             np.hypot(x[columns, None] - circle.x, y[None, rows] - circle.y) >= reach
         )
@@ -205,7 +207,8 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     lines = np.concatenate(
         [shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])]
     )
-    tree, largest = shapely.STRtree(lines), float(radii.max(initial=0.0))
+    tree = shapely.STRtree(lines)
+    largest = float(radii.max(initial=0.0))
     one, other = tree.query(
         lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest
     )
@@ -218,7 +221,10 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     distance = np.hypot(*across.T)
     gap = distance - radii[one] - radii[other]
     kept = (gap >= width) & (gap <= _MAX_WIDTH * width) & (distance > 0)
-    near, across, distance, gap = near[kept], across[kept], distance[kept], gap[kept]
+    near = near[kept]
+    across = across[kept]
+    distance = distance[kept]
+    gap = gap[kept]
     normal = across / distance[:, None]
     centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
     points = shapely.points(centre)
@@ -270,10 +276,8 @@ def _entry_poses(
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
     # The middle of the body, not the centre of mass, follows the middle of the passage.
-    lateral, ahead = (
-        (straight.right - straight.left) / 2,
-        body.ahead + _ENTRY_CLEARANCE_M,
-    )
+    lateral = (straight.right - straight.left) / 2
+    ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []
     kept: list[tuple[float, float]] = []
     for (x, y), (across_x, across_y) in centres:
@@ -284,16 +288,15 @@ def _entry_poses(
             # Perpendicular to the shortest line between the obstacles, in both
             # directions.
             heading = math.atan2(-sign * across_x, sign * across_y)
-            c, s = math.cos(heading), math.sin(heading)
+            c = math.cos(heading)
+            s = math.sin(heading)
             run_ups = {
                 ahead,
                 ahead + transient,
                 ahead + transient + _ROUND_CLEARANCE * width,
             }
             for run_up in sorted(run_ups):
-                entry_x, entry_y = (
-                    x - run_up * c - lateral * s,
-                    y - run_up * s + lateral * c,
-                )
+                entry_x = x - run_up * c - lateral * s
+                entry_y = y - run_up * s + lateral * c
                 passages.append((entry_x, entry_y, heading, run_up + body.behind))
     return np.array(passages).reshape(-1, 4)

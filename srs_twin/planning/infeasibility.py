@@ -167,7 +167,8 @@ def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
     oriented = shapely.geometry.polygon.orient(polygon)
     for ring in (oriented.exterior, *oriented.interiors):
         at = np.asarray(ring.coords)[:-1]
-        before, after = at - np.roll(at, 1, axis=0), np.roll(at, -1, axis=0) - at
+        before = at - np.roll(at, 1, axis=0)
+        after = np.roll(at, -1, axis=0) - at
         corners += at[before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]].tolist()
     return corners
 
@@ -178,7 +179,8 @@ def _free_component(
     """Return the connected component of the free space with start and goal; None if they differ."""
     import shapely
 
-    here, there = shapely.Point(start.x, start.y), shapely.Point(goal.x, goal.y)
+    here = shapely.Point(start.x, start.y)
+    there = shapely.Point(goal.x, goal.y)
     # Discs are drawn as polygons around the circle: the free space must not be too
     # small.
     around = 1 / math.cos(math.pi / (4 * chords))
@@ -193,7 +195,10 @@ def _free_component(
     blocked = shapely.union_all(grown)
     box = _reduced_bounds(world, shapely.union_all([blocked, *ends]).bounds, clearance)
     free = shapely.union_all([box.difference(blocked), *ends])
-    components = list(free.geoms) if free.geom_type == "MultiPolygon" else [free]
+    if free.geom_type == "MultiPolygon":
+        components = list(free.geoms)
+    else:
+        components = [free]
     return next(
         (
             part
@@ -216,17 +221,13 @@ def _reduced_bounds(
             west - clearance, south - clearance, east + clearance, north + clearance
         )
     (west, east), (south, north) = world.bounds.x, world.bounds.y
-    west, east, south, north = (
-        west + clearance,
-        east - clearance,
-        south + clearance,
-        north - clearance,
-    )
-    return (
-        shapely.box(west, south, east, north)
-        if west < east and south < north
-        else shapely.Polygon()
-    )
+    west = west + clearance
+    east = east - clearance
+    south = south + clearance
+    north = north - clearance
+    if west < east and south < north:
+        return shapely.box(west, south, east, north)
+    return shapely.Polygon()
 
 
 def prove_unreachable(
@@ -242,23 +243,24 @@ def prove_unreachable(
         resolution: size of cells; a finer one may find a proof where a coarse one does
             not.
     """
-    curvature, clearance = max(body.tightest), body.narrowest
+    curvature = max(body.tightest)
+    clearance = body.narrowest
     # Limit the step: longer ones could pass obstacles between the checked points.
     step = min(_MAX_TURN / curvature, 2 * clearance)
     sectors = math.ceil(2 * math.pi / (curvature * step / resolution.sectors))
-    boxes, cell = (
-        _step_boxes(curvature, step, 2 * math.pi / sectors),
-        step / resolution.cells,
-    )
+    boxes = _step_boxes(curvature, step, 2 * math.pi / sectors)
+    cell = step / resolution.cells
     reach = _Reach(curvature, clearance, step, cell)
     # An end: x, y, heading away from it, position and heading tolerance, reach of the
     # body behind it.
     first = np.array([start.x, start.y, start.heading, 0.0, 0.0, body.behind])
     # From the goal the path is followed backwards.
     if goal.heading is None:
-        heading, tolerance = 0.0, math.pi
+        heading = 0.0
+        tolerance = math.pi
     else:
-        heading, tolerance = goal.heading + math.pi, goal.heading_tolerance
+        heading = goal.heading + math.pi
+        tolerance = goal.heading_tolerance
     last = np.array([goal.x, goal.y, heading, goal.radius, tolerance, body.ahead])
     for name, end, other in (("goal", last, first), ("start", first, last)):
         side = math.ceil((resolution.exit_radii / curvature + end[3] + end[5]) / cell)
@@ -284,13 +286,12 @@ def _step_boxes(curvature: float, step: float, sector: float) -> np.ndarray:
         Turn in sectors, minimum and maximum x, minimum and maximum y (m), shape (n, 5).
     """
     s = (np.arange(_INTEGRATION_POINTS) + 0.5) / _INTEGRATION_POINTS * step
-    max_turn, rows = curvature * step, []
+    max_turn = curvature * step
+    rows = []
     for turn in range(-math.ceil(max_turn / sector), math.ceil(max_turn / sector) + 1):
         # Start and end may lie anywhere in their sectors.
-        low, high = (
-            max((turn - 1) * sector, -max_turn),
-            min((turn + 1) * sector, max_turn),
-        )
+        low = max((turn - 1) * sector, -max_turn)
+        high = min((turn + 1) * sector, max_turn)
         if low > high:
             continue
         lowest = np.maximum(-curvature * s, low - curvature * (step - s))
@@ -330,9 +331,12 @@ def _exhausts_cells(end, other, reach, boxes, marked, max_cells, grid):  # type:
         max_cells: largest number of cells; without a proof if it is reached.
         grid: obstacles and bounds.
     """
-    sectors, side = marked.shape[2], marked.shape[0] // 2
-    sector, cell = 2 * np.pi / sectors, reach.cell
-    west, south = end[0] - side * cell, end[1] - side * cell
+    sectors = marked.shape[2]
+    side = marked.shape[0] // 2
+    sector = 2 * np.pi / sectors
+    cell = reach.cell
+    west = end[0] - side * cell
+    south = end[1] - side * cell
     distances = np.full((2 * side + 1, 2 * side + 1), np.nan)  # computed when needed
     stack = np.empty((max_cells, 3), dtype=np.int32)
     count = _mark_end(end, cell, marked, stack)
@@ -351,23 +355,21 @@ def _exhausts_cells(end, other, reach, boxes, marked, max_cells, grid):  # type:
     while count > 0:
         count -= 1
         i, j, k = stack[count]
-        x, y = west + i * cell, south + j * cell
+        x = west + i * cell
+        y = south + j * cell
         if (
             np.hypot(x - far_x, y - far_y) < near
             or np.hypot(x - other[0], y - other[1]) < arrival
         ):
             return False
-        c, s = np.cos((k + 0.5) * sector), np.sin((k + 0.5) * sector)
+        c = np.cos((k + 0.5) * sector)
+        s = np.sin((k + 0.5) * sector)
         for box in range(len(boxes)):
             turn, low_x, high_x, low_y, high_y = _turned_box(boxes[box], c, s, extra)
-            first_i, last_i = (
-                _nearest(x + low_x - west, cell),
-                _nearest(x + high_x - west, cell),
-            )
-            first_j, last_j = (
-                _nearest(y + low_y - south, cell),
-                _nearest(y + high_y - south, cell),
-            )
+            first_i = _nearest(x + low_x - west, cell)
+            last_i = _nearest(x + high_x - west, cell)
+            first_j = _nearest(y + low_y - south, cell)
+            last_j = _nearest(y + high_y - south, cell)
             to_k = (k + turn) % sectors
             # A cell beyond the grid has left the surroundings, so there is no proof.
             if first_i < 0 or first_j < 0 or last_i > 2 * side or last_j > 2 * side:
@@ -380,7 +382,9 @@ def _exhausts_cells(end, other, reach, boxes, marked, max_cells, grid):  # type:
                     ):
                         continue
                     marked[to_i, to_j, to_k] = True
-                    stack[count, 0], stack[count, 1], stack[count, 2] = to_i, to_j, to_k
+                    stack[count, 0] = to_i
+                    stack[count, 1] = to_j
+                    stack[count, 2] = to_k
                     count += 1
                     total += 1
                     if total + 1 >= max_cells:
@@ -398,9 +402,12 @@ def _nearest(position, cell):  # type: ignore[no-untyped-def]
 def _turned_box(box, c, s, extra):  # type: ignore[no-untyped-def]
     """Return turn and bounds of a box of `_step_boxes` after a rotation and a widening (m)."""
     turn, low_x, high_x, low_y, high_y = box
-    x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
-    half_x, half_y = (high_x - low_x) / 2, (high_y - low_y) / 2
-    to_x, to_y = c * x - s * y, s * x + c * y
+    x = (low_x + high_x) / 2
+    y = (low_y + high_y) / 2
+    half_x = (high_x - low_x) / 2
+    half_y = (high_y - low_y) / 2
+    to_x = c * x - s * y
+    to_y = s * x + c * y
     wide_x = abs(c) * half_x + abs(s) * half_y + extra
     wide_y = abs(s) * half_x + abs(c) * half_y + extra
     return int(turn), to_x - wide_x, to_x + wide_x, to_y - wide_y, to_y + wide_y
@@ -422,11 +429,10 @@ def _is_blocked(step, origin, body, reach, slack, distances, grid):  # type: ign
     i, j, to_i, to_j = step
     for point in range(1, _CHECKED_POINTS + 1):
         share = point / _CHECKED_POINTS
-        at_i, at_j = (
-            int(np.round(i + share * (to_i - i))),
-            int(np.round(j + share * (to_j - j))),
-        )
-        x, y = origin[0] + at_i * reach.cell, origin[1] + at_j * reach.cell
+        at_i = int(np.round(i + share * (to_i - i)))
+        at_j = int(np.round(j + share * (to_j - j)))
+        x = origin[0] + at_i * reach.cell
+        y = origin[1] + at_j * reach.cell
         if np.isnan(distances[at_i, at_j]):
             distances[at_i, at_j] = _obstacle_distance(x, y, grid)
         from_end = np.hypot(x - body[0], y - body[1])
@@ -443,8 +449,10 @@ def _mark_end(end, cell, marked, stack):  # type: ignore[no-untyped-def]
     Returns:
         Number of cells; -1 if the stack is full.
     """
-    sectors, side = marked.shape[2], marked.shape[0] // 2
-    rim, sector = int(np.ceil(end[3] / cell)) + 1, 2 * np.pi / sectors
+    sectors = marked.shape[2]
+    side = marked.shape[0] // 2
+    rim = int(np.ceil(end[3] / cell)) + 1
+    sector = 2 * np.pi / sectors
     fan = min(int(np.ceil(end[4] / sector)) + 1, sectors // 2)
     middle = int(
         np.floor((end[2] / (2 * np.pi) - np.floor(end[2] / (2 * np.pi))) * sectors)
@@ -456,11 +464,9 @@ def _mark_end(end, cell, marked, stack):  # type: ignore[no-untyped-def]
                 for k in range(middle - fan, middle + fan + 1):
                     if not marked[i, j, k % sectors]:
                         marked[i, j, k % sectors] = True
-                        stack[count, 0], stack[count, 1], stack[count, 2] = (
-                            i,
-                            j,
-                            k % sectors,
-                        )
+                        stack[count, 0] = i
+                        stack[count, 1] = j
+                        stack[count, 2] = k % sectors
                         count += 1
                         if count + 1 >= len(stack):
                             return -1
@@ -491,7 +497,8 @@ def _obstacle_distance(x, y, grid):  # type: ignore[no-untyped-def]
         )
     for k in range(len(grid.sides)):
         ax, ay, bx, by = grid.sides[k]
-        dx, dy = bx - ax, by - ay
+        dx = bx - ax
+        dy = by - ay
         share = ((x - ax) * dx + (y - ay) * dy) / max(dx * dx + dy * dy, 1e-300)
         share = min(max(share, 0.0), 1.0)
         least = min(least, np.hypot(x - ax - share * dx, y - ay - share * dy))

@@ -65,8 +65,13 @@ DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
     """Return the metadata of a follower (`Follower.describe`); None for a run without one."""
     control = trajectory.metadata.get("control")
-    metadata = control.get("following") if isinstance(control, Mapping) else None
-    return metadata if isinstance(metadata, Mapping) else None
+    if isinstance(control, Mapping):
+        metadata = control.get("following")
+    else:
+        metadata = None
+    if isinstance(metadata, Mapping):
+        return metadata
+    return None
 
 
 @dataclass(frozen=True)
@@ -200,7 +205,8 @@ def _arrival(
 def _mean_heading(trajectory: Trajectory) -> float:
     """Return the heading at the end: mean of the last gait period, extrapolated by half a period."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
-    time, heading = trajectory.time, trajectory["heading"]
+    time = trajectory.time
+    heading = trajectory["heading"]
     period = min(1 / frequency if frequency else 0.0, time[-1] - time[0])
     if period <= 0:
         return float(heading[-1])
@@ -298,7 +304,8 @@ def body_points(trajectory: Trajectory) -> np.ndarray:
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors and middles of segments, shape (samples, 2N − 1, 2), m, and the headings there."""
-    position, theta = trajectory.position, trajectory.stack("theta")
+    position = trajectory.position
+    theta = trajectory.stack("theta")
     chord = position[:, :-1] - position[:, 1:]
     # Positive bends turn the head end to the left, see the glossary.
     bend = np.diff(-theta, axis=1)

@@ -133,15 +133,17 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     """
     x, y, heading, before, left, right, lasting = state
     if lasting <= 0:
-        left, right, lasting = 0.0, 0.0, 0.0
+        left = 0.0
+        right = 0.0
+        lasting = 0.0
     # Overlapping transients: the larger width and length of each.
     change = moves.transients[before, move]
-    left, right, lasting = (
-        max(left, change[0]),
-        max(right, change[1]),
-        max(lasting, change[2]),
-    )
-    curvature, ahead, behind = moves.curvatures[move], moves.ahead, moves.behind
+    left = max(left, change[0])
+    right = max(right, change[1])
+    lasting = max(lasting, change[2])
+    curvature = moves.curvatures[move]
+    ahead = moves.ahead
+    behind = moves.behind
     # The first part of the arc has the wider edges, the rest the steady ones.
     first = min(lasting, length)
     free = True
@@ -200,18 +202,18 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
         moves, grid, radius: as for `shorten_path`.
     """
     count = len(indices)
-    state, distances = initial_state(x, y, heading, moves), np.zeros(count + 1)
+    state = initial_state(x, y, heading, moves)
+    distances = np.zeros(count + 1)
     states = [state]  # arc states of the original path, at the ends of its pieces
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
         states.append(state)
         distances[k + 1] = distances[k] + lengths[k]
-    new_indices, new_lengths, size = (
-        np.empty(3 * count, dtype=np.int64),
-        np.empty(3 * count),
-        0,
-    )
-    state, k = initial_state(x, y, heading, moves), 0
+    new_indices = np.empty(3 * count, dtype=np.int64)
+    new_lengths = np.empty(3 * count)
+    size = 0
+    state = initial_state(x, y, heading, moves)
+    k = 0
     while k < count:
         last = count
         while last > k:
@@ -236,7 +238,8 @@ def _cut_corners(x, y, heading, indices, lengths, moves, grid, radius):  # type:
                     size = _append_arc(
                         new_indices, new_lengths, size, move, path[3 + piece]
                     )
-            state, k = end, last
+            state = end
+            k = last
         else:
             size = _append_arc(new_indices, new_lengths, size, indices[k], lengths[k])
             _, state = follow_arc(state, indices[k], lengths[k], moves, grid)
@@ -250,7 +253,8 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
     if size > 0 and indices[size - 1] == move:
         lengths[size - 1] += length
         return size
-    indices[size], lengths[size] = move, length
+    indices[size] = move
+    lengths[size] = length
     return size + 1
 
 
@@ -258,7 +262,10 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 def _stays_free(state, k, indices, lengths, states, moves, grid):  # type: ignore[no-untyped-def]
     """Return whether the path from piece k on stays free if it begins with another arc state."""
     while k < len(indices):
-        before, left, right, lasting = state[3], state[4], state[5], state[6]
+        before = state[3]
+        left = state[4]
+        right = state[5]
+        lasting = state[6]
         original = states[k]
         covered = (
             left <= original[4] and right <= original[5] and lasting <= original[6]

@@ -109,10 +109,8 @@ def path_steps(
     rows: list[tuple[float, ...]] = []
     for segment in segments:
         count = max(math.ceil(segment.length / spacing), 1)
-        row, middles = (
-            footprint.at(segment.curvature),
-            ((k + 0.5) / count for k in range(count)),
-        )
+        row = footprint.at(segment.curvature)
+        middles = ((k + 0.5) / count for k in range(count))
         rows += [
             (
                 *segment.pose(share * segment.length),
@@ -150,7 +148,8 @@ class ReferencePath:
         Args:
             segments: arcs of a plan, at least one.
         """
-        first, last = segments[0].start, segments[-1].end
+        first = segments[0].start
+        last = segments[-1].end
         before = (
             first.x - EXTENSION_M * math.cos(first.heading),
             first.y - EXTENSION_M * math.sin(first.heading),
@@ -202,15 +201,23 @@ class ReferencePath:
 def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
     """Return s, n, heading and curvature of the path's nearest point with low ≤ s ≤ high."""
     best = np.inf
-    s_best, n_best, heading_best, curvature_best = 0.0, 0.0, 0.0, 0.0
+    s_best = 0.0
+    n_best = 0.0
+    heading_best = 0.0
+    curvature_best = 0.0
     for k in range(len(arcs)):
-        begin, length, curvature = arcs[k, 4], arcs[k, 5], arcs[k, 3]
-        first, last = max(0.0, low - begin), min(length, high - begin)
+        begin = arcs[k, 4]
+        length = arcs[k, 5]
+        curvature = arcs[k, 3]
+        first = max(0.0, low - begin)
+        last = min(length, high - begin)
         if first > last:
             continue
         # Transform the point to the frame of the arc's start.
-        c, sn = np.cos(arcs[k, 2]), np.sin(arcs[k, 2])
-        dx, dy = x - arcs[k, 0], y - arcs[k, 1]
+        c = np.cos(arcs[k, 2])
+        sn = np.sin(arcs[k, 2])
+        dx = x - arcs[k, 0]
+        dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
         # s is between -π/|κ| and π/|κ|; on arcs of more than half a turn, add a full
         # turn.
@@ -222,12 +229,10 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         if distance < best:
             best = distance
             lateral = np.cos(heading) * (y - py) - np.sin(heading) * (x - px)
-            s_best, n_best, heading_best, curvature_best = (
-                begin + s,
-                lateral,
-                heading,
-                curvature,
-            )
+            s_best = begin + s
+            n_best = lateral
+            heading_best = heading
+            curvature_best = curvature
     return s_best, n_best, heading_best, curvature_best
 
 
@@ -237,5 +242,6 @@ def _nearest_of_all(points, arcs):  # type: ignore[no-untyped-def]
     rows = np.empty((len(points), 2))
     for k in range(len(points)):
         s, n, _, _ = _nearest(points[k, 0], points[k, 1], arcs, -np.inf, np.inf)
-        rows[k, 0], rows[k, 1] = s, n
+        rows[k, 0] = s
+        rows[k, 1] = n
     return rows

@@ -64,7 +64,8 @@ def segment_points(
         behind: extension before the start, m.
         ahead: extension beyond the end, m.
     """
-    low, high = -behind, segment.length + ahead
+    low = -behind
+    high = segment.length + ahead
     poses = [
         segment.pose(s)
         for s in np.linspace(low, high, max(2, int((high - low) / _SPACING_M)))
@@ -173,7 +174,8 @@ def _sheet(
                 zorder=0,
             )
         )
-    world, goal = metadata["world"], metadata["goal"]
+    world = metadata["world"]
+    goal = metadata["goal"]
     circles = (
         (circle["x"], circle["y"], circle["radius"]) for circle in world["obstacles"]
     )
@@ -210,10 +212,8 @@ def _sheet(
 
 def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
     """Return the outline of the footprint along a segment, m, shape (k, 2)."""
-    motion, beyond = (
-        footprint.at(segment.curvature),
-        (footprint.behind, footprint.ahead),
-    )
+    motion = footprint.at(segment.curvature)
+    beyond = (footprint.behind, footprint.ahead)
     left, right = (
         segment_points(segment, n, *beyond) for n in (motion.left, -motion.right)
     )
@@ -321,7 +321,9 @@ class FollowingPictures(RunPictures):
             "Plan with footprint (blue), obstacles and goal, and the runs that"
             " follow it."
         )
-        return {} if figure is None else {caption: figure}
+        if figure is None:
+            return {}
+        return {caption: figure}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
         """See `RunPictures.floor_lines`."""

@@ -73,16 +73,16 @@ class ScenarioPlan:
             return None
         assert result.problem is not None, "set by plan()"
         checker = Checker(result.problem.world, result.problem.footprint)
-        ratio = (
-            result.length / result.least_length
-            if result.least_length > _ROUNDING
-            else None
-        )
+        if result.least_length > _ROUNDING:
+            ratio = result.length / result.least_length
+        else:
+            ratio = None
         return PathQuality(ratio, checker.clearance(result.segments))
 
     def document(self) -> dict[str, object]:
         """Return the content of plan.json."""
-        result, problem = self.plan, self.scenario.planner.problem
+        result = self.plan
+        problem = self.scenario.planner.problem
         return {
             "scenario": self.scenario.name,
             "outcome": result.outcome.value,
@@ -135,9 +135,10 @@ def plan_scenario(
     if out is not None:
         check_output_folder(Path(out), files)
     with loaded.named_in_errors():
-        result = (
-            loaded.planner.plan_uncached(keep=True) if search else loaded.planner.plan()
-        )
+        if search:
+            result = loaded.planner.plan_uncached(keep=True)
+        else:
+            result = loaded.planner.plan()
     if out is None:
         return ScenarioPlan(loaded, result)
     planned = ScenarioPlan(loaded, result, files)

@@ -86,11 +86,10 @@ def plan(
     _compile()
     begun = time.perf_counter()
     search = PLANNERS[planner]
-    result = (
-        plan_with_touch(search, problem, settings)
-        if touch
-        else search(problem, settings)
-    )
+    if touch:
+        result = plan_with_touch(search, problem, settings)
+    else:
+        result = search(problem, settings)
     if result.found and settings.clearance_weight > 0:
         result = _lowest_cost(result, problem, settings)
     return replace(result, seconds=time.perf_counter() - begun, problem=firm)
@@ -106,10 +105,8 @@ def _lowest_cost(first: Plan, problem: Problem, settings: Settings) -> Plan:
     """
     straight = problem.footprint.at(0.0)
     width = straight.left + straight.right
-    short, plans = (
-        replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES)),
-        [first],
-    )
+    short = replace(settings, nodes=min(settings.nodes, _MAX_WIDER_NODES))
+    plans = [first]
     for share in _WIDTH_STEPS:
         wider = replace(
             problem, footprint=problem.footprint.reduced(margin=share * width)
@@ -151,7 +148,8 @@ def _compile() -> None:
     body = replace(
         Footprint.box(0.06, 0.0, speed=0.1, curvature=2.0), transients=(change,)
     )
-    start, goal = Pose(0.0, 0.0, 0.0), Goal(2.3, 0.0, 0.3, radius=0.05)
+    start = Pose(0.0, 0.0, 0.0)
+    goal = Goal(2.3, 0.0, 0.3, radius=0.05)
     best_first(Problem(start, goal, world, body), Settings())
     prove_unreachable(
         start, goal, body, Checker(world, body).grid, COARSE._replace(max_cells=1)
@@ -175,7 +173,8 @@ def with_transitions(
         # δ and T of the module docstring.
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
-            delay, length = 0.0, 0.0
+            delay = 0.0
+            length = 0.0
         between = after.curvature + (here.curvature - after.curvature) * (
             delay / length if length else 0.0
         )
@@ -214,7 +213,8 @@ def plan_with_transitions(
         return plans[-1]
 
     result = _search_with_transitions(problem, search, begin)
-    expanded, seconds = sum(p.expanded for p in plans), sum(p.seconds for p in plans)
+    expanded = sum(p.expanded for p in plans)
+    seconds = sum(p.seconds for p in plans)
     return replace(result, expanded=expanded, seconds=seconds)
 
 
@@ -235,7 +235,10 @@ def _search_with_transitions(
         aim = problem.goal
         for _ in range(_AIM_ITERATIONS):
             reuse = smooth and not margin and aim == problem.goal
-            result = first if reuse else search(replace(wide, goal=aim), smooth=smooth)
+            if reuse:
+                result = first
+            else:
+                result = search(replace(wide, goal=aim), smooth=smooth)
             if not result.found or not result.segments:
                 break
             path = with_transitions((*begin, *result.segments), body)

@@ -146,12 +146,16 @@ def check_problem(problem: Problem) -> None:
             is not allowed.
     """
     validate_footprint(problem.footprint)
-    start, goal = problem.start, problem.goal
+    start = problem.start
+    goal = problem.goal
     _check_poses(start, goal)
     _check_world(problem.world)
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
         if hit := obstacle_at(problem.world, x, y):
-            relation = "outside" if hit.startswith("the bounds") else "inside"
+            if hit.startswith("the bounds"):
+                relation = "outside"
+            else:
+                relation = "inside"
             raise InputError(f"{name} ({x:g}, {y:g}) is {relation} {hit}")
     if hit := Checker(problem.world, problem.footprint).first_collision(start):
         verb = "leaves" if hit.startswith("the bounds") else "touches"
@@ -293,7 +297,9 @@ class Plan(HtmlResult):
     @property
     def end(self) -> Pose | None:
         """Pose at the end of the path; None without segments."""
-        return self.segments[-1].end if self.segments else None
+        if self.segments:
+            return self.segments[-1].end
+        return None
 
     @property
     def kink(self) -> float:
@@ -304,7 +310,9 @@ class Plan(HtmlResult):
             for a, b in pairs
         )
         largest = max(jumps, default=0.0)
-        return largest if largest > _KINK_ROUNDING else 0.0
+        if largest > _KINK_ROUNDING:
+            return largest
+        return 0.0
 
     def after(self, begin: tuple[Segment, ...]) -> Plan:
         """Return the plan with additional segments before its path."""

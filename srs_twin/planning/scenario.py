@@ -114,7 +114,8 @@ class PlannerSection(ExtensionSection):
 
     def prepare(self, loading: Loading) -> ScenarioPlanner | None:
         """See `ExtensionSection.prepare`."""
-        document, file = loading.document, loading.file
+        document = loading.document
+        file = loading.file
         if file.controller.kind != "follow" or document.problems:
             return None
         try:
@@ -137,11 +138,9 @@ class PlannerSection(ExtensionSection):
             InputError: a turn is tighter than the footprint allows, the edges are too
                 wide, there is no goal, or no margin of the given probability.
         """
-        robot, start, world = (
-            footprint.footprint(),
-            loading.file.start.build(),
-            loading.world,
-        )
+        robot = footprint.footprint()
+        start = loading.file.start.build()
+        world = loading.world
         margin = Margin(self.margin_m or 0.0, self.margin_m or 0.0)
         if self.margin_probability is not None:
             margin = margin_for(
@@ -153,12 +152,16 @@ class PlannerSection(ExtensionSection):
         arcs = getattr(self, "primitives", None)
         goal = self.goal(start, world.goal, reduced)
         problem = Problem(start, goal, world, reduced, arcs.build() if arcs else None)
-        limits = touch_limits(loading.robot.spec(), robot) if self.touch else None
+        if self.touch:
+            limits = touch_limits(loading.robot.spec(), robot)
+        else:
+            limits = None
         return ScenarioPlanner(self, robot, problem, margin, limits)
 
     def _conditions(self, loading: Loading) -> list[ConditionsFile]:
         """Return the conditions of following on each plant."""
-        follow, chambers = loading.file.controller, loading.file.pneumatics.kind
+        follow = loading.file.controller
+        chambers = loading.file.pneumatics.kind
         return [
             follow.conditions(
                 kind, getattr(plant, "contact", None), chambers, loading.robot, self
@@ -222,7 +225,9 @@ class _SearchFile(PlannerSection):
     ) -> Plan:
         """Return the plan of a problem, with fixed first segments `begin`."""
         result = plan(problem, settings, planner=self.kind)
-        return result.after(begin) if result.found else result
+        if result.found:
+            return result.after(begin)
+        return result
 
 
 class BestFirstFile(_SearchFile):

@@ -88,9 +88,12 @@ def empty_frontier(capacity: int) -> Frontier:
     """Return the state of a new search for up to `capacity` nodes."""
     # At least twice as many slots as nodes keep probing short.
     slots = 1 << (2 * capacity - 1).bit_length()
-    nodes, links = np.empty((capacity, 8)), np.empty((capacity, 2), dtype=np.int32)
-    keys, heap = np.empty(capacity), np.empty(capacity, dtype=np.int32)
-    cells, owners = np.empty(slots, dtype=np.int64), np.zeros(slots, dtype=np.int32)
+    nodes = np.empty((capacity, 8))
+    links = np.empty((capacity, 2), dtype=np.int32)
+    keys = np.empty(capacity)
+    heap = np.empty(capacity, dtype=np.int32)
+    cells = np.empty(slots, dtype=np.int64)
+    owners = np.zeros(slots, dtype=np.int32)
     return Frontier(
         nodes, links, keys, heap, cells, owners, np.zeros(3, dtype=np.int64)
     )
@@ -110,24 +113,32 @@ def enlarged(frontier: Frontier) -> Frontier:
 @compiled
 def push(frontier, node, key):  # type: ignore[no-untyped-def]
     """Put a node on the heap."""
-    keys, heap, place = frontier.keys, frontier.heap, frontier.counts[OPEN]
+    keys = frontier.keys
+    heap = frontier.heap
+    place = frontier.counts[OPEN]
     frontier.counts[OPEN] += 1
     while place > 0:
         parent = (place - 1) >> 1
         if keys[parent] <= key:
             break
-        keys[place], heap[place] = keys[parent], heap[parent]
+        keys[place] = keys[parent]
+        heap[place] = heap[parent]
         place = parent
-    keys[place], heap[place] = key, node
+    keys[place] = key
+    heap[place] = node
 
 
 @compiled
 def pop(frontier):  # type: ignore[no-untyped-def]
     """Remove and return the node with the smallest key from a heap that is not empty."""
-    keys, heap = frontier.keys, frontier.heap
+    keys = frontier.keys
+    heap = frontier.heap
     frontier.counts[OPEN] -= 1
-    size, first = frontier.counts[OPEN], heap[0]
-    key, node, place = keys[size], heap[size], 0
+    size = frontier.counts[OPEN]
+    first = heap[0]
+    key = keys[size]
+    node = heap[size]
+    place = 0
     while True:
         child = 2 * place + 1
         if child >= size:
@@ -136,9 +147,11 @@ def pop(frontier):  # type: ignore[no-untyped-def]
             child += 1
         if keys[child] >= key:
             break
-        keys[place], heap[place] = keys[child], heap[child]
+        keys[place] = keys[child]
+        heap[place] = heap[child]
         place = child
-    keys[place], heap[place] = key, node
+    keys[place] = key
+    heap[place] = node
     return first
 
 
@@ -150,10 +163,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
         cell: side of a cell, m.
         sector: heading width of a cell, rad; 2π is a multiple of it.
     """
-    row, column = (
-        np.int64(np.floor(x / cell)) + _INDEX_OFFSET,
-        np.int64(np.floor(y / cell)) + _INDEX_OFFSET,
-    )
+    row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
+    column = np.int64(np.floor(y / cell)) + _INDEX_OFFSET
     turns = heading / (2 * np.pi)
     # Wrap the heading to a full turn.
     layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
@@ -274,7 +285,9 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
             are dropped.
         count: largest number of nodes to expand.
     """
-    moves, cell, sector = spec.moves, spec.cell, spec.sector
+    moves = spec.moves
+    cell = spec.cell
+    sector = spec.sector
     until = frontier.counts[EXPANDED] + count
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
@@ -299,11 +312,10 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
             return CONNECTED, node
         for move in moves.primitives:
             _try_arc(frontier, node, move, spec, best)
-        passages = (
-            spec.passages.shape[0]
-            if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1
-            else 0
-        )
+        if frontier.counts[EXPANDED] % _PASSAGE_INTERVAL == 1:
+            passages = spec.passages.shape[0]
+        else:
+            passages = 0
         for passage in range(passages):
             for factor in range(moves.dubins_moves.shape[0]):
                 _try_passage(frontier, node, passage, factor, spec, best)
@@ -344,10 +356,13 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
 
     Its move is −1 − passage n − factor, where n is the number of radius factors.
     """
-    moves, target, grid = spec.moves, spec.target, spec.grid
+    moves = spec.moves
+    target = spec.target
+    grid = spec.grid
     state, cost = _arc_state(frontier, node, spec)
     entry_x, entry_y, heading, through = spec.passages[passage]
-    dx, dy = entry_x - state[0], entry_y - state[1]
+    dx = entry_x - state[0]
+    dy = entry_y - state[1]
     reach = _PASSAGE_REACH * target.dubins_radius + 2 * through
     if dx * dx + dy * dy > reach * reach:
         return
@@ -373,10 +388,8 @@ def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[n
             )
             if not free:
                 return
-    link, pose = (
-        (node, -1 - passage * moves.dubins_moves.shape[0] - factor),
-        (to_x, to_y, to_heading),
-    )
+    link = (node, -1 - passage * moves.dubins_moves.shape[0] - factor)
+    pose = (to_x, to_y, to_heading)
     child = _add_node(frontier, slot, link, pose, (cost, bound), state[4:])
     push(
         frontier,
@@ -423,7 +436,8 @@ def _arc_state(frontier, node, spec):  # type: ignore[no-untyped-def]
 @kernel_only
 def _in_goal(x, y, heading, target):  # type: ignore[no-untyped-def]
     """Return whether a pose is within the tolerances of the goal."""
-    dx, dy = target.x - x, target.y - y
+    dx = target.x - x
+    dy = target.y - y
     if dx * dx + dy * dy > target.radius * target.radius:
         return False
     turn = target.heading - heading

@@ -73,7 +73,9 @@ class SearchTree:
     def __init__(
         self, roots: list[Pose], spec: SearchSpec, *, backward: bool = False
     ) -> None:
-        self.spec, self.backward, self.exhausted = spec, backward, False
+        self.spec = spec
+        self.backward = backward
+        self.exhausted = False
         self.frontier: Frontier = empty_frontier(max(_INITIAL_CAPACITY, 2 * len(roots)))
         for root in roots:
             add_root(self.frontier, *root, spec)
@@ -92,15 +94,14 @@ class SearchTree:
                 break
             self.frontier = enlarged(self.frontier)
         self.exhausted = event == EXHAUSTED
-        return (
-            self._path(int(node), connected=event == CONNECTED)
-            if event in (CONNECTED, ARRIVED)
-            else None
-        )
+        if event in (CONNECTED, ARRIVED):
+            return self._path(int(node), connected=event == CONNECTED)
+        return None
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
         """Return the arcs from the root to a node, if connected followed by the Dubins path to the goal."""
-        moves, target = self.spec.moves, self.spec.target
+        moves = self.spec.moves
+        target = self.spec.target
         arcs: ArcSequence = []  # from the goal to the root
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
@@ -185,9 +186,12 @@ def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
         trees: trees at the end of the search.
         world: obstacles and bounds.
     """
-    arcs, rejected, passages = [], [], np.empty((0, 4))
+    arcs = []
+    rejected = []
+    passages = np.empty((0, 4))
     for tree in trees:
-        frontier, moves = tree.frontier, tree.spec.moves
+        frontier = tree.frontier
+        moves = tree.spec.moves
         count = int(frontier.counts[NODES])
         open_nodes = set(frontier.heap[: int(frontier.counts[OPEN])].tolist())
         for node in range(count):

@@ -102,11 +102,11 @@ class Predictor(Stateful):
             delay: command delay, s.
             settle: response length ℓ, m.
         """
-        self._offsets, self._curvatures = (
-            np.array(footprint.offsets),
-            np.array(footprint.curvatures),
-        )
-        self._period, self._delay, self._settle = period, delay, settle
+        self._offsets = np.array(footprint.offsets)
+        self._curvatures = np.array(footprint.curvatures)
+        self._period = period
+        self._delay = delay
+        self._settle = settle
         self._tightest = min(footprint.tightest)
         self._nominal = self.speed = float(
             np.interp(0.0, footprint.offsets, footprint.speeds)
@@ -121,7 +121,8 @@ class Predictor(Stateful):
 
     def reset_turning(self) -> None:
         """Discard the estimates of gain and disturbance, for example after the gait has learned."""
-        self.disturbance, self.gain = 0.0, 1.0
+        self.disturbance = 0.0
+        self.gain = 1.0
         self._covariance = np.diag((_PRIOR_STD * self._scale) ** 2)
 
     @property
@@ -138,14 +139,18 @@ class Predictor(Stateful):
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
         # Exact solution of dκ/ds = (κ_final - κ)/ℓ over the length.
-        decay = math.exp(-length / self._settle) if self._settle > 0 else 0.0
+        if self._settle > 0:
+            decay = math.exp(-length / self._settle)
+        else:
+            decay = 0.0
         mean = final + (self.curvature - final) * (decay if self._settle > 0 else 1.0)
         self.curvature = final + (self.curvature - final) * decay
         nominal_turn = length * (mean + self.curvature) / 2
         turn = self.gain * nominal_turn + length * self.disturbance
         # Midpoint rule for the position of the unicycle.
         middle = heading + turn / 2
-        x, y = x + length * math.cos(middle), y + length * math.sin(middle)
+        x = x + length * math.cos(middle)
+        y = y + length * math.sin(middle)
         self._model.append((time, x, y, heading + turn, total_turn + nominal_turn))
         _drop_before(self._model, time - _HISTORY_PERIODS * self._period - self._delay)
 
@@ -174,10 +179,8 @@ class Predictor(Stateful):
         low, high = (share * self._nominal for share in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
         # Turn of the footprint over the same time; the model is ahead by the delay.
-        nominal, length = (
-            self._at(middle)[4] - self._at(begin)[4],
-            max(self.moved, 1e-6 + low * duration),
-        )
+        nominal = self._at(middle)[4] - self._at(begin)[4]
+        length = max(self.moved, 1e-6 + low * duration)
         periods = (time - self._updated) / self._period
         self._update_turning(
             (mean.heading - heading) / length, nominal / length, periods
@@ -225,8 +228,10 @@ class Predictor(Stateful):
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
         turn = mean.heading - heading0
-        c, s = math.cos(turn), math.sin(turn)
-        dx, dy = x - x0, y - y0
+        c = math.cos(turn)
+        s = math.sin(turn)
+        dx = x - x0
+        dy = y - y0
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
@@ -236,7 +241,8 @@ class Predictor(Stateful):
         k = bisect_right(model, time, key=_time)
         if k in (0, len(model)):
             return model[0 if k == 0 else -1]
-        before, after = np.array(model[k - 1]), np.array(model[k])
+        before = np.array(model[k - 1])
+        after = np.array(model[k])
         share = (time - before[0]) / (after[0] - before[0])
         return tuple(before + share * (after - before))
 
@@ -321,7 +327,9 @@ class BearingLaw(Steering):
                 the path.
             near: distance at which a node counts as reached, m.
         """
-        self._gain, self._spacing, self._near = gain, node, near
+        self._gain = gain
+        self._spacing = node
+        self._near = near
 
     def begin(self, path: ReferencePath) -> None:
         """See `Steering.begin`."""
@@ -333,7 +341,9 @@ class BearingLaw(Steering):
 
     def offset(self, state: SteeringInput) -> float:
         """See `Steering.offset`."""
-        x, y, heading = state.pose.x, state.pose.y, state.pose.heading
+        x = state.pose.x
+        y = state.pose.y
+        heading = state.pose.heading
         last = len(self._nodes) - 1
         while self.node < last and self._distance(x, y) <= self._near:
             self.node += 1
@@ -361,11 +371,10 @@ class PathLaw(Steering):
             lookahead: decay length L, m.
             settle: response length ℓ, m.
         """
-        self._offsets, self._curvatures = (
-            np.array(footprint.offsets),
-            np.array(footprint.curvatures),
-        )
-        self._length, self._settle = lookahead, settle
+        self._offsets = np.array(footprint.offsets)
+        self._curvatures = np.array(footprint.curvatures)
+        self._length = lookahead
+        self._settle = settle
 
     def begin(self, path: ReferencePath) -> None:
         """See `Steering.begin`."""

@@ -76,7 +76,8 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
     The bounds of the world are not obstacles to lean on, so they become narrower by as
     much. The overlap is therefore equal at all curvatures.
     """
-    body, world = problem.footprint, problem.world
+    body = problem.footprint
+    world = problem.world
     hard = [limits.hard.at(curvature) for curvature in body.curvatures]
     free = [edge - row.left for edge, row in zip(body.left, hard, strict=True)]
     free += [edge - row.right for edge, row in zip(body.right, hard, strict=True)]
@@ -97,7 +98,8 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
     """
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
-    best, lowest = None, np.inf
+    best = None
+    lowest = np.inf
     short = replace(settings, nodes=min(settings.nodes, _MAX_NODES))
     for level in _LEVELS:
         result = search(
@@ -111,14 +113,16 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
             )
             if cost < lowest:
                 touches = overlaps.touches()
-                reason = (
-                    "a path on which the body leans on obstacles"
-                    if touches
-                    else result.reason
-                )
-                best, lowest = replace(result, touches=touches, reason=reason), cost
+                if touches:
+                    reason = "a path on which the body leans on obstacles"
+                else:
+                    reason = result.reason
+                best = replace(result, touches=touches, reason=reason)
+                lowest = cost
     # Without a path, the search with the narrowest edges has the reason.
-    return replace(result, touches=()) if best is None else best
+    if best is None:
+        return replace(result, touches=())
+    return best
 
 
 @dataclass(frozen=True)
@@ -163,18 +167,18 @@ def _overlaps(
     """Return the overlaps of the full edges of a problem along a path, and the estimated forces."""
     import shapely
 
-    path, shapes = (
-        path_steps(segments, problem.footprint, _SPACING_M),
-        obstacle_shapes(problem.world),
-    )
+    path = path_steps(segments, problem.footprint, _SPACING_M)
+    shapes = obstacle_shapes(problem.world)
     x, y, heading = path.poses.T
-    points, lengths = shapely.points(x, y), path.lengths
+    points = shapely.points(x, y)
+    lengths = path.lengths
     depth, force = np.zeros((2, len(shapes), len(lengths)))
     for k, (_, core, radius) in enumerate(shapes):
         nearest = shapely.get_coordinates(shapely.shortest_line(points, core)).reshape(
             -1, 2, 2
         )[:, 1]
-        dx, dy = nearest[:, 0] - x, nearest[:, 1] - y
+        dx = nearest[:, 0] - x
+        dy = nearest[:, 1] - y
         edge = np.where(
             np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right
         )

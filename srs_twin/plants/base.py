@@ -184,7 +184,9 @@ class Plant(Claimable, Stateful, ABC):
     @property
     def sample_step(self) -> float | None:
         """Unit of the interval between samples within a tick, s; None if every interval is possible."""
-        return self.tick if type(self).advance is Plant.advance else None
+        if type(self).advance is Plant.advance:
+            return self.tick
+        return None
 
     @property
     def stretch(self) -> float:
@@ -351,18 +353,15 @@ class PneumaticPlant(Plant):
         sensor: str | Sensor,
     ) -> float:
         """Construct chambers and sensors; return the supply pressure, Pa."""
-        supply = (
-            self.spec.supply.nominal
-            if supply_pa is None
-            else _checked_supply(supply_pa, self.spec)
-        )
+        if supply_pa is None:
+            supply = self.spec.supply.nominal
+        else:
+            supply = _checked_supply(supply_pa, self.spec)
         self.pneumatics = make_pneumatics(
             pneumatics, self.spec, supply_pa=supply, layout=layout
         )
-        self.layout, self.sensor = (
-            self.pneumatics.layout,
-            make_sensor(sensor, self.spec),
-        )
+        self.layout = self.pneumatics.layout
+        self.sensor = make_sensor(sensor, self.spec)
         self.metered = self.pneumatics.metered
         self._supply = supply
         return supply
@@ -466,13 +465,17 @@ def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> No
     shapes |= {"bend_rate": (segments,), "pressure": (segments, 2)}
     values = {name: getattr(snake, name) for name in shapes} | {"yaw_rate": yaw_rate}
     for name, value in values.items():
-        array, shape = np.asarray(value), shapes.get(name, ())
+        array = np.asarray(value)
+        shape = shapes.get(name, ())
         if (
             array.dtype.kind not in "iuf"
             or array.shape != shape
             or not np.isfinite(array).all()
         ):
-            allowed = f"finite numbers of shape {shape}" if shape else "a finite number"
+            if shape:
+                allowed = f"finite numbers of shape {shape}"
+            else:
+                allowed = "a finite number"
             raise InputError(
                 f"{name} {reprlib.repr(array.tolist())} is not allowed; it must be"
                 f" {allowed}"
@@ -497,11 +500,10 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     # NumPy call on a scalar takes as long as on an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.air)
     single = not isinstance(state.time, np.ndarray)
-    scalars_plausible = (
-        all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)
-        if single
-        else is_plausible(*scalars)
-    )
+    if single:
+        scalars_plausible = all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)
+    else:
+        scalars_plausible = is_plausible(*scalars)
     if scalars_plausible and is_plausible(state.com, state.bend, state.pressure):
         return state
     history = SnakeState.history([state])

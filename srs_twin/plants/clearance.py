@@ -60,10 +60,12 @@ def solids(world: World) -> list[Solid]:
     for k, polygon in enumerate(world.polygons, start=1):
         found.append(Solid(f"polygon {k}", shapely.Polygon(polygon.corners), WALL_M))
     for k, item in enumerate(world.objects, start=1):
-        core, radius = shapely.Point(0, 0), item.size[0]
+        core = shapely.Point(0, 0)
+        radius = item.size[0]
         if item.is_box:
             half = np.array(item.size) / 2
-            core, radius = shapely.box(*-half, *half), 0.0
+            core = shapely.box(*-half, *half)
+            radius = 0.0
         found.append(Solid(f"object {k}", core, radius, (item.x, item.y, item.heading)))
     return found
 
@@ -82,7 +84,8 @@ def hull_lines(
     Returns:
         Points from head to tail, shape (samples, points, 2), m.
     """
-    length, gap = geometry.segment_length, geometry.rigid_gap
+    length = geometry.segment_length
+    gap = geometry.rigid_gap
     capsules = np.diff(
         hinge_stations(hinges, length, gap), prepend=0.0, append=length + gap
     )
@@ -113,10 +116,12 @@ def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
     import shapely
 
     assert plant.world is not None, "the caller checks that the world is solid"
-    found, count = solids(plant.world), len(plant.world.objects)
+    found = solids(plant.world)
+    count = len(plant.world.objects)
     fixed = found[: len(found) - count]
     lines = _hull(plant, states)
-    hull, least = shapely.linestrings(lines), np.full(len(lines), np.inf)
+    hull = shapely.linestrings(lines)
+    least = np.full(len(lines), np.inf)
     for radius in {solid.radius for solid in fixed}:
         tree = shapely.STRtree(
             [solid.core for solid in fixed if solid.radius == radius]
@@ -194,10 +199,8 @@ def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) ->
         InputError: it does.
     """
     if plant.world is not None and plant.world.is_solid:
-        lines, half_width = (
-            _hull(plant, SnakeState.history([state])),
-            plant.spec.geometry.width / 2,
-        )
+        lines = _hull(plant, SnakeState.history([state]))
+        half_width = plant.spec.geometry.width / 2
         for overlap in start_overlaps(plant.world, lines, half_width, allowed=allowed):
             raise InputError(f"{overlap.name} {overlap.text}")
 
@@ -214,6 +217,7 @@ def _in_frame(points: np.ndarray, pose: np.ndarray) -> np.ndarray:
     import shapely
 
     x, y = np.moveaxis(points - pose[:, None, :2], -1, 0)
-    cos, sin = np.cos(pose[:, 2:]), np.sin(pose[:, 2:])
+    cos = np.cos(pose[:, 2:])
+    sin = np.sin(pose[:, 2:])
     turned = np.stack([cos * x + sin * y, cos * y - sin * x], axis=-1)
     return np.asarray(shapely.linestrings(turned))

@@ -106,8 +106,10 @@ class Pneumatics(Stateful, ABC):
     ) -> None:
         check_choice("valve layout", layout, LAYOUTS)
         check_not_negative(valve_delay_s=valve_delay_s)
-        self.layout, self._delay = layout, valve_delay_s
-        self._segments, self._chambers = spec.segments, spec.chambers
+        self.layout = layout
+        self._delay = valve_delay_s
+        self._segments = spec.segments
+        self._chambers = spec.chambers
         self.rest_bend = spec.modules.array("bias")
         self.reset()
 
@@ -138,11 +140,9 @@ class Pneumatics(Stateful, ABC):
     def rest_trace(self) -> Trace:
         """Return a trace of the current time with the bends at rest."""
         trace = self._empty_trace(1)
-        trace.pressure[0], trace.bend[0], trace.valves[0] = (
-            self.pressure,
-            self.bend,
-            self.valves,
-        )
+        trace.pressure[0] = self.pressure
+        trace.bend[0] = self.bend
+        trace.valves[0] = self.valves
         trace.bend_rate[:] = trace.bend_acceleration[:] = 0.0
         trace.air[:] = self.air
         return trace
@@ -286,11 +286,10 @@ class Pneumatics(Stateful, ABC):
 
     def describe(self) -> dict[str, object]:
         """Return the settings for the provenance of a run (JSON values)."""
-        stuck = (
-            {"stuck_valves": [asdict(valve) for valve in self.stuck]}
-            if self.stuck
-            else {}
-        )
+        if self.stuck:
+            stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]}
+        else:
+            stuck = {}
         return {"kind": self.kind, "valve_delay_s": self._delay} | stuck
 
 

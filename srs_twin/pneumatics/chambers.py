@@ -100,11 +100,18 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
         x: linear bend, rad.
         law: a `BendLaw`.
     """
-    limit, share, onset, width = law[0], law[1], law[2], law[3]
-    y, rise, curve = x, 1.0, 0.0
+    limit = law[0]
+    share = law[1]
+    onset = law[2]
+    width = law[3]
+    y = x
+    rise = 1.0
+    curve = 0.0
     if share != 0.0:
-        above, below = (onset + x) / width, (onset - x) / width
-        up, down = math.tanh(above), math.tanh(below)
+        above = (onset + x) / width
+        below = (onset - x) / width
+        up = math.tanh(above)
+        down = math.tanh(below)
         y = x - 0.5 * share * width * (_log_cosh(above) - _log_cosh(below))
         rise = 1.0 - 0.5 * share * (up + down)
         curve = 0.5 * share * (up * up - down * down) / width
@@ -113,10 +120,8 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
     ratio = (y / limit) * (y / limit)
     grown = 1.0 + ratio * ratio
     root = grown**-0.25
-    slope, bow = (
-        root / grown,
-        -5.0 * ratio / limit * (y / limit) * root / (grown * grown),
-    )
+    slope = root / grown
+    bow = -5.0 * ratio / limit * (y / limit) * root / (grown * grown)
     return y * root, slope * rise, bow * rise * rise + slope * curve
 
 
@@ -250,7 +255,10 @@ def free_bends(spec: RobotSpec, linear: Array) -> Array:
     limit, share, d, w = bend_law(spec)
     y = linear
     if share != 0.0:
-        above, below = (d + linear) / w, (d - linear) / w
+        above = (d + linear) / w
+        below = (d - linear) / w
         log_ratio = np.logaddexp(above, -above) - np.logaddexp(below, -below)
         y = linear - 0.5 * share * w * log_ratio
-    return y if np.isinf(limit) else np.asarray(y * (1.0 + (y / limit) ** 4) ** -0.25)
+    if np.isinf(limit):
+        return y
+    return np.asarray(y * (1.0 + (y / limit) ** 4) ** -0.25)

@@ -44,16 +44,20 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
     backward = second > first
     high, low = (second, first) if backward else (first, second)
     ratio = low / high
-    value, by_high, by_low = high, 1.0, 0.0
+    value = high
+    by_high = 1.0
+    by_low = 0.0
     if ratio > critical:
         fraction = (min(ratio, LAMINAR) - critical) / (1.0 - critical)
         psi = math.sqrt(1.0 - fraction * fraction)
         if ratio > LAMINAR:
             by_high = psi / (1.0 - LAMINAR)
-            value, by_low = by_high * (high - low), -by_high
+            value = by_high * (high - low)
+            by_low = -by_high
         else:
             by_low = -fraction / (psi * (1.0 - critical))
-            value, by_high = high * psi, psi - ratio * by_low
+            value = high * psi
+            by_high = psi - ratio * by_low
     if backward:
         return -value, -by_low, -by_high
     return value, by_high, by_low
@@ -77,7 +81,8 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
         C of the inlet and of the outlet (m³/(s Pa)), and K at the working point of
         filling (J/Pa).
     """
-    actuator, supply = spec.actuator, spec.supply.nominal
+    actuator = spec.actuator
+    supply = spec.supply.nominal
 
     def filling(p: float) -> float:
         return float(flow(supply + AMBIENT_PA, p + AMBIENT_PA, critical)[0])
@@ -85,7 +90,8 @@ def conductances(spec: RobotSpec, critical: float) -> tuple[float, float, float]
     def venting(p: float) -> float:
         return -float(flow(p + AMBIENT_PA, AMBIENT_PA, critical)[0])
 
-    full, empty = (1 - REMAINING) * supply, REMAINING * supply
+    full = (1 - REMAINING) * supply
+    empty = REMAINING * supply
     capacity = spec.chamber.dead_volume + spec.chamber.displacement * actuator.gain * (
         2 * full + AMBIENT_PA
     )
@@ -105,11 +111,10 @@ def _conductance(
         tau: time constant τ, s.
         spec: the robot.
     """
-    dead, growth = (
-        spec.chamber.dead_volume,
-        spec.chamber.displacement * spec.actuator.gain,
-    )
-    lag, step = min(spec.actuator.tau_mode, 0.1 * tau), 1e-3 * p
+    dead = spec.chamber.dead_volume
+    growth = spec.chamber.displacement * spec.actuator.gain
+    lag = min(spec.actuator.tau_mode, 0.1 * tau)
+    step = 1e-3 * p
 
     def slope(function: Callable[[float], float], at: float) -> float:
         return (function(at + step) - function(at - step)) / (2 * step)

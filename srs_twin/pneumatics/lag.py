@@ -178,7 +178,8 @@ class LagChambers(Pneumatics):
             InputError: the layout is unknown, or leak or delay are negative.
         """
         check_not_negative(leak_per_s=leak_per_s)
-        self._leak, self._max_supply = leak_per_s, supply_pa
+        self._leak = leak_per_s
+        self._max_supply = supply_pa
         tau_fill, tau_vent = (
             spec.modules.array(name) for name in ("tau_fill", "tau_vent")
         )
@@ -207,7 +208,8 @@ class LagPneumatics(LagChambers):
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        actuator, chamber = spec.actuator, spec.chamber
+        actuator = spec.actuator
+        chamber = spec.chamber
         # Chambers of one kind have the same time constants and share the evaluation of
         # exponentials.
         kinds, kind = np.unique(
@@ -219,8 +221,10 @@ class LagPneumatics(LagChambers):
             np.stack([1 / kinds[1], np.zeros_like(kinds[0]), 1 / kinds[0]], axis=1)
             + self._leak
         )
-        self._asymptote, self._tau_fill = np.zeros_like(self._rate), kinds[0]
-        self._tau_mode, self._gain = actuator.tau_mode, chamber_gains(spec)
+        self._asymptote = np.zeros_like(self._rate)
+        self._tau_fill = kinds[0]
+        self._tau_mode = actuator.tau_mode
+        self._gain = chamber_gains(spec)
         self._damping_time = spec.bending.damping_time
         self._law = bend_law(spec)
         self._volume_law = chamber.dead_volume, chamber.displacement
@@ -233,10 +237,8 @@ class LagPneumatics(LagChambers):
     def place(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """See `Pneumatics.place`."""
         self._linear = invert_bend_law(bend - self.rest_bend, self._law)
-        self.pressure, self.bend = (
-            check_pressure(pressure, self._max_supply),
-            np.array(bend, dtype=float),
-        )
+        self.pressure = check_pressure(pressure, self._max_supply)
+        self.bend = np.array(bend, dtype=float)
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """See `Pneumatics.set_supply_pressure`; the pressure changes immediately."""
@@ -247,11 +249,10 @@ class LagPneumatics(LagChambers):
 
     def relaxation(self, time: float) -> Relaxation:
         """Return the propagation over a time (s), in which each chamber is a kind of its own."""
-        rate, asymptote = (
-            self._rate[self._kind.ravel()],
-            self._asymptote[self._kind.ravel()],
-        )
-        decay, lag = np.empty_like(rate), np.empty_like(rate)
+        rate = self._rate[self._kind.ravel()]
+        asymptote = self._asymptote[self._kind.ravel()]
+        decay = np.empty_like(rate)
+        lag = np.empty_like(rate)
         mode = _decay_factors(time, rate, self._tau_mode, decay, lag)
         kinds = np.arange(self._kind.size).reshape(self._kind.shape)
         return Relaxation(
@@ -277,14 +278,13 @@ class LagPneumatics(LagChambers):
         bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
-        pressure, linear = self.pressure.copy(), self._linear.copy()
+        pressure = self.pressure.copy()
+        linear = self._linear.copy()
         free = np.empty(self._segments)
         relaxation = self._kind, self._rate, self._asymptote, self._leak
         bending = self._tau_mode, self._gain, self.rest_bend, self._law
-        start, factors = (
-            (pressure, linear, free),
-            (np.empty_like(self._rate), np.empty_like(self._rate)),
-        )
+        start = (pressure, linear, free)
+        factors = (np.empty_like(self._rate), np.empty_like(self._rate))
         drawn = _fill_trace(
             start,
             schedule,
@@ -298,11 +298,9 @@ class LagPneumatics(LagChambers):
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
         np.add(trace.air, self.air, out=trace.air)
         self._linear = linear
-        self.pressure, self.bend, self.air = (
-            pressure,
-            free,
-            self.air + self._energy_per_amount * drawn,
-        )
+        self.pressure = pressure
+        self.bend = free
+        self.air = self.air + self._energy_per_amount * drawn
         return trace
 
 
@@ -332,13 +330,17 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace, facto
     )
     kinds, rates, asymptotes, leak = relaxation
     tau, gain, bias, law = bending
-    row, drawn = 0, 0.0
+    row = 0
+    drawn = 0.0
     for run in range(starts.shape[0]):
-        state, begin = states[run], starts[run]
+        state = states[run]
+        begin = starts[run]
         stop = starts[run + 1] if run + 1 < starts.shape[0] else span
         # Filling chambers draw the increase of their content plus their leak; other
         # chambers draw nothing.
-        content_before, leaked, last = 0.0, 0.0, 0.0
+        content_before = 0.0
+        leaked = 0.0
+        last = 0.0
         for j in range(bend.shape[0]):
             free = bias[j] + apply_bend_law(linear[j], law)[0]
             content_before += filling_content(
@@ -383,26 +385,24 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace, facto
                     state[j], plus, minus, free, space, AMBIENT_PA
                 )
                 if not requested:
-                    pressure[j, 0], pressure[j, 1], linear[j], bend[j] = (
-                        plus,
-                        minus,
-                        x,
-                        free,
-                    )
+                    pressure[j, 0] = plus
+                    pressure[j, 1] = minus
+                    linear[j] = x
+                    bend[j] = free
                     continue
                 rise = _drive_rate(
                     state[j], kinds[j], plus, minus, rates, asymptotes, gain[j]
                 )
                 speed = (gain[j, 0] * plus - gain[j, 1] * minus - x) / tau
-                trace.pressure[row, j, 0], trace.pressure[row, j, 1] = plus, minus
-                trace.bend[row, j], trace.bend_rate[row, j] = free, slope * speed
+                trace.pressure[row, j, 0] = plus
+                trace.pressure[row, j, 1] = minus
+                trace.bend[row, j] = free
+                trace.bend_rate[row, j] = slope * speed
                 trace.bend_acceleration[row, j] = (
                     slope * (rise - speed) / tau + curve * speed * speed
                 )
-                trace.valves[row, j, 0], trace.valves[row, j, 1] = (
-                    state[j, 0],
-                    state[j, 1],
-                )
+                trace.valves[row, j, 0] = state[j, 0]
+                trace.valves[row, j, 1] = state[j, 1]
             amount = drawn + leaked + content - content_before
             if not requested:
                 drawn = amount
@@ -415,7 +415,10 @@ def _fill_trace(start, schedule, times, relaxation, bending, space, trace, facto
 @kernel_only
 def _drive_rate(state, kind, plus, minus, rates, asymptotes, gain):  # type: ignore[no-untyped-def]
     """Return the rate of G (g⁺p⁺ − g⁻p⁻) of a segment (rad/s); arguments as in `advance_segment`."""
-    first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
+    first = kind[0]
+    second = kind[1]
+    up = state[0] + 1
+    down = state[1] + 1
     rise = gain[0] * rates[first, up] * (asymptotes[first, up] - plus)
     return rise - gain[1] * rates[second, down] * (asymptotes[second, down] - minus)
 
@@ -493,12 +496,14 @@ def advance_segment(state, kind, pressure, linear, asymptotes, gain, decay, lag,
         gain: gains of the two chambers, shape (2,), rad/Pa.
         decay, lag, mode: as in `Relaxation`.
     """
-    first, second, up, down = kind[0], kind[1], state[0] + 1, state[1] + 1
-    target_plus, target_minus = asymptotes[first, up], asymptotes[second, down]
-    deviation_plus, deviation_minus = (
-        pressure[0] - target_plus,
-        pressure[1] - target_minus,
-    )
+    first = kind[0]
+    second = kind[1]
+    up = state[0] + 1
+    down = state[1] + 1
+    target_plus = asymptotes[first, up]
+    target_minus = asymptotes[second, down]
+    deviation_plus = pressure[0] - target_plus
+    deviation_minus = pressure[1] - target_minus
     lagged = gain[0] * (target_plus * (1.0 - mode) + deviation_plus * lag[first, up])
     lagged -= gain[1] * (
         target_minus * (1.0 - mode) + deviation_minus * lag[second, down]
@@ -521,7 +526,8 @@ def filling_content(state, plus, minus, bend, space, ambient):  # type: ignore[n
         space: dead volume V₀ (m³) and A (m³/rad) of a chamber.
         ambient: ambient pressure, Pa; 0 for the content by gauge pressure.
     """
-    total, pressure = float(0.0), float(plus)
+    total = float(0.0)
+    pressure = float(plus)
     for side in range(2):
         if state[side] == 1:
             size, _ = volume(space[0], space[1], bend, side)

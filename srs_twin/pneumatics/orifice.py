@@ -126,11 +126,12 @@ class OrificePneumatics(Pneumatics):
             InputError: the layout is unknown, or a number is out of range.
         """
         check_not_negative(leak_per_s=leak_per_s)
-        limited, largest_flow = (
-            flow_limit is not None,
-            1.0 if flow_limit is None else flow_limit,
-        )
-        self._substep = _SUBSTEP_S * spec.scale.time if substep is None else substep
+        limited = flow_limit is not None
+        largest_flow = 1.0 if flow_limit is None else flow_limit
+        if substep is None:
+            self._substep = _SUBSTEP_S * spec.scale.time
+        else:
+            self._substep = substep
         for name, value in (
             ("flow_limit", largest_flow),
             ("line_volume", line_volume),
@@ -154,7 +155,8 @@ class OrificePneumatics(Pneumatics):
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
         *nominal, self._capacity = conductances(spec, critical_ratio)
-        self._max_supply, self._line_begins = supply_pa, begins + AMBIENT_PA
+        self._max_supply = supply_pa
+        self._line_begins = begins + AMBIENT_PA
         fill, vent = self.conductances = _chamber_conductances(spec, critical_ratio)
         self._plumbing = Plumbing(
             dead=spec.chamber.dead_volume,
@@ -261,18 +263,21 @@ class OrificePneumatics(Pneumatics):
         bend_rate: OptionalArray,
     ) -> Trace:
         trace = self._empty_trace(len(times))
-        state, amounts = self._state.copy(), self._amounts.copy()
+        state = self._state.copy()
+        amounts = self._amounts.copy()
         actual = np.zeros((2, self._segments))
         if bend is not None:
             actual[0] = bend
             actual[1] = 0.0 if bend_rate is None else bend_rate
         end = np.empty((self._segments, 2)), np.empty(self._segments)
-        start, motion = (state, amounts), (bend is not None, actual)
+        start = (state, amounts)
+        motion = (bend is not None, actual)
         simulate(
             start, schedule, times, self._substep, motion, self._plumbing, end, trace
         )
         np.multiply(trace.air, self._energy_per_amount, out=trace.air)
-        self._state, self._amounts = state, amounts
+        self._state = state
+        self._amounts = amounts
         self.pressure, self.bend = end
         self.air = self._energy_per_amount * float(amounts[1])
         return trace
@@ -280,10 +285,8 @@ class OrificePneumatics(Pneumatics):
 
 def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
     """Return the stiffness of a closed chamber at the supply pressure, dM/dq = k G P A/V₀, N·m/rad."""
-    chamber, strongest = (
-        spec.chamber,
-        float(chamber_gains(spec).max()) * spec.bending.stiffness,
-    )
+    chamber = spec.chamber
+    strongest = float(chamber_gains(spec).max()) * spec.bending.stiffness
     return (
         strongest
         * (chamber.displacement / chamber.dead_volume)
@@ -295,7 +298,8 @@ def _chamber_conductances(
     spec: RobotSpec, critical: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the conductances of each chamber's inlet and outlet, shape (segments, 2) each, m³/(s Pa)."""
-    modules, actuator = spec.modules, spec.actuator
+    modules = spec.modules
+    actuator = spec.actuator
     # Chambers with equal parameters share one solution.
     rows = np.stack(
         [modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")],

@@ -88,27 +88,23 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
-    inflow, inflow_by_p, inflow_by_line = 0.0, 0.0, 0.0
-    outflow, outflow_by_p = (
-        air.leak[j, side] * (pressure - AMBIENT_PA),
-        air.leak[j, side],
-    )
+    inflow = 0.0
+    inflow_by_p = 0.0
+    inflow_by_line = 0.0
+    outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
+    outflow_by_p = air.leak[j, side]
     if state != 0:
         value, by_source, by_here = flow(
             line if state == 1 else AMBIENT_PA, pressure, air.critical
         )
         if state == 1:
             conductance = air.fill[j, side]
-            inflow, inflow_by_line, inflow_by_p = (
-                conductance * value,
-                conductance * by_source,
-                conductance * by_here,
-            )
+            inflow = conductance * value
+            inflow_by_line = conductance * by_source
+            inflow_by_p = conductance * by_here
         else:
-            outflow, outflow_by_p = (
-                outflow - air.vent[j, side] * value,
-                outflow_by_p - air.vent[j, side] * by_here,
-            )
+            outflow = outflow - air.vent[j, side] * value
+            outflow_by_p = outflow_by_p - air.vent[j, side] * by_here
     return (
         pressure,
         1.0 / size,
@@ -154,7 +150,10 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
             substitution, shape (segments, 2, 5).
     """
     base, _, bend, linear, terms = work
-    line = amounts[0] / air.line_volume if air.limited else air.supply
+    if air.limited:
+        line = amounts[0] / air.line_volume
+    else:
+        line = air.supply
     supply, closing = supply_flow(line, air)
     line_residual = amounts[0] - line_base - weight * supply
     line_slope = air.line_volume - weight * closing
@@ -162,7 +161,8 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
         # Derivative of the bend with respect to x: 0 if the plant prescribes the bend.
         q, bend_rate, _ = apply_bend_law(y[j, 2], air.law)
         q, bend_rate = (bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
-        bend_slope, bend_by_line = 1.0 + weight / air.tau, 0.0
+        bend_slope = 1.0 + weight / air.tau
+        bend_by_line = 0.0
         bend_residual = y[j, 2] * bend_slope - base[j, 2]
         for side in range(2):
             (
@@ -189,27 +189,20 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, work):  # type: 
             bend_residual -= signed * (p - AMBIENT_PA + inverse * linear[j, side, 0])
             bend_slope += signed * (squeeze + inverse * coupling)
             bend_by_line += signed * inverse * linear[j, side, 1]
-            terms[j, side, 0], terms[j, side, 1], terms[j, side, 2] = (
-                coupling,
-                inflow,
-                inflow_by_line,
-            )
-            terms[j, side, 3], terms[j, side, 4] = (
-                inflow_by_p * inverse,
-                inflow_by_p * squeeze,
-            )
+            terms[j, side, 0] = coupling
+            terms[j, side, 1] = inflow
+            terms[j, side, 2] = inflow_by_line
+            terms[j, side, 3] = inflow_by_p * inverse
+            terms[j, side, 4] = inflow_by_p * squeeze
         # With both chambers eliminated, the row of x depends on the line only.
-        linear[j, 2, 0], linear[j, 2, 1] = (
-            -bend_residual / bend_slope,
-            bend_by_line / bend_slope,
-        )
+        linear[j, 2, 0] = -bend_residual / bend_slope
+        linear[j, 2, 1] = bend_by_line / bend_slope
         for side in range(2):
-            coupling, inflow, inflow_by_line = (
-                terms[j, side, 0],
-                terms[j, side, 1],
-                terms[j, side, 2],
-            )
-            by_amount, by_bend = terms[j, side, 3], terms[j, side, 4]
+            coupling = terms[j, side, 0]
+            inflow = terms[j, side, 1]
+            inflow_by_line = terms[j, side, 2]
+            by_amount = terms[j, side, 3]
+            by_bend = terms[j, side, 4]
             for k in range(2):
                 linear[j, side, k] -= coupling * linear[j, 2, k]
             line_residual += weight * (
@@ -234,7 +227,10 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
         for k in range(3):
             step = linear[j, k, 0] + linear[j, k, 1] * change
             # Amounts of air remain positive, so limit their decrease.
-            y[j, k] = y[j, k] + step if k == 2 else max(y[j, k] + step, 0.1 * y[j, k])
+            if k == 2:
+                y[j, k] = y[j, k] + step
+            else:
+                y[j, k] = max(y[j, k] + step, 0.1 * y[j, k])
             largest = max(largest, abs(step))
     return largest
 
@@ -242,11 +238,18 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
 @kernel_only
 def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-untyped-def]
     """Fill dy with ẏ; return the flow from the supply, the total inflow and the total outflow, J/s."""
-    line = line_amount / air.line_volume if air.limited else air.supply
-    total_inflow, total_outflow = 0.0, 0.0
+    if air.limited:
+        line = line_amount / air.line_volume
+    else:
+        line = air.supply
+    total_inflow = 0.0
+    total_outflow = 0.0
     for j in range(y.shape[0]):
         deviation = -y[j, 2]
-        q = bend[j] if coupled else air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
+        if coupled:
+            q = bend[j]
+        else:
+            q = air.bias[j] + apply_bend_law(y[j, 2], air.law)[0]
         for side in range(2):
             p, _, _, inflow, _, _, outflow, _ = chamber(
                 y[j, side], q, j, side, state[j, side], line, air
@@ -255,7 +258,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
             # Gauge pressures: the two gains differ, so ambient pressure does not
             # cancel.
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * (p - AMBIENT_PA)
-            total_inflow, total_outflow = total_inflow + inflow, total_outflow + outflow
+            total_inflow = total_inflow + inflow
+            total_outflow = total_outflow + outflow
         dy[j, 2] = deviation / air.tau
     return (
         supply_flow(line, air)[0] if air.limited else total_inflow,
@@ -294,7 +298,9 @@ def _step(y, amounts, h, begun, state, motion, air, work):  # type: ignore[no-un
     for j in range(y.shape[0]):
         for k in range(3):
             base[j, k] = y[j, k]
-    line_base, drawn, inflow = amounts[0], 0.0, 0.0
+    line_base = amounts[0]
+    drawn = 0.0
+    inflow = 0.0
     for stage in range(2):
         if stage == 1:
             for j in range(y.shape[0]):
@@ -334,11 +340,16 @@ def simulate(start, schedule, times, substep, motion, air, end, trace):  # type:
     segments = y.shape[0]
     pressure, free = end
     coupled, actual = motion
-    base, dy, bend = np.empty_like(y), np.empty_like(y), np.empty(segments)
+    base = np.empty_like(y)
+    dy = np.empty_like(y)
+    bend = np.empty(segments)
     work = base, dy, bend, np.empty((segments, 3, 2)), np.empty((segments, 2, 5))
-    begin, slope, at_begin = np.empty_like(y), np.empty_like(y), np.empty(5)
+    begin = np.empty_like(y)
+    slope = np.empty_like(y)
+    at_begin = np.empty(5)
     at_end = np.empty(5)
-    row, runs = 0, starts.shape[0]
+    row = 0
+    runs = starts.shape[0]
     for run in range(runs):
         stop = starts[run + 1] if run + 1 < runs else span
         count = max(1, math.ceil((stop - starts[run]) / substep * (1 - 1e-12)))
@@ -352,10 +363,12 @@ def simulate(start, schedule, times, substep, motion, air, end, trace):  # type:
             finish = stop if k + 1 == count else begun + h
             for j in range(segments):
                 for i in range(3):
-                    begin[j, i], slope[j, i] = y[j, i], dy[j, i]
+                    begin[j, i] = y[j, i]
+                    slope[j, i] = dy[j, i]
             for i in range(3):
                 at_begin[i] = amounts[i]
-            at_begin[3], at_begin[4] = at_end[3], at_end[4]
+            at_begin[3] = at_end[3]
+            at_begin[4] = at_end[4]
             at_end[3], at_end[4] = _step(
                 y, amounts, h, begun, states[run], motion, air, work
             )
@@ -401,10 +414,13 @@ def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ign
         ends[1],
     )
     segments = y0.shape[0]
-    y, dy, bend = np.empty_like(y0), np.empty_like(y0), np.empty(segments)
+    y = np.empty_like(y0)
+    dy = np.empty_like(y0)
+    bend = np.empty(segments)
     for row in range(rows[0], rows[1]):
         x = min(1.0, max(0.0, (times[row] - begun) / h))
-        first, second = x * (1 - x) ** 2 * h, -(x * x) * (1 - x) * h
+        first = x * (1 - x) ** 2 * h
+        second = -(x * x) * (1 - x) * h
         blend = x * x * (3 - 2 * x)
         for j in range(segments):
             for k in range(3):
@@ -423,7 +439,8 @@ def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ign
         _rates(y, line, state, coupled, bend, air, dy)
         for j in range(segments):
             free, slope, curve = apply_bend_law(y[j, 2], air.law)
-            free, speed = free + air.bias[j], slope * dy[j, 2]
+            free = free + air.bias[j]
+            speed = slope * dy[j, 2]
             q, rate = (bend[j], actual[1, j]) if coupled else (free, speed)
             rise = 0.0
             for side in range(2):
@@ -431,11 +448,10 @@ def _fill_rows(times, rows, step, ends, state, motion, air, trace):  # type: ign
                 pressure = y[j, side] / size
                 signed = (1.0 - 2.0 * side) * air.gain[j, side]
                 rise += signed * (dy[j, side] - pressure * growth * rate) / size
-                trace.pressure[row, j, side], trace.valves[row, j, side] = (
-                    pressure - AMBIENT_PA,
-                    state[j, side],
-                )
-            trace.bend[row, j], trace.bend_rate[row, j] = free, speed
+                trace.pressure[row, j, side] = pressure - AMBIENT_PA
+                trace.valves[row, j, side] = state[j, side]
+            trace.bend[row, j] = free
+            trace.bend_rate[row, j] = speed
             trace.bend_acceleration[row, j] = (
                 slope * (rise - dy[j, 2]) / air.tau + curve * dy[j, 2] * dy[j, 2]
             )

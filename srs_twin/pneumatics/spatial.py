@@ -34,7 +34,9 @@ class SpatialLagPneumatics(LagChambers):
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        self._spec, self._fill, self._vent = spec, 1 / tau_fill, 1 / tau_vent
+        self._spec = spec
+        self._fill = 1 / tau_fill
+        self._vent = 1 / tau_vent
 
     def reset(self) -> None:
         """See `Pneumatics.reset`."""
@@ -57,7 +59,8 @@ class SpatialLagPneumatics(LagChambers):
         bend: OptionalArray,
         bend_rate: OptionalArray,
     ) -> Trace:
-        trace, drawn = self._empty_trace(len(times)), self.air
+        trace = self._empty_trace(len(times))
+        drawn = self.air
         ends = np.append(schedule.starts[1:], schedule.span)
         rows = np.searchsorted(times, ends[:-1], side="right")
         bounds = [0, *rows, len(times)]
@@ -67,22 +70,19 @@ class SpatialLagPneumatics(LagChambers):
             after = np.append(times[part] - start, end - start)
             pressure, lagged, free = self._propagate(state, after)
             air = drawn + self._drawn(state, after, pressure, free)
-            trace.pressure[part], trace.bend[part], trace.air[part] = (
-                pressure[:-1],
-                free[:-1],
-                air[:-1],
-            )
+            trace.pressure[part] = pressure[:-1]
+            trace.bend[part] = free[:-1]
+            trace.air[part] = air[:-1]
             trace.valves[part] = state
             rate, acceleration = self._rates(
                 state, pressure[:-1], lagged[:-1], free[:-1]
             )
-            trace.bend_rate[part], trace.bend_acceleration[part] = rate, acceleration
-            self.pressure, self._lagged, self.bend, drawn = (
-                pressure[-1],
-                lagged[-1],
-                free[-1],
-                float(air[-1]),
-            )
+            trace.bend_rate[part] = rate
+            trace.bend_acceleration[part] = acceleration
+            self.pressure = pressure[-1]
+            self._lagged = lagged[-1]
+            self.bend = free[-1]
+            drawn = float(air[-1])
         self.air = drawn
         return trace
 
@@ -99,7 +99,8 @@ class SpatialLagPneumatics(LagChambers):
         self, state: np.ndarray, times: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return pressures, lagged pressures and free bends after times without a valve event (s)."""
-        relaxation, tau = self._relaxation(state), self._spec.actuator.tau_mode
+        relaxation = self._relaxation(state)
+        tau = self._spec.actuator.tau_mode
         after = times[:, None, None]
         pressure = relaxed(self.pressure, *relaxation, after)
         lagged = followed(self._lagged, self.pressure, relaxation, tau, after)
@@ -114,7 +115,8 @@ class SpatialLagPneumatics(LagChambers):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return rates (rad/s) and accelerations (rad/s²) of the free bends, those of a linear bend law."""
         rate, end = self._relaxation(state)
-        tau, gains = self._spec.actuator.tau_mode, chamber_gains(self._spec)
+        tau = self._spec.actuator.tau_mode
+        gains = chamber_gains(self._spec)
         speed = (pressure - lagged) / tau
         rise = (rate * (end - pressure) - speed) / tau
         linear = (gains * lagged) @ self._spec.chamber.axes

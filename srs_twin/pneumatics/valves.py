@@ -126,7 +126,8 @@ class Schedule(NamedTuple):
         """
         if begin >= self.span - _EVENT_TOLERANCE:
             return self
-        starts, states = self.starts, self.states
+        starts = self.starts
+        states = self.states
         if not (np.abs(starts - max(begin, 0.0)) < _EVENT_TOLERANCE).any():
             after = int(np.searchsorted(starts, begin))
             starts = np.insert(starts, after, begin)

@@ -173,7 +173,8 @@ def inspect(
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
     if write_map is not None and os.path.lexists(write_map) and not overwrite:
         raise InputError(f"{write_map}: exists; give --overwrite, or another name")
-    found, failed = [], []
+    found = []
+    failed = []
     for path in files:
         beside = Path(path).with_suffix(MAP_SUFFIX)
         options = table
@@ -193,11 +194,10 @@ def inspect(
             print(escape_unprintable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
             place = Path(picture)
-            place = (
-                place
-                if len(files) == 1
-                else place.with_name(f"{Path(path).stem}_{place.name}")
-            )
+            if len(files) == 1:
+                place = place
+            else:
+                place = place.with_name(f"{Path(path).stem}_{place.name}")
             _save_picture(scene, place)
     if as_json:
         print_json([facts.document() for facts in found])
@@ -271,18 +271,16 @@ def export(
             raise UnknownNameError("plant", plant, runs)
         runs = {plant: runs[plant]}
     first = "twin" if "twin" in runs else next(iter(runs))
-    path = (
-        Path(out)
-        if out
-        else finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
-    )
+    if out:
+        path = Path(out)
+    else:
+        path = finished.folder / f"{'run' if kind == 'mcap' else first}.{kind}"
     if path.suffix != f".{kind}":
         raise InputError(f"{path.name}: a file of --{kind} ends in .{kind}")
-    beside = (
-        [path.with_suffix(MAP_SUFFIX), path.with_suffix(".foxglove.json")]
-        if kind == "mcap"
-        else []
-    )
+    if kind == "mcap":
+        beside = [path.with_suffix(MAP_SUFFIX), path.with_suffix(".foxglove.json")]
+    else:
+        beside = []
     for target in (path, *beside):
         if target.exists() and not overwrite:
             raise InputError(f"{display_path(target)} exists; --overwrite replaces it")

@@ -107,11 +107,10 @@ class CsvTable:
         self, column: CsvColumn, problem: str, row: int | None = None
     ) -> InputError:
         """Return an error at a column's name, or at its cell in a row counted from 0."""
-        line = (
-            self.file.header_lines or 1
-            if row is None
-            else self.file.header_lines + 1 + row
-        )
+        if row is None:
+            line = self.file.header_lines or 1
+        else:
+            line = self.file.header_lines + 1 + row
         return self.file.error(problem, line, column.place + 1)
 
     def clock(self, missing: str) -> CsvColumn:
@@ -196,7 +195,9 @@ class CsvTable:
 def not_used(names: Sequence[str]) -> list[str]:
     """Return a note on the columns that were not used; empty if all were."""
     listed = ", ".join(names[:_LISTED]) + (", …" if len(names) > _LISTED else "")
-    return [f"{len(names)} columns not used: {listed}"] if names else []
+    if names:
+        return [f"{len(names)} columns not used: {listed}"]
+    return []
 
 
 class Meaning(NamedTuple):
@@ -247,7 +248,8 @@ def read_table(
         )
         meanings |= {clock: Meaning("time")} if clock else {}
     seen: dict[tuple[str, int], CsvColumn] = {}
-    unused, notes = [], []
+    unused = []
+    notes = []
     for index, text in enumerate(file.names):
         meaning = meanings.get(text)
         # A column that the map does not mention is ignored if the map gives its
@@ -280,7 +282,8 @@ def _column(
     bare, bracket = bracketed(text)
     match = _NAME.fullmatch(meaning.name if meaning else bare)
     name, number, trailing = match.groups() if match else [""] * 3
-    unit, note = trailing or bracket or "", ""
+    unit = trailing or bracket or ""
+    note = ""
     if name.lower() not in known and trailing and number is None:
         name, unit = (
             f"{name}_{trailing}",
@@ -295,7 +298,8 @@ def _column(
         raise InputError(
             f"{text}: unit '{unit}' is not known; allowed: {', '.join(units) or 'none'}"
         )
-    unit, number = symbol(unit, units), int(number or 0)
+    unit = symbol(unit, units)
+    number = int(number or 0)
     return (
         CsvColumn(place, name.lower(), number, unit, units.get(unit, 1.0), text),
         note,

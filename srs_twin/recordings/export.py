@@ -124,7 +124,8 @@ def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
 
 def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     """Return a Foxglove layout: the snakes in 3D, bends and pressures over time."""
-    bends, pressures = [], []
+    bends = []
+    pressures = []
     for plant, run in runs.items():
         for j in range(1, run.position.shape[1]):
             path = f'/{plant}/bends.position[:]{{name=="segment_{j}"}}'

@@ -224,11 +224,9 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
 
 def _marker_lines(facts: RecordingFacts) -> list[str]:
     """Return the lines of the markers in a proposed map, head first if the head is known."""
-    order, heads, markers = (
-        list(facts.order or ()),
-        facts.head or (),
-        facts.markers or (),
-    )
+    order = list(facts.order or ())
+    heads = facts.head or ()
+    markers = facts.markers or ()
     if not order:
         return [
             "# markers: their order is not known; give their places: {connector: 1},"
@@ -266,12 +264,18 @@ def in_words(facts: RecordingFacts) -> str:
             count = f"{facts.rows} rows, {facts.rate_hz:.4g} rows per second"
         lines.append(f"{count}, {facts.duration_s:.4g} s")
     if facts.up is not None:
-        noise = "" if facts.noise_mm is None else f"noise {facts.noise_mm:.2g} mm; "
+        if facts.noise_mm is None:
+            noise = ""
+        else:
+            noise = f"noise {facts.noise_mm:.2g} mm; "
         lines.append(f"up: {facts.up}; {noise}{facts.tracks or 0} lasting markers")
     lines += [f"  {_marker_text(marker)}" for marker in (facts.markers or ())[:40]]
     rigid_pairs = [set(pair) for pair in facts.rigid_pairs or ()]
     for distance in facts.distances or ():
-        rigid = ", one rigid part" if set(distance.markers) in rigid_pairs else ""
+        if set(distance.markers) in rigid_pairs:
+            rigid = ", one rigid part"
+        else:
+            rigid = ""
         values = f"{distance.median_mm:.1f} mm, varies by {distance.spread_mm:.2g} mm"
         lines.append(f"  {' to '.join(distance.markers)}: {values}{rigid}")
     if facts.layouts is not None:
@@ -305,12 +309,14 @@ def _marker_text(marker: MarkerFacts) -> str:
 
 
 def _signal_text(signal: SignalFacts) -> str:
-    bounds = "" if signal.low is None else f", {signal.low:g} to {signal.high:g}"
-    rate = (
-        f", {signal.openings_per_s:.3g} openings per second"
-        if signal.openings_per_s
-        else ""
-    )
+    if signal.low is None:
+        bounds = ""
+    else:
+        bounds = f", {signal.low:g} to {signal.high:g}"
+    if signal.openings_per_s:
+        rate = f", {signal.openings_per_s:.3g} openings per second"
+    else:
+        rate = ""
     return (
         f"{signal.name}:"
         f" {signal.looks_like}{bounds}{rate}{'' if signal.understood else ' (needs a map)'}"

@@ -272,9 +272,11 @@ def _body_facts(
     lasting = np.flatnonzero(
         (~np.isnan(tracks.points[..., 0])).mean(axis=0) >= MIN_COVERAGE
     )
-    places, count = tracks.points[:, lasting], len(lasting)
+    places = tracks.points[:, lasting]
+    count = len(lasting)
     names = _marker_names(tracks.columns[:, lasting], table.labels, facts)
-    facts.tracks, facts.positions_of_nothing = count, tracks.unassigned
+    facts.tracks = count
+    facts.positions_of_nothing = tracks.unassigned
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
         facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")
@@ -286,7 +288,8 @@ def _body_facts(
     except InputError as error:
         facts.notes.append(str(error))
         order = ()
-    facts.noise_mm, facts.order = 1e3 * noise, [names[k] for k in order]
+    facts.noise_mm = 1e3 * noise
+    facts.order = [names[k] for k in order]
     facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
     facts.distances = [
         DistanceFacts(
@@ -372,7 +375,8 @@ def _robot_facts(path: StrPath, map: RecordingMap, spec: RobotSpec) -> RobotFact
         recording = read_motion(path, spec, map=map)
     except InputError as error:
         return RobotFacts(name=spec.name, reads=False, says=str(error))
-    length, markers = recording.trajectory.stack("length"), recording.summary.markers
+    length = recording.trajectory.stack("length")
+    markers = recording.summary.markers
     low, median, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
     assert markers is not None, "it is a recording of markers"
     return RobotFacts(
@@ -393,7 +397,10 @@ def _table_facts(file: RecordedFile, map: RecordingMap) -> RecordingFacts:
         name: meaning for name, meaning in times.items() if clean(name) in file.names
     }
     clock = next(iter(read_table(file, CLOCK, timed).columns), None)
-    notes, time, epoch_ns, unit = [*file.notes], None, None, "no time"
+    notes = [*file.notes]
+    time = None
+    epoch_ns = None
+    unit = "no time"
     if clock is not None:
         time, time_notes, epoch_ns = file.times(clock.place, clock.unit)
         notes += time_notes
@@ -433,11 +440,10 @@ def _log_facts(
     )
     if time is not None and len(time) > 1:
         step = np.diff(time)
-        facts.starts_s, facts.duration_s = (
-            beginning + float(time[0]),
-            float(np.ptp(time)),
-        )
-        facts.rows, facts.steps_back = len(time), int((step < 0).sum())
+        facts.starts_s = beginning + float(time[0])
+        facts.duration_s = float(np.ptp(time))
+        facts.rows = len(time)
+        facts.steps_back = int((step < 0).sum())
         facts.repeated_times = int((step == 0).sum())
         if facts.duration_s > 0:
             facts.rate_hz = (len(time) - 1) / facts.duration_s
@@ -502,7 +508,8 @@ def _stated_unit(name: str, meaning: Meaning, units: Mapping[str, float]) -> str
 def _pressure(unit: str, values: np.ndarray, map: RecordingMap) -> str:
     """Return a text on a pressure, with its range in kPa."""
     pressures = PRESSURES[unit] * values
-    low, high = pressures.min() / 1e3, pressures.max() / 1e3
+    low = pressures.min() / 1e3
+    high = pressures.max() / 1e3
     text = f"pressure, {unit}: {low:g} to {high:g} kPa"
     if not map.ambient and looks_absolute(pressures):
         text += f"; {ABSOLUTE}"
@@ -514,7 +521,8 @@ def markers_view(scene: Scene) -> Figure:
     from srs_twin.viewing.plots.style import PLUS_COLOR, finish, panels
 
     places = scene.places
-    low, high = np.nanmin(places, axis=(0, 1)), np.nanmax(places, axis=(0, 1))
+    low = np.nanmin(places, axis=(0, 1))
+    high = np.nanmax(places, axis=(0, 1))
     wide, deep = np.maximum(high - low, 1e-3)
     figure, (axes,) = panels(float(np.clip(8.0 * deep / wide + 1.4, 2.8, 7.0)))
     axes.plot(

@@ -215,7 +215,9 @@ class RecordedFile:
             InputError: there are no rows or too many values, a row has more or fewer
                 cells, or a cell is not a number.
         """
-        raw, start, notes = self.raw, self._start_of(header_lines), []
+        raw = self.raw
+        start = self._start_of(header_lines)
+        notes = []
         stop = self._end_of(start, section=section)
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
@@ -259,22 +261,19 @@ class RecordedFile:
         """
         import pyarrow as pa
 
-        top, start, width = (
-            self.header_lines,
-            self._start_of(self.header_lines),
-            len(self.names),
-        )
-        cut, notes = memoryview(self.raw)[start : self._end_of(start)], list[str]()
+        top = self.header_lines
+        start = self._start_of(self.header_lines)
+        width = len(self.names)
+        cut = memoryview(self.raw)[start : self._end_of(start)]
+        notes = list[str]()
         first = _cells(
             bytes(cut[:_BLOCK]).split(b"\n", 1)[0].decode("utf-8", "replace"),
             self.separator,
         )
         exact: list[Any] = []
         if clock < len(first) and _DATE.match(first[clock]):
-            kind, unit = (
-                pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None),
-                "ns",
-            )
+            kind = pa.timestamp("ns", "UTC" if _ZONE.search(first[clock]) else None)
+            unit = "ns"
             exact = (
                 self._parsed(cut, top, [clock], width, kind)[0]
                 .cast(pa.int64())
@@ -433,7 +432,8 @@ def read_bytes(path: StrPath) -> RecordedFile:
     place = recording_file(path)
     file = RecordedFile(display_path(place), _bytes(place, MAX_BYTES + 1))
     if len(file.data) > MAX_BYTES:
-        megabytes, limit = place.stat().st_size / (1 << 20), MAX_BYTES >> 20
+        megabytes = place.stat().st_size / (1 << 20)
+        limit = MAX_BYTES >> 20
         raise file.error(
             f"{megabytes:.0f} MB; at most {limit} MB are read (export a shorter"
             " recording)"
@@ -490,25 +490,29 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
         ),
         0,
     )
-    header, row = lines[top], next(filter(str.strip, lines[top + 1 :]), "")
+    header = lines[top]
+    row = next(filter(str.strip, lines[top + 1 :]), "")
     comments = [line.lstrip("# ") for line in lines[:top] if line.strip()]
-    separator, notes, problem = dialect.separator or _separator(header, row), [], ""
+    separator = dialect.separator or _separator(header, row)
+    notes = []
+    problem = ""
     if len(start) == 1 and len(file.raw) > MAX_HEADER_BYTES:
         problem = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
-    names, header_lines = _cells(header, separator), top + 1
+    names = _cells(header, separator)
+    header_lines = top + 1
     numbers = [bool(_NUMBER.fullmatch(cell)) for cell in names if cell.strip()]
     if any(numbers) if dialect.columns else numbers and all(numbers):
-        above, header_lines = _cells(comments[-1], separator) if comments else [], top
+        above = _cells(comments[-1], separator) if comments else []
+        header_lines = top
         if dialect.columns:
             names = list(dialect.columns)
         elif len(above) == len(names) and not any(map(_NUMBER.fullmatch, above)):
-            names, comments = above, comments[:-1]
+            names = above
+            comments = comments[:-1]
         else:
             example = "--columns time,x_1,y_1,… (columns: [time, …] in a map)"
-            problem, names = (
-                f"{len(names)} numbers but no names of columns; give {example}",
-                [],
-            )
+            problem = f"{len(names)} numbers but no names of columns; give {example}"
+            names = []
     elif dialect.columns:
         notes.append(
             "the file names its columns: the names of --columns or of the map are not"
@@ -521,7 +525,8 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
             file,
             body=b"\n".join(b" ".join(line.split()) for line in file.raw.split(b"\n")),
         )
-    rows, decimal = file._start_of(header_lines), dialect.decimal or "."
+    rows = file._start_of(header_lines)
+    decimal = dialect.decimal or "."
     if not dialect.decimal and separator != "," and file.raw.find(b",", rows) >= 0:
         decimal = ","
         if not _DECIMAL_COMMA.search(file.raw, rows):
@@ -560,7 +565,8 @@ def _cells(line: str, separator: str) -> list[str]:
 
 def _separator(header: str, row: str) -> str:
     """Return the separator that gives both lines the same number of cells; commas come last."""
-    present, words = [mark for mark in ";\t|," if mark in header], header.split()
+    present = [mark for mark in ";\t|," if mark in header]
+    words = header.split()
     by_spaces = present in ([], [","]) and len(words) == len(row.split()) > 1
     if by_spaces and (
         not present

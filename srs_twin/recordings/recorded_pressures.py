@@ -58,11 +58,10 @@ class RecordedPressures(Pneumatics):
             raise InputError(
                 "recorded pressures must be finite, and their times must increase"
             )
-        self._time, self._measured = (
-            np.asarray(time, float),
-            np.asarray(pressure, float),
-        )
-        self._tau, self._law = spec.actuator.tau_mode, bend_law(spec)
+        self._time = np.asarray(time, float)
+        self._measured = np.asarray(pressure, float)
+        self._tau = spec.actuator.tau_mode
+        self._law = bend_law(spec)
         self._drive = (self._measured * chamber_gains(spec) * [1.0, -1.0]).sum(axis=-1)
         self._slope = np.zeros_like(self._drive)
         self._slope[:-1] = np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
@@ -76,7 +75,8 @@ class RecordedPressures(Pneumatics):
         """See `Pneumatics.reset`; the chambers have the recorded pressures of the start."""
         super().reset()
         trace = self._at(np.zeros(1))
-        self.pressure, self.bend = trace.pressure[0], trace.bend[0]
+        self.pressure = trace.pressure[0]
+        self.bend = trace.bend[0]
 
     def describe(self) -> dict[str, object]:
         """See `Pneumatics.describe`."""
@@ -94,7 +94,8 @@ class RecordedPressures(Pneumatics):
     ) -> Trace:
         trace = self._at(self._elapsed + times)
         end = self._at(np.array([self._elapsed + schedule.span]))
-        self.pressure, self.bend = end.pressure[0], end.bend[0]
+        self.pressure = end.pressure[0]
+        self.bend = end.bend[0]
         return trace
 
     def _at(self, time: np.ndarray) -> Trace:
@@ -104,15 +105,14 @@ class RecordedPressures(Pneumatics):
             np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1
         )
         since = np.maximum(time - self._time[row], 0.0)[:, None]
-        drive, slope = (
-            self._drive[row],
-            self._slope[row] * (time >= self._time[0])[:, None],
-        )
+        drive = self._drive[row]
+        slope = self._slope[row] * (time >= self._time[0])[:, None]
         fade = (self._linear[row] - drive + slope * self._tau) * np.exp(
             -since / self._tau
         )
         linear = drive + slope * (since - self._tau) + fade
-        speed, acceleration = slope - fade / self._tau, fade / self._tau**2
+        speed = slope - fade / self._tau
+        acceleration = fade / self._tau**2
         _fill_bends((linear, speed, acceleration), self.rest_bend, self._law, trace)
         for j in range(trace.pressure.shape[1]):
             for side in range(2):

@@ -154,7 +154,9 @@ class ValveLog:
                 return None
             periods.append(period)
         period = float(np.mean(periods))
-        return 1 / period if np.ptp(periods) <= _MAX_UNEVENNESS * period else None
+        if np.ptp(periods) <= _MAX_UNEVENNESS * period:
+            return 1 / period
+        return None
 
 
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -211,7 +213,8 @@ class Recording:
         Raises:
             InputError: there is no log.
         """
-        log, time = self.valves, self.trajectory.time
+        log = self.valves
+        time = self.trajectory.time
         if log is None:
             raise InputError(
                 f"{name}: no log of valves or pressures; join one with the recording"
@@ -230,22 +233,25 @@ class Recording:
         before = self.valves.values[
             self.valves.time <= self.trajectory.time[0] + _STILL_S
         ]
-        empty = (
-            before == -1
-            if self.valves.kind == "valve"
-            else np.abs(before) < _MAX_EMPTY_PA
-        )
+        if self.valves.kind == "valve":
+            empty = before == -1
+        else:
+            empty = np.abs(before) < _MAX_EMPTY_PA
         return bool(empty.all())
 
     def start_pose(self) -> Pose:
         """Return the initial pose of the body: its mean until the first valve opens."""
-        trajectory, log = self.trajectory, self.valves
+        trajectory = self.trajectory
+        log = self.valves
         moves = trajectory.time[0]
         if log is not None:
             busy = (log.values > (0 if log.kind == "valve" else _MAX_EMPTY_PA)).any(
                 axis=(1, 2)
             )
-            moves = log.time[np.argmax(busy)] if busy.any() else trajectory.time[-1]
+            if busy.any():
+                moves = log.time[np.argmax(busy)]
+            else:
+                moves = trajectory.time[-1]
         still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL_S
         x, y = trajectory.com[still].mean(axis=0)
         return float(x), float(y), float(trajectory["heading"][still].mean())
@@ -320,10 +326,8 @@ def read_motion(
             *notes,
             *body.corrections,
         )
-        counts, hidden = (
-            _counts(frames, floor, markers, body),
-            int(markers.missing.sum()),
-        )
+        counts = _counts(frames, floor, markers, body)
+        hidden = int(markers.missing.sum())
         summary = LogSummary.from_file(
             table, table.kind, frames, markers.time, hidden, texts, counts
         )
@@ -369,7 +373,8 @@ def _captured_markers(
     jumps = outliers(places, _MIN_JUMP * geometry.pitch)
     places[jumps] = np.nan
     kept = _kept_frames(frames, places, longest_gap_s)
-    time, places = frames.time[kept], places[kept]
+    time = frames.time[kept]
+    places = places[kept]
     origin = np.where(np.isnan(places[..., 0]), -1, tracks.columns[kept][:, chosen])
     filled = fill_gaps(time, places, 3)
     return (
@@ -406,9 +411,11 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
         return table
     from scipy.spatial.transform import Rotation
 
-    points, owners = list[np.ndarray](), list[int]()
+    points = list[np.ndarray]()
+    owners = list[int]()
     for k in range(len(table.labels)):
-        rotations, position = table.rotations[:, k], table.points[:, k]
+        rotations = table.rotations[:, k]
+        position = table.points[:, k]
         known = np.isfinite(rotations).all(axis=1)
         offset = np.zeros((1, 3))
         if known.any():
@@ -416,10 +423,17 @@ def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
             axes[known] = Rotation.from_quat(rotations[known]).as_matrix()
             most_variable = int(np.nanvar(axes, axis=0).sum(axis=0).argmax())
             offset = axes[..., most_variable] * _BODY_MARKER_OFFSET
-        ends = [position + offset, position - offset] if known.any() else [position]
-        points, owners = points + ends, owners + [k] * len(ends)
+        if known.any():
+            ends = [position + offset, position - offset]
+        else:
+            ends = [position]
+        points = points + ends
+        owners = owners + [k] * len(ends)
     labels = tuple(table.labels[k] for k in owners)
-    places = tuple(table.places[k] for k in owners) if table.places else ()
+    if table.places:
+        places = tuple(table.places[k] for k in owners)
+    else:
+        places = ()
     return replace(
         table,
         points=np.stack(points, axis=1),
@@ -434,7 +448,9 @@ def _counts(
     frames: FrameGrid, floor: FloorPlane, markers: CapturedMarkers, body: TrackedBody
 ) -> MarkerCounts:
     """Return the numbers on the markers of a file."""
-    table, time, columns = markers.table, markers.time, markers.columns
+    table = markers.table
+    time = markers.time
+    columns = markers.columns
     gaps = [
         time[end] - time[begin - 1]
         for column in markers.missing.T

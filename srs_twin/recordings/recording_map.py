@@ -119,10 +119,8 @@ class RecordingMap(StrictModel):
             if (key in _NUMBERS) != isinstance(value, float):
                 expected = "a number" if key in _NUMBERS else "the name of a column"
                 problems.append((("log", key), f"the value must be {expected}"))
-            units, allowed = (
-                QUANTITIES.get(kind, {}),
-                ", ".join(QUANTITIES.get(kind, {})) or "none",
-            )
+            units = QUANTITIES.get(kind, {})
+            allowed = ", ".join(QUANTITIES.get(kind, {})) or "none"
             for unit in filter(
                 None, (default, value.unit if isinstance(value, LogColumn) else "")
             ):
@@ -233,7 +231,9 @@ def log_meaning(key: str) -> tuple[str, str, str]:
     match = LOG_NAME.fullmatch(key)
     if match is None:
         return "", "", ""
-    kind, unit, side = match[1] or match[4], match[2] or match[5] or "", match[3]
+    kind = match[1] or match[4]
+    unit = match[2] or match[5] or ""
+    side = match[3]
     return kind, "_".join(filter(None, [kind, side, match[6]])), unit
 
 

@@ -102,7 +102,8 @@ class RecordingReader:
         """Read the measured motion of the body, from markers or a bend log; as `motion`."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
-        gap, frequency = self.longest_gap_s, self._frequency_or(frequency)
+        gap = self.longest_gap_s
+        frequency = self._frequency_or(frequency)
         return read_bends(
             path, spec, map=self.map, longest_gap_s=gap, gait_frequency_hz=frequency
         )
@@ -275,8 +276,10 @@ class RecordingFile(ExtensionSection):
 
     def _recording(self, loading: Loading) -> Recording | None:
         """Return the recording joined with its log; report errors at the key of the file."""
-        document, file = loading.document, loading.file
-        reader, spec = self.build(), loading.robot.spec(file.seed)
+        document = loading.document
+        file = loading.file
+        reader = self.build()
+        spec = loading.robot.spec(file.seed)
         (path,) = logs_of([self.motion], [self.valves] if self.valves else [])
         log = _read(document, "valves", lambda: read_valves(path, spec, self.map))
         frequency = log.gait_frequency() if log else None
@@ -336,7 +339,8 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
 
 
 def _input_files(section: Mapping[str, Any]) -> Iterator[str]:
-    motion, valves = str(section.get("motion")), section.get("valves")
+    motion = str(section.get("motion"))
+    valves = section.get("valves")
     yield from (motion, *logs_of([motion], [valves] if valves else []))
 
 

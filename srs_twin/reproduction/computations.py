@@ -58,7 +58,8 @@ def _twin_coefficient(robot: str, *, along: bool) -> float:
     """Return the ratio of horizontal pull to weight at which the twin starts to slide."""
     friction = load_robot(robot).friction
     guess = friction.mu_t if along else friction.mu_n
-    low, high = 0.0, 2.0 * max(guess, 0.5)
+    low = 0.0
+    high = 2.0 * max(guess, 0.5)
     for _ in range(_BISECTIONS):
         pull = (low + high) / 2
         low, high = (low, pull) if _slides(robot, pull, along=along) else (pull, high)
@@ -91,12 +92,14 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
     largest = np.zeros(2)
 
     def observe(state: SnakeState) -> None:
-        c, s = np.cos(state.theta), np.sin(state.theta)
+        c = np.cos(state.theta)
+        s = np.sin(state.theta)
         x, y = state.contact_force.T
         ratio = np.abs([x * c + y * s, y * c - x * s]) / load
         np.maximum(largest, ratio.max(axis=1), out=largest)
 
-    plant, controller = scenario.build_plant("analytical"), scenario.build_controller()
+    plant = scenario.build_plant("analytical")
+    controller = scenario.build_controller()
     rollout(plant, controller, scenario.duration, observers=(observe,))
     return float(largest[0]), float(largest[1])
 
@@ -202,7 +205,10 @@ def planner_success(planner: str, draws: int) -> Numbers:
     from srs_twin.robot.world import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
 
     body = load_footprint("gen2_section52")
-    arcs = Primitives(21, math.pi / 3, 0.2) if planner == "greedy" else None
+    if planner == "greedy":
+        arcs = Primitives(21, math.pi / 3, 0.2)
+    else:
+        arcs = None
     counts = range(1, len(FIG54_SITES) + 1)
     shares = []
     for count in counts:
@@ -239,15 +245,19 @@ def contact_force(
     from srs_twin.live.contact_observer import ContactObserver
     from srs_twin.plants.twin.snake import TwinSnake
 
-    twin, gait = TwinSnake(load_robot(robot), sensor="hall"), Gait(frequency_hz)
+    twin = TwinSnake(load_robot(robot), sensor="hall")
+    gait = Gait(frequency_hz)
     gait.reset(twin.spec, twin.tick)
     observer = ContactObserver(
         twin.spec, twin.tick, round(1 / (frequency_hz * twin.tick))
     )
-    state, k, best = twin.reset(), round(connector) - 1, (0.0, 0.0)
+    state = twin.reset()
+    k = round(connector) - 1
+    best = (0.0, 0.0)
     body = twin.physics.model.body(f"connector_{k + 1}").id
     while state.time < 12.6:
-        heading, pressed = float(state.theta[k]), 12.0 <= state.time < 12.5
+        heading = float(state.theta[k])
+        pressed = 12.0 <= state.time < 12.5
         twin.physics.data.xfrc_applied[body, :2] = (
             np.array([-math.sin(heading), math.cos(heading)]) * force_n * pressed
         )
@@ -281,7 +291,8 @@ def footprint_edges(footprint: str) -> Numbers:
     from srs_twin.planning.footprint_file import load_footprint
 
     body = load_footprint(footprint)
-    straight, tight = body.at(0.0), body.at(max(body.curvatures))
+    straight = body.at(0.0)
+    tight = body.at(max(body.curvatures))
     return {
         "alone.width_m": straight.left + straight.right,
         "alone.shift_m": abs(tight.left - straight.left),
@@ -303,10 +314,8 @@ def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
     ):
         theta = start.heading + alpha
         if abs(alpha) < 1e-9:
-            x, y = (
-                start.x + length_m * math.cos(theta),
-                start.y + length_m * math.sin(theta),
-            )
+            x = start.x + length_m * math.cos(theta)
+            y = start.y + length_m * math.sin(theta)
         else:
             r = length_m / alpha
             x = start.x + r * (math.sin(theta) - math.sin(start.heading))

@@ -129,23 +129,24 @@ def _from_runs_and_robot(
 
 def _difference(runs: Trajectories, robot: RobotSpec) -> Figure | None:
     """Draw the difference of the body shapes over time (Fig. 27, 28)."""
-    return (
-        error_plot(compare(runs["analytical"], runs["twin"]), robot)
-        if len(runs) == 2
-        else None
-    )
+    if len(runs) == 2:
+        return error_plot(compare(runs["analytical"], runs["twin"]), robot)
+    return None
 
 
 def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
     """Draw amplitudes, targets and duties by period (Fig. 48, 50)."""
     runs = _trajectories(store, entry.of[0])
-    return learning_plot(runs) if all(map(is_learning, runs.values())) else None
+    if all(map(is_learning, runs.values())):
+        return learning_plot(runs)
+    return None
 
 
 def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
     """Draw a metric of a sweep as its file specifies (Fig. 31 to 33, 38, 39, 41, 44)."""
     (runs,) = entry.of
-    sweep, points = sweep_of(runs.name), points_of(runs)
+    sweep = sweep_of(runs.name)
+    points = points_of(runs)
     rows = [store.row(job.key) for job in store.jobs(runs)]
     columns: dict[str, list[Any]] = {
         "status": ["done" if row else "failed" for row in rows]
@@ -187,10 +188,8 @@ def _readings(runs: Trajectories) -> Figure:
         last_seconds = run.time >= run.time[-1] - 2.0
         time = run.time[last_seconds]
         for j, axes in enumerate(rows, start=1):
-            readings, bends = (
-                run[f"sensed_{j}"][last_seconds],
-                run[f"bend_{j}"][last_seconds],
-            )
+            readings = run[f"sensed_{j}"][last_seconds]
+            bends = run[f"bend_{j}"][last_seconds]
             axes.plot(time, readings, color=style.color, linewidth=0.5, alpha=0.4)
             axes.plot(time, bends, **style.line)
             finish(axes, f"$q_{{{j}}}$ (rad)")
@@ -203,7 +202,9 @@ def _readings(runs: Trajectories) -> Figure:
 def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
     """Draw the step to 8 psi and Eq. 14 with the robot's time constants, the published ones (Fig. 20)."""
     figure = _over_time(runs, lambda run: run["bend_1"], "bend (rad)")
-    axes, slow, fast = figure.axes[0], robot.actuator.tau_fill, robot.actuator.tau_mode
+    axes = figure.axes[0]
+    slow = robot.actuator.tau_fill
+    fast = robot.actuator.tau_mode
     time = np.linspace(0, 1, 400)
     shape = 1 - (slow * np.exp(-time / slow) - fast * np.exp(-time / fast)) / (
         slow - fast
@@ -244,11 +245,12 @@ def _success(store: RunStore, entry: FigureEntry) -> Figure:
     """Draw the planner's success rate over the number of obstacles (Fig. 55)."""
     (job,) = store.jobs(entry.of[0])
     row = store.row(job.key)
-    shares = (
-        {count: row.values.get(f"alone.count_{count}") for count in range(1, 19)}
-        if row
-        else {}
-    )
+    if row:
+        shares = {
+            count: row.values.get(f"alone.count_{count}") for count in range(1, 19)
+        }
+    else:
+        shares = {}
     known = {count: share for count, share in shares.items() if share is not None}
     figure, (axes,) = panels(3.2)
     axes.plot([*known], [*known.values()], color="0.2", marker="o", markersize=4)

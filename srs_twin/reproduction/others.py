@@ -72,7 +72,10 @@ class Quantiles:
     def cells(self, published: PublishedValue) -> tuple[str, ...]:
         """Return interval, published value and result as texts."""
         low, high = self.interval_95
-        result = "inside" if low <= published.value <= high else "outside"
+        if low <= published.value <= high:
+            result = "inside"
+        else:
+            result = "outside"
         if self.verdict(published.value) is IntervalVerdict.UNDECIDED:
             result += ", undecided"
         return f"{low:.3g} to {high:.3g}", f"{published.value:.3g}", result
@@ -106,7 +109,9 @@ class PredictedQuantity(Quantiles):
     def inside(self) -> bool | None:
         """Whether the published value is in the interval; None without one."""
         low, high = self.interval_95
-        return None if self.published is None else low <= self.published.value <= high
+        if self.published is None:
+            return None
+        return low <= self.published.value <= high
 
     def document(self) -> dict[str, object]:
         """Return JSON values."""
@@ -145,14 +150,16 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
     rows = []
     for path in sorted((folder / "predictions").glob("*.yaml")):
         published_path = folder / "published" / "others" / path.name
-        values = (
-            load_model(PublishedFile, published_path).values
-            if published_path.exists()
-            else {}
-        )
+        if published_path.exists():
+            values = load_model(PublishedFile, published_path).values
+        else:
+            values = {}
         predicted = _predictions(path)
         recomputed_path = path.parent / "recomputed" / path.name
-        recomputed = _predictions(recomputed_path) if recomputed_path.exists() else {}
+        if recomputed_path.exists():
+            recomputed = _predictions(recomputed_path)
+        else:
+            recomputed = {}
         for name in values:
             if name not in predicted:
                 raise UnknownNameError(f"quantity of {path.stem}", name, predicted)
@@ -182,7 +189,8 @@ def _predictions(path: Path) -> dict[str, Quantiles]:
     document = load_yaml(path).data
     robots = document.get("robots", 0)
     count = robots if isinstance(robots, int) else len(robots)
-    quantities, unit = document.get("quantities"), ""
+    quantities = document.get("quantities")
+    unit = ""
     if quantities is None:
         quantities = {
             name: row["all"]
@@ -217,4 +225,6 @@ def _commit(path: Path, *options: str) -> str | None:
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.split()[-1] if done.stdout.split() else None
+    if done.stdout.split():
+        return done.stdout.split()[-1]
+    return None

@@ -102,10 +102,8 @@ def print_rows(rows: Sequence[JudgedClaim]) -> None:
         for row in category_rows:
             twin = row.outcomes.get("twin")
             first = row.outcomes.get("analytical") or row.outcomes.get("alone")
-            published, error = (
-                published_text(row.claim),
-                error_text(row.claim, twin or first),
-            )
+            published = published_text(row.claim)
+            error = error_text(row.claim, twin or first)
             verdict = verdict_text(row) + (" (fitted)" if name == "fit" else "")
             print(
                 _FORMAT.format(

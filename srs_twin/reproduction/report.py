@@ -134,7 +134,10 @@ def _verification(
     law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
     met, rows = law
-    text = f"{met} of {rows} laws met" if rows else "its laws are tests of the program"
+    if rows:
+        text = f"{met} of {rows} laws met"
+    else:
+        text = "its laws are tests of the program"
     if met < rows:
         return Grade(1, text)
     for document in intervals:
@@ -157,7 +160,12 @@ def _validation(counts: Mapping[Category, tuple[int, int]]) -> Grade:
     )
     text = f"headline {met} of {rows}" if rows else "no headline"
     text += f" (separately: {other})" if other else ""
-    grade = 0 if not met else 2 if met >= _MOST * rows else 1
+    if not met:
+        grade = 0
+    elif met >= _MOST * rows:
+        grade = 2
+    else:
+        grade = 1
     return Grade(grade, f"{text}; {UNVALIDATED}")
 
 
@@ -169,20 +177,25 @@ def _pedigree(robots: Sequence[str]) -> Grade:
         return Grade(0, "no robot")
     measured = sum(record.status == "measured" for record in records)
     share = measured / len(records)
-    grade = 3 if share >= _MOST else 2 if share >= _MANY else 1
+    if share >= _MOST:
+        grade = 3
+    elif share >= _MANY:
+        grade = 2
+    else:
+        grade = 1
     return Grade(grade, f"{measured} of {len(records)} numbers measured")
 
 
 def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
     for document in intervals:
-        metric, target = _target(document), document["target"]
+        metric = _target(document)
+        target = document["target"]
         low, high = metric["interval_95"]
         published = metric["published"]
-        verdict = (
-            ""
-            if published is None
-            else f", published {published:.3g} {metric['verdict']}"
-        )
+        if published is None:
+            verdict = ""
+        else:
+            verdict = f", published {published:.3g} {metric['verdict']}"
         return Grade(
             2,
             f"{document['scenario']}, {target['metric']}: {low:.3g} to"
@@ -194,11 +207,10 @@ def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
 def _robustness(
     trends: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
-    text = (
-        f"{trends[0]} of {trends[1]} orders and trends met"
-        if trends[1]
-        else "no published trends"
-    )
+    if trends[1]:
+        text = f"{trends[0]} of {trends[1]} orders and trends met"
+    else:
+        text = "no published trends"
     for document in intervals:
         indices = _target(document)["sensitivity"]
         if indices:
@@ -354,11 +366,9 @@ def number_text(value: float) -> str:
     """Return a number with three significant digits, whole ones with all digits."""
     if value == 0:
         return "0"
-    return (
-        str(int(value))
-        if float(value).is_integer() and abs(value) < 1e6
-        else f"{value:.3g}"
-    )
+    if float(value).is_integer() and abs(value) < 1e6:
+        return str(int(value))
+    return f"{value:.3g}"
 
 
 def error_text(claim: Claim, outcome: Outcome | None) -> str:
@@ -366,13 +376,17 @@ def error_text(claim: Claim, outcome: Outcome | None) -> str:
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
     rounded = round(100 * outcome.error)
-    return f"{rounded:+d} %" if rounded else "0 %"
+    if rounded:
+        return f"{rounded:+d} %"
+    return "0 %"
 
 
 def verdict_text(row: JudgedClaim) -> str:
     """Return the verdict of a row, or one per plant if they differ."""
     verdicts = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
-    return verdicts[0] if len(set(verdicts)) == 1 else ", ".join(verdicts) or _NOTHING
+    if len(set(verdicts)) == 1:
+        return verdicts[0]
+    return ", ".join(verdicts) or _NOTHING
 
 
 _HEADINGS = (
@@ -470,12 +484,14 @@ def write_html(
 
 
 def _cells(row: JudgedClaim) -> list[str]:
-    claim, outcomes = row.claim, row.outcomes
-    unit = "" if claim.unit == "1" or claim.value is None else f" {claim.unit}"
-    first, second = (
-        outcomes.get("analytical") or outcomes.get("alone"),
-        outcomes.get("twin"),
-    )
+    claim = row.claim
+    outcomes = row.outcomes
+    if claim.unit == "1" or claim.value is None:
+        unit = ""
+    else:
+        unit = f" {claim.unit}"
+    first = outcomes.get("analytical") or outcomes.get("alone")
+    second = outcomes.get("twin")
     reasons = dict.fromkeys(outcome.why for outcome in outcomes.values() if outcome.why)
     return [
         claim.id,

@@ -137,7 +137,8 @@ class RunStore:
     """Jobs for requests and their stored results."""
 
     def __init__(self, store: RowStore, change: DocumentChange | None) -> None:
-        self._store, self._change = store, change
+        self._store = store
+        self._change = change
         self._rows = {row.key: row for row in self._store.rows() if row.status == DONE}
         self._failures: dict[str, str] = {}
         self._jobs: dict[str, ReproductionJob] = {}
@@ -173,10 +174,14 @@ class RunStore:
             )
             yield ReproductionJob(key, law=request.name, arguments=request.set)
             return
-        sweep = sweep_of(request.name) if request.kind == "sweep" else None
-        experiment = (
-            sweep.experiment if sweep else _experiment(request.name, request.periods)
-        )
+        if request.kind == "sweep":
+            sweep = sweep_of(request.name)
+        else:
+            sweep = None
+        if sweep:
+            experiment = sweep.experiment
+        else:
+            experiment = _experiment(request.name, request.periods)
         for changes in (
             [point.changes for point in points_of(request)] if sweep else [{}]
         ):
@@ -236,7 +241,9 @@ class RunStore:
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
         """Return a stored trajectory; None if there is none."""
         path = self._store.trajectory_file(key, plant)
-        return Trajectory.from_parquet(path) if path.is_file() else None
+        if path.is_file():
+            return Trajectory.from_parquet(path)
+        return None
 
     def _is_finished(self, job: ReproductionJob) -> bool:
         if (

@@ -49,7 +49,8 @@ def third_harmonic(run: Trajectory) -> float | None:
     if window is None:
         return None
     in_window = (run.time >= window.start - 1e-9) & (run.time <= window.end + 1e-9)
-    time, bends = run.time[in_window], run.stack("bend")[in_window]
+    time = run.time[in_window]
+    bends = run.stack("bend")[in_window]
     frequency = 1 / window.period
     shares = [
         fit_sine(time, bend, 3 * frequency).amplitude
@@ -81,7 +82,8 @@ def algorithm_2_error(run: Trajectory) -> float | None:
     for robots without rigid gaps, whose segments are complete arcs.
     """
     length = body_length(run) / (run.position.shape[1] - 1)
-    position, heading = run.position, _marker_headings(run)
+    position = run.position
+    heading = _marker_headings(run)
     curvature = measured_bend(heading[:, :-1], heading[:, 1:]) / length
     arcs = arc_between(position[:, :-1], position[:, 1:], curvature, points=_ARC_POINTS)
     arc_length = np.linalg.norm(np.diff(arcs, axis=-2), axis=-1).sum(axis=-1)

@@ -32,7 +32,9 @@ def _json(value: float, info: SerializationInfo) -> float | None:
     if not math.isfinite(value):
         return None
     digits = (info.context or {}).get("digits")
-    return value if digits is None else float(f"{value:.{digits}g}")
+    if digits is None:
+        return value
+    return float(f"{value:.{digits}g}")
 
 
 Number = Annotated[
@@ -94,7 +96,10 @@ def judge_column(store: RunStore, claim: Claim, column: str) -> Outcome:
         return Outcome(MET if is_met else MISSED, values, math.nan, math.nan)
     value = combine(claim.combine, values)
     assert claim.value is not None, "checked by the file's model"
-    error = (value - claim.value) / abs(claim.value) if claim.value else math.nan
+    if claim.value:
+        error = (value - claim.value) / abs(claim.value)
+    else:
+        error = math.nan
     is_met = claim.low <= value <= claim.high
     return Outcome(MET if is_met else MISSED, values, value, error)
 
@@ -121,7 +126,9 @@ def _value(store: RunStore, job: ReproductionJob, owner: str, metric: str) -> fl
         value = None if trajectory is None else TRACES[name](trajectory)
     else:
         value = row.values.get(metric if kind == "comparison" else f"{owner}.{metric}")
-    return math.nan if value is None else float(value)
+    if value is None:
+        return math.nan
+    return float(value)
 
 
 def _missing_reason(store: RunStore, claim: Claim) -> str:
@@ -143,18 +150,23 @@ def combine(combination: str, values: tuple[float, ...]) -> float:
             "unevenness" |a + b|/|a|.
         values: values of the measures.
     """
-    a, b = values[0], values[-1]
+    a = values[0]
+    b = values[-1]
     if combination == "difference":
         return a - b
     if combination == "unevenness":
         return _ratio(abs(a + b), abs(a))
     if combination == "value":
         return a
-    return _ratio(a, b) if combination == "ratio" else _ratio(a, b) - 1
+    if combination == "ratio":
+        return _ratio(a, b)
+    return _ratio(a, b) - 1
 
 
 def _ratio(numerator: float, denominator: float) -> float:
-    return numerator / denominator if abs(denominator) > _NOTHING else math.nan
+    if abs(denominator) > _NOTHING:
+        return numerator / denominator
+    return math.nan
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:

@@ -148,22 +148,22 @@ class RobotFile(StrictModel):
         gain = actuator.pop("bend") / actuator.pop("at_pressure")
         has_dead_zone = bool(actuator.keys() & {"onset", "onset_width"})
         segments = self.geometry.connectors.value - 1
-        geometry, friction, contact = (
-            self.geometry.to_si(),
-            self.friction.to_si(),
-            self.contact,
-        )
+        geometry = self.geometry.to_si()
+        friction = self.friction.to_si()
+        contact = self.contact
         if contact is None or not contact.is_skin:
-            mass, skin = (
-                Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())}),
-                None,
-            )
+            mass = Mass(**self.mass.to_si() | {"connectors": tuple(self.masses())})
+            skin = None
         else:
-            mass, skin = Mass.along_body(tuple(self.masses())), contact.skin()
+            mass = Mass.along_body(tuple(self.masses()))
+            skin = contact.skin()
             friction |= contact.friction()
             # The section of a spatial robot is round and touches the floor along a
             # line.
-            track = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
+            if self.is_spatial:
+                track = 1 / _ROUND_TRACK
+            else:
+                track = 2 * math.sqrt(3)
             geometry |= {
                 "half_track": geometry["width"] / track,
                 "wheel_radius": geometry[
@@ -212,15 +212,15 @@ class RobotFile(StrictModel):
 
     def masses(self) -> list[float]:
         """Return the mass of each connector, or of each segment of a robot with skin, kg, head first."""
-        record, count = self.mass.connectors_kg, self.geometry.connectors.value
+        record = self.mass.connectors_kg
+        count = self.geometry.connectors.value
         if self.has_skin:
-            record, count = self.mass.segments_kg, count - 1
+            record = self.mass.segments_kg
+            count = count - 1
         assert record is not None, "`contradictions` reports a missing mass"
-        return (
-            list(record.value)
-            if isinstance(record.value, list)
-            else [record.value] * count
-        )
+        if isinstance(record.value, list):
+            return list(record.value)
+        return [record.value] * count
 
     @property
     def has_servos(self) -> bool:
@@ -236,11 +236,9 @@ class RobotFile(StrictModel):
         """
         time = self.actuator.response_time_s
         assert time is not None, "`contradictions` reports a missing key"
-        g, tau, pressure = (
-            self.geometry,
-            float(time.value),
-            SERVO_PRESSURE_KPA * PA_PER_KPA,
-        )
+        g = self.geometry
+        tau = float(time.value)
+        pressure = SERVO_PRESSURE_KPA * PA_PER_KPA
         body = (g.connectors.value - 1) * (
             g.segment_length_m.value + g.rigid_gap_m.value
         )
@@ -345,7 +343,8 @@ class RobotFile(StrictModel):
         if missing:
             return
         yield from self._contradictions_of_delay()
-        connectors, masses = self.geometry.connectors.value, self.masses()
+        connectors = self.geometry.connectors.value
+        masses = self.masses()
         key, count = (
             ("segments", connectors - 1)
             if self.has_skin
@@ -388,10 +387,8 @@ class RobotFile(StrictModel):
         yield from self._invalid_priors()
         if self.supply is None:
             return
-        nominal, limit = (
-            self.supply.nominal_kpa.value,
-            self.supply.pulsed_limit_kpa.value,
-        )
+        nominal = self.supply.nominal_kpa.value
+        limit = self.supply.pulsed_limit_kpa.value
         if nominal > limit:
             text = f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa"
             if nominal > 5 * limit:
@@ -408,7 +405,8 @@ class RobotFile(StrictModel):
                 " 180 degrees apart"
             )
             yield ("chamber", "directions_deg", "value"), text
-        width, height = self.geometry.width_m.value, self.geometry.com_height_m.value
+        width = self.geometry.width_m.value
+        height = self.geometry.com_height_m.value
         if abs(width / (2 * height) - 1) > _ROUNDNESS:
             text = (
                 f"{width:g} m is not twice com_height_m; a spatial robot has a round"
@@ -421,11 +419,10 @@ class RobotFile(StrictModel):
         records = self.records()
         for path, record in records.items():
             section, key = path.split(".")
-            prior, value = record.uncertain, record.value
-            loc, bounds = (
-                (section, key, "uncertain"),
-                getattr(self, section).bounds.get(key),
-            )
+            prior = record.uncertain
+            value = record.value
+            loc = (section, key, "uncertain")
+            bounds = getattr(self, section).bounds.get(key)
             if prior is None:
                 continue
             if bounds is None or isinstance(value, list | int):
@@ -436,7 +433,8 @@ class RobotFile(StrictModel):
             elif prior.kind == "lognormal" and value <= 0:
                 yield loc, f"lognormal needs a number above 0, not {value:g}"
             elif prior.low is not None and prior.high is not None:
-                low, high = max(bounds[0], prior.low), min(bounds[1], prior.high)
+                low = max(bounds[0], prior.low)
+                high = min(bounds[1], prior.high)
                 if (low, high) != (prior.low, prior.high):
                     text = (
                         f"{prior.low:g} to {prior.high:g} exceeds the allowed"
@@ -464,7 +462,10 @@ _PLAIN_KEYS = ("seed", "kind", "law", "lead")
 def _section_model(name: str) -> type[Records] | None:
     """Return the model of a section of records; None for any other name."""
     field = RobotFile.model_fields.get(name)
-    types = (get_args(field.annotation) or (field.annotation,)) if field else ()
+    if field:
+        types = get_args(field.annotation) or (field.annotation,)
+    else:
+        types = ()
     return next(
         (
             kind
@@ -518,7 +519,9 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
         InputError: the file was not found, cannot be read, or is not valid
             (`InputFileError`).
     """
-    return robot if isinstance(robot, RobotSpec) else load_robot_file(robot).spec()
+    if isinstance(robot, RobotSpec):
+        return robot
+    return load_robot_file(robot).spec()
 
 
 def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:
@@ -536,12 +539,18 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
     Raises:
         InputFileError: the robot file is not valid; the message names that file.
     """
-    base = robot.get("base") if isinstance(robot, Mapping) else robot
+    if isinstance(robot, Mapping):
+        base = robot.get("base")
+    else:
+        base = robot
     if isinstance(robot, Mapping) and "base" not in robot:
         whole = validate(RobotFile, document, robot, prefix=prefix)
         _add_warnings(document, prefix, find_unit_mistakes(whole) if whole else {})
         return whole
-    base_loc = (*prefix, "base") if isinstance(robot, Mapping) else prefix
+    if isinstance(robot, Mapping):
+        base_loc = (*prefix, "base")
+    else:
+        base_loc = prefix
     if not isinstance(base, str):
         document.report(
             base_loc, "must be a robot's name, a path, or a block of keys with base"
@@ -603,15 +612,17 @@ def find_unit_mistakes(
     }
     for path, record in base.records().items() if base else ():
         section, key = path.split(".")
-        new, old = child(child(override, section), key), record.value
+        new = child(child(override, section), key)
+        old = record.value
         new = child(new, "value") if isinstance(new, Mapping) else new
         if not all(isinstance(number, int | float) and number for number in (new, old)):
             continue
         if not 1 / _SUSPICIOUS_RATIO < abs(new / old) < _SUSPICIOUS_RATIO:
             ratio = new / old
-            comparison = (
-                f"{ratio:.0f} times" if abs(ratio) > 1 else f"1/{1 / ratio:.0f} of"
-            )
+            if abs(ratio) > 1:
+                comparison = f"{ratio:.0f} times"
+            else:
+                comparison = f"1/{1 / ratio:.0f} of"
             comparison += f" the {old:.4g} of {override['base']}"
             hint = likely_unit(abs(new), record.unit, abs(old))
             mistakes[path] = f"{new:g} {record.unit} is {comparison}; {hint}"

@@ -56,7 +56,8 @@ def axis(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # n
     # Reciprocal roots need one division each; the derivatives reuse them.
     r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
     r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
-    k_t, k_n = load * mu_t * r_t, load * mu_n * r_n
+    k_t = load * mu_t * r_t
+    k_n = load * mu_n * r_n
     zero = 0.0 * v_t
     return (
         -k_t * v_t,
@@ -75,7 +76,8 @@ def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # 
     """
     r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
     r_n = 1 / np.sqrt(v_n * v_n + slip * slip)
-    a_t, a_n = v_t * r, v_n * r
+    a_t = v_t * r
+    a_n = v_n * r
     slide_t = mu_n * a_t  # axial friction coefficient of a locked wheel
     rest = np.sqrt(np.maximum(mu_n * mu_n - mu_t * mu_t, 0.0))
     # A rolling wheel has the full axle drag along and the remainder of the cone across;
@@ -98,7 +100,8 @@ def wheel(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # 
 def viscous(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and its derivatives (N·s/m) under the `viscous` law; `slip` is not used."""
     zero = 0.0 * v_t
-    k_t, k_n = load * mu_t, load * mu_n
+    k_t = load * mu_t
+    k_n = load * mu_n
     return -k_t * v_t, -k_n * v_n, zero - k_t, zero, zero, zero - k_n
 
 
@@ -107,10 +110,12 @@ def ellipse(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  
 
     Arguments as in `axis`.
     """
-    w_t, w_n = mu_t * mu_t, mu_n * mu_n
+    w_t = mu_t * mu_t
+    w_n = mu_n * mu_n
     smooth = slip * np.maximum(np.maximum(mu_t, mu_n), _MIN_COEFFICIENT)
     r = 1 / np.sqrt(w_t * v_t * v_t + w_n * v_n * v_n + smooth * smooth)
-    a_t, a_n = v_t * r, v_n * r
+    a_t = v_t * r
+    a_n = v_n * r
     mixed = load * r * w_t * w_n * a_t * a_n
     return (
         -load * w_t * a_t,
@@ -128,7 +133,10 @@ def cosine(v_t, v_n, load, mu_t, mu_n, slip):  # type: ignore[no-untyped-def]  #
     Arguments as in `axis`.
     """
     r = 1 / np.sqrt(v_t * v_t + v_n * v_n + slip * slip)
-    a_t, a_n, k_t, k_n = v_t * r, v_n * r, load * mu_t * r, load * mu_n * r
+    a_t = v_t * r
+    a_n = v_n * r
+    k_t = load * mu_t * r
+    k_n = load * mu_n * r
     return (
         -k_t * v_t,
         -k_n * v_n,

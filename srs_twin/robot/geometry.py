@@ -55,9 +55,11 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
         * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
     ) / 2
     arc = 1 - p * a
-    a, b = (a + arc * b) / 4, arc * arc / 2
+    a = (a + arc * b) / 4
+    b = arc * arc / 2
     arc = 1 - 4 * p * a
-    a, b = (a + arc * b) / 4, arc * arc / 2
+    a = (a + arc * b) / 4
+    b = arc * arc / 2
     p = x * x
     arc = 1 - p * a
     return 1 - p * b, x * arc, arc, x * (a - b) / 2, (b - a) / 2 - arc / 4

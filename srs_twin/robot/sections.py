@@ -114,22 +114,23 @@ class ModulesFile(Records):
         seed = seed if self.seed is None else self.seed
         arrays = {}
         for stream, (name, std_name) in enumerate(SPREAD_KEYS.items()):
-            per_chamber, additive = name in PER_CHAMBER, name.endswith("bias")
+            per_chamber = name in PER_CHAMBER
+            additive = name.endswith("bias")
             shape = (segments, chambers) if per_chamber else (segments,)
-            listed, std = (
-                getattr(self, f"{name}_rad" if additive else name),
-                getattr(self, std_name),
-            )
-            base = (
-                np.full(shape, 0.0 if additive else 1.0)
-                if listed is None
-                else np.array(listed.value)
-            )
+            listed = getattr(self, f"{name}_rad" if additive else name)
+            std = getattr(self, std_name)
+            if listed is None:
+                base = np.full(shape, 0.0 if additive else 1.0)
+            else:
+                base = np.array(listed.value)
             normal = np.random.default_rng([seed, stream]).standard_normal(shape)
             drawn = (std.value if std else 0.0) * np.clip(
                 normal, -_MAX_DEVIATIONS, _MAX_DEVIATIONS
             )
-            arrays[name] = base + drawn if additive else base * (1.0 + drawn)
+            if additive:
+                arrays[name] = base + drawn
+            else:
+                arrays[name] = base * (1.0 + drawn)
         return Modules.from_arrays(**arrays)
 
     def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
@@ -153,7 +154,9 @@ class ModulesFile(Records):
 
 
 def _mass_tag(value: object) -> str:
-    return "each" if isinstance(value, list) else "all"
+    if isinstance(value, list):
+        return "each"
+    return "all"
 
 
 def _one_or_each(value: Any) -> Any:

@@ -135,7 +135,8 @@ class Uncertain(StrictModel):
             if getattr(self, name) is not None
         )
         if present != required:
-            needs, has = " and ".join(required), ", ".join(present) or "nothing"
+            needs = " and ".join(required)
+            has = ", ".join(present) or "nothing"
             raise ValueError(f"{self.kind} takes {needs}, not {has}")
         if self.median is not None and self.kind != "lognormal":
             raise ValueError(f"{self.kind} takes {' and '.join(required)}, not median")
@@ -281,10 +282,8 @@ class Records(StrictModel):
             key: field.only_for for key, field in fields.items() if field.only_for
         }
         for key, field in fields.items():
-            unit, value = (
-                split_unit(key)[1],
-                Annotated[field.kind, bounded(field.low, field.high)],
-            )
+            unit = split_unit(key)[1]
+            value: Any = Annotated[field.kind, bounded(field.low, field.high)]
             record: Any = Record[field.shape(value), Literal[unit]]  # type: ignore[misc]
             optional = field.optional or field.needed_by or field.only_for
             cls.__annotations__[key] = record | None if optional else record

@@ -78,11 +78,9 @@ class Modules:
     @classmethod
     def nominal(cls, segments: int, chambers: int = 2) -> Modules:
         """Return identical nominal modules."""
-        per_chamber, ones, zeros = (
-            ((1.0,) * chambers,) * segments,
-            (1.0,) * segments,
-            (0.0,) * segments,
-        )
+        per_chamber = ((1.0,) * chambers,) * segments
+        ones = (1.0,) * segments
+        zeros = (0.0,) * segments
         return cls(per_chamber, zeros, per_chamber, per_chamber, ones, zeros)
 
     @classmethod
@@ -531,7 +529,8 @@ class RobotSpec:
     skin: Skin | None = None
 
     def __post_init__(self) -> None:
-        count, connectors = len(self.mass.connectors), self.geometry.connectors
+        count = len(self.mass.connectors)
+        connectors = self.geometry.connectors
         _require(
             count == connectors,
             "mass.connectors",
@@ -656,7 +655,8 @@ class RobotSpec:
         if self.tail is not None:
             # Lever rule: each axle carries mass in proportion to the distance of the
             # other axle from the centre of mass.
-            last, share = axles.pop(), self.tail.com / self.tail.axle
+            last = axles.pop()
+            share = self.tail.com / self.tail.axle
             axles.append(last._replace(mass=(1 - share) * last.mass))
             axles.append(last._replace(mass=share * last.mass, behind=self.tail.axle))
         return tuple(axles)
@@ -678,7 +678,8 @@ class RobotSpec:
 
     def yaw_inertia(self) -> np.ndarray:
         """Return the yaw inertia of each connector about its centre, wheels included, (N,), kg·m²."""
-        wheel, g = self.mass.wheel, self.geometry
+        wheel = self.mass.wheel
+        g = self.geometry
         # A wheel is a thin disc: r²/4 about a diameter, and the parallel-axis term of
         # the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)

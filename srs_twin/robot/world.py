@@ -168,11 +168,9 @@ class MovableObject:
     @property
     def gyration(self) -> float:
         """Radius of gyration about the vertical axis of a uniform body, m."""
-        return (
-            math.hypot(*self.size) / math.sqrt(12)
-            if self.is_box
-            else self.size[0] / math.sqrt(2)
-        )
+        if self.is_box:
+            return math.hypot(*self.size) / math.sqrt(12)
+        return self.size[0] / math.sqrt(2)
 
     @property
     def supports(self) -> tuple[tuple[float, float], ...]:
@@ -312,10 +310,8 @@ def peg_field(
     for i in range(columns):
         stagger = ((i + 1) % 2 - 0.5) / 2 * pitch if staggered else 0.0
         for j in range(rows):
-            x, y = (
-                first[0] + i * pitch,
-                first[1] + (j - (rows - 1) / 2) * pitch + stagger,
-            )
+            x = first[0] + i * pitch
+            y = first[1] + (j - (rows - 1) / 2) * pitch + stagger
             pegs.append(
                 Circle(x + float(shifts[i, j, 0]), y + float(shifts[i, j, 1]), radius)
             )
@@ -350,7 +346,9 @@ def random_circles(
     for _ in range(count * _MAX_TRIES):
         if len(circles) == count:
             break
-        x, y, r = rng.uniform(*bounds.x), rng.uniform(*bounds.y), rng.uniform(*radius)
+        x = rng.uniform(*bounds.x)
+        y = rng.uniform(*bounds.y)
+        r = rng.uniform(*radius)
         separate = all(
             math.hypot(x - c.x, y - c.y) >= r + c.radius + gap for c in circles
         )

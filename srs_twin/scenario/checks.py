@@ -78,7 +78,8 @@ def _report(document: Document, contradictions: Iterable[Contradiction]) -> None
 
 def _floor(file: ScenarioFile) -> Iterator[Contradiction]:
     """Yield floors that a plant does not support."""
-    world, plants = file.world, file.plants
+    world = file.world
+    plants = file.plants
     if world.steps and plants.analytical is not None:
         yield (
             ("world", "steps"),
@@ -110,7 +111,10 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
             )
         return []
     held = document.get("controller", "kind") == HoldValves.kind
-    limit = robot.supply.continuous_limit_kpa if held else robot.supply.pulsed_limit_kpa
+    if held:
+        limit = robot.supply.continuous_limit_kpa
+    else:
+        limit = robot.supply.pulsed_limit_kpa
     number = (
         isinstance(pressure, (int, float))
         and not isinstance(pressure, bool)
@@ -118,7 +122,8 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     )
     if not number:
         return []
-    nominal, hint = robot.supply.nominal_kpa.value, ""
+    nominal = robot.supply.nominal_kpa.value
+    hint = ""
     in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
     if pressure > 0 and (in_psi or not 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL):
         hint = f"; {likely_unit(pressure, 'kPa', nominal)}"
@@ -127,7 +132,9 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
             f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of"
             f" {robot.name}{hint}"
         )
-        return [document.describe(("supply", "pressure_kpa"), text)] if hint else []
+        if hint:
+            return [document.describe(("supply", "pressure_kpa"), text)]
+        return []
     use = "with valves held open" if held else "in pulses of a gait"
     text = (
         f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g}"
@@ -166,34 +173,36 @@ def check_start(
     file: ScenarioFile, loading: Loading, begin: InitialState | None
 ) -> None:
     """Report obstacles and objects that overlap the body at the start."""
-    world, allowed = loading.world, TOUCHING_M
+    world = loading.world
+    allowed = TOUCHING_M
     if file.bench or not world.is_solid:
         return
-    spec, pose = loading.robot.spec(file.seed), file.start.build()
+    spec = loading.robot.spec(file.seed)
+    pose = file.start.build()
     if file.start.run is not None:
         allowed = PENETRATION_M * spec.scale.length
     texts: dict[Loc, str] = {}
     for kind, plant in file.plants.running.items():
-        geometry = (
-            spec.geometry if plant.gaps else replace(spec.geometry, rigid_gap=0.0)
-        )
-        com, heading, bend = (
-            np.array([pose.x, pose.y]),
-            pose.heading,
-            spec.modules.array("bias"),
-        )
+        if plant.gaps:
+            geometry = spec.geometry
+        else:
+            geometry = replace(spec.geometry, rigid_gap=0.0)
+        com = np.array([pose.x, pose.y])
+        heading = pose.heading
+        bend = spec.modules.array("bias")
         if begin is not None:
             state = begin.states[kind]
-            com, heading, bend = state.com, state.heading, state.bend
+            com = state.com
+            heading = state.heading
+            bend = state.bend
         shape = body_shape(
             bend, spec.mass.array(), geometry.segment_length, geometry.rigid_gap
         )
-        cos, sin = math.cos(heading), math.sin(heading)
+        cos = math.cos(heading)
+        sin = math.sin(heading)
         position = com + shape @ np.array([[cos, sin], [-sin, cos]])
-        theta, hinges = (
-            heading + relative_headings(bend),
-            getattr(plant, "hinges_per_segment", 2),
-        )
+        theta = heading + relative_headings(bend)
+        hinges = getattr(plant, "hinges_per_segment", 2)
         lines = hull_lines(position[None], theta[None], geometry, hinges)
         for overlap in start_overlaps(
             world, lines, geometry.width / 2, allowed=allowed
@@ -209,7 +218,8 @@ def check_start(
 
 def _timestep(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     """Yield a time step that is too long for the integrator and the damping times of the segments."""
-    bending, twin = robot.spec().bending, file.plants.twin
+    bending = robot.spec().bending
+    twin = file.plants.twin
     shortest = min(bending.damping_time, bending.out_of_plane_damping_time)
     if twin is not None and not twin.timestep_s < MAX_STEP_RATIO * shortest:
         text = (
@@ -239,7 +249,8 @@ def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     """Yield options of the plants that the robot's kind of contact does not have."""
-    model, twin = file.plants.analytical, file.plants.twin
+    model = file.plants.analytical
+    twin = file.plants.twin
     if not robot.has_skin:
         if model and model.load == "momentary" and model.friction not in TWO_POINT_LAWS:
             text = (
@@ -275,7 +286,8 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     """Yield sections that do not support a robot whose segments bend in two directions."""
-    model, world = file.plants.analytical, file.world
+    model = file.plants.analytical
+    world = file.world
     if model is not None and model.model != "quasistatic":
         text = (
             f"{robot.name} is spatial; only model: quasistatic bends in two directions"
@@ -308,7 +320,9 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
     """Set the layout of the valves, and report why a controller does not suit the scenario."""
-    document, spec, controller = loading.document, loading.robot.spec(), file.controller
+    document = loading.document
+    spec = loading.robot.spec()
+    controller = file.controller
     try:
         loading.warnings += list(
             controller.warnings(largest_bend(spec, loading.supply_pa))
@@ -327,9 +341,10 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
     possible = controller.layouts(loading.products)
     loading.layout = layout = file.valves.layout or possible[0]
     if layout not in possible:
-        reason = (
-            "3/2 valves cannot hold" if layout == "3/2" else "it does not hold valves"
-        )
+        if layout == "3/2":
+            reason = "3/2 valves cannot hold"
+        else:
+            reason = "it does not hold valves"
         text = (
             f"{controller.kind} drives valves of layout {', '.join(possible)}, not"
             f" {layout}; {reason}"
@@ -347,7 +362,8 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
 
 def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contradiction]:
     """Yield a time step that is too long for chambers whose pressure depends on the bends."""
-    twin, longest = file.plants.twin, chambers.coupling_step_s * (1 + 1e-9)
+    twin = file.plants.twin
+    longest = chambers.coupling_step_s * (1 + 1e-9)
     if twin is not None and chambers.depends_on_bend and twin.timestep_s > longest:
         text = (
             f"{twin.timestep_s:g} s is too long for chambers whose pressure depends on"
@@ -363,7 +379,8 @@ def _coupling_step(file: ScenarioFile, chambers: Pneumatics) -> Iterator[Contrad
 def _times(file: ScenarioFile) -> Iterator[Contradiction]:
     """Yield ticks, durations and recording rates that are not multiples of each other."""
     for kind, plant in file.plants.running.items():
-        tick, interval = file.tick(kind), 1 / file.record_hz
+        tick = file.tick(kind)
+        interval = 1 / file.record_hz
         tick_name = f"the {kind} plant's tick"
         key: tuple[str, ...] = ("plants", kind, "tick_s")
         try:
@@ -404,11 +421,9 @@ def _rate_remedy(file: ScenarioFile) -> str:
         for kind, plant in file.plants.running.items()
     ]
     rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)
-    return (
-        "no rate suits the plants' ticks; change tick_s"
-        if rate is None
-        else f"record_hz: {rate} is possible"
-    )
+    if rate is None:
+        return "no rate suits the plants' ticks; change tick_s"
+    return f"record_hz: {rate} is possible"
 
 
 def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -436,7 +451,8 @@ def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
 
 def _world(file: ScenarioFile) -> Iterator[Contradiction]:
     """Yield random obstacles without an area, and pegs and objects that a plant does not support."""
-    world, plants = file.world, file.plants
+    world = file.world
+    plants = file.plants
     if (
         world.random
         and world.random.kind == "strewn"
@@ -494,11 +510,9 @@ def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
 
 def _gap_factor(file: ScenarioFile) -> Iterator[Contradiction]:
     """Yield a gap factor without both plants, or for an analytical model that already has rigid gaps."""
-    analytical, twin, key = (
-        file.plants.analytical,
-        file.plants.twin,
-        ("comparison", "gap_factor"),
-    )
+    analytical = file.plants.analytical
+    twin = file.plants.twin
+    key = ("comparison", "gap_factor")
     if not file.comparison.gap_factor:
         return
     if analytical is None or twin is None:

@@ -143,9 +143,10 @@ class Expectation(Section):
         if self.metric in known_metrics() and self.metric not in known_metrics(
             self.subject
         ):
-            required = (
-                "plant: analytical or plant: twin" if self.of else f"of: {COMPARISON}"
-            )
+            if self.of:
+                required = "plant: analytical or plant: twin"
+            else:
+                required = f"of: {COMPARISON}"
             raise ValueError(f"{self.metric} needs {required}")
         if (
             sum(
@@ -182,13 +183,11 @@ class Expectation(Section):
     @property
     def stated(self) -> float | None:
         """Published value of the metric; None without one."""
-        return (
-            self.published
-            if self.published is not None
-            else self.near
-            if self.source
-            else None
-        )
+        if self.published is not None:
+            return self.published
+        if self.source:
+            return self.near
+        return None
 
     @property
     def allowed(self) -> tuple[float, float]:
@@ -196,11 +195,10 @@ class Expectation(Section):
         if self.near is None:
             low = -math.inf if self.above is None else self.above
             return low, math.inf if self.below is None else self.below
-        tolerance = (
-            self.abs
-            if self.abs is not None
-            else (self.rel or 0.0) * math.fabs(self.near)
-        )
+        if self.abs is not None:
+            tolerance = self.abs
+        else:
+            tolerance = (self.rel or 0.0) * math.fabs(self.near)
         return self.near - tolerance, self.near + tolerance
 
     def check(
@@ -223,11 +221,10 @@ class Expectation(Section):
             `source` and `known`.
         """
         (low, high), subject = self.allowed, self.subject
-        values = (
-            metrics.get(COMPARISON)
-            if self.of
-            else (metrics.get("plants") or {}).get(subject)
-        )
+        if self.of:
+            values = metrics.get(COMPARISON)
+        else:
+            values = (metrics.get("plants") or {}).get(subject)
         value = (values or {}).get(self.metric)
         row: dict[str, Any] = {"metric": self.metric, "of": subject, "value": value}
         row |= {"allowed": _range_text(low, high), "met": False, "reason": None}
@@ -245,13 +242,12 @@ class Expectation(Section):
         else:
             row |= self._judge_interval(value, metrics.get("intervals") or {})
         missed = "missed" if self.known is None else "known"
-        state = (
-            "not_judged"
-            if row["reason"] is not None
-            else "met"
-            if row["met"]
-            else missed
-        )
+        if row["reason"] is not None:
+            state = "not_judged"
+        elif row["met"]:
+            state = "met"
+        else:
+            state = missed
         stated = self.near if self.published is None else self.published
         return row | {
             "state": state,
@@ -297,22 +293,20 @@ class Expectation(Section):
                 " duration or seed)"
             )
             return {"reason": f"{other}; {stored['renew']} renews it"}
-        u_d = (
-            _PUBLISHED_STD * abs(self.published)
-            if self.scatter is None
-            else self.scatter
-        )
+        if self.scatter is None:
+            u_d = _PUBLISHED_STD * abs(self.published)
+        else:
+            u_d = self.scatter
         terms = {
             "u_num": spread["u_num"] or 0.0,
             "u_input": spread["u_input"],
             "u_d": u_d,
         }
         largest = max(terms, key=lambda name: terms[name])
-        parameter = (
-            largest_parameter(spread.get("sensitivity") or {})
-            if largest == "u_input"
-            else None
-        )
+        if largest == "u_input":
+            parameter = largest_parameter(spread.get("sensitivity") or {})
+        else:
+            parameter = None
         distance = max(low - self.published, self.published - high, 0.0)
         errors = spread.get(f"{self.within}_error")
         verdict = interval_verdict(self.published, (low, high), errors)
@@ -379,7 +373,9 @@ def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | N
         return None
     first, *others = (sensitivity[path] for path in ranked)
     floor = max([0.0, *(index["total"] for index in others)])
-    return ranked[0] if first["total"] - first.get("total_error", 0.0) > floor else None
+    if first["total"] - first.get("total_error", 0.0) > floor:
+        return ranked[0]
+    return None
 
 
 def _parameter(path: str | None) -> str:
@@ -407,7 +403,9 @@ def _range_text(low: float, high: float) -> str:
         return f"{low:.4g}"
     if math.isinf(low):
         return f"at most {high:.4g}"
-    return f"at least {low:.4g}" if math.isinf(high) else f"{low:.4g} to {high:.4g}"
+    if math.isinf(high):
+        return f"at least {low:.4g}"
+    return f"{low:.4g} to {high:.4g}"
 
 
 class ExpectationsFile(Section):
@@ -431,34 +429,35 @@ def verdict(checked: Mapping[str, Any]) -> str:
     state = checked.get("state") or (
         "met" if checked["met"] else "known" if known else "missed"
     )
-    return "holds" if state == "met" and known else str(state)
+    if state == "met" and known:
+        return "holds"
+    return str(state)
 
 
 def result_text(checked: Mapping[str, Any]) -> str:
     """Return the text of a value and its allowed values, such as "= 0.15, allowed 0.18 to 0.25"."""
-    metric, allowed = checked["metric"], allowed_text(checked)
+    metric = checked["metric"]
+    allowed = allowed_text(checked)
     value = tidy(metric, checked["value"])
     if allowed in ("yes", "no"):
         return f"= {value or 'none'}, required {allowed}"
     if not checked.get("within"):
         return f"= {'none' if value is None else f'{value:.4g}'}, allowed {allowed}"
     unit = (metric_units() | COMPARISON_UNITS).get(metric, "1")
-    text = (
-        "none"
-        if value is None
-        else f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
-    )
+    if value is None:
+        text = "none"
+    else:
+        text = f"{value:.3g}" + (f" {unit}" if unit != "1" else "")
     return f"= {text}; {checked['allowed']}"
 
 
 def allowed_text(checked: Mapping[str, Any]) -> str:
     """Return the text of the allowed values: a range, one value, or yes or no."""
-    metric, allowed = checked["metric"], str(checked["allowed"])
-    return (
-        str(tidy(metric, int(allowed)))
-        if is_yes_no(metric) and allowed in ("0", "1")
-        else allowed
-    )
+    metric = checked["metric"]
+    allowed = str(checked["allowed"])
+    if is_yes_no(metric) and allowed in ("0", "1"):
+        return str(tidy(metric, int(allowed)))
+    return allowed
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
@@ -497,6 +496,6 @@ def interval_verdict(
     for end, error in zip(interval, errors or (0.0, 0.0), strict=True):
         if abs(published - end) < UNDECIDED_ERRORS * error:
             return IntervalVerdict.UNDECIDED
-    return (
-        IntervalVerdict.WITHIN if low <= published <= high else IntervalVerdict.OUTSIDE
-    )
+    if low <= published <= high:
+        return IntervalVerdict.WITHIN
+    return IntervalVerdict.OUTSIDE

@@ -73,14 +73,13 @@ def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
         title = text.partition(";")[0].rstrip(".")
         for bounds in (node, *node.get("anyOf", ())):
             if "minimum" in bounds:
-                parameter, unit = (
-                    cls.parameter(key),
-                    node.setdefault("unit", split_unit(key)[1]),
-                )
+                parameter = cls.parameter(key)
+                unit = node.setdefault("unit", split_unit(key)[1])
                 title = text.rstrip(".").format(
                     default=from_si(key, parameter and parameter.default)
                 )
-                low, high = bounds["minimum"], bounds["maximum"]
+                low = bounds["minimum"]
+                high = bounds["maximum"]
                 text = (
                     f"{title}{'' if unit == '1' else f' in {unit}'}, {low:.10g} to"
                     f" {high:.10g}."
@@ -120,9 +119,10 @@ class Section(StrictModel):
                 has_default = (
                     parameter is not None and parameter.default is not parameter.empty
                 )
-                options = (
-                    {"default": parameter.default} if parameter and has_default else {}
-                )
+                if parameter and has_default:
+                    options = {"default": parameter.default}
+                else:
+                    options = {}
                 setattr(cls, key, Field(**options | value.keywords))
 
     @classmethod
@@ -191,11 +191,10 @@ class Section(StrictModel):
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
             value = getattr(self, key)
-            changed[key] = (
-                tuple(factor * x for x in value)
-                if isinstance(value, tuple)
-                else factor * value
-            )
+            if isinstance(value, tuple):
+                changed[key] = tuple(factor * x for x in value)
+            else:
+                changed[key] = factor * value
         copied = self.model_copy()
         copied.__dict__.update(
             changed

@@ -86,11 +86,10 @@ class SensorFile(SensorSection):
 
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has all defaults."""
-        section = (
-            self.with_defaults(*self.only["kind", "hall"])
-            if self.kind == "hall"
-            else self
-        )
+        if self.kind == "hall":
+            section = self.with_defaults(*self.only["kind", "hall"])
+        else:
+            section = self
         return section.model_dump(exclude_none=True)
 
 
@@ -118,7 +117,10 @@ class DeadSensorFile(_FaultFile):
 
     def build(self) -> DeadSensor:
         """Return the fault in SI."""
-        reading = math.nan if self.reading_rad is None else self.reading_rad
+        if self.reading_rad is None:
+            reading = math.nan
+        else:
+            reading = self.reading_rad
         return DeadSensor(self.segment, reading, self.from_s)
 
 
@@ -206,11 +208,10 @@ class PneumaticsFile(PneumaticsSection):
     def written(self) -> dict[str, Any]:
         """See `Section.written`; the section has the relevant defaults."""
         limited = self.flow_limit_l_per_min is not None
-        names = (
-            ("critical_ratio", "line_volume_ml")[: 1 + limited]
-            if self.kind == "orifice"
-            else ()
-        )
+        if self.kind == "orifice":
+            names = ("critical_ratio", "line_volume_ml")[: 1 + limited]
+        else:
+            names = ()
         return self.with_defaults(*names).model_dump(exclude_none=True)
 
 
@@ -311,14 +312,13 @@ class CoreScenarioFile(Section):
     def tick(self, plant: str) -> float:
         """Return the control tick of a plant, s; also for a plant that is not in the file."""
         section = getattr(self.plants, plant)
-        default = (
-            BENCH_TICK_S if self.bench else self.controller.gait_section.tick or TICK_S
-        )
-        return (
-            default
-            if section is None or section.tick_s is None
-            else float(section.tick_s)
-        )
+        if self.bench:
+            default = BENCH_TICK_S
+        else:
+            default = self.controller.gait_section.tick or TICK_S
+        if section is None or section.tick_s is None:
+            return default
+        return float(section.tick_s)
 
     def scaled_to(self, scale: Scale) -> Self:
         """Return the scenario with numerical defaults in the units of a robot."""

@@ -87,7 +87,8 @@ def _scenario(document: Document, name: str, changes: Overrides) -> Scenario:
     for change in changes:
         _set(document, change)
     file, loading = _checked(document)
-    robot, world = loading.robot, loading.world
+    robot = loading.robot
+    world = loading.world
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
         text = (
@@ -143,7 +144,8 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
     )
     if file and robot:
         file = file.scaled_to(robot.scale)
-    world, loading = World(), None
+    world = World()
+    loading = None
     if file:
         with document.report_errors("world", "pegs" if file.world.pegs else "random"):
             length = robot.scale.length if robot else 1.0
@@ -160,7 +162,9 @@ def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
 
 def _build_parts(file: ScenarioFile, loading: Loading) -> None:
     """Build the parts that depend on the robot and check them; problems are reported to the document."""
-    document, robot, products = loading.document, loading.robot, loading.products
+    document = loading.document
+    robot = loading.robot
+    products = loading.products
     # Check the controller last, because it needs the products of all sections.
     products |= {key: section.read(loading) for key, section in file.sections().items()}
     if file.controller.is_ready(products):

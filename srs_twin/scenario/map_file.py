@@ -78,7 +78,9 @@ class MapFile(StrictModel):
     @field_validator("mode", mode="before")
     @classmethod
     def _any_case(cls, mode: object) -> object:
-        return mode.lower() if isinstance(mode, str) else mode
+        if isinstance(mode, str):
+            return mode.lower()
+        return mode
 
     @field_validator("origin", mode="before")
     @classmethod
@@ -87,7 +89,9 @@ class MapFile(StrictModel):
         if isinstance(value, str) and _QUOTED_LIST.fullmatch(value):
             value = [float(number) for number in _NUMBER.findall(value)]
         # A strict model accepts only a tuple from a validator in Python.
-        return tuple(value) if isinstance(value, list) else value
+        if isinstance(value, list):
+            return tuple(value)
+        return value
 
     @field_validator("negate", mode="before")
     @classmethod
@@ -121,7 +125,8 @@ class MapFile(StrictModel):
         """Return a mask of occupied and unknown cells; the arguments are the results of `_picture`."""
         whole = 3 * white
         if self.mode == "trinary" and alpha is not None:
-            colour, whole = colour + alpha, 4 * white
+            colour = colour + alpha
+            whole = 4 * white
         levels = np.arange(whole + 1)
         above = (levels if self.negate else whole - levels) / whole - self.free_thresh
         occupied = above >= 0
@@ -153,7 +158,8 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
     document.raise_problems()
     assert file is not None, "no problem was reported"
     size, (x, y, turn) = file.resolution, file.origin
-    c, s = math.cos(turn), math.sin(turn)
+    c = math.cos(turn)
+    s = math.sin(turn)
     polygons = []
     for column, row, right, top in rectangles:
         corners = ((column, row), (right, row), (right, top), (column, top))
@@ -185,7 +191,8 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
         InputError: the file cannot be read, a column is missing, or a row is not a
             circle.
     """
-    name, rows = display_path(path), csv.DictReader(read_text(path).splitlines())
+    name = display_path(path)
+    rows = csv.DictReader(read_text(path).splitlines())
     missing = [
         column for column in CIRCLE_COLUMNS if column not in (rows.fieldnames or ())
     ]
@@ -226,12 +233,14 @@ def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
             if raw.startswith(_PNG):
                 width, height = struct.unpack_from(">II", raw.ljust(24, b"\0"), 16)
             elif header := _PGM.match(raw):
-                width, height = int(header[2]), int(header[3])
+                width = int(header[2])
+                height = int(header[3])
             else:
                 other = _OTHERS.match(raw)
-                what = (
-                    f"{other.lastgroup} is not read" if other else "neither PNG nor PGM"
-                )
+                if other:
+                    what = f"{other.lastgroup} is not read"
+                else:
+                    what = "neither PNG nor PGM"
                 raise InputError(f"{name}: {what}; save it as PNG or PGM")
             if not 0 < width * height <= MAX_PIXELS:
                 allowed = f"1 to {MAX_PIXELS:,} are allowed; crop it or reduce its size"
@@ -334,7 +343,8 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     edges = np.flatnonzero(
         np.diff(np.pad(full, ((0, 0), (0, 1))).ravel(), prepend=False)
     )
-    begin, end = edges[::2], edges[1::2]
+    begin = edges[::2]
+    end = edges[1::2]
 
     def has_equal(shift: int) -> np.ndarray:
         at = np.minimum(np.searchsorted(begin, begin + shift), len(begin) - 1)
@@ -353,7 +363,8 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     first, last = (
         x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last)
     )
-    left, bottom = begin[first] % width, begin[first] // width
+    left = begin[first] % width
+    bottom = begin[first] // width
     corners = np.transpose([left, bottom, end[first] % width, begin[last] // width + 1])
     rectangles: list[list[int]] = corners.tolist()
     return rectangles

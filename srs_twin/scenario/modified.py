@@ -93,7 +93,8 @@ def changed_fields(
         if change["field"] == PLANTS and PLANTS not in paths
     ]
     for field, path in paths.items():
-        was, now = known.get(field, _value(before, path)), _value(after, path)
+        was = known.get(field, _value(before, path))
+        now = _value(after, path)
         if was != now:
             changes.append({"field": field, "from": was, "to": now})
     return changes
@@ -117,7 +118,9 @@ def with_plants(
 
 def marked(title: str, changes: Changes) -> str:
     """Return a title with the changed fields, or with their number if they are too long."""
-    return f"{title} (modified: {changes_text(changes)})" if changes else title
+    if changes:
+        return f"{title} (modified: {changes_text(changes)})"
+    return title
 
 
 def changes_text(changes: Changes) -> str:
@@ -125,7 +128,10 @@ def changes_text(changes: Changes) -> str:
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
     if len(text) > _MAX_TITLE_LENGTH:
-        text = f"{len(changes)} fields" if len(changes) > 1 else changes[0]["field"]
+        if len(changes) > 1:
+            text = f"{len(changes)} fields"
+        else:
+            text = changes[0]["field"]
     return text
 
 
@@ -139,7 +145,9 @@ def text_of(value: object) -> str:
         case list() if not any(isinstance(item, list | dict) for item in value):
             return ", ".join(map(text_of, value)) or "none"
         case str():
-            return PurePath(value).name if "/" in value else value.partition(_DIGEST)[0]
+            if "/" in value:
+                return PurePath(value).name
+            return value.partition(_DIGEST)[0]
     return json.dumps(value, ensure_ascii=False)
 
 
@@ -193,7 +201,10 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
         dict.fromkeys(f"{row['of']} {row['metric']}" for row in left_out)
     )
     fields = dict.fromkeys(field for row in left_out for field in row["because"])
-    count = "1 expectation" if len(left_out) == 1 else f"{len(left_out)} expectations"
+    if len(left_out) == 1:
+        count = "1 expectation"
+    else:
+        count = f"{len(left_out)} expectations"
     changed = f"{', '.join(fields)} {'was' if len(fields) == 1 else 'were'} changed"
     return [
         f"left out: {count} of the unmodified scenario ({metrics}), because {changed}"
@@ -209,7 +220,8 @@ def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
     if loc == ("robot",) and _value(before, loc) != _value(after, loc):
         yield loc
         return
-    one, other = _at(before, loc), _at(after, loc)
+    one = _at(before, loc)
+    other = _at(after, loc)
     if not (_is_block(one) and _is_block(other)):
         if _value(before, loc) != _value(after, loc):
             yield loc

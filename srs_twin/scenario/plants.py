@@ -173,11 +173,9 @@ class TwinFile(_PlantFile):
 
     def build_contact(self) -> Contact:
         """Return the contact."""
-        return (
-            LoadedContact(self.law)
-            if self.contact == "loaded"
-            else PreloadedContact(self.wheels)
-        )
+        if self.contact == "loaded":
+            return LoadedContact(self.law)
+        return PreloadedContact(self.wheels)
 
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
         """Return the arguments of `TwinSnake`."""
@@ -205,11 +203,9 @@ class TwinFile(_PlantFile):
 
 def preset_timestep(preset: object) -> float | None:
     """Return the time step of a preset, s; the default without one, None for an unknown one."""
-    return (
-        PRESETS.get(str(preset), {}).get("timestep")
-        if preset
-        else ModelSettings.timestep
-    )
+    if preset:
+        return PRESETS.get(str(preset), {}).get("timestep")
+    return ModelSettings.timestep
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:

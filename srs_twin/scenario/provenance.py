@@ -189,11 +189,9 @@ def _without_words(data: object) -> object:
             for key, value in data.items()
             if key not in WORDS
         }
-    return (
-        [_without_words(item) for item in data]
-        if isinstance(data, list | tuple)
-        else data
-    )
+    if isinstance(data, list | tuple):
+        return [_without_words(item) for item in data]
+    return data
 
 
 def digest_of(**data: object) -> str:
@@ -262,7 +260,8 @@ def source_digests(module: str) -> dict[str, str]:
 
 def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
     """Yield name and digest of a module and of all modules that it imports, directly or indirectly."""
-    to_read, seen = [module], set()
+    to_read = [module]
+    seen = set()
     while to_read:
         name = to_read.pop()
         if (

@@ -43,7 +43,9 @@ def ignored_obstacles(
     ignores = (
         "analytical" in plants and world.has_obstacles and not (touches or file.bench)
     )
-    return (IGNORED_OBSTACLES,) if ignores else ()
+    if ignores:
+        return (IGNORED_OBSTACLES,)
+    return ()
 
 
 @dataclass(frozen=True)
@@ -245,9 +247,10 @@ class Scenario:
             robot = replace(robot, geometry=replace(robot.geometry, rigid_gap=0.0))
         if "pneumatics" not in changes:
             arguments["pneumatics"] = self._chambers(robot)
-        arguments["world"] = (
-            None if self.file.bench else arguments.get("world", self.world)
-        )
+        if self.file.bench:
+            arguments["world"] = None
+        else:
+            arguments["world"] = arguments.get("world", self.world)
         if kind == "analytical":
             return AnalyticalSnake(robot, **arguments)
         from srs_twin.plants.twin.snake import TwinSnake
@@ -294,4 +297,6 @@ class Scenario:
         sensor = self.file.sensor.sensor(robot)
         faults = (fault.build() for fault in self.file.faults)
         dead = tuple(fault for fault in faults if isinstance(fault, DeadSensor))
-        return FaultySensor(sensor, dead) if dead else sensor
+        if dead:
+            return FaultySensor(sensor, dead)
+        return sensor

@@ -132,7 +132,8 @@ class StartFile(Section):
 
         pressure = per_segment("pressure_kpa", 2)
         if pressure.max() > supply_pa * (1 + 1e-9):
-            given, limit = pressure.max() / 1000, supply_pa / 1000
+            given = pressure.max() / 1000
+            limit = supply_pa / 1000
             raise InputError(
                 f"pressure_kpa {given:g} is above the supply pressure, {limit:g} kPa"
             )
@@ -229,7 +230,8 @@ def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionSt
     fit = np.polynomial.polynomial.polyfit(
         times[near] - time, columns[near], len(times[near]) - 1
     )
-    now, rate = fit[0], fit[1]
+    now = fit[0]
+    rate = fit[1]
     count = 3 + segments
     return _MotionState(
         now[:2],

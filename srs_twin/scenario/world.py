@@ -156,7 +156,9 @@ class RandomFile(Section):
         area = self.area or bounds
         clear = tuple((place.x, place.y, self.clear_m) for place in places)
         arguments = self.arguments() | {"seed": seed, "clear": clear}
-        return random_circles(bounds=area.build(), **arguments) if area else ()
+        if area:
+            return random_circles(bounds=area.build(), **arguments)
+        return ()
 
 
 class PegsFile(Section):
@@ -202,7 +204,10 @@ class PegsFile(Section):
         Raises:
             InputError: displaced posts could overlap.
         """
-        x = start.x + PEG_DISTANCE_M * length if self.x_m is None else self.x_m
+        if self.x_m is None:
+            x = start.x + PEG_DISTANCE_M * length
+        else:
+            x = self.x_m
         first = x, start.y if self.y_m is None else self.y_m
         arguments = self.arguments() | {
             "first": first,
@@ -317,7 +322,9 @@ class WorldFile(Section):
 
     def scaled_to(self, scale: Scale) -> WorldFile:
         """Return the section with the lengths that the file does not set in the units of a robot."""
-        goal, random, unit = self.goal, self.random, scale.length
+        goal = self.goal
+        random = self.random
+        unit = scale.length
         scaled = self.model_copy()
         if goal is not None:
             scaled.__dict__["goal"] = goal.with_scaled_defaults(["radius_m"], unit)
@@ -344,7 +351,8 @@ class WorldFile(Section):
             number: number among round obstacles, polygons and objects, from 0.
             world: result of `build_world`.
         """
-        round_ones, polygons = len(world.obstacles), len(world.polygons)
+        round_ones = len(world.obstacles)
+        polygons = len(world.polygons)
         firsts = {
             "obstacles": 0,
             "polygons": round_ones,
@@ -356,7 +364,9 @@ class WorldFile(Section):
         drawn = [
             key for key in ("pegs", "random", "circles", "map") if getattr(self, key)
         ]
-        return tuple(drawn) if len(drawn) == 1 else ()
+        if len(drawn) == 1:
+            return tuple(drawn)
+        return ()
 
     def build_world(self, start: Pose, seed: int, length: float = 1.0) -> World:
         """Return the world of a snake that starts at a pose.
@@ -372,9 +382,15 @@ class WorldFile(Section):
         """
         goal = self.goal.build() if self.goal else None
         places = [start, goal] if goal else [start]
-        random = self.random.draw(self.bounds, seed, places) if self.random else ()
+        if self.random:
+            random = self.random.draw(self.bounds, seed, places)
+        else:
+            random = ()
         pegs = self.pegs.draw(start, seed, length) if self.pegs else ()
-        listed = read_circles(Path(self.circles)) if self.circles else ()
+        if self.circles:
+            listed = read_circles(Path(self.circles))
+        else:
+            listed = ()
         return World(
             obstacles=tuple(circle.build() for circle in self.obstacles)
             + listed

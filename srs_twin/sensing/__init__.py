@@ -53,7 +53,9 @@ def make_sensor(
         raise InputError(f"this sensor has no options; leave out {', '.join(options)}")
     sensor: Sensor
     if isinstance(kind, Sensor):
-        return TwoAxisSensor(kind) if spec.is_spatial and kind.axes == 1 else kind
+        if spec.is_spatial and kind.axes == 1:
+            return TwoAxisSensor(kind)
+        return kind
     if kind == IdealSensor.kind:
         sensor = IdealSensor()
     elif kind in KINDS:
@@ -63,7 +65,9 @@ def make_sensor(
     modules = spec.modules
     if any(gain != 1 for gain in modules.sensor_gain) or any(modules.sensor_bias):
         sensor = DriftedSensor(sensor, modules.sensor_gain, modules.sensor_bias)
-    return TwoAxisSensor(sensor) if spec.is_spatial else sensor
+    if spec.is_spatial:
+        return TwoAxisSensor(sensor)
+    return sensor
 
 
 def _hall_sensor(spec: RobotSpec, span: float, options: dict[str, Any]) -> Sensor:

@@ -419,7 +419,8 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
         InputError: there are fewer than 3 pairs, a value is not finite, or all voltages
             are equal.
     """
-    voltage, angle = np.asarray(voltage, dtype=float), np.asarray(angle, dtype=float)
+    voltage = np.asarray(voltage, dtype=float)
+    angle = np.asarray(angle, dtype=float)
     if voltage.ndim != 1 or voltage.shape != angle.shape or len(voltage) < 3:
         raise InputError(
             "a calibration needs 3 or more pairs of voltage and angle, not"
@@ -427,13 +428,15 @@ def fit_line(voltage: Array, angle: Array) -> Calibration:
         )
     if not (np.isfinite(voltage).all() and np.isfinite(angle).all()):
         raise InputError("voltages and angles of a calibration must be finite")
-    low, high = float(voltage.min()), float(voltage.max())
+    low = float(voltage.min())
+    high = float(voltage.max())
     if low == high or (np.diff(angle) <= 0).any():
         raise InputError(
             f"voltages from {low:g} to {high:g} V do not give a line: the voltage must"
             " change, and the angles must ascend"
         )
-    v, q = voltage - voltage.mean(), angle - angle.mean()
+    v = voltage - voltage.mean()
+    q = angle - angle.mean()
     slope = float(v @ q / (v @ v))
     intercept = float(angle.mean() - slope * voltage.mean())
     steps = np.diff(voltage)

@@ -58,8 +58,6 @@ def events_of(run: Trajectory) -> list[Event]:
 def end_event(run: Trajectory) -> list[Event]:
     """Return the end of a run as an event if the run ended early."""
     by = run.metadata.get("ended_by")
-    return (
-        []
-        if by is None
-        else [Event(float(run.time[-1]), "ended", f"the run, by its {by}")]
-    )
+    if by is None:
+        return []
+    return [Event(float(run.time[-1]), "ended", f"the run, by its {by}")]

@@ -98,7 +98,8 @@ class WarpBatch(Claimable):
         )
         for twin in distinct:
             _check_supported(twin, distinct[0])
-        self.tick, self._h = distinct[0].tick, distinct[0].timestep
+        self.tick = distinct[0].tick
+        self._h = distinct[0].timestep
         self.origins = np.zeros((len(self), 2))
         self._engine = DeviceEngine(
             self._robots, self._robot_of_run, self.device, deterministic
@@ -183,14 +184,14 @@ class WarpBatch(Claimable):
             InputError: the number of poses is wrong, or a start is too far from the
                 origin in a world with obstacles.
         """
-        chosen = (
-            np.arange(len(self)) if worlds is None else np.asarray(worlds, dtype=int)
-        )
-        places = (
-            np.zeros((len(chosen), 3))
-            if poses is None
-            else np.array(poses, dtype=float).reshape(-1, 3)
-        )
+        if worlds is None:
+            chosen = np.arange(len(self))
+        else:
+            chosen = np.asarray(worlds, dtype=int)
+        if poses is None:
+            places = np.zeros((len(chosen), 3))
+        else:
+            places = np.array(poses, dtype=float).reshape(-1, 3)
         if len(places) != len(chosen):
             raise InputError(
                 f"poses: {len(places)} were given for {len(chosen)} runs; give one"
@@ -201,11 +202,9 @@ class WarpBatch(Claimable):
             self._robots[k].reset(seed=seed)
         if worlds is None:
             self.errors = [None] * len(self)
-            self._time, self._begun, self._unobserved_steps = (
-                0.0,
-                np.zeros(len(self)),
-                0,
-            )
+            self._begun = np.zeros(len(self))
+            self._time = 0.0
+            self._unobserved_steps = 0
             self._engine.count.zero_()
         self._begun[chosen] = self._time
         for k in chosen:
@@ -215,7 +214,8 @@ class WarpBatch(Claimable):
         self.origins[chosen] = origins
         x, y = (places[:, :2] - origins).T
         yaw = places[:, 2]
-        c, s = np.cos(yaw), np.sin(yaw)
+        c = np.cos(yaw)
+        s = np.sin(yaw)
         qpos[:, 0], qpos[:, 1] = (
             x + c * qpos[:, 0] - s * qpos[:, 1],
             y + s * qpos[:, 0] + c * qpos[:, 1],
@@ -223,7 +223,8 @@ class WarpBatch(Claimable):
         qpos[:, 2] += _INITIAL_LIFT
         # Quaternion of the yaw times the present one.
         w, i, j, k = qpos[:, 3:7].T
-        a, b = np.cos(yaw / 2), np.sin(yaw / 2)
+        a = np.cos(yaw / 2)
+        b = np.sin(yaw / 2)
         qpos[:, 3:7] = np.stack(
             [a * w - b * k, a * i - b * j, a * j + b * i, a * k + b * w], axis=1
         )
@@ -233,11 +234,10 @@ class WarpBatch(Claimable):
             if physics.stepper is not None
         ]
         self._engine.rest(chosen, qpos, states)
-        theta = (
-            np.zeros((len(self), self.twins[0].spec.geometry.connectors))
-            if worlds is None
-            else self._theta
-        )
+        if worlds is None:
+            theta = np.zeros((len(self), self.twins[0].spec.geometry.connectors))
+        else:
+            theta = self._theta
         theta[chosen] = yaw[:, None]
         self._theta = theta
         self.state = self._last_state(
@@ -294,7 +294,8 @@ class WarpBatch(Claimable):
         Raises:
             InputError: wrong shape or type, or a state that the valves do not have.
         """
-        shape, segments = tuple(valves.shape), self.twins[0].spec.segments
+        shape = tuple(valves.shape)
+        segments = self.twins[0].spec.segments
         if (
             len(shape) not in (3, 4)
             or shape[0] != len(self)
@@ -313,11 +314,10 @@ class WarpBatch(Claimable):
                 raise InputError(
                     f"valves on a device must be int32, not {commands.dtype.__name__}"
                 )
-        commands = (
-            commands
-            if commands.ndim == 4
-            else commands.reshape((len(self), 1, segments, 2))
-        )
+        if commands.ndim == 4:
+            commands = commands
+        else:
+            commands = commands.reshape((len(self), 1, segments, 2))
         most = self._engine.slots * self._engine.steps
         if commands.shape[1] > most:
             raise InputError(
@@ -337,10 +337,8 @@ class WarpBatch(Claimable):
         if not any(schedules):
             return [None] * len(self)
         span = max(schedule.span for schedule in schedules if schedule is not None)
-        ticks, slots = (
-            count_steps("span", span, "tick", self.tick),
-            self._engine.slots * self._engine.steps,
-        )
+        ticks = count_steps("span", span, "tick", self.tick)
+        slots = self._engine.slots * self._engine.steps
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(
                 f"{samples} samples in {ticks} ticks are not possible with engine"
@@ -385,7 +383,8 @@ class WarpBatch(Claimable):
 
         They have the DLPack interface. Positions in `qpos` are relative to `origins`.
         """
-        chambers, data = self._engine.structs["chambers"], self._engine.data
+        chambers = self._engine.structs["chambers"]
+        data = self._engine.data
         return {
             "qpos": data.qpos,
             "qvel": data.qvel,
@@ -408,10 +407,13 @@ class WarpBatch(Claimable):
         interval = count_steps(
             "sample interval", steps * self._h / samples, "time step", self._h
         )
-        rows, times, passed = [], np.empty(samples), np.empty(samples)
+        rows = []
+        times = np.empty(samples)
+        passed = np.empty(samples)
         for k in range(samples):
             self.run(interval, gait=gait)
-            times[k], passed[k] = self._time, self._unobserved_steps
+            times[k] = self._time
+            passed[k] = self._unobserved_steps
             rows.append(self._observe())
         running = [error is None for error in self.errors]
         together = self._history(rows, times, passed)
@@ -450,7 +452,9 @@ class WarpBatch(Claimable):
             float(np.asarray(history.time)[last]),
             "the state is no longer finite",
         )
-        return history.at(slice(0, last)) if last else None
+        if last:
+            return history.at(slice(0, last))
+        return None
 
     def _observe(self) -> Any:
         self._unobserved_steps = 0
@@ -475,7 +479,8 @@ class WarpBatch(Claimable):
             for name, a, b in zip(widths, ends[:-1], ends[1:], strict=True)
         }
         shape = table.shape[:2]
-        physics, spec = self._robots[0].physics, self._robots[0].spec
+        physics = self._robots[0].physics
+        spec = self._robots[0].spec
         connectors = cut["connectors"].reshape(*shape, -1, 4)
         chambers = cut["chambers"].reshape(*shape, -1, 7)
         bend, rate = physics.bends_and_rates(cut["qpos"], cut["qvel"])
@@ -489,11 +494,14 @@ class WarpBatch(Claimable):
         obstacles = cut["obstacles"].reshape(*shape, -1, 3) / steps[:, None, None, None]
         if self._engine.loaded:
             obstacles = obstacles + force[..., wheels:, :]
-        torque, sensed, stored = np.empty_like(bend), bend.copy(), np.empty(shape)
+        torque = np.empty_like(bend)
+        sensed = bend.copy()
+        stored = np.empty(shape)
         for number, twin in enumerate(self._robots):
             mine = self._robot_of_run == number
             own = chambers[:, mine]
-            free, free_rate = own[..., 5] + twin.spec.modules.array("bias"), own[..., 6]
+            free = own[..., 5] + twin.spec.modules.array("bias")
+            free_rate = own[..., 6]
             torque[:, mine] = twin.spec.bending.moment(
                 free - bend[:, mine], free_rate - rate[:, mine]
             )
@@ -550,7 +558,8 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
             twin.touches and not isinstance(twin.contact, LoadedContact)
         ),
     }
-    settings, first_settings = twin.identity(), first.identity()
+    settings = twin.identity()
+    first_settings = first.identity()
     same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
     same -= (
         set() if twin.touches or first.touches else {"world"}

@@ -73,16 +73,17 @@ class DeviceEngine:
         Raises:
             InputError: the robots differ in a property that all worlds share.
         """
-        self._robots, self._robot_of_run, self._device = robots, robot_of_run, device
-        self._worlds, self._segments = len(robot_of_run), robots[0].spec.segments
+        self._robots = robots
+        self._robot_of_run = robot_of_run
+        self._device = device
+        self._worlds = len(robot_of_run)
+        self._segments = robots[0].spec.segments
         self.loaded = isinstance(robots[0].contact, LoadedContact)
         models = [twin.physics.model for twin in self._robots]
         raw = copy.copy(models[0])
         raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
-        raw.opt.solver, raw.opt.iterations = (
-            mujoco.mjtSolver.mjSOL_NEWTON,
-            _MAX_ITERATIONS,
-        )
+        raw.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
+        raw.opt.iterations = _MAX_ITERATIONS
         data = mujoco.MjData(raw)
         mujoco.mj_resetDataKeyframe(raw, data, 0)
         mujoco.mj_forward(raw, data)
@@ -91,9 +92,11 @@ class DeviceEngine:
             # A contact that just touches has no row yet.
             "njmax": _CAPACITY_FACTOR * max(data.nefc, data.ncon, 8),
         }
-        tick, h = robots[0].tick, robots[0].timestep
+        tick = robots[0].tick
+        h = robots[0].timestep
         slot = self._slot = min(valve_slot(tick, robots[0].spec.scale), h)
-        self.slots, self.steps = round(h / slot), round(tick / h)
+        self.slots = round(h / slot)
+        self.steps = round(tick / h)
         segments = self._segments
         with wp.ScopedDevice(self._device):
             self._model = mjw.put_model(raw)
@@ -120,7 +123,8 @@ class DeviceEngine:
 
     def _copy_records(self, qpos: np.ndarray) -> dict[str, WarpStruct]:
         """Copy the records of all worlds to the device; return their structs by name."""
-        segments, addresses = self._segments, self._robots[0].physics.sensor_addresses
+        segments = self._segments
+        addresses = self._robots[0].physics.sensor_addresses
         hulls = len(addresses.obstacle_force)
         contacts = len(addresses.floor_force) + (hulls if self.loaded else 0)
         self._chambers = [
@@ -128,7 +132,8 @@ class DeviceEngine:
             for twin in self._robots
             if isinstance(twin.pneumatics, LagPneumatics)
         ]
-        empty, rest = np.zeros((segments, 2)), np.zeros(segments)
+        empty = np.zeros((segments, 2))
+        rest = np.zeros(segments)
         whole = empty.astype(int)
         forces = np.zeros((contacts, 3))
         records: dict[str, Sequence[Any]] = {
@@ -174,9 +179,10 @@ class DeviceEngine:
         self.structs["bodies"] = self._views(structs["bodies"], BodyViews._fields)
         self.structs["addresses"] = structs["addresses"].single()
         for name, value in addresses._asdict().items():
-            on_device = (
-                wp.array(value, dtype=int) if isinstance(value, np.ndarray) else value
-            )
+            if isinstance(value, np.ndarray):
+                on_device = wp.array(value, dtype=int)
+            else:
+                on_device = value
             setattr(self.structs["addresses"], name, on_device)
         if self.loaded:
             engine = solves[0]["engine"]
@@ -219,8 +225,12 @@ class DeviceEngine:
 
     def _launch(self, gait: bool) -> None:
         """Launch the kernels of one time step."""
-        k, structs, data, model = self._kernels, self.structs, self.data, self._model
-        segments, worlds = (self._worlds, self._segments), self._worlds
+        k = self._kernels
+        structs = self.structs
+        data = self.data
+        model = self._model
+        segments = (self._worlds, self._segments)
+        worlds = self._worlds
         accumulators = structs["accumulators"]
         if gait:
             wp.launch(
@@ -249,7 +259,8 @@ class DeviceEngine:
         else:
             names = "engine", "contacts", "sparsity", "contact_state", "work"
             friction = [structs[name] for name in names]
-            engine, work = structs["engine"], structs["work"]
+            engine = structs["engine"]
+            work = structs["work"]
             wp.launch(k.begin_step, dim=worlds, inputs=[engine, work, accumulators])
             mjw.step1(model, data)
             wp.launch(k.apply_friction, dim=worlds, inputs=friction)
@@ -300,7 +311,8 @@ class DeviceEngine:
             self._internal_loss,
         ):
             self._set(array, chosen, 0.0)
-        chambers, accumulators = self.structs["chambers"], self.structs["accumulators"]
+        chambers = self.structs["chambers"]
+        accumulators = self.structs["accumulators"]
         for name in ("pressure", "linear", "bend", "bend_rate", "openings", "drawn"):
             self._set(getattr(chambers, name), chosen, 0)
         self._set(chambers.valves, chosen, -1)
@@ -329,7 +341,8 @@ class DeviceEngine:
     def command(self, commands: wp.array) -> None:
         """Set the valve states of each tick from now on, shape (worlds, slots, segments, 2)."""
         if commands.shape != self._commands.shape:
-            self._commands, self._graphs = wp.empty_like(commands), {}
+            self._commands = wp.empty_like(commands)
+            self._graphs = {}
         wp.copy(self._commands, commands)
 
     def update_supply_pressure(self) -> None:
@@ -366,7 +379,9 @@ class DeviceEngine:
 
     def observe(self) -> Any:
         """Return an observation of all worlds on the device, one row per world; reset the accumulators."""
-        structs, data, model = self.structs, self.data, self._model
+        structs = self.structs
+        data = self.data
+        model = self._model
         out = wp.zeros(
             (self._worlds, sum(self.widths.values())), dtype=float, device=self._device
         )

@@ -127,7 +127,8 @@ def build_kernels(
             `sparsity`, `contact_state` and `work`.
         settings: constants that are the same for all worlds.
     """
-    functions, loaded = warp_functions(), "work" in structs
+    functions = warp_functions()
+    loaded = "work" in structs
     kernels = _valve_kernels(structs["wave"], settings)
     kernels |= _chamber_kernel(
         structs["relaxation"], structs["chambers"], settings, functions
@@ -148,9 +149,12 @@ def build_kernels(
 
 def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
     """Return the kernels that set the valve states of a step's slots."""
-    GaitWaves, wave_of = wave.batched, wave.select
+    GaitWaves = wave.batched
+    wave_of = wave.select
     # Warp takes these as compile-time constants.
-    SLOT, SLOTS, TICK = settings.slot, settings.slots, settings.tick
+    SLOT = settings.slot
+    SLOTS = settings.slots
+    TICK = settings.tick
 
     @wp.kernel(**_OPTIONS)
     def set_commands(
@@ -197,10 +201,14 @@ def _chamber_kernel(
 ) -> Kernels:
     """Return the kernel that advances the chambers over a step."""
     bend_law = functions["apply_bend_law"]
-    segment, filling = functions["advance_segment"], functions["filling_content"]
-    Relaxations, relaxation_of = relaxation.batched, relaxation.select
-    ChamberStates, chambers_of = chambers.batched, chambers.select
-    SLOTS, END_WEIGHT = settings.slots, 0.5 if settings.mean_control else 0.0
+    segment = functions["advance_segment"]
+    filling = functions["filling_content"]
+    Relaxations = relaxation.batched
+    relaxation_of = relaxation.select
+    ChamberStates = chambers.batched
+    chambers_of = chambers.select
+    SLOTS = settings.slots
+    END_WEIGHT = 0.5 if settings.mean_control else 0.0
 
     @wp.kernel(**_OPTIONS)
     def advance_chambers(
@@ -211,7 +219,8 @@ def _chamber_kernel(
     ):
         """Advance the chambers over a step, slot by slot, and set the controls of the bodies."""
         i, j = wp.tid()
-        law, air = relaxation_of(relaxations, i), chambers_of(all_chambers, i)
+        law = relaxation_of(relaxations, i)
+        air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
         driven = (
             air.bend[j] + law.damping_time * air.bend_rate[j]
@@ -273,9 +282,13 @@ def _accumulation_kernel(
         h: time step, s.
         loaded: whether the contacts are loaded.
     """
-    AllAccumulators, accumulators_of = accumulators.batched, accumulators.select
-    ChamberStates, chambers_of = chambers.batched, chambers.select
-    Addresses, H, LOADED = addresses, h, loaded
+    AllAccumulators = accumulators.batched
+    accumulators_of = accumulators.select
+    ChamberStates = chambers.batched
+    chambers_of = chambers.select
+    Addresses = addresses
+    H = h
+    LOADED = loaded
 
     @wp.kernel(**_OPTIONS)
     def accumulate(
@@ -302,7 +315,8 @@ def _accumulation_kernel(
             speed = qvel[i, at.out_of_plane[n]]
             internal_power += damping[i, at.out_of_plane[n]] * speed * speed
         internal_loss[i] = internal_loss[i] + wp.float64(H * internal_power)
-        sums, power = accumulators_of(all_accumulators, i), float(0.0)
+        sums = accumulators_of(all_accumulators, i)
+        power = float(0.0)
         for w in range(at.floor_force.shape[0]):
             if not LOADED:
                 # The force of the previous step acts with the velocity that the sensors
@@ -332,12 +346,12 @@ def _accumulation_kernel(
 
 def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
     """Return the kernel that writes an observation."""
-    AllBodies, bodies_of = structs["bodies"].batched, structs["bodies"].select
-    ChamberStates, chambers_of = structs["chambers"].batched, structs["chambers"].select
-    AllAccumulators, accumulators_of = (
-        structs["accumulators"].batched,
-        structs["accumulators"].select,
-    )
+    AllBodies = structs["bodies"].batched
+    bodies_of = structs["bodies"].select
+    ChamberStates = structs["chambers"].batched
+    chambers_of = structs["chambers"].select
+    AllAccumulators = structs["accumulators"].batched
+    accumulators_of = structs["accumulators"].select
     Addresses = structs["addresses"].single
 
     @wp.kernel(**_OPTIONS)
@@ -352,8 +366,10 @@ def _observation_kernel(structs: Mapping[str, WarpStruct]) -> Kernels:
     ):
         """Write the observation of each world into a row of `out`, and reset the accumulators."""
         i = wp.tid()
-        body, air = bodies_of(bodies, i), chambers_of(all_chambers, i)
-        sums, k = accumulators_of(all_accumulators, i), int(0)
+        body = bodies_of(bodies, i)
+        air = chambers_of(all_chambers, i)
+        sums = accumulators_of(all_accumulators, i)
+        k = int(0)
         for n in range(body.qpos.shape[0]):
             out[i, k] = body.qpos[n]
             k += 1
@@ -407,16 +423,16 @@ def integrate_position(
     speed = wp.length(rotation)
     half = 0.5 * h * speed
     axis = rotation / wp.max(speed, 1e-20)
-    w, x, y, z = qpos[3], qpos[4], qpos[5], qpos[6]
-    c, u = wp.cos(half), wp.sin(half) * axis
-    a, b = (
-        c * w - x * u[0] - y * u[1] - z * u[2],
-        c * x + w * u[0] + y * u[2] - z * u[1],
-    )
-    d, e = (
-        c * y + w * u[1] + z * u[0] - x * u[2],
-        c * z + w * u[2] + x * u[1] - y * u[0],
-    )
+    w = qpos[3]
+    x = qpos[4]
+    y = qpos[5]
+    z = qpos[6]
+    c = wp.cos(half)
+    u = wp.sin(half) * axis
+    a = c * w - x * u[0] - y * u[1] - z * u[2]
+    b = c * x + w * u[0] + y * u[2] - z * u[1]
+    d = c * y + w * u[1] + z * u[0] - x * u[2]
+    e = c * z + w * u[2] + x * u[1] - y * u[0]
     size = 1.0 / wp.sqrt(a * a + b * b + d * d + e * e)
     qpos[3] = size * a
     qpos[4] = size * b
@@ -430,9 +446,12 @@ def _middle_kernels(
     structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any
 ) -> Kernels:
     """Return the kernels of loaded contact that move to mid-step, before and after the engine's step."""
-    Engines, engine_of = structs["engine"].batched, structs["engine"].select
-    Workspaces, work_of = structs["work"].batched, structs["work"].select
-    AllAccumulators, H = structs["accumulators"].batched, h
+    Engines = structs["engine"].batched
+    engine_of = structs["engine"].select
+    Workspaces = structs["work"].batched
+    work_of = structs["work"].select
+    AllAccumulators = structs["accumulators"].batched
+    H = h
 
     @wp.kernel(**_OPTIONS)
     def begin_step(
@@ -440,7 +459,8 @@ def _middle_kernels(
     ):
         """Store v₋ and move to mid-step."""
         i = wp.tid()
-        engine, work = engine_of(engines, i), work_of(works, i)
+        engine = engine_of(engines, i)
+        work = work_of(works, i)
         for k in range(engine.qvel.shape[0]):
             work.v_start[k] = engine.qvel[k]
         integrate_position(engine.qpos, engine.qvel, 0.5 * H)
@@ -456,7 +476,8 @@ def _middle_kernels(
     ):
         """Take v̂ from the engine's step and restore the positions at mid-step."""
         i = wp.tid()
-        engine, work = engine_of(engines, i), work_of(works, i)
+        engine = engine_of(engines, i)
+        work = work_of(works, i)
         for k in range(engine.qvel.shape[0]):
             work.v_predicted[k] = engine.qvel[k]
             engine.qfrc_bias[k] = bias[i, k]
@@ -514,12 +535,11 @@ def _friction_kernels(
     ):
         """Solve for friction, move to the end of the step, and record the friction."""
         i = wp.tid()
-        engine, contact, state = (
-            engine_of(engines, i),
-            contacts_of(contacts, i),
-            state_of(states, i),
-        )
-        work, sums = work_of(works, i), accumulators_of(all_accumulators, i)
+        engine = engine_of(engines, i)
+        contact = contacts_of(contacts, i)
+        state = state_of(states, i)
+        work = work_of(works, i)
+        sums = accumulators_of(all_accumulators, i)
         solve_friction(engine, contact, sparsity_of(sparsities, i), state, work, H)
         power = store_friction(contact, state, work, sums.step_force)
         energy_loss[i] = energy_loss[i] + wp.float64(H * power)

@@ -45,7 +45,8 @@ def as_warp_functions(
         copy = FunctionType(
             plain.__code__, {**plain.__globals__, **namespace}, plain.__name__
         )
-        copy.__module__, copy.__qualname__ = plain.__module__, f"warp_{plain.__name__}"
+        copy.__module__ = plain.__module__
+        copy.__qualname__ = f"warp_{plain.__name__}"
         copy.__annotations__ = dict.fromkeys(inspect.signature(plain).parameters, Any)
         namespace[plain.__name__] = wp.func(copy)
     return namespace

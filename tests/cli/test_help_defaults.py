@@ -114,10 +114,8 @@ def values() -> dict[tuple[str, str], str]:
     most = {
         name: max(GaitSetup(spec, 2.0, 48e3, name).offsets) for name in ("gait", "ilc")
     }
-    gap, fitted = (
-        f"{RecordingReader().longest_gap_s:g}",
-        _plant_settings("analytical", None, None),
-    )
+    gap = f"{RecordingReader().longest_gap_s:g}"
+    fitted = _plant_settings("analytical", None, None)
     return {
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
         ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),

@@ -82,10 +82,8 @@ def test_estimates_that_affect_the_motion_have_intervals(kinds, srs_twin, tmp_pa
     done = srs_twin("new", "robot", "worm", *kinds, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     priors = Priors.from_robot(load_robot_file(tmp_path / "worm.yaml"))
-    skin, wheels = (
-        ("contact.forward", "contact.transverse"),
-        ("friction.mu_t", "friction.mu_n"),
-    )
+    skin = ("contact.forward", "contact.transverse")
+    wheels = ("friction.mu_t", "friction.mu_n")
     friction = skin if "--skin" in kinds else wheels
     pneumatic = (
         "bending.stiffness_nm_per_rad",

@@ -220,7 +220,8 @@ def test_interrupt_keeps_complete_runs_and_exits_with_130(tmp_path):
     )
     (kept := tmp_path / "runs/long/metrics.json").parent.mkdir(parents=True)
     kept.write_text("of an earlier run")
-    started, deadline = tmp_path / "runs/brief/metrics.json", time.monotonic() + 600
+    started = tmp_path / "runs/brief/metrics.json"
+    deadline = time.monotonic() + 600
     while not started.exists() and time.monotonic() < deadline:
         time.sleep(0.1)
     time.sleep(1.0)

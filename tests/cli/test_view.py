@@ -80,7 +80,8 @@ def test_viewer_shows_runs_side_by_side(recordings, tmp_path):
             raise
         pytest.skip(str(error))
     picture = imread(BytesIO(png))[..., :3] * 255
-    middle, below = picture.shape[1] // 2, 3 * picture.shape[0] // 4
+    middle = picture.shape[1] // 2
+    below = 3 * picture.shape[0] // 4
     for half in (picture[:below, :middle], picture[:below, middle:]):
         assert shows_a_snake(half)
     for half in (picture[below:, :middle], picture[below:, middle:]):
@@ -119,10 +120,8 @@ def test_web_page_requests_no_other_hosts(recordings):
     with serve_recordings([recordings["left+1"]]) as (address, serve):
         threading.Thread(target=serve, daemon=True).start()
         with OPENER.open(address, timeout=120) as answer:
-            page, policy = (
-                answer.read().decode(),
-                answer.headers["Content-Security-Policy"],
-            )
+            page = answer.read().decode()
+            policy = answer.headers["Content-Security-Policy"]
             assert "url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A" in answer.url, (
                 "it opens the recording"
             )

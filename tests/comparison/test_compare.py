@@ -71,10 +71,8 @@ def test_series_have_the_shapes_that_plots_expect():
 @some
 @given(x=st.floats(-20, 20), y=st.floats(-20, 20), angle=st.floats(-10, 10))
 def test_comparison_does_not_depend_on_the_world_frame(x, y, angle):
-    reference, candidate = (
-        REFERENCE.trajectory(),
-        Snake(speed=0.18, amplitude=0.7).trajectory("twin"),
-    )
+    reference = REFERENCE.trajectory()
+    candidate = Snake(speed=0.18, amplitude=0.7).trajectory("twin")
     here = compare(reference, candidate).metrics
     there = compare(
         moved(reference, x, y, angle), moved(candidate, x, y, angle)
@@ -162,7 +160,9 @@ def test_shape_error_of_a_mirrored_run_is_twice_the_lateral_position():
 
 
 def test_x_axis_of_the_body_frame_points_forward():
-    head, tail, com = np.array([1.0, 3.0]), np.array([1.0, 1.0]), np.array([1.0, 2.0])
+    head = np.array([1.0, 3.0])
+    tail = np.array([1.0, 1.0])
+    com = np.array([1.0, 2.0])
     seen = in_body_frame(np.stack([head, tail]), com, np.array(np.pi / 2))
     assert seen == pytest.approx(np.array([[1.0, 0.0], [-1.0, 0.0]]))
 

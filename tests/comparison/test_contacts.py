@@ -45,7 +45,8 @@ def test_contacts_are_counted_with_their_time():
 
 def test_overlaps_take_the_place_of_contacts_on_a_plant_that_ignores_obstacles():
     apart = np.full(len(RUN), 0.02)
-    apart[100:151], apart[300:301] = -0.007, 0.0
+    apart[100:151] = -0.007
+    apart[300:301] = 0.0
     run = with_columns(RUN, clearance=apart)
     assert ignores_obstacles(run)
     assert list(contact_metrics(run).values()) == [1, pytest.approx(0.51), -0.007]

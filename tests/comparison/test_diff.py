@@ -78,7 +78,8 @@ def test_files_of_a_killed_run_are_not_results(runs, capsys, tmp_path):
 
 
 def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
-    a, c = str(runs / "a/walk"), str(runs / "c/walk/metrics.json")
+    a = str(runs / "a/walk")
+    c = str(runs / "c/walk/metrics.json")
     report = tmp_path / "moved.xml"
     code, out, _ = call(capsys, "diff", a, c, "--json", "--junit", str(report))
     found = json.loads(out)
@@ -365,10 +366,8 @@ def sweep_of(path, value: float):
 def test_numbers_that_json_does_not_have_are_printed_as_text(
     capsys, tmp_path, value, text
 ):
-    a, b = (
-        sweep_of(tmp_path / "a.parquet", 0.1),
-        sweep_of(tmp_path / "b.parquet", value),
-    )
+    a = sweep_of(tmp_path / "a.parquet", 0.1)
+    b = sweep_of(tmp_path / "b.parquet", value)
     code, out, _ = call(capsys, "diff", a, b, "--json")
     (moved,) = json.loads(out, parse_constant=pytest.fail)["moved"]
     assert (code, moved["b"], moved["rel"]) == (1, text, None)

@@ -22,7 +22,8 @@ from srs_twin.studies.sweep.task import flat_metrics
 
 pytestmark = pytest.mark.fast
 
-FREQUENCY, SEGMENTS = 2.0, 4
+FREQUENCY = 2.0
+SEGMENTS = 4
 BEGINS = np.array([[0.0, 0.25], [0.125, -0.125], [0.25, 0.0], [-0.125, 0.125]])
 
 
@@ -39,7 +40,8 @@ def learnt(
     sensors.
     """
     run = snake.trajectory()
-    sensed, duty = np.zeros((len(run), SEGMENTS)), np.ones((len(run), SEGMENTS, 2))
+    sensed = np.zeros((len(run), SEGMENTS))
+    duty = np.ones((len(run), SEGMENTS, 2))
     for n, periods in enumerate(amplitude):
         for j, sides in enumerate(periods):
             for side, peak in enumerate(sides):
@@ -164,7 +166,8 @@ def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
 def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
     """A path prescribed without a wave covers only the width of the body."""
     time = np.arange(601) / 100
-    speed, bend = 0.12, 0.25
+    speed = 0.12
+    bend = 0.25
     lag = np.linspace(0.11, -0.11, 5) / speed
     angle = yaw_rate * (time[:, None] + lag)
     if yaw_rate:
@@ -216,10 +219,8 @@ def test_mirroring_swaps_the_sides(real):
     columns = dict(real.columns)
     for name in ("duty", "target"):
         for j in range(1, 5):
-            columns[f"{name}_plus_{j}"], columns[f"{name}_minus_{j}"] = (
-                real[f"{name}_minus_{j}"],
-                real[f"{name}_plus_{j}"],
-            )
+            columns[f"{name}_plus_{j}"] = real[f"{name}_minus_{j}"]
+            columns[f"{name}_minus_{j}"] = real[f"{name}_plus_{j}"]
         columns |= numbered("sensed", -real.stack("sensed"))
     begins = np.array(real.metadata["control"]["fill_begins_s"])[:, ::-1]
     about = {"control": {"fill_begins_s": begins.tolist()}}

@@ -194,7 +194,8 @@ def test_time_reversal_changes_the_signs_of_speed_and_yaw_rate(speed, frequency)
     run = Snake(
         speed=speed, yaw_rate=0.2, frequency=frequency, duration=6.0
     ).trajectory()
-    ahead, back = plant_metrics(run), plant_metrics(backwards(run))
+    ahead = plant_metrics(run)
+    back = plant_metrics(backwards(run))
     for name in ("com_speed_m_s", "yaw_rate_rad_s"):
         assert back[name] == pytest.approx(-ahead[name], rel=1e-5), name
     assert back["turning_radius_m"] == pytest.approx(

@@ -20,7 +20,8 @@ SENSOR = {"kind": "own"}
 
 
 def run(bend, sensed, sensor=SENSOR):
-    bend, sensed = np.asarray(bend, dtype=float), np.asarray(sensed, dtype=float)
+    bend = np.asarray(bend, dtype=float)
+    sensed = np.asarray(sensed, dtype=float)
     columns = {"time": 0.01 * np.arange(len(bend)), "bend_1": bend, "sensed_1": sensed}
     return Trajectory(columns, metadata={"sensor": sensor})
 

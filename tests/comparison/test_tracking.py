@@ -91,7 +91,8 @@ def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
 
 
 def test_first_order_lag_never_overshoots():
-    tau, after = 0.05, 0.4
+    tau = 0.05
+    after = 0.4
     law = lambda t: after * (1 - np.exp(-np.maximum(t - 0.5, 0) / tau))  # noqa: E731
     found = tracking_metrics(run(step_to(after), law))
     assert found["overshoot_rel"] == pytest.approx(0.0, abs=1e-12)

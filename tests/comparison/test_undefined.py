@@ -230,7 +230,8 @@ def test_a_run_that_ended_early_is_judged():
 
 
 def test_a_comparison_needs_the_gaits_of_both_plants():
-    long, short = ran(GAIT)[1], ran(GAIT, duration_s=1.0)[1]
+    long = ran(GAIT)[1]
+    short = ran(GAIT, duration_s=1.0)[1]
     metrics = {"plants": {}, "comparison": {"com_speed_rel": None}}
     for runs in (
         {"analytical": long, "twin": short},

@@ -84,7 +84,8 @@ def test_cache_folder_that_others_can_write_is_not_used(
 ):
     """The pickle in the folder would create a file."""
     cache = kernel.entry._cache
-    folder, index = Path(cache.cache_path), Path(cache._cache_file._index_path)
+    folder = Path(cache.cache_path)
+    index = Path(cache._cache_file._index_path)
     folder.mkdir(exist_ok=True)
     index.write_bytes(
         b"cposix\nsystem\n(S'touch " + os.fsencode(tmp_path / "executed") + b"'\ntR."

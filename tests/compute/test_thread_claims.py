@@ -66,7 +66,8 @@ class Pause:
     """Place in a program where another thread waits until a test continues."""
 
     def __init__(self) -> None:
-        self.reached, self.left = threading.Event(), threading.Event()
+        self.reached = threading.Event()
+        self.left = threading.Event()
 
     def __call__(self, *_: Any) -> None:
         if not self.reached.is_set():
@@ -146,7 +147,8 @@ USES: dict[str, Callable[[Plant], Any]] = {
 
 @pytest.mark.parametrize("use", USES)
 def test_rollout_claims_its_plant_until_it_ends(use):
-    plant, pause = AnalyticalSnake(SPEC), Pause()
+    plant = AnalyticalSnake(SPEC)
+    pause = Pause()
     with pause.during(
         lambda: rollout(plant, Gait(2.0), 0.4, observers=[pause])
     ) as runs:
@@ -183,7 +185,8 @@ class Slow(AnalyticalSnake):
 
 @pytest.mark.parametrize("use", ["step", "advance", "reset", "place", "save"])
 def test_methods_claim_the_plant_while_they_run(use):
-    plant, pause = Slow(SPEC), Pause()
+    plant = Slow(SPEC)
+    pause = Pause()
     plant.pause = pause
     with pause.during(lambda: USES[use](plant)):
         with pytest.raises(InputError, match="this Slow is in use by another thread"):
@@ -200,14 +203,16 @@ def test_plant_that_overrides_methods_by_a_mixin_is_claimed():
     class Snake(Waiting, AnalyticalSnake):
         pass
 
-    plant, pause = Snake(SPEC), Pause()
+    plant = Snake(SPEC)
+    pause = Pause()
     with pause.during(lambda: plant.step(VALVES)):
         with pytest.raises(InputError, match=IN_USE):
             plant.step(VALVES)
 
 
 def test_several_threads_may_use_a_plant_one_after_the_other():
-    plant, gait = TwinSnake(SPEC), Gait(2.0)
+    plant = TwinSnake(SPEC)
+    gait = Gait(2.0)
     runs = [elsewhere(lambda: rollout(plant, gait, 0.2)) for _ in range(2)] + [
         rollout(plant, gait, 0.2)
     ]
@@ -222,7 +227,9 @@ def test_observers_and_controllers_may_use_the_plant_of_their_own_rollout():
             saved.append(plant.save())
             return super().step(plant.state)
 
-    plant, saved, copied = AnalyticalSnake(SPEC), [], []
+    plant = AnalyticalSnake(SPEC)
+    saved = []
+    copied = []
     run = rollout(
         plant,
         Reader(2.0),
@@ -264,7 +271,8 @@ def test_controller_serves_one_rollout_at_a_time():
 
 
 def test_plant_from_a_function_of_two_jobs_is_refused_in_the_second():
-    plant, pause = Clock(), Pause()
+    plant = Clock()
+    pause = Pause()
     released = threading.Timer(0.5, pause.left.set)
     released.start()
     jobs = [Job(lambda: plant, Paused(pause), 0.1, record_hz=50) for _ in range(2)]
@@ -281,7 +289,8 @@ def raise_(error: BaseException) -> None:
     "error", [RuntimeError(), KeyboardInterrupt(), SystemExit()], ids=repr
 )
 def test_claims_end_with_an_exception(error):
-    plant, controller = AnalyticalSnake(SPEC), Gait(2.0)
+    plant = AnalyticalSnake(SPEC)
+    controller = Gait(2.0)
     with pytest.raises(type(error)):
         rollout(plant, controller, 0.2, observers=[lambda state: raise_(error)])
     with pytest.raises(InputError, match="valve"):
@@ -294,10 +303,12 @@ def test_claims_end_with_a_divergence_and_with_a_refused_second_claim():
     with pytest.raises(DivergedError):
         rollout(plant, Scripted(), 0.2)
     elsewhere(plant.reset)
-    pause, controller = Pause(), Scripted()
+    pause = Pause()
+    controller = Scripted()
     with pause.during(lambda: rollout(Clock(), Paused(pause), 0.2, record_hz=50)):
         rollout(Clock(), controller, 0.2)
-    busy, pause = Clock(), Pause()
+    busy = Clock()
+    pause = Pause()
     with pause.during(lambda: rollout(busy, Paused(pause), 0.2, record_hz=50)):
         with pytest.raises(InputError, match="this Clock"):
             rollout(busy, controller, 0.2)
@@ -317,7 +328,8 @@ def test_interrupts_at_any_time_leave_no_claim(use):
     def interrupt(*_):
         raise Alarm
 
-    plant, draw = Clock(), np.random.default_rng(0)
+    plant = Clock()
+    draw = np.random.default_rng(0)
     plant.reset()
     handler = signal.signal(signal.SIGALRM, interrupt)
     try:
@@ -333,7 +345,9 @@ def test_interrupts_at_any_time_leave_no_claim(use):
 
 
 def test_copies_of_a_claimed_plant_are_free():
-    plant, pause, others = AnalyticalSnake(SPEC), Pause(), []
+    plant = AnalyticalSnake(SPEC)
+    pause = Pause()
+    others = []
 
     def copy_and_wait(state: SnakeState) -> None:
         if not others:
@@ -370,7 +384,8 @@ BATCH_USES: dict[str, Callable[[TwinBatch], Any]] = {
 @pytest.mark.parametrize("use", BATCH_USES)
 @pytest.mark.parametrize("run", ["run_batch", "run_scripts"])
 def test_runs_of_a_batch_claim_it_until_they_end(run, use):
-    batch, pause = batch_of_two(), Pause()
+    batch = batch_of_two()
+    pause = Pause()
 
     def simulate(batch: TwinBatch, pause: Callable[..., None]) -> list[Any]:
         if run == "run_batch":
@@ -389,7 +404,9 @@ def test_runs_of_a_batch_claim_it_until_they_end(run, use):
 
 @pytest.mark.parametrize("use", ["step", "play", "reset"])
 def test_methods_of_a_batch_claim_it_while_they_run(use, monkeypatch):
-    batch, pause, simulate = batch_of_two(), Pause(), TwinSnake._simulate
+    batch = batch_of_two()
+    pause = Pause()
+    simulate = TwinSnake._simulate
     monkeypatch.setattr(
         TwinSnake, "_simulate", lambda *args: [pause(), simulate(*args)][1]
     )
@@ -430,7 +447,9 @@ ENVIRONMENT_USES = {
 def test_steps_of_an_environment_claim_it(kind, use, monkeypatch):
     if (kind, use) == ("dm_env", "render"):
         pytest.skip("dm_env has no render")
-    env, pause, simulate = ENVIRONMENTS[kind](), Pause(), TwinSnake._simulate
+    env = ENVIRONMENTS[kind]()
+    pause = Pause()
+    simulate = TwinSnake._simulate
     action = (
         env.action_spec().minimum if kind == "dm_env" else env.action_space.low
     ).copy()
@@ -440,14 +459,16 @@ def test_steps_of_an_environment_claim_it(kind, use, monkeypatch):
     with pause.during(lambda: env.step(action)) as results:
         with pytest.raises(InputError, match=IN_USE):
             ENVIRONMENT_USES[use](env, action)
-    other, copied = ENVIRONMENTS[kind](), pickle.loads(pickle.dumps(env))
+    other = ENVIRONMENTS[kind]()
+    copied = pickle.loads(pickle.dumps(env))
     assert np.array_equal(results[0][1], other.step(action)[1])  # the rewards
     assert np.array_equal(copied.step(action)[1], other.step(action)[1])
     elsewhere(lambda: env.step(action))
 
 
 def test_child_of_a_fork_during_a_rollout_may_use_the_plant():
-    plant, pause = Clock(), Pause()
+    plant = Clock()
+    pause = Pause()
     with pause.during(lambda: rollout(plant, Paused(pause), 0.2, record_hz=50)):
         child = os.fork()
         if child == 0:

@@ -25,7 +25,8 @@ def played(
     spec = spec or robot()
     gait.reset(spec, tick)
     raster = max(1, round(tick / 1e-4))
-    times, signs = [], []
+    times = []
+    signs = []
     for k in range(round(duration / tick)):
         valves = commanded(gait, k * tick)
         slots = valves[None] if valves.ndim == 2 else valves
@@ -43,7 +44,8 @@ def commanded(gait: Gait, time: float) -> np.ndarray:
 
 def crossings(f: float, offset: float, lag: float, duration: float) -> list[float]:
     """Return the times at which sin(2π f t − lag) + offset changes its sign, ascending, s."""
-    up, down = -math.asin(offset), math.pi + math.asin(offset)
+    up = -math.asin(offset)
+    down = math.pi + math.asin(offset)
     times = [
         (angle + lag + 2 * math.pi * n) / (2 * math.pi * f)
         for angle in (up, down)
@@ -93,7 +95,9 @@ def test_duty_follows_the_offset(f, offset):
 @pytest.mark.parametrize("connectors", [2, 5, 9])
 def test_wave_travels_from_head_to_tail(connectors):
     """Segment j + 1 repeats segment j with a delay of β/(2π f)."""
-    spec, f, step = chain((0.03,) * connectors), 2.0, 2 * math.pi / 8
+    spec = chain((0.03,) * connectors)
+    f = 2.0
+    step = 2 * math.pi / 8
     _, signs = played(Gait(f, 0.2, phase_step=step), 2.0, spec=spec)
     delay = round(step / (2 * math.pi * f) / 1e-4)
     for j in range(connectors - 2):
@@ -131,7 +135,8 @@ def test_ticks_without_an_edge_have_no_slots():
 
 def test_pulses_shorter_than_a_tick_are_kept():
     """At an offset near 1, the − phase is shorter than a tick and not visible at its ends."""
-    gait, tick = Gait(2.0, 0.999), 0.1
+    gait = Gait(2.0, 0.999)
+    tick = 0.1
     _, signs = played(gait, 2.0, tick=tick)
     expected = (math.pi - 2 * math.asin(0.999)) / (4 * math.pi)
     assert expected < tick / 5

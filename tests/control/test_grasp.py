@@ -94,10 +94,8 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     bend = np.append(np.zeros(4), np.full(4, GEN2.geometry.pitch / ring))
     twin = TwinSnake(CHAIN, world=World(objects=(replace(item, x=9.0, y=9.0),)))
     twin.place(replace(twin.reset(pose=(0.0, 5.0, 0.0)), bend=bend))
-    place, theta = (
-        twin.physics.connector_positions()[:, :2],
-        twin.physics.connector_headings(),
-    )
+    place = twin.physics.connector_positions()[:, :2]
+    theta = twin.physics.connector_headings()
     left = np.array([-np.sin(theta[4]), np.cos(theta[4])])
     centre = place[4] + (ring + 0.001) * left - [0.0, 5.0]
     twin = TwinSnake(
@@ -111,7 +109,8 @@ def test_uniform_moment_presses_mainly_with_the_ends_of_the_wrap():
     valves[4:, 0] = 1
     for _ in range(100):
         state = twin.step(valves)
-    model, data = twin.physics.model, twin.physics.data
+    model = twin.physics.model
+    data = twin.physics.data
 
     def pressed(hull: str) -> np.ndarray:
         """Return force and point of application of the object on a hull."""

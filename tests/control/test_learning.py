@@ -38,7 +38,8 @@ def test_each_update_multiplies_the_error_by_1_minus_k_c(gain, offset, k):
     smaller = 0.7 - abs(offset)  # 0.7 rad at 0, 0.4 rad at 0.3
     target = np.array([0.7, smaller] if offset >= 0 else [smaller, 0.7])
     error = target - run.amplitudes()
-    free, n = target - gain, np.arange(1, 7)[:, None, None]
+    free = target - gain
+    n = np.arange(1, 7)[:, None, None]
     assert error[1:3] == pytest.approx(np.stack([free, free]), abs=1e-9)
     assert error[3:9] == pytest.approx(free * (1 - k * gain) ** n, abs=SLOTS * 1.5)
     assert run.event_texts("fault") == []

@@ -106,7 +106,8 @@ def test_a_new_duty_does_not_change_the_current_period():
     pulses = PulseWidthModulator(60.0, 1e-3, 1)
     parts = [pulses.step(np.full((1, 2), 0.25 if k < 5 else 1.0)) for k in range(40)]
     filling = np.concatenate(parts)[:, 0, 0] == 1
-    first, rest = filling[:167], filling[167:]
+    first = filling[:167]
+    rest = filling[167:]
     assert first.sum() in (41, 42) and rest.all()
 
 

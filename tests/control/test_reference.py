@@ -56,11 +56,9 @@ def test_limited_reference_is_clipped_exactly_where_it_exceeds_the_limit(
 ):
     limit = max(share * reference.peak, 1e-3)
     cut = reference.limited(limit, "saturate")
-    wanted, values, beyond = (
-        reference.value(times),
-        cut.value(times),
-        cut.is_clipped(times),
-    )
+    wanted = reference.value(times)
+    values = cut.value(times)
+    beyond = cut.is_clipped(times)
     assert np.abs(values).max() <= limit == pytest.approx(cut.peak) or cut is reference
     assert (values == wanted)[~beyond].all()
     assert (np.abs(values[beyond]) == limit).all() and (
@@ -74,7 +72,8 @@ def test_rate_of_a_sine_equals_its_difference_quotient(sine):
     h = 1e-5
     quotient = (sine.value(times + h) - sine.value(times - h)) / (2 * h)
     # The third derivative times h², and the rounding of values and angles over h.
-    omega, eps = 2 * math.pi * sine.frequency, np.finfo(float).eps
+    omega = 2 * math.pi * sine.frequency
+    eps = np.finfo(float).eps
     angle = omega * times[-1] + abs(sine.phase)
     allowed = (
         sine.amplitude * omega**3 * h**2
@@ -115,7 +114,8 @@ def test_staircase_keeps_its_last_level():
 
 
 def test_square_has_the_sign_of_its_sine():
-    sine, square = Sine(1.0, 1.7, 0.3), Square(1.0, 1.7, 0.3)
+    sine = Sine(1.0, 1.7, 0.3)
+    square = Square(1.0, 1.7, 0.3)
     assert (np.sign(sine.value(times)) == square.value(times)).all()
 
 

@@ -26,7 +26,8 @@ def run(controller, duration=1.0):
     "make", [lambda: Gait(2.0, 0.2), lambda: ILC(2.0, 0.2, target=0.5)]
 )
 def test_without_changes_the_run_is_that_of_the_controller(make):
-    plain, steered = run(make()), run(ScheduledOffset(make(), []))
+    plain = run(make())
+    steered = run(ScheduledOffset(make(), []))
     assert plain.columns.keys() == steered.columns.keys()
     for name in plain.columns:
         np.testing.assert_array_equal(steered[name], plain[name])
@@ -37,7 +38,8 @@ def test_the_offset_changes_at_its_time_in_every_run():
     controller = ScheduledOffset(Gait(2.0, -0.2), [(0.3, 0.1), (0.603, 0.4)])
     for _ in range(2):
         found = run(controller)
-        offset, time = found["offset"], found.time
+        offset = found["offset"]
+        time = found.time
         # A sample is taken at the end of its tick.
         assert np.all(offset[time <= 0.3 + 1e-9] == -0.2)
         assert np.all(offset[(time > 0.305) & (time <= 0.6)] == 0.1)
@@ -52,10 +54,8 @@ def test_the_offset_changes_at_its_time_in_every_run():
 
 
 def test_the_runs_are_equal_until_the_change():
-    straight, turning = (
-        run(ScheduledOffset(Gait(2.0), [])),
-        run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)])),
-    )
+    straight = run(ScheduledOffset(Gait(2.0), []))
+    turning = run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)]))
     before = straight.time <= 0.5
     assert np.array_equal(straight["heading"][before], turning["heading"][before])
     assert straight["heading"][-1] != turning["heading"][-1]

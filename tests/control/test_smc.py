@@ -158,7 +158,8 @@ def test_direct_controller_follows_within_its_dead_zone(reference):
 
 def test_iterative_controller_has_no_steady_error_on_a_first_order_module():
     """q̇ = (q_max (2d − 1) − q)/τ, d the mean duty of each tick."""
-    controller, bend = ready(IterativeSMC(Constant(0.4))), 0.0
+    controller = ready(IterativeSMC(Constant(0.4)))
+    bend = 0.0
     for k in range(3000):
         drive = controller.step(state(TICK * k, bend))[:, 0, 0].mean()
         bend += TICK * (0.7326 * drive - bend) / 0.1107
@@ -236,8 +237,10 @@ def test_reset_restores_the_initial_state(kind):
 @pytest.mark.parametrize("lost", [math.nan, math.inf, -math.inf, 7.0])
 def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     sensed = np.linspace(0, 0.2, 100)[:, None].repeat(2, axis=1)
-    held, broken = sensed.copy(), sensed.copy()
-    held[40:60, 1], broken[40:60, 1] = sensed[39, 1], lost
+    held = sensed.copy()
+    broken = sensed.copy()
+    held[40:60, 1] = sensed[39, 1]
+    broken[40:60, 1] = lost
     controller = ready(kind(Constant(0.3)), 2)
     valves = fed(controller, broken)
     same = fed(ready(kind(Constant(0.3)), 2), held)
@@ -290,7 +293,9 @@ def test_recorded_reference_belongs_to_the_end_of_the_tick(kind):
 
 def test_mu_is_proportional_and_integral():
     """μ = (K/T) e + (K D/T) ∫ e dt for a linearly growing error and the carrier period T."""
-    gain, slope, rise = 0.002, 5.0, 0.5
+    gain = 0.002
+    slope = 5.0
+    rise = 0.5
     controller = ready(IterativeSMC(Constant(0.0), K=gain, D=slope))
     ticks = 500
     sensed = -rise * TICK * np.arange(ticks)
@@ -452,10 +457,8 @@ def test_direct_controller_opens_its_valves_less_often_at_2_hz():
 def test_direct_controller_stops_switching_at_rest_unless_a_chamber_leaks():
     """Fig. 46 and Section 4.3."""
     hold = Constant(25 * DEGREE)
-    tight, leaking = (
-        followed(DirectSMC, hold, 3.0),
-        followed(DirectSMC, hold, 3.0, leak_per_s=0.5),
-    )
+    tight = followed(DirectSMC, hold, 3.0)
+    leaking = followed(DirectSMC, hold, 3.0, leak_per_s=0.5)
     assert tight["inlet_openings"] <= 3 and tight["ripple_pp_rad"] < 0.05 * DEGREE
     assert leaking["ripple_pp_rad"] > 0.5 * DEGREE and leaking["inlet_openings"] > 10
     iterative = followed(IterativeSMC, hold, 3.0, leak_per_s=0.5)

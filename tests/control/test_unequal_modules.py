@@ -138,10 +138,8 @@ def test_a_weak_module_saturates_and_the_others_converge(plant):
     weak = [[1.0, 1.0], [0.25, 1.0], [1.0, 1.0], [1.0, 1.0]]
     found = run(plant, modules={"gain": weak, "gain_spread": 0.0}, seconds=14)
     metrics = plant_metrics(found)
-    errors, duties = (
-        np.array(metrics["amplitude_error_rad"])[-1],
-        np.array(metrics["duty"])[-1],
-    )
+    errors = np.array(metrics["amplitude_error_rad"])[-1]
+    duties = np.array(metrics["duty"])[-1]
     assert duties[1, 0] == 1.0 and 0 < errors[1, 0] < 0.6
     rest = np.ones((4, 2), dtype=bool)
     rest[1, 0] = False

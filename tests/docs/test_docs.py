@@ -55,7 +55,8 @@ def parsed(words, *, mention=False):
     while words and words[0].startswith("-"):
         assert any(words[0] in each.opts for each in command().params), words[0]
         words = words[1:]
-    given, name = command(), ""
+    given = command()
+    name = ""
     while words and hasattr(given, "commands"):
         name, *words = words
         assert name in given.commands, f"there is no command {name}"
@@ -235,7 +236,8 @@ COMMANDED = [
 SCRIPTED = [page for page in PAGES if page.script]
 
 
-README, QUICKSTART = BY_PATH[ROOT / "README.md"], BY_PATH[ROOT / "docs/quickstart.md"]
+README = BY_PATH[ROOT / "README.md"]
+QUICKSTART = BY_PATH[ROOT / "docs/quickstart.md"]
 
 
 @pytest.mark.slow

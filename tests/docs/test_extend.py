@@ -59,12 +59,14 @@ def edits(section: str) -> list[tuple[str, list[str]]]:
 def edited(text: str, lines: list[str]) -> str:
     """Return a file after the edits of a diff, whose context lines and removed lines it must contain."""
     result = text.splitlines()
-    cursor, omitted = 0, OMITTED
+    cursor = 0
+    omitted = OMITTED
     for index, line in enumerate(lines):
         if line.startswith("@@"):
             cursor = len(result) if line.endswith("end of the file") else 0
             continue
-        mark, content = line[:1], line[1:]
+        mark = line[:1]
+        content = line[1:]
         if mark == "+":
             # Lines before the first context line of their hunk belong directly above
             # it.

@@ -50,7 +50,8 @@ def words(parser: MarkdownIt, text: str) -> Counter[str]:
 
 def lost(text: str) -> list[str]:
     """Return the words and constructs of a page that the site does not show."""
-    plain, env = MarkdownIt("commonmark").enable("table"), {}
+    plain = MarkdownIt("commonmark").enable("table")
+    env = {}
     tokens = plain.parse(text, env)
     open_comments = [
         token.content

@@ -30,7 +30,8 @@ def named(env: SnakeEnv, observation: np.ndarray) -> dict[str, float]:
 def test_observed_posts_are_the_nearest_ones():
     env = SnakeEnv("Pegs")
     observation, info = env.reset(seed=4)
-    values, posts = named(env, observation), env.episode.world.obstacles
+    values = named(env, observation)
+    posts = env.episode.world.obstacles
     places = np.array(
         [(post.x - info["com_x_m"], post.y - info["com_y_m"]) for post in posts]
     )
@@ -57,10 +58,13 @@ def test_posts_leave_room_for_the_snake_at_the_start():
 def test_progress_among_posts_is_the_way_to_the_goal_and_contact_ends_nothing():
     env = SnakeEnv("Pegs", rewards={"touching_s": -0.5})
     observation, first = env.reset(seed=0)
-    policy, total, touched = baseline(env.task), 0.0, 0
+    policy = baseline(env.task)
+    total = 0.0
+    touched = 0
     for _ in range(12):
         observation, reward, *_, info = env.step(policy(observation))
-        total, touched = total + reward, touched + info["touching"]
+        total = total + reward
+        touched = touched + info["touching"]
     away = math.hypot(
         info["goal_x_m"] - info["com_x_m"], info["goal_y_m"] - info["com_y_m"]
     )
@@ -93,7 +97,8 @@ def test_pushing_the_object_away_is_no_success():
     task = make_task("Grasp", limit_s=3.0)
     for seed in range(2):
         episode = task.begin(np.random.default_rng(seed))
-        total, grip = 0.0, math.copysign(1.0, episode._item.y)
+        total = 0.0
+        grip = math.copysign(1.0, episode._item.y)
         while not episode.ending:
             result = episode.step(task.from_physical([grip, 0.0, 0.0]))
             total += result.reward
@@ -122,21 +127,18 @@ def test_a_grip_needs_forces_on_opposite_sides():
 
 def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
     episode = make_task("Grasp").begin(np.random.default_rng(0))
-    place, none = (
-        episode.twin.physics.data.qpos[-3:],
-        np.zeros_like(episode.state.obstacle_force),
-    )
+    place = episode.twin.physics.data.qpos[-3:]
+    none = np.zeros_like(episode.state.obstacle_force)
     opposite = none.copy()
-    opposite[-1], opposite[-2] = (1.0, 0.0), (-1.0, 0.0)
+    opposite[-1] = (1.0, 0.0)
+    opposite[-2] = (-1.0, 0.0)
 
     def after_a_shift(
         force: np.ndarray, shift: float
     ) -> tuple[float, dict[str, float]]:
         """Return by how much farther the object is from its start, and the values of the reward."""
-        before, episode.state = (
-            episode._moved,
-            replace(episode.state, obstacle_force=force),
-        )
+        before = episode._moved
+        episode.state = replace(episode.state, obstacle_force=force)
         place[0] += shift
         values = episode._reward_values()
         return episode._moved - before, values
@@ -161,7 +163,8 @@ def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
 
 def test_an_object_is_held_after_two_seconds_at_rest():
     episode = make_task("Grasp").begin(np.random.default_rng(0))
-    steps, places = round(HELD_S / 0.1), np.full((40, HOLD), 0.05)
+    steps = round(HELD_S / 0.1)
+    places = np.full((40, HOLD), 0.05)
     episode._grips = list(places[: steps - 1])
     assert not episode._is_held()
     episode._grips = list(places[:steps])
@@ -190,7 +193,8 @@ def test_grip_fills_the_chambers_of_one_side_of_the_tail():
 def test_object_is_observed_at_its_place_and_lost_when_far():
     env = SnakeEnv("Grasp")
     observation, info = env.reset(seed=2)
-    values, item = named(env, observation), env.episode._item
+    values = named(env, observation)
+    item = env.episode._item
     assert (info["object_x_m"], info["object_y_m"]) == pytest.approx(
         (item.x, item.y), abs=1e-4
     )

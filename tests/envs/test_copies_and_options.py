@@ -94,7 +94,8 @@ def test_copies_of_a_vector_environment_give_the_same_episodes():
 def test_copies_of_a_dm_env_give_the_same_episodes(task):
     env = dm_environments().load(task, seed=4, **SHORT)
     env.reset()
-    spec, rng = env.action_spec(), np.random.default_rng(1)
+    spec = env.action_spec()
+    rng = np.random.default_rng(1)
     actions = [rng.uniform(spec.minimum, spec.maximum) for _ in range(2)]
     env.step(actions[0])
     others = {name: copy_method(env) for name, copy_method in COPY_METHODS.items()}
@@ -210,7 +211,8 @@ def refusals(env: SnakeEnv) -> dict[str, tuple[dict[str, Any], str]]:
 
 
 def test_refused_reset_leaves_the_environment_unchanged():
-    env, other = SnakeEnv("Obstacles", **SHORT), SnakeEnv("Obstacles", **SHORT)
+    env = SnakeEnv("Obstacles", **SHORT)
+    other = SnakeEnv("Obstacles", **SHORT)
     for environment in (env, other):
         environment.reset(seed=3)
         environment.step(np.array([0.1, 1.5, 48.0]))
@@ -224,7 +226,8 @@ def test_refused_reset_leaves_the_environment_unchanged():
 
 def test_a_state_of_a_later_episode_continues_in_another_environment():
     """The later episode reuses the twin of the first one, whose goal is elsewhere."""
-    env, other = SnakeEnv("GoTo", **SHORT), SnakeEnv("GoTo", **SHORT)
+    env = SnakeEnv("GoTo", **SHORT)
+    other = SnakeEnv("GoTo", **SHORT)
     env.reset(seed=3)
     env.reset(seed=4)
     env.step(np.array([0.1, 0.5, 0.8]))
@@ -367,7 +370,8 @@ ACTIONS = {
 @pytest.mark.parametrize("interface", ["gymnasium", "dm_env"])
 def test_refused_action_leaves_the_environment_unchanged(interface):
     if interface == "gymnasium":
-        env, other = SnakeEnv("GoTo"), SnakeEnv("GoTo")
+        env = SnakeEnv("GoTo")
+        other = SnakeEnv("GoTo")
     else:
         env, other = (dm_environments().load("GoTo", seed=3) for _ in range(2))
     for environment in (env, other):

@@ -60,7 +60,8 @@ def test_every_task_is_tested_by_the_mixin():
 
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_dm_env_and_gymnasium_give_equal_values(task):
-    env, twin = SnakeEnv(task, limit_s=0.3), dm.load(task, seed=7, limit_s=0.3)
+    env = SnakeEnv(task, limit_s=0.3)
+    twin = dm.load(task, seed=7, limit_s=0.3)
     env.action_space.seed(0)
     observation, _ = env.reset(seed=7)
     timestep = twin.reset()
@@ -103,16 +104,15 @@ def test_goal_ends_an_episode_with_discount_0():
 
 @pytest.mark.slow
 def test_images_are_those_of_gymnasium():
-    env, other = (
-        dm.load("GoTo", seed=3),
-        SnakeEnv("GoTo", render_mode="rgb_array", width=160, height=120),
-    )
+    env = dm.load("GoTo", seed=3)
+    other = SnakeEnv("GoTo", render_mode="rgb_array", width=160, height=120)
     env.reset()
     if not can_render():
         with pytest.raises(InputError, match="OpenGL"):
             env.physics.render()
         return
     other.reset(seed=3)
-    image, larger = env.physics.render(120, 160), env.physics.render()
+    image = env.physics.render(120, 160)
+    larger = env.physics.render()
     assert (image == other.render()).all() and larger.shape == (240, 320, 3)
     other.close()

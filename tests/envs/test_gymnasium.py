@@ -88,10 +88,8 @@ def test_actions_from_minus_1_to_1_equal_physical_actions(task):
     env.reset(seed=1), physical.reset(seed=1)
     box = physical.action_space
     values = (box.low + 3 * box.high) / 4
-    one, other = (
-        env.step(np.full(box.shape, 0.5, dtype=np.float32)),
-        physical.step(values),
-    )
+    one = env.step(np.full(box.shape, 0.5, dtype=np.float32))
+    other = physical.step(values)
     assert one[0] == pytest.approx(other[0], abs=1e-5) and one[1] == pytest.approx(
         other[1], abs=1e-6
     )
@@ -103,7 +101,8 @@ def test_actions_from_minus_1_to_1_equal_physical_actions(task):
 
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_same_seed_gives_the_same_episode_after_other_episodes(task):
-    fresh, used = SnakeEnv(task), SnakeEnv(task)
+    fresh = SnakeEnv(task)
+    used = SnakeEnv(task)
     first = play(fresh, 5, 3)
     other = play(used, 6, 3)
     assert not equal_bits(first, other)
@@ -163,10 +162,8 @@ def test_observed_pose_has_the_noise_of_the_camera(camera):
     errors = []
     for _ in range(40):
         result = episode.step([0.0, 2.0, 50.0])
-        seen, true = (
-            dict(zip(names, result.observation.astype(float), strict=True)),
-            result.info,
-        )
+        seen = dict(zip(names, result.observation.astype(float), strict=True))
+        true = result.info
         heading = np.arctan2(seen["heading_sin"], seen["heading_cos"])
         bearing = heading + np.arctan2(seen["goal_left_m"], seen["goal_ahead_m"])
         goal = np.array(
@@ -259,7 +256,8 @@ def test_divergence_terminates_with_the_previous_observation(task):
 
 
 def test_actions_are_clipped_and_invalid_ones_refused():
-    one, other = SnakeEnv("GoTo"), SnakeEnv("GoTo")
+    one = SnakeEnv("GoTo")
+    other = SnakeEnv("GoTo")
     one.reset(seed=0)
     other.reset(seed=0)
     assert equal_bits(
@@ -329,7 +327,8 @@ def test_vector_environment_equals_single_environments(task):
     )
     assert vector.action_space == reference.action_space
     assert vector.observation_space == reference.observation_space
-    one, other = play(vector, 4, 9), play(reference, 4, 9)
+    one = play(vector, 4, 9)
+    other = play(reference, 4, 9)
     assert any(outcome[3].any() for outcome in one[1:])
     for k, (left, right) in enumerate(zip(one, other, strict=True)):
         assert equal_bits(left, right), k
@@ -392,7 +391,8 @@ def test_the_reward_is_the_weighted_sum_of_its_terms():
         assert reward == pytest.approx(
             sum(weights[name] * values[name] for name in weights), abs=1e-9
         )
-        before, offset = info, 0.4 * action[0]
+        before = info
+        offset = 0.4 * action[0]
     with pytest.raises(
         InputError, match="unknown reward term 'time'; did you mean time_s"
     ):
@@ -400,13 +400,15 @@ def test_the_reward_is_the_weighted_sum_of_its_terms():
 
 
 def test_selected_observations_equal_those_of_all():
-    every, some = SnakeEnv("GoTo"), SnakeEnv("GoTo", observations=("gait", "goal"))
+    every = SnakeEnv("GoTo")
+    some = SnakeEnv("GoTo", observations=("gait", "goal"))
     names = [signal.name for signal in every.task.observations]
     chosen = [signal.name for signal in some.task.observations]
     assert chosen == ["goal_ahead_m", "goal_left_m", "gait_cos", "gait_sin"]
     every.reset(seed=4), some.reset(seed=4)
     for _ in range(3):
-        one, other = every.step(np.ones(3))[0], some.step(np.ones(3))[0]
+        one = every.step(np.ones(3))[0]
+        other = some.step(np.ones(3))[0]
         assert equal_bits(one[[names.index(name) for name in chosen]], other)
     assert some.observation_space.contains(other)
     with pytest.raises(

@@ -31,7 +31,8 @@ def test_a_saved_policy_gives_the_same_actions(tmp_path):
 
 
 def test_a_policy_finds_its_observations_by_name():
-    policy, task = network(), make_task("GoTo")
+    policy = network()
+    task = make_task("GoTo")
     observation = RNG.normal(size=len(task.observations))
     names = [signal.name for signal in task.observations]
     expected = policy(observation[[names.index(name) for name in NAMES]])

@@ -56,7 +56,8 @@ def fit(tmp_path: Path) -> Path:
 
 
 def test_fitted_parameters_are_drawn_with_their_errors_and_correlation(fit):
-    variation, rng = Variation.load("gen2", fit=fit), np.random.default_rng(0)
+    variation = Variation.load("gen2", fit=fit)
+    rng = np.random.default_rng(0)
     drawn = np.array(
         [
             (s.friction.mu_t, s.friction.mu_n)
@@ -71,10 +72,8 @@ def test_fitted_parameters_are_drawn_with_their_errors_and_correlation(fit):
 
 
 def test_ranges_are_uniform_and_other_parameters_fixed():
-    variation, rng = (
-        Variation.load("gen2", ranges={"friction.mu_t": (0.02, 0.06)}),
-        np.random.default_rng(0),
-    )
+    variation = Variation.load("gen2", ranges={"friction.mu_t": (0.02, 0.06)})
+    rng = np.random.default_rng(0)
     drawn = [variation.draw(rng) for _ in range(DRAWS)]
     values = np.array([spec.friction.mu_t for spec in drawn])
     assert values.min() >= 0.02 and values.max() <= 0.06
@@ -94,7 +93,8 @@ def test_module_tolerances_are_drawn_for_each_episode(tmp_path):
     }
     path = tmp_path / "uneven.yaml"
     path.write_text(dump_yaml(data), "utf-8")
-    env, gains = SnakeEnv("GoTo", robot=str(path)), []
+    env = SnakeEnv("GoTo", robot=str(path))
+    gains = []
     for seed in (0, 1, 0):
         env.reset(seed=seed)
         gains.append(env.episode.twin.spec.modules.gain)

@@ -49,7 +49,9 @@ class PrescribedBends(Pneumatics):
     def _at(self, time: np.ndarray) -> Trace:
         trace = Trace.empty(len(time), self._segments)
         trace.bend[:], trace.bend_rate[:], trace.bend_acceleration[:] = self._path(time)
-        trace.pressure[:], trace.valves[:], trace.air[:] = 0.0, -1, 0.0
+        trace.pressure[:] = 0.0
+        trace.valves[:] = -1
+        trace.air[:] = 0.0
         return trace
 
 
@@ -59,7 +61,8 @@ class CurvatureWave(PrescribedBends):
     def __init__(
         self, spec: RobotSpec, *, amplitude: float, period: float, waves: float = 1.0
     ) -> None:
-        omega, wave_number = 2 * math.pi / period, 2 * math.pi * waves
+        omega = 2 * math.pi / period
+        wave_number = 2 * math.pi * waves
         places = wave_number * (1 - np.arange(spec.segments + 1) / spec.segments)
         scale = amplitude / wave_number
 

@@ -122,16 +122,17 @@ class Swing:
             atol=1e-12,
             max_step=0.01,
         )
-        amount, strained = wait.y[:2, -1], wait.y[2:, -1]
+        amount = wait.y[:2, -1]
+        strained = wait.y[2:, -1]
 
         def slope(t: float, state: np.ndarray) -> np.ndarray:
             q, v = state[:2]
-            free, free_rate, flow = self.rest, 0.0, np.zeros(2)
+            free = self.rest
+            free_rate = 0.0
+            flow = np.zeros(2)
             if self.closed:
-                space, widening = (
-                    self.volumes(q),
-                    self.growth * v * np.array([q > 0, -1.0 * (q < 0)]),
-                )
+                space = self.volumes(q)
+                widening = self.growth * v * np.array([q > 0, -1.0 * (q < 0)])
                 flow = -self.leak * (state[2:4] - AMBIENT * space)
                 pressure = state[2:4] / space
                 change = (flow - pressure * widening) / space
@@ -257,21 +258,24 @@ def draw(seed: int, law: str, *, closed: bool) -> Recorded:
         return math.exp(rng.uniform(math.log(low), math.log(high)))
 
     spec = load_robot(("gen2", "gen4")[rng.integers(2)])
-    g, chamber = spec.geometry, spec.chamber
-    length, gap = g.segment_length * rng.uniform(0.8, 1.25), rng.uniform(0.0, 0.02)
-    dead, growth = (
-        chamber.dead_volume * rng.uniform(1, 4),
-        chamber.displacement * rng.uniform(0.5, 1.2),
-    )
+    g = spec.geometry
+    chamber = spec.chamber
+    length = g.segment_length * rng.uniform(0.8, 1.25)
+    gap = rng.uniform(0.0, 0.02)
+    dead = chamber.dead_volume * rng.uniform(1, 4)
+    growth = chamber.displacement * rng.uniform(0.5, 1.2)
     spec = replace(
         spec,
         geometry=replace(g, segment_length=length, rigid_gap=gap),
         chamber=replace(chamber, dead_volume=dead, displacement=growth),
     )
-    stiffness, loss = spec.bending.stiffness * between(0.5, 2.0), between(0.04, 0.35)
+    stiffness = spec.bending.stiffness * between(0.5, 2.0)
+    loss = between(0.04, 0.35)
     mass = between(0.08, 0.5)
     inertia = mass * rng.uniform(0.01, 0.03) ** 2
-    rest, leak, gain = rng.normal(0.0, 0.05), between(0.02, 2.0), spec.actuator.gain
+    rest = rng.normal(0.0, 0.05)
+    leak = between(0.02, 2.0)
+    gain = spec.actuator.gain
     swing = Swing(
         length,
         gap,
@@ -307,7 +311,8 @@ def draw(seed: int, law: str, *, closed: bool) -> Recorded:
         swing = replace(swing, viscosity=stiffness * loss / omega)
     frequency = swing.answers()["frequency"]
     bend = swing.hanging() + float(rng.choice([-1.0, 1.0])) * between(0.1, 0.7)
-    hold, before = rng.uniform(0.2, 2.0), rng.uniform(0.1, 0.4)
+    hold = rng.uniform(0.2, 2.0)
+    before = rng.uniform(0.1, 0.4)
     end = min(max(6 / (math.pi * loss), 8), 15) / frequency
     rate = max(100.0, frequency * rng.uniform(8, 20))
     time = np.arange(-hold - RAMP - before, end, 1 / rate)

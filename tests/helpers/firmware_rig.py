@@ -32,8 +32,10 @@ from srs_twin.live.messages import COMMAND
 ROOT = Path(__file__).resolve().parents[2]
 FIRMWARE = ROOT / "examples/firmware"
 STUBS = Path(__file__).parent / "firmware_stubs"
-HOLD_S, WATCHDOG_S = 0.2, 1.0
-NAME, SEGMENTS = "snake", 4
+HOLD_S = 0.2
+WATCHDOG_S = 1.0
+NAME = "snake"
+SEGMENTS = 4
 PATTERNS = 255
 PERIOD_S = 0.02  # unless CONTROLLER_PERIOD_S is set
 _VALVES = tuple(range(2, 10))  # pins of board.py
@@ -122,12 +124,15 @@ class Robot:
     resets: list[float] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self._log, self._read, self._rest = self.folder / "log", 0, ""
+        self._log = self.folder / "log"
+        self._read = 0
+        self._rest = ""
         self._log.touch()
         self._pins: dict[int, float] = {}
         self._bits = self._before = 0
         self._closed = self._fed = 0.0
-        self._armed, self._over = False, threading.Event()
+        self._armed = False
+        self._over = threading.Event()
         self._start()
         self._thread = threading.Thread(target=self._supervise, daemon=True)
         self._thread.start()
@@ -188,13 +193,15 @@ class Robot:
             if not self._bits:
                 self._closed = at
         elif kind == "watchdog":
-            self._armed, self._fed = True, at
+            self._armed = True
+            self._fed = at
         elif kind == "feed":
             if self._before and not self._bits:
                 self.closings.append(
                     (self._closed, self._before, self._fed, Cause.EXPIRY)
                 )
-            self._fed, self._before = at, self._bits
+            self._fed = at
+            self._before = self._bits
             self.feeds.append((at, self._bits))
 
     @property
@@ -260,7 +267,9 @@ class Wire:
     """
 
     def __init__(self, broker: int) -> None:
-        self._broker, self.stalled, self._over = broker, False, False
+        self._broker = broker
+        self.stalled = False
+        self._over = False
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._listener.settimeout(0.05)
         self.port: int = self._listener.getsockname()[1]
@@ -303,7 +312,8 @@ class Wire:
 
     def close(self) -> None:
         """Break the connection and listen no longer."""
-        self._over, self.stalled = True, False
+        self._over = True
+        self.stalled = False
         self.cut()
         self._thread.join()
         self._listener.close()
@@ -313,7 +323,8 @@ class Controller:
     """A process that commands at 50 Hz, over the link that the shadow uses."""
 
     def __init__(self, folder: Path, port: int) -> None:
-        self._log, self._port = folder / "commands", port
+        self._log = folder / "commands"
+        self._port = port
         self._log.touch()
         self.start()
 

@@ -14,7 +14,8 @@ def free_bends(
     plant: AnalyticalSnake | TwinSnake, gait: Gait, times: np.ndarray
 ) -> Trace:
     """Return the trace of a plant's chambers in a gait from rest, at some times (s)."""
-    gait, chambers = copy.copy(gait), copy.deepcopy(plant.pneumatics)
+    gait = copy.copy(gait)
+    chambers = copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)
     chambers.reset()
     return chambers.advance(gait.script(float(times[-1])), np.asarray(times))

@@ -148,7 +148,8 @@ def _python(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _markdown(text: str) -> Iterator[tuple[int, str]]:
-    kept, fenced = [], False
+    kept = []
+    fenced = False
     for line in re.sub(r"\$\$.*?\$\$", "", text, flags=re.DOTALL).splitlines():
         fenced ^= line.lstrip().startswith("```")
         skipped = fenced or line.lstrip().startswith(("|", "```", "#", "<", "("))

@@ -54,7 +54,8 @@ class Run:
     """
 
     def __init__(self, controller: ILC, gain: Any = 1.0) -> None:
-        self.controller, self.modules = controller, Modules(gain, controller.frequency)
+        self.controller = controller
+        self.modules = Modules(gain, controller.frequency)
         controller.reset(chain((0.03,) * (SEGMENTS + 1)), TICK)
         self.bend: list[np.ndarray] = []
         self.duty: list[np.ndarray] = []
@@ -85,7 +86,8 @@ class Run:
         Segment j + 1 lags by a quarter of a period, and the − chamber by half a period.
         A fill that runs at the start counts as the first.
         """
-        bend, length = np.array(self.bend), round(1 / self.controller.frequency / TICK)
+        bend = np.array(self.bend)
+        length = round(1 / self.controller.frequency / TICK)
         peaks = []
         for j in range(SEGMENTS):
             for side, sign in ((0, 1), (1, -1)):

@@ -170,9 +170,12 @@ class Run:
 
     def commands(self, robot: EmulatedRobot) -> Iterator[np.ndarray]:
         """Yield the valve states of each tick: a gait that crawls straight, left, right."""
-        gait, tick, segments = Gait(self.frequency), robot.tick, robot.segments
+        gait = Gait(self.frequency)
+        tick = robot.tick
+        segments = robot.segments
         gait.reset(robot.twin.spec, tick)
-        rng, held = np.random.default_rng((self.seed, 8)), np.full((segments, 2), -1.0)
+        rng = np.random.default_rng((self.seed, 8))
+        held = np.full((segments, 2), -1.0)
         vented = held.copy()
         for k in range(round(self.seconds / tick)):
             time = k * tick
@@ -234,7 +237,9 @@ class Wire:
     """Channel between robot, camera, commander and shadow, whose clocks differ: loss and jitter."""
 
     def __init__(self, run: Run) -> None:
-        self._run, self._rng, self._count = run, np.random.default_rng((run.seed, 5)), 0
+        self._run = run
+        self._rng = np.random.default_rng((run.seed, 5))
+        self._count = 0
         self._waiting: list[tuple[float, int, Message]] = []
         self._frame_due = self._due = 0.0
         draws = np.random.default_rng((run.seed, 6)).normal(
@@ -321,21 +326,21 @@ def _updates(
     truth: list[np.ndarray] | None = None,
 ) -> list[tuple[float, list[Message]]]:
     """Run a robot for some ticks; return the messages that arrive, and fill noiseless readings and truth."""
-    updates, every = [], round(TAKES_S / robot.tick)
+    updates = []
+    every = round(TAKES_S / robot.tick)
     frozen = np.full(robot.segments, np.nan)
     for k in range(first, last):
-        begun, time = k * robot.tick, (k + 1) * robot.tick
+        begun = k * robot.tick
+        time = (k + 1) * robot.tick
         wire.send(COMMAND, run.robot, begun - 0.01, commands[k])
         run.step(robot, commands[k])
         wire.tell(robot, time)
         state = robot.state
         if readings is not None:
             kept = robot._rng, robot._noise, robot._frozen
-            robot._rng, robot._noise, robot._frozen = (
-                np.random.default_rng(0),
-                0.0,
-                frozen,
-            )
+            robot._rng = np.random.default_rng(0)
+            robot._noise = 0.0
+            robot._frozen = frozen
             readings.append(robot.bends())
             robot._rng, robot._noise, robot._frozen = kept
         if truth is not None:
@@ -359,10 +364,14 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
     """Steer a robot by its shadow along the path of a scenario; return the ending and the contacts."""
     run, name = order
     scenario = load_scenario(name)
-    robot, wire = run.emulated(start=scenario.pose), Wire(run)
+    robot = run.emulated(start=scenario.pose)
+    wire = Wire(run)
     twin = Shadow(load_robot(run.robot), seed=run.seed, supply_pa=robot.supply_pa)
     steering = EstimateSteering(scenario, twin, robot.tick)
-    command, heard, time, clearance = None, -1.0, 0.0, np.inf
+    command = None
+    heard = -1.0
+    time = 0.0
+    clearance = np.inf
     faults: dict[str, float] = {}
     while time < run.seconds and not steering.finished:
         state = robot.step(command if time - heard <= SILENT_S else None)
@@ -371,7 +380,8 @@ def steered(order: tuple[Run, str]) -> dict[str, Any]:
         messages = wire.arrived(time)
         for message in messages:
             if message.kind == COMMAND:
-                command, heard = message.values, time
+                command = message.values
+                heard = time
         found = twin.update(time, messages)
         for part, what, _ in found.faults if found else ():
             faults.setdefault(f"{part}: {what}", round(time, 2))
@@ -424,7 +434,8 @@ def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
             )
             if round(moment.time * 50) % 25 == 0:
                 predictions.append(moment.shadow.predict())
-    spec, known = recording.spec, found.parameters if found else {}
+    spec = recording.spec
+    known = found.parameters if found else {}
     return {
         "estimate": np.array(rows),
         "filtered": np.array(filtered),
@@ -435,7 +446,8 @@ def followed_estimate(run: Run, **shadow: Any) -> dict[str, Any]:
     }
 
 
-BREAKS_S, AFTER_S = 5.0, 4.0
+BREAKS_S = 5.0
+AFTER_S = 4.0
 FREQUENCIES_HZ = (1.5, 1.0, 0.75)
 NAMES = {
     "stuck_valve:{j}{side}=open": "stuck_valve {side}=open",
@@ -456,7 +468,8 @@ def parts(kind: str, seed: int, segments: int = 4) -> tuple[str, str, str]:
     """Return a fault of a part drawn by a seed, the part as a shadow calls it, and the name to be given."""
     rng = np.random.default_rng((seed, 9))
     marker = kind.startswith("lost_marker")
-    j, side = int(rng.integers(1, segments + 1 + marker)), "+-"[rng.integers(2)]
+    j = int(rng.integers(1, segments + 1 + marker))
+    side = "+-"[rng.integers(2)]
     part = f"connector {j}" if marker else f"segment {j}" if "{j}" in kind else "supply"
     return kind.format(j=j, side=side), part, NAMES[kind].format(side=side)
 
@@ -528,10 +541,13 @@ def breakages(
     run = conditioned(
         condition, seed, BREAKS_S + AFTER_S, changes_s=DROOPS_BEFORE_FAULT_S
     )
-    robot, wire = run.emulated(), Wire(run)
-    commands, first = list(run.commands(robot)), round(BREAKS_S / robot.tick)
+    robot = run.emulated()
+    wire = Wire(run)
+    commands = list(run.commands(robot))
+    first = round(BREAKS_S / robot.tick)
     updates = _updates(run, robot, wire, commands, 0, first)
-    saved, state = robot.twin.save(), robot.state
+    saved = robot.twin.save()
+    state = robot.state
     hidden = copy.deepcopy((wire, robot._rng))
     sound: list[np.ndarray] = []
     _updates(run, robot, wire, commands, first, len(commands), sound)
@@ -542,7 +558,8 @@ def breakages(
         assert isinstance(sick.twin, TwinSnake)
         stuck = sick.twin.pneumatics.stuck
         sick.twin.restore(saved)
-        sick.twin.pneumatics.stuck, sick.state = stuck, state
+        sick.twin.pneumatics.stuck = stuck
+        sick.state = state
         channel, sick._rng = copy.deepcopy(hidden)
         readings: list[np.ndarray] = []
         after = _updates(
@@ -580,11 +597,13 @@ def isolated(
     rows = []
     for kind, breakage in found:
         _, part, name = parts(kind, seed)
-        named, shadow = dict(early), copy.deepcopy(twin)
+        named = dict(early)
+        shadow = copy.deepcopy(twin)
         for time, messages in breakage.updates:
             _note_faults(named, shadow, time, messages)
         what, at = named.pop(part, ("", np.inf))
-        among, since = name in what.split(" or "), breakage.observable
+        among = name in what.split(" or ")
+        since = breakage.observable
         rows.append(
             {
                 "fault": kind,
@@ -618,7 +637,8 @@ def alarms(
 ) -> list[str]:
     """Return the false alarms of a healthy robot in a number of seconds; each one is reset."""
     seed, seconds, condition = order
-    recording, found = recorded(conditioned(condition, seed, seconds)), []
+    recording = recorded(conditioned(condition, seed, seconds))
+    found = []
     twin = Shadow(load_robot(recording.run.robot), seed=seed, members=8)
     prepare(twin)
     for time, messages in recording.updates:

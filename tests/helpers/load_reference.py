@@ -44,7 +44,8 @@ VALUES = Path(__file__).with_suffix(".json")
 """Stored runs of the points, see `Runs`."""
 ROBOTS = Path(__file__).parents[2] / "calibration/robots"
 G = 9.81
-HINGES, LINK_SHARE = 2, 0.02
+HINGES = 2
+LINK_SHARE = 0.02
 SLOT_S = 1e-4
 """Valves switch at whole slots, as the gaits of srs_twin do."""
 ROUND_S = 0.004
@@ -171,7 +172,8 @@ def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untype
     """
     mu_t, mu_n, mass, eps, axle = law
     rate = mass / 2 / step
-    low, high = min(spin, along, 0.0) - 1e-9, max(spin, along, 0.0) + 1e-9
+    low = min(spin, along, 0.0) - 1e-9
+    high = max(spin, along, 0.0) + 1e-9
     w = min(max(spin, low), high)
     for _ in range(60):
         slip = math.sqrt((along - w) ** 2 + across**2 + eps**2)
@@ -229,10 +231,8 @@ def numbers(point: Point) -> dict[str, Any]:
         ),
     )
     # Axles: place in the list of connectors, distance behind, mass they carry.
-    outcome["tail"], outcome["axles"] = (
-        point.tail,
-        [(i, 0.0, m) for i, m in enumerate(outcome["connectors_kg"])],
-    )
+    outcome["axles"] = [(i, 0.0, m) for i, m in enumerate(outcome["connectors_kg"])]
+    outcome["tail"] = point.tail
     if point.tail is not None:
         (i, _, mass), (back, com, _, _) = outcome["axles"].pop(), point.tail
         outcome["axles"] += [
@@ -250,13 +250,17 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
         step: s.
         contact: time constant of the normal contacts, s.
     """
-    track, radius, height = n["half_track_m"], n["wheel_radius_m"], n["com_height_m"]
-    pitch, edge = n["segment_length_m"] + n["rigid_gap_m"], 1 / (2 * (HINGES + 1))
+    track = n["half_track_m"]
+    radius = n["wheel_radius_m"]
+    height = n["com_height_m"]
+    pitch = n["segment_length_m"] + n["rigid_gap_m"]
+    edge = 1 / (2 * (HINGES + 1))
     front, rear = (
         n["rigid_gap_m"] / 2 + n["segment_length_m"] * share
         for share in (edge, 1 - edge)
     )
-    wheel, link = n["wheel_kg"], LINK_SHARE * min(n["connectors_kg"])
+    wheel = n["wheel_kg"]
+    link = LINK_SHARE * min(n["connectors_kg"])
 
     def inertial(x: float, mass: float, wheels: float = 0.0) -> str:
         about = mass * n["connector_gyration_m"] ** 2
@@ -291,10 +295,8 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
             elements = [f'<inertial {place} diaginertia="{about} {about} {about}"/>']
         for a, (at, behind, _) in enumerate(n["axles"]):
             for side, y in (("left", track), ("right", -track)):
-                hub, name = (
-                    f'pos="{-behind} {y} {radius - height}"',
-                    f'name="{side}_{a}"',
-                )
+                hub = f'pos="{-behind} {y} {radius - height}"'
+                name = f'name="{side}_{a}"'
                 foot = f'<geom class="foot" {name} {hub} size="{radius}"/>'
                 # A little larger than the wheel: a touch sensor adds up the contacts
                 # inside its site.
@@ -307,7 +309,8 @@ def mjcf(n: dict[str, Any], step: float, contact: float = CONTACT_S) -> str:
                 n,
                 (step, contact),
             )
-        j, slow = i - 1, n["out_of_plane_damping_time_s"]
+        j = i - 1
+        slow = n["out_of_plane_damping_time_s"]
         elements.append(bend(j, 2, pitch - rear))
         elements.append(
             joint(f"p{j}", pitch / 2, "0 1 0", n["pitch_stiffness_nm_per_rad"], slow)
@@ -390,11 +393,9 @@ def moments(n: dict[str, Any], point: Point, step: float, steps: int) -> np.ndar
 @njit
 def _mean_lags(x, part, time):  # type: ignore[no-untyped-def]
     """Return the mean in each part of the response of a first-order lag to values constant in each part."""
-    lagged, outcome, kept = (
-        np.zeros(x.shape[1]),
-        np.empty_like(x),
-        math.exp(-part / time),
-    )
+    lagged = np.zeros(x.shape[1])
+    outcome = np.empty_like(x)
+    kept = math.exp(-part / time)
     for k in range(len(x)):
         outcome[k] = x[k] + (lagged - x[k]) * (1 - kept) * time / part
         lagged = x[k] + (lagged - x[k]) * kept
@@ -405,7 +406,8 @@ def _mean_lags(x, part, time):  # type: ignore[no-untyped-def]
 def _differences(wave, supply, vented, filled):  # type: ignore[no-untyped-def]
     """Return the mean difference between the chambers of each segment over each step, Pa."""
     steps, segments = wave.shape
-    outcome, p = np.empty((steps, segments)), np.zeros((segments, 2))
+    outcome = np.empty((steps, segments))
+    p = np.zeros((segments, 2))
     for k in range(steps):
         for j in range(segments):
             before = p[j, 0] - p[j, 1]
@@ -419,10 +421,12 @@ def _differences(wave, supply, vented, filled):  # type: ignore[no-untyped-def]
 
 
 _ENGINE = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("libmujoco*"))))
-_step1, _step2 = _ENGINE.mj_step1, _ENGINE.mj_step2
+_step1 = _ENGINE.mj_step1
+_step2 = _ENGINE.mj_step2
 for _function in (_step1, _step2):
     # Compiled code has addresses as integers.
-    _function.argtypes, _function.restype = [ctypes.c_ssize_t, ctypes.c_ssize_t], None
+    _function.argtypes = [ctypes.c_ssize_t, ctypes.c_ssize_t]
+    _function.restype = None
 
 
 @njit
@@ -432,14 +436,18 @@ def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[n
     bodies, places, connectors, loads, constant = wheels
     radius, step, every = sizes
     path, yaw, carried = records
-    spin, load = np.zeros(len(bodies)), loads.copy()
-    ahead, hub, arm = np.zeros(3), np.zeros(3), np.zeros(3)
+    spin = np.zeros(len(bodies))
+    load = loads.copy()
+    ahead = np.zeros(3)
+    hub = np.zeros(3)
+    arm = np.zeros(3)
     steps = len(torques)
     for k in range(steps + 1):
         _step1(engine[0], engine[1])
         if k and k % every == 0:
             j = k // every - 1
-            path[j], carried[j] = com[0, :2], load
+            path[j] = com[0, :2]
+            carried[j] = load
             for i, body in enumerate(connectors):
                 yaw[j, i] = math.atan2(xmat[body, 3], xmat[body, 0])
         if k == steps:
@@ -447,31 +455,31 @@ def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[n
         ctrl[:] = torques[k]
         applied[:] = 0.0
         for w, body in enumerate(bodies):
-            frame, v = xmat[body], cvel[body]
+            frame = xmat[body]
+            v = cvel[body]
             size = math.hypot(frame[0], frame[3])
-            ahead[0], ahead[1] = frame[0] / size, frame[3] / size
+            ahead[0] = frame[0] / size
+            ahead[1] = frame[3] / size
             for a in range(3):
                 hub[a] = xpos[body, a]
                 for b in range(3):
                     hub[a] += frame[3 * a + b] * places[w, b]
             # cvel is the velocity at the centre of mass of the whole snake.
-            rx, ry, rz = (
-                hub[0] - com[1, 0],
-                hub[1] - com[1, 1],
-                hub[2] - radius - com[1, 2],
-            )
-            vx, vy = v[3] + v[1] * rz - v[2] * ry, v[4] + v[2] * rx - v[0] * rz
-            along, across = (
-                vx * ahead[0] + vy * ahead[1],
-                -vx * ahead[1] + vy * ahead[0],
-            )
+            rx = hub[0] - com[1, 0]
+            ry = hub[1] - com[1, 1]
+            rz = hub[2] - radius - com[1, 2]
+            vx = v[3] + v[1] * rz - v[2] * ry
+            vy = v[4] + v[2] * rx - v[0] * rz
+            along = vx * ahead[0] + vy * ahead[1]
+            across = -vx * ahead[1] + vy * ahead[0]
             pressed = loads[w] if constant else load[w]
             f_t, f_n, spin[w], drag = wheel_force(
                 along, across, spin[w], pressed, law, step
             )
             # The force that spins the wheel acts at the hub, the force across at the
             # foot.
-            fx, fy = f_t * ahead[0] - f_n * ahead[1], f_t * ahead[1] + f_n * ahead[0]
+            fx = f_t * ahead[0] - f_n * ahead[1]
+            fy = f_t * ahead[1] + f_n * ahead[0]
             for a in range(3):
                 arm[a] = hub[a] - xipos[body, a]
             lateral = -radius * f_n
@@ -508,10 +516,12 @@ def simulate(
         static: friction takes each wheel's static load, as the analytical model does by
             default.
     """
-    n, every = numbers(point), max(1, round(RECORD_S / step))
+    n = numbers(point)
+    every = max(1, round(RECORD_S / step))
     model = mujoco.MjModel.from_xml_string(mjcf(n, step, contact))
     data = mujoco.MjData(model)
-    count, radius = len(n["axles"]), n["wheel_radius_m"]
+    count = len(n["axles"])
+    radius = n["wheel_radius_m"]
     bodies = np.repeat([model.body(f"c{i + 1}").id for i, _, _ in n["axles"]], 2)
     back = np.repeat([behind for _, behind, _ in n["axles"]], 2)
     side = np.tile([n["half_track_m"], -n["half_track_m"]], count)
@@ -698,7 +708,8 @@ def convergence(names: Iterable[str]) -> str:
             if unit == "rad/s" and not turns(runs):
                 continue
             (limit, error), grid = extrapolate(values), np.array(values)
-            fine, step = 2 * grid[:, 1] - grid[:, 0], grid[-1, 1] - grid[-1, 0]
+            fine = 2 * grid[:, 1] - grid[:, 0]
+            step = grid[-1, 1] - grid[-1, 0]
             rows.append(
                 [
                     f"{name}, {unit}",
@@ -729,7 +740,8 @@ def twins(names: Iterable[str]) -> str:
     ]
     rows = []
     for name in names:
-        runs, cells = stored()[name], []
+        runs = stored()[name]
+        cells = []
         for contact, step in settings:
             if POINTS[name].tail is not None and contact == "preloaded":
                 cells.append("–")  # has no second axle
@@ -792,11 +804,13 @@ def _apart(result: Result, runs: Runs) -> str:
 
 def sensitivity(names: Iterable[str]) -> str:
     """Return a table of the changes, %, with other heights, tracks and contact times."""
-    rows, eps = [], SLIPS_M_S[-1]
+    rows = []
+    eps = SLIPS_M_S[-1]
     run = partial(simulate, periods=None, step=STEP_SHARES_S2_M[0] * eps, slip=eps)
     for name in names:
         point = POINTS[name]
-        base, track = run(point), numbers(point)["half_track_m"]
+        base = run(point)
+        track = numbers(point)["half_track_m"]
         others = [
             run(replace(point, changes=(("com_height_m", 0.0125),))),
             run(replace(point, changes=(("half_track_m", 1.05 * track),))),

@@ -53,7 +53,8 @@ def velocity(
         slips: whether friction is proportional to the slip (`viscous`); else wheels do
             not slip sideways, which three connectors determine.
     """
-    length, small = spec.geometry.segment_length, 1e-6
+    length = spec.geometry.segment_length
+    small = 1e-6
     place, heading = chain(q, length)
     ahead, behind = (chain(q + side * small * rate, length) for side in (1, -1))
     place_rate, heading_rate = (
@@ -87,7 +88,8 @@ def loop(middle: Sequence[float], radius: float, period: float = 60.0) -> Path:
 
     def path(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         angle = omega * time[:, None] + lags
-        cosine, sine = radius * np.cos(angle), radius * np.sin(angle)
+        cosine = radius * np.cos(angle)
+        sine = radius * np.sin(angle)
         return np.array(middle) + cosine, -omega * sine, -(omega**2) * cosine
 
     return path
@@ -105,7 +107,8 @@ def displacement(
     def pose_rate(time: float, pose: np.ndarray) -> np.ndarray:
         q, rate, _ = path(np.array([time]))
         u, v, spin = velocity(q[0], rate[0], spec, slips=slips)
-        c, s = math.cos(pose[2]), math.sin(pose[2])
+        c = math.cos(pose[2])
+        s = math.sin(pose[2])
         return np.array([c * u - s * v, s * u + c * v, spin])
 
     solved = solve_ivp(pose_rate, (0.0, period), np.zeros(3), rtol=1e-8, atol=1e-12)

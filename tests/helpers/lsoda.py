@@ -51,8 +51,10 @@ def bend_intervals(
     spec: RobotSpec, gait: Gait, duration: float, supply_pa: float
 ) -> list[BendInterval]:
     """Return the bends of a gait from rest, in closed form between its valve events."""
-    actuator, result = spec.actuator, []
-    pressure, bend = np.zeros((spec.segments, 2)), np.zeros(spec.segments)
+    actuator = spec.actuator
+    result = []
+    pressure = np.zeros((spec.segments, 2))
+    bend = np.zeros(spec.segments)
     gait.reset(spec, TICK)
     script = gait.script(duration)
     for start, stop, valves in zip(
@@ -96,13 +98,18 @@ class CompleteModel:
             friction: "axis" or "wheel".
             slip: slip speed ε, m/s.
         """
-        g, mu = spec.geometry, spec.friction
-        self.mass, self.total = spec.mass.array(), spec.mass.total
-        self.length, self.gap, self.slip2 = g.segment_length, g.rigid_gap, slip**2
+        g = spec.geometry
+        mu = spec.friction
+        self.mass = spec.mass.array()
+        self.total = spec.mass.total
+        self.length = g.segment_length
+        self.gap = g.rigid_gap
+        self.slip2 = slip**2
         arms = [0.0] if friction == "axis" else [g.half_track, -g.half_track]
         self.arm = np.array(arms)[:, None]
         self.load = self.mass * GRAVITY / len(arms)
-        self.mu_t, self.mu_n = mu.mu_t, mu.mu_n
+        self.mu_t = mu.mu_t
+        self.mu_n = mu.mu_n
         self.rest = np.sqrt(mu.mu_n**2 - mu.mu_t**2)
         self._law = {"axis": self._axis, "wheel": self._wheel}[friction]
         # Headings and link directions are linear in the bends, connector positions in
@@ -116,7 +123,8 @@ class CompleteModel:
         """Return the rate of the state (x, y, θ, v_x, v_y, L)."""
         b = self.bends
         decay = b.swing * np.exp((b.start - time) * b.rate)
-        bend, rate = b.resting + decay.sum(axis=0), -(decay * b.rate).sum(axis=0)
+        bend = b.resting + decay.sum(axis=0)
+        rate = -(decay * b.rate).sum(axis=0)
         body, rho, drift = self._shape(bend, rate)
         inertia = self.mass @ (rho.real**2 + rho.imag**2)
         moment = self.mass @ (rho.conj() * drift).imag
@@ -136,7 +144,8 @@ class CompleteModel:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return e^{iφ}, ρ and ρ̇ of each connector in the frame of the mean heading."""
         half = 0.5 * bend + 1e-30  # avoids 0/0
-        cos, sin = np.cos(half), np.sin(half)
+        cos = np.cos(half)
+        sin = np.sin(half)
         arc = sin / half
         span = self.length * arc + self.gap * cos
         interval = 0.5 * rate * (self.length * (cos - arc) / half - self.gap * sin)
@@ -179,7 +188,8 @@ def solve(
     states = np.zeros((len(times), 6))
     state = np.zeros(6)
     for model.bends in bends:
-        start, stop = model.bends.start, model.bends.stop
+        start = model.bends.start
+        stop = model.bends.stop
         first, last = np.searchsorted(times, [start + 1e-9, stop + 1e-9])
         at = np.concatenate([[start], times[first:last]])
         # Samples within rounding of the end count as the end.

@@ -75,7 +75,8 @@ class Module:
             (ticks + 1, 1)
         )
         noise = np.repeat(noise, count, axis=1)
-        bend, reference = np.zeros((ticks + 1, count)), np.zeros((ticks + 1, count))
+        bend = np.zeros((ticks + 1, count))
+        reference = np.zeros((ticks + 1, count))
         states = np.full((ticks + 1, count, 2), -1, dtype=np.int8)
         reference[0] = controller.signals()["reference"]
         end = np.array([TICK_S])
@@ -85,10 +86,8 @@ class Module:
             bend[k + 1] = (
                 trace.bend[0] if load is None else load.step(trace.pressure[0])
             )
-            states[k + 1], reference[k + 1] = (
-                air.valves,
-                controller.signals()["reference"],
-            )
+            states[k + 1] = air.valves
+            reference[k + 1] = controller.signals()["reference"]
         time = TICK_S * np.arange(ticks + 1)
         return [
             Trajectory(
@@ -122,7 +121,8 @@ class _Load:
             [0, 0, 0, 1],
             [0, 0, 0, 0],
         ]
-        self._gain, self._step = spec.actuator.gain, expm(TICK_S * np.array(law))
+        self._gain = spec.actuator.gain
+        self._step = expm(TICK_S * np.array(law))
         self._state = np.zeros(
             (4, spec.segments)
         )  # bend, its rate, free bend, its rate

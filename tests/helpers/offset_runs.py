@@ -151,10 +151,8 @@ def fit_offsets(
     scales = {
         name: (noise or {}).get(name, scale) for name, (scale, _) in NOISE.items()
     }
-    fitted, kept = (
-        _Rows(tuple(runs), drive, "fit", scales, threads),
-        _Rows(tuple(validation), drive, "validation", scales, threads),
-    )
+    fitted = _Rows(tuple(runs), drive, "fit", scales, threads)
+    kept = _Rows(tuple(validation), drive, "validation", scales, threads)
     wanted = free_parameters(drive.spec, names, starts=starting)
     # Validate with the final values of all parameters, also of unidentifiable ones.
     validating = kept.residuals if validation else None
@@ -195,7 +193,8 @@ def _hidden(
             [_slope(rows, everything, z, i, h) for i in range(len(z))], axis=1
         )
 
-    fine, coarse = jacobian(_STEP), jacobian(2 * _STEP)
+    fine = jacobian(_STEP)
+    coarse = jacobian(2 * _STEP)
     noise = estimate.residual_scale * math.sqrt(estimate.samples / estimate.independent)
     widths = np.array(
         [item.coordinate(item.high) - item.coordinate(item.low) for item in everything]
@@ -233,7 +232,8 @@ def _slope(
             [item.values / item.scale for item in rows.residuals(values)]
         )
 
-    up, down = z[i] + h, max(z[i] - h, unknowns[i].coordinate(unknowns[i].low))
+    up = z[i] + h
+    down = max(z[i] - h, unknowns[i].coordinate(unknowns[i].low))
     slope: np.ndarray = (weighted(up) - weighted(down)) / (up - down)
     return slope
 
@@ -249,13 +249,11 @@ class _Rows:
         scales: Mapping[str, float],
         threads: int | None,
     ) -> None:
-        self._runs, self._drive, self._role, self._scales, self._threads = (
-            runs,
-            drive,
-            role,
-            scales,
-            threads,
-        )
+        self._runs = runs
+        self._drive = drive
+        self._role = role
+        self._scales = scales
+        self._threads = threads
         # The search repeats values, and runs are expensive.
         self._known: dict[tuple[tuple[str, float], ...], list[SteadyPath | None]] = {}
 

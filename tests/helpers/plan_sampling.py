@@ -19,16 +19,17 @@ def deepest(plan: Plan, problem: Problem, spacing: float = 0.004) -> float:
 
     A point inside a polygon counts as 1 m deep.
     """
-    depth, body = -math.inf, problem.footprint
-    last, wider, lasting = None, (0.0, 0.0), 0.0
+    depth = -math.inf
+    body = problem.footprint
+    last = None
+    wider = (0.0, 0.0)
+    lasting = 0.0
     for segment in plan.segments:
         if last is not None:
             left, right, length = body.transient(last, segment.offset)
             old = wider if lasting > 0 else (0.0, 0.0)
-            wider, lasting = (
-                (max(left, old[0]), max(right, old[1])),
-                max(lasting, length),
-            )
+            wider = (max(left, old[0]), max(right, old[1]))
+            lasting = max(lasting, length)
         start = (segment.start.x, segment.start.y, segment.start.heading)
         points = [swept_points(start, segment.curvature, segment.length, body, spacing)]
         if lasting > 0:
@@ -43,7 +44,8 @@ def deepest(plan: Plan, problem: Problem, spacing: float = 0.004) -> float:
                 )
             )
         depth = max(depth, depth_in(np.vstack(points), problem.world))
-        last, lasting = segment.offset, lasting - segment.length
+        last = segment.offset
+        lasting = lasting - segment.length
     return depth
 
 
@@ -69,15 +71,15 @@ def swept_points(
     n = np.linspace(-edges[1], edges[0], 2 + int(sum(edges) / spacing))
     s, n = (grid.ravel() for grid in np.meshgrid(s, n))
     if abs(curvature) < 1e-9:
-        along, across = s, n
+        along = s
+        across = n
     else:
         # Rotate about the centre of the turn, at 1/curvature to the left.
         radius = 1 / curvature
-        along, across = (
-            (radius - n) * np.sin(s / radius),
-            radius - (radius - n) * np.cos(s / radius),
-        )
-    c, sn = math.cos(heading), math.sin(heading)
+        along = (radius - n) * np.sin(s / radius)
+        across = radius - (radius - n) * np.cos(s / radius)
+    c = math.cos(heading)
+    sn = math.sin(heading)
     return np.column_stack([x + c * along - sn * across, y + sn * along + c * across])
 
 
@@ -123,7 +125,8 @@ def joints(plan: Plan, problem: Problem) -> float:
 
 def misses(plan: Plan, problem: Problem) -> bool:
     """Return whether a plan ends outside the tolerance of the goal."""
-    end, goal = plan.end or problem.start, problem.goal
+    end = plan.end or problem.start
+    goal = problem.goal
     far = math.hypot(end.x - goal.x, end.y - goal.y) > goal.radius + 1e-6
     turned = goal.heading is not None and (
         abs(math.remainder(end.heading - goal.heading, 2 * math.pi))

@@ -86,7 +86,8 @@ def _cornered(circle: Circle, rng: np.random.Generator) -> Polygon:
 
 def _with_transients(body: Footprint) -> Footprint:
     """Return a body that deviates to the outside of the old turn after a change of offset."""
-    wide, tight = 0.3 * body.narrowest, 1 / max(body.tightest)
+    wide = 0.3 * body.narrowest
+    tight = 1 / max(body.tightest)
     changes = (
         Transient(body.offsets[0], body.offsets[-1], 0.0, wide, tight / 3),
         Transient(body.offsets[-1], body.offsets[0], wide, 0.0, tight / 3),
@@ -94,7 +95,8 @@ def _with_transients(body: Footprint) -> Footprint:
     return replace(body, transients=changes)
 
 
-SPEED, STEP_S = 0.2, 1.0
+SPEED = 0.2
+STEP_S = 1.0
 ARCS = Primitives(21, math.pi / 3, SPEED * STEP_S)
 
 

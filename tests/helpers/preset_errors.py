@@ -31,7 +31,8 @@ Metrics = Mapping[str, Any]
 def run(name: str, settings: Settings) -> Trajectory:
     """Simulate a scenario with the twin."""
     scenario = load_scenario(name)
-    plant, gait = scenario.build_plant("twin", **settings), scenario.build_controller()
+    plant = scenario.build_plant("twin", **settings)
+    gait = scenario.build_controller()
     return rollout(plant, gait, max(8, math.ceil(5 / (gait.frequency or 1))))
 
 

@@ -46,30 +46,36 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
         half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
-        length_rate, bulge = slope * u[3 + j], curvature * u[3 + j]
+        length_rate = slope * u[3 + j]
+        bulge = curvature * u[3 + j]
         for k in range(n - 1):
             # Bend k turns all behind it by −1, and everything by this much, so that the
             # mean stays.
             turn = (n - 1 - k) / n - (1.0 if k < j else 0.5 if k == j else 0.0)
             own = 1.0 if k == j else 0.0
-            forth, aside = own * slope, span * turn
-            forth_rate, aside_rate = (
-                own * bulge - aside * spin,
-                length_rate * turn + own * slope * spin,
-            )
+            forth = own * slope
+            aside = span * turn
+            forth_rate = own * bulge - aside * spin
+            aside_rate = length_rate * turn + own * slope * spin
             rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + aside * s
             rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - aside * c
             rates[i, 0, 3 + k] = rates[j, 0, 3 + k] - forth_rate * c + aside_rate * s
             rates[i, 1, 3 + k] = rates[j, 1, 3 + k] - forth_rate * s - aside_rate * c
     _centre(mass, rows, rates)
     for i in range(n):
-        row, rate = rows[i], rates[i]
-        row[0, 0], row[0, 1], row[0, 2] = 1.0, 0.0, -body[Y, i]
-        row[1, 0], row[1, 1], row[1, 2] = 0.0, 1.0, body[X, i]
+        row = rows[i]
+        rate = rates[i]
+        row[0, 0] = 1.0
+        row[0, 1] = 0.0
+        row[0, 2] = -body[Y, i]
+        row[1, 0] = 0.0
+        row[1, 1] = 1.0
+        row[1, 2] = body[X, i]
         rate[0, 0] = rate[0, 1] = rate[1, 0] = rate[1, 1] = 0.0
         rate[0, 2] = -body[VY, i] - u[2] * body[X, i]
         rate[1, 2] = body[VX, i] - u[2] * body[Y, i]
-        c, s = body[COS, i], body[SIN, i]
+        c = body[COS, i]
+        s = body[SIN, i]
         for k in range(n + 2):
             row[0, k], row[1, k] = (
                 row[0, k] * c + row[1, k] * s,
@@ -81,13 +87,16 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
             )
             if k >= 3:
                 row[2, k] = (n + 2 - k) / n - (1.0 if k - 3 < i else 0.0)
-        row[2, 0], row[2, 1], row[2, 2] = 0.0, 0.0, 1.0
+        row[2, 0] = 0.0
+        row[2, 1] = 0.0
+        row[2, 2] = 1.0
 
 
 @compiled
 def _centre(mass, rows, rates):  # type: ignore[no-untyped-def]
     """Refer the places by the bends, and their rates, to the centre of mass."""
-    n, total = mass.shape[0], mass.sum()
+    n = mass.shape[0]
+    total = mass.sum()
     for k in range(3, n + 2):
         for axis in range(2):
             mean = mean_rate = 0.0
@@ -103,17 +112,14 @@ def newtons_matrix(
     q: np.ndarray, u: np.ndarray, a: float, model: CompliantModel
 ) -> np.ndarray:
     """Return Newton's matrix of a stage of `compliant_kernels` as a sum over the rows of all connectors."""
-    solid, floor, springs = (
-        model.solid,
-        model.floor,
-        a * model.damping + a * a * model.stiffness,
-    )
-    n, size = len(solid.mass), len(u)
-    body, rows, rates = (
-        np.empty((ROWS, n)),
-        np.empty((n, 3, size)),
-        np.empty((n, 2, size)),
-    )
+    solid = model.solid
+    floor = model.floor
+    springs = a * model.damping + a * a * model.stiffness
+    n = len(solid.mass)
+    size = len(u)
+    body = np.empty((ROWS, n))
+    rows = np.empty((n, 3, size))
+    rates = np.empty((n, 2, size))
     pose_body(q, u[3:], solid, body)
     fill_rows(body, q, u, solid, rows, rates)
     matrix = np.diag(np.append(np.zeros(3), springs))

@@ -20,8 +20,10 @@ from srs_twin import (
     rollout,
 )
 
-FREQUENCY_HZ, OFFSET = 2.0, 0.2
-PERIODS, MEASURED_PERIODS = 3, 2
+FREQUENCY_HZ = 2.0
+OFFSET = 0.2
+PERIODS = 3
+MEASURED_PERIODS = 2
 TICK_S = 0.02
 SETTINGS = ("timestep", "tolerance", "slip_speed", "slip_time", "axle_time")
 """Numerical settings of the plants that can be given."""
@@ -113,7 +115,8 @@ PLANTS: dict[str, Builder] = {
 
 def motion(plant: Plant, s: float) -> np.ndarray:
     """Return the speed over √s and the yaw rate times √s of a turning gait over its last periods, (2,)."""
-    time, end = math.sqrt(s), PERIODS / FREQUENCY_HZ
+    time = math.sqrt(s)
+    end = PERIODS / FREQUENCY_HZ
     run = rollout(
         plant, Gait(FREQUENCY_HZ / time, OFFSET), end * time, record_hz=50 / time
     )

@@ -58,7 +58,9 @@ def of_cylinder(sensor: Strip, elements: int = 12) -> np.ndarray:
         axis.ravel() for axis in np.meshgrid(across, across, along, indexing="ij")
     )
     inside = u**2 + v**2 <= (MAGNET_DIAMETER / 2) ** 2
-    u, v, w = u[inside], v[inside], w[inside]
+    u = u[inside]
+    v = v[inside]
+    w = w[inside]
     up = sensor.orientation == "up"
     r = np.stack(
         [

@@ -26,17 +26,13 @@ class Wave(Pneumatics):
         frequency: float = 2.0,
         rise: float = 0.2,
     ) -> None:
-        self._actuator, self._lag = (
-            spec.actuator,
-            spec.phase_step * np.arange(spec.segments),
-        )
+        self._actuator = spec.actuator
+        self._lag = spec.phase_step * np.arange(spec.segments)
         self._middle = spec.supply.nominal / 2
-        self._amplitude, self._bias, self._omega, self._rise = (
-            amplitude,
-            bias,
-            2 * np.pi * frequency,
-            rise,
-        )
+        self._amplitude = amplitude
+        self._bias = bias
+        self._omega = 2 * np.pi * frequency
+        self._rise = rise
         super().__init__(spec, layout="3/2")
 
     def reset(self) -> None:
@@ -45,7 +41,9 @@ class Wave(Pneumatics):
 
     def free(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the free bends (rad), their rates and accelerations, shape (times, segments)."""
-        t, w, r = np.asarray(time)[:, None], self._omega, self._rise
+        t = np.asarray(time)[:, None]
+        w = self._omega
+        r = self._rise
         gone = np.exp(-((t / r) ** 4))
         swell = (
             1 - gone,
@@ -76,5 +74,6 @@ class Wave(Pneumatics):
         self._now += schedule.span
         valves = np.repeat(schedule.states[-1:], len(times), axis=0)
         pressure = np.stack([self._middle + half, self._middle - half], axis=-1)
-        self.pressure, self.bend = pressure[-1], q[-1]
+        self.pressure = pressure[-1]
+        self.bend = q[-1]
         return Trace(pressure, q, dq, ddq, valves, np.zeros(len(times)))

@@ -81,7 +81,8 @@ def _throw_analytical(
     inertia += plant._body.solid.inertia.sum()
     plant._body.state[kernels.STATE_VX : kernels.STATE_VY + 1] = velocity
     plant._body.state[kernels.MOMENT] = inertia * spin
-    c, s = np.cos(heading), np.sin(heading)
+    c = np.cos(heading)
+    s = np.sin(heading)
     plant._body.velocity[:3] = (
         c * velocity[0] + s * velocity[1],
         c * velocity[1] - s * velocity[0],
@@ -92,12 +93,11 @@ def _throw_analytical(
 def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) -> None:
     for _ in range(round(0.2 / plant.tick)):
         plant.step(vented(plant.spec))
-    physics, g = plant.physics, plant.spec.geometry
+    physics = plant.physics
+    g = plant.spec.geometry
     centre = physics.center_of_mass()[:2]
-    headings, places = (
-        physics.connector_headings(),
-        physics.connector_positions()[:, :2],
-    )
+    headings = physics.connector_headings()
+    places = physics.connector_positions()[:, :2]
 
     def at(place: np.ndarray) -> np.ndarray:
         arm = place - centre

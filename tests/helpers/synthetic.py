@@ -159,7 +159,8 @@ def _centre_line(theta: np.ndarray, length: float, gap: float) -> np.ndarray:
     """Return connector positions relative to the head, shape (samples, N, 2)."""
     node, weight = np.polynomial.legendre.leggauss(12)
     along_arc = 0.5 * (node + 1)
-    front, back = theta[:, :-1, None], theta[:, 1:, None]
+    front = theta[:, :-1, None]
+    back = theta[:, 1:, None]
     tangent = np.exp(1j * (front + (back - front) * along_arc))
     chord = length * (tangent @ (0.5 * weight)) + 0.5 * gap * np.exp(1j * theta[:, :-1])
     chord = chord + 0.5 * gap * np.exp(1j * theta[:, 1:])

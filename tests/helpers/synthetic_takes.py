@@ -86,12 +86,14 @@ class Take:
 
 def markers(trajectory: Trajectory, take: Take) -> np.ndarray:
     """Return the noise-free marker positions of a layout, shape (samples, markers, 2), m."""
-    position, theta = trajectory.position, trajectory.stack("theta")
+    position = trajectory.position
+    theta = trajectory.stack("theta")
     along = np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     if "middles" in take.layout:
         middle = middles(trajectory)
         both = np.empty((len(position), 2 * position.shape[1] - 1, 2))
-        both[:, ::2], both[:, 1::2] = position, middle
+        both[:, ::2] = position
+        both[:, 1::2] = middle
         position = both
     if "head" in take.layout:
         return np.concatenate(
@@ -127,10 +129,8 @@ def lengths(trajectory: Trajectory) -> np.ndarray:
 
 def middles(trajectory: Trajectory) -> np.ndarray:
     """Return the middles of the segments, shape (samples, segments, 2), m."""
-    theta, gap = (
-        trajectory.stack("theta")[:, :-1],
-        float(trajectory.metadata["rigid_gap_m"]) / 2,
-    )
+    theta = trajectory.stack("theta")[:, :-1]
+    gap = float(trajectory.metadata["rigid_gap_m"]) / 2
     front = trajectory.position[:, :-1] @ [1, 1j] - gap * np.exp(1j * theta)
     place = front - _arcs(theta, trajectory.stack("bend"), lengths(trajectory), 0.5)
     return np.stack([place.real, place.imag], axis=-1)
@@ -144,7 +144,8 @@ def stretched(trajectory: Trajectory, share: float, power: float = 1.0) -> Traje
         share: relative elongation of the most bent segment.
         power: exponent of the bend.
     """
-    bend, theta = trajectory.stack("bend"), trajectory.stack("theta")
+    bend = trajectory.stack("bend")
+    theta = trajectory.stack("theta")
     gap = float(trajectory.metadata["rigid_gap_m"]) / 2
     length = lengths(trajectory) * (
         1 + share * (np.abs(bend) / np.abs(bend).max()) ** power
@@ -196,7 +197,8 @@ def write_motive(
 
 def _captured(trajectory: Trajectory, take: Take) -> tuple[np.ndarray, np.ndarray]:
     """Return frame times from 0 and the markers at them."""
-    time, plane = trajectory.time - trajectory.time[0], markers(trajectory, take)
+    time = trajectory.time - trajectory.time[0]
+    plane = markers(trajectory, take)
     if take.rate_hz is None:
         return time, plane
     from scipy.interpolate import CubicSpline
@@ -212,7 +214,8 @@ def _hidden(
     hidden = np.zeros((len(time), count), dtype=bool)
     wanted = take.lost * hidden.size
     while hidden.sum() < wanted:
-        start, marker = random.integers(1, len(time)), random.integers(count)
+        start = random.integers(1, len(time))
+        marker = random.integers(count)
         hidden[start : start + random.geometric(1 / take.gap_frames), marker] = True
     for which, begin, end in take.occluded:
         hidden[(time >= begin) & (time < end), which] = True

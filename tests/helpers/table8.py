@@ -15,7 +15,9 @@ from srs_twin.identification.footprint import GaitSetup
 from srs_twin.io.files import data_root
 from srs_twin.scenario.provenance import versions
 
-FREQUENCY_HZ, SUPPLY_PA, TARGET_RAD = 1.5, 131e3, 0.7
+FREQUENCY_HZ = 1.5
+SUPPLY_PA = 131e3
+TARGET_RAD = 0.7
 FITTED = (0.0, 0.3, -0.3)
 LENGTH = "geometry.segment_length_m"
 UNKNOWN = {LENGTH: 0.1164, "friction.mu_t": 0.0901, "modules.sensor_bias_rad": 0.0151}
@@ -74,7 +76,8 @@ def shipped() -> dict[str, FitFile]:
 
 def drive_of(study: str) -> GaitSetup:
     """Return generation 4 with the iterative learning control of Section 5.3."""
-    plant, steering = STUDIES[study].plant, STUDIES[study].steering
+    plant = STUDIES[study].plant
+    steering = STUDIES[study].steering
     return GaitSetup(
         load_robot("gen4"), FREQUENCY_HZ, SUPPLY_PA, "ilc", TARGET_RAD, plant, steering
     )
@@ -147,8 +150,10 @@ def with_averages(
 
 def fit_body_width() -> FitFile:
     """Fit the width to three rows and predict all rows."""
-    moves, spec = load_fit(place(PLANT)), load_robot("gen4")
-    fitted, kept = edges(moves, "fit"), edges(moves, "validation")
+    moves = load_fit(place(PLANT))
+    spec = load_robot("gen4")
+    fitted = edges(moves, "fit")
+    kept = edges(moves, "validation")
     result = fit_width(fitted, spec, validation=kept)
     change = result.values[WIDTH] - spec.geometry.width
     fit = fit_file(

@@ -23,7 +23,8 @@ def crawled(
         timestep: time step, s.
         options: options of the twin.
     """
-    point, spec = POINTS[name], load_robot(POINTS[name].robot)
+    point = POINTS[name]
+    spec = load_robot(POINTS[name].robot)
     damping_time = numbers(point)["damping_time_s"]
     spec = replace(spec, bending=replace(spec.bending, damping_time=damping_time))
     if point.stiffness is not None:

@@ -59,7 +59,9 @@ class Unicycle(Plant):
 
     def reset(self, *, pose=(0.0, 0.0, 0.0), seed=0):
         self.x, self.y, self.heading = pose
-        self.time, self.curvature, self.offsets = 0.0, 0.0, []
+        self.time = 0.0
+        self.curvature = 0.0
+        self.offsets = []
         return self._state()
 
     def step(self, valves):
@@ -78,7 +80,8 @@ class Unicycle(Plant):
         return self._state()
 
     def _state(self):
-        nan, pairs = np.full((5, 2), np.nan), np.full((4, 2), np.nan)
+        nan = np.full((5, 2), np.nan)
+        pairs = np.full((4, 2), np.nan)
         swing = self.wag * math.sin(2 * math.pi * Wheel.frequency * self.time)
         return SnakeState(
             time=self.time,

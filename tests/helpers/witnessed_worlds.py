@@ -94,8 +94,10 @@ class _Start:
 
     def draw_path(self, rng: np.random.Generator, length: float) -> Pieces:
         """Return the straight first part, followed by arcs."""
-        low, high = self.body.curvatures[0], self.body.curvatures[-1]
-        pieces, left = [(0.0, self.run_up + 0.05)], length
+        low = self.body.curvatures[0]
+        high = self.body.curvatures[-1]
+        pieces = [(0.0, self.run_up + 0.05)]
+        left = length
         while left > 0:
             piece = float(rng.uniform(0.3, 0.8))
             pieces.append(
@@ -188,7 +190,8 @@ def _polygons(rng: np.random.Generator, start: _Start) -> Witnessed | None:
 def _strewn(rng: np.random.Generator, start: _Start, pieces: Pieces) -> list[Circle]:
     """Return circles next to a path, many of them close to it."""
     swept = start.swept(pieces)
-    low, high = swept.min(axis=0) - 0.3, swept.max(axis=0) + 0.3
+    low = swept.min(axis=0) - 0.3
+    high = swept.max(axis=0) + 0.3
     result: list[Circle] = []
     for _ in range(600):
         x, y = rng.uniform(low, high)
@@ -203,7 +206,8 @@ def _strewn(rng: np.random.Generator, start: _Start, pieces: Pieces) -> list[Cir
 
 
 def _gaps(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    ratio, count = float(rng.uniform(1.1, 1.8)), int(rng.integers(1, 4))
+    ratio = float(rng.uniform(1.1, 1.8))
+    count = int(rng.integers(1, 4))
     return _walls(rng, start.body, ratio, count, start.run_up, start.room)
 
 
@@ -218,13 +222,13 @@ def _sides(
     start: _Start, pieces: Pieces, before: Pieces, ratio: float
 ) -> list[Polygon]:
     """Return walls along both sides of a part of a path, at a multiple of the half width."""
-    body, thick = start.body, 0.03
-    left, right = max(body.left), max(body.right)
+    body = start.body
+    thick = 0.03
+    left = max(body.left)
+    right = max(body.right)
     for item in body.transients:
-        left, right = (
-            max(left, max(body.left) + item.left),
-            max(right, max(body.right) + item.right),
-        )
+        left = max(left, max(body.left) + item.left)
+        right = max(right, max(body.right) + item.right)
     path = path_from_arcs(
         path_from_arcs(Pose(0.0, 0.0, 0.0), before, body)[-1].end, pieces, body
     )
@@ -250,16 +254,15 @@ def _sides(
 def _convex(polygon: Polygon) -> bool:
     """Return whether the corners of a strip do not cross, as they do inside a tight turn."""
     corners = np.array(polygon.corners)
-    side, after = (
-        np.roll(corners, -1, axis=0) - corners,
-        np.roll(corners, -2, axis=0) - np.roll(corners, -1, axis=0),
-    )
+    side = np.roll(corners, -1, axis=0) - corners
+    after = np.roll(corners, -2, axis=0) - np.roll(corners, -1, axis=0)
     cross = side[:, 0] * after[:, 1] - side[:, 1] * after[:, 0]
     return bool((cross > 1e-9).all() or (cross < -1e-9).all())
 
 
 def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    body, ratio = start.body, float(rng.uniform(1.1, 1.5))
+    body = start.body
+    ratio = float(rng.uniform(1.1, 1.5))
     depth = max(2 * (body.ahead + body.behind), 2 * body.at(0.0).left)
     pieces = [
         *start.draw_path(rng, float(rng.uniform(1.0, 2.0))),
@@ -269,8 +272,10 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
         start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio
     )
     end = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body)[-1].end
-    ahead, half = body.ahead + 0.03, ratio * max(*body.left, *body.right)
-    c, s = math.cos(end.heading), math.sin(end.heading)
+    ahead = body.ahead + 0.03
+    half = ratio * max(*body.left, *body.right)
+    c = math.cos(end.heading)
+    s = math.sin(end.heading)
     corners = [
         (ahead, half),
         (ahead + 0.03, half),
@@ -286,11 +291,15 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
 
 
 def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    body, columns, rows = start.body, 3, 2
+    body = start.body
+    columns = 3
+    rows = 2
     cell = 2.2 / min(body.tightest) + 2 * _settled(body)
     entry = start.run_up + _settled(body) + body.ahead + start.room
     # Random spanning tree and the path through it.
-    at, seen, opened = (0, 0), {(0, 0)}, set()
+    at = (0, 0)
+    seen = {(0, 0)}
+    opened = set()
     trail = [at]
     before: dict[tuple[int, int], tuple[int, int]] = {}
     while trail:
@@ -305,7 +314,8 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
             trail.pop()
             continue
         after = fresh[int(rng.integers(len(fresh)))]
-        before[after], seen = at, seen | {after}
+        before[after] = at
+        seen = seen | {after}
         opened.add(frozenset((at, after)))
         trail.append(after)
     cells = [(columns - 1, int(rng.integers(rows)))]
@@ -333,10 +343,8 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     walls, (x0, y0), thick = [], (entry, -cell / 2), 0.02
 
     def wall(ax: float, ay: float, bx: float, by: float) -> None:
-        low, high = (
-            (min(ax, bx) - thick, min(ay, by) - thick),
-            (max(ax, bx) + thick, max(ay, by) + thick),
-        )
+        low = (min(ax, bx) - thick, min(ay, by) - thick)
+        high = (max(ax, bx) + thick, max(ay, by) + thick)
         walls.append(
             Polygon(
                 (
@@ -381,9 +389,13 @@ def _walls(
     room: float = 0.0,
 ) -> Witnessed | None:
     straight = body.at(0.0)
-    width, thick = straight.left + straight.right, float(rng.uniform(0.02, 0.08))
-    run_up, run_out = _settled(body) + body.ahead + 0.01, body.behind + 0.01
-    pieces, heading, places = [(0.0, 0.5 * width + first)], 0.0, []
+    width = straight.left + straight.right
+    thick = float(rng.uniform(0.02, 0.08))
+    run_up = _settled(body) + body.ahead + 0.01
+    run_out = body.behind + 0.01
+    pieces = [(0.0, 0.5 * width + first)]
+    heading = 0.0
+    places = []
     for _ in range(count):
         pieces += _bend(rng, body, heading, float(rng.uniform(-0.5, 0.5)))
         heading = sum(k * length for k, length in pieces)
@@ -394,7 +406,8 @@ def _walls(
     ends = [start]
     for k, length in pieces:
         ends.append(path_from_arcs(ends[-1], [(k, length)], body)[-1].end)
-    x, y = [item.x for item in ends], [item.y for item in ends]
+    x = [item.x for item in ends]
+    y = [item.y for item in ends]
     room = 3 * width + body.ahead + body.behind
     bounds = Bounds(
         (min(x) - room, max(x) + room), (min(y) - 2 * room, max(y) + 2 * room)
@@ -425,7 +438,8 @@ def _bend(
     rng: np.random.Generator, body: Footprint, heading: float, to: float
 ) -> Pieces:
     """Return arcs that end with another heading, some with a lateral offset."""
-    low, high = body.curvatures[0], body.curvatures[-1]
+    low = body.curvatures[0]
+    high = body.curvatures[-1]
     share = float(rng.uniform(0.4, 0.95))
     side = 1.0 if rng.random() < 0.5 else -1.0
     first = side * float(rng.uniform(0.1, 0.6))
@@ -450,14 +464,17 @@ def _wall(
     half = ratio * (left + right) / 2 / math.cos(tilt) + thick / 2 * math.tan(abs(tilt))
     along = at.heading + math.pi / 2 + tilt
     middle = (left - right) / 2
-    x, y = at.x - middle * math.sin(at.heading), at.y + middle * math.cos(at.heading)
+    x = at.x - middle * math.sin(at.heading)
+    y = at.y + middle * math.cos(at.heading)
     (west, east), (south, north) = bounds.x, bounds.y
     far = math.hypot(east - west, north - south)
-    c, s = math.cos(along), math.sin(along)
+    c = math.cos(along)
+    s = math.sin(along)
     across = (s * thick / 2, -c * thick / 2)
     made = []
     for sign in (1.0, -1.0):
-        near, end = sign * half, sign * far
+        near = sign * half
+        end = sign * far
         corners = [(near, 1.0), (end, 1.0), (end, -1.0), (near, -1.0)]
         made.append(
             Polygon(
@@ -479,12 +496,11 @@ def _row(
     bounds: Bounds,
 ) -> list[Circle]:
     """Return a row of circles across a path, as a wall with a gap."""
-    half, along = (
-        ratio * (left + right) / 2,
-        at.heading + math.pi / 2 + float(rng.uniform(-0.1, 0.1)),
-    )
+    half = ratio * (left + right) / 2
+    along = at.heading + math.pi / 2 + float(rng.uniform(-0.1, 0.1))
     middle = (left - right) / 2
-    x, y = at.x - middle * math.sin(at.heading), at.y + middle * math.cos(at.heading)
+    x = at.x - middle * math.sin(at.heading)
+    y = at.y + middle * math.cos(at.heading)
     made = []
     for sign in (1.0, -1.0):
         place = half

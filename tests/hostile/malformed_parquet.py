@@ -106,10 +106,8 @@ def many_rows() -> bytes:
 
 def inflating() -> bytes:
     """Return a small file that unpacks to three gigabytes of zeros."""
-    file, zeros = (
-        io.BytesIO(),
-        pa.table({"time": [bytes(1 << 22)]}).replace_schema_metadata(METADATA),
-    )
+    file = io.BytesIO()
+    zeros = pa.table({"time": [bytes(1 << 22)]}).replace_schema_metadata(METADATA)
     with pq.ParquetWriter(
         file, zeros.schema, compression="zstd", use_dictionary=False
     ) as writer:
@@ -384,7 +382,8 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
     columns = {"time": np.cumsum(steps) if steps else np.empty(0)}
     for name in draw(st.lists(names, max_size=4, unique=True)):
         columns.setdefault(name, draw(npst.arrays(float, len(steps))))
-    unit, text = st.text(st.characters(codec="utf-8"), max_size=4), st.text(max_size=9)
+    unit = st.text(st.characters(codec="utf-8"), max_size=4)
+    text = st.text(max_size=9)
     units = draw(st.dictionaries(st.sampled_from(list(columns)), unit, max_size=2))
     events = draw(st.lists(st.builds(Event, st.floats(0, 1e6), text, text), max_size=3))
     metadata = draw(

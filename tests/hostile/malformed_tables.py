@@ -25,11 +25,14 @@ CONNECTORS = SPEC.geometry.connectors
 
 def _positions(frame: int) -> list[tuple[float, float]]:
     """Return connector positions of a wave that crawls along x, m."""
-    positions, x, y = [], 0.01 * frame, 0.0
+    positions = []
+    x = 0.01 * frame
+    y = 0.0
     for k in range(CONNECTORS):
         positions.append((x, y))
         angle = 0.4 * math.sin(0.5 * frame - 1.5 * k)
-        x, y = x - 0.0545 * math.cos(angle), y - 0.0545 * math.sin(angle)
+        x = x - 0.0545 * math.cos(angle)
+        y = y - 0.0545 * math.sin(angle)
     return positions
 
 
@@ -75,7 +78,9 @@ def _valves() -> bytes:
     return ("\n".join([f"time,{names}", *rows]) + "\n").encode()
 
 
-MOTIVE, PLAIN, VALVES = _motive(), _plain(), _valves()
+MOTIVE = _motive()
+PLAIN = _plain()
+VALVES = _valves()
 
 
 def _edited(good: bytes, old: str, new: str, count: int = 1) -> bytes:
@@ -357,10 +362,8 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed("a header only", STATIC.split(b"\n")[0] + b"\n", ""),
 )
 
-_READ_MARKERS, _READ_FILE = (
-    "srs_twin.recordings.formats:read_markers",
-    "srs_twin.recordings.recorded_file:read_file",
-)
+_READ_MARKERS = "srs_twin.recordings.formats:read_markers"
+_READ_FILE = "srs_twin.recordings.recorded_file:read_file"
 # Name, valid file, reading function, malformed files, and the function for a separate
 # process.
 TABLES = (

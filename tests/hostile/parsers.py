@@ -140,7 +140,11 @@ def scenario_parser(
     )
 
 
-S, T, P, M, J = scenarios, studies, malformed_parquet, malformed_mjcf, malformed_json
+S = scenarios
+T = studies
+P = malformed_parquet
+M = malformed_mjcf
+J = malformed_json
 A = malformed_archives
 PARSERS: tuple[Parser, ...] = (
     scenario_parser(

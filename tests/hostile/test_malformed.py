@@ -155,7 +155,8 @@ def test_generated_files_are_read_or_rejected(
     "parser", [p for p in PARSERS if p.round_trip], ids=lambda parser: parser.name
 )
 def test_written_file_is_read_back_unchanged(parser: Parser, tmp_path: Path):
-    path, round_trip = parser.path_in(tmp_path), parser.round_trip
+    path = parser.path_in(tmp_path)
+    round_trip = parser.round_trip
     assert round_trip is not None
 
     @settings(max_examples=12, suppress_health_check=list(HealthCheck))

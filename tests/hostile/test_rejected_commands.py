@@ -18,7 +18,8 @@ from srs_twin.cli import main
 from srs_twin.io.files import data_root, display_path
 
 EXAMPLES = data_root() / "calibration/examples/my_snake"
-WALK, PULLS = str(EXAMPLES / "walk_straight.csv"), str(EXAMPLES / "pulls.csv")
+WALK = str(EXAMPLES / "walk_straight.csv")
+PULLS = str(EXAMPLES / "pulls.csv")
 FIT = str(data_root() / "calibration/fits/gen4_table8_analytical.yaml")
 LONG = "x" * 400
 NEW = "new/folder"

@@ -95,10 +95,8 @@ def test_the_page_shows_the_edges_of_the_shipped_width():
 
 
 def test_the_scenario_has_the_robot_of_the_fits():
-    moves, width = (
-        load_fit(place("analytical")).estimate().values,
-        load_fit(place("width")).estimate().values,
-    )
+    moves = load_fit(place("analytical")).estimate().values
+    width = load_fit(place("width")).estimate().values
     robot = load_scenario("ilc_table8").robot
     assert robot.geometry.segment_length == moves["geometry.segment_length_m"]
     assert robot.friction.mu_t == moves["friction.mu_t"]

@@ -271,7 +271,8 @@ def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
     main_ok("calibrate", "actuator", "held.csv", "-r", "gen2", "--out", "a.yaml", "-q")
     main_ok("calibrate", "robot", "f.yaml", "a.yaml", "--name", "mine")
     assert "robot in robots/mine.yaml" in capsys.readouterr().err
-    mine, gen2 = load_robot("robots/mine.yaml"), load_robot("gen2")
+    mine = load_robot("robots/mine.yaml")
+    gen2 = load_robot("gen2")
     assert mine.friction.mu_t == pytest.approx(load_fit("f.yaml").parameters[0].value)
     gains = {
         parameter.name: parameter.value for parameter in load_fit("a.yaml").parameters
@@ -358,7 +359,8 @@ def test_a_replayed_gait_equals_the_gait():
     assert (runs[0].com == runs[1].com).all()
     ticks = []  # and tick by tick, as for a plant that follows no script
     for controller in (gait, again):
-        plant, state = AnalyticalSnake(SPEC, supply_pa=48e3), None
+        plant = AnalyticalSnake(SPEC, supply_pa=48e3)
+        state = None
         state = plant.reset()
         controller.reset(SPEC, 0.02)
         for _ in range(40):
@@ -460,7 +462,8 @@ def test_a_recording_is_converted_to_a_run(tmp_path):
     by_pressures = rollout(plant, driven.controller, 3.5)
     # When a valve switches, the drive's rate jumps by 2 A/τ₁; the log has a chord
     # there, and x lags by τ₂.
-    swing, tau = SPEC.actuator.gain * 48e3, SPEC.actuator.tau_mode
+    swing = SPEC.actuator.gain * 48e3
+    tau = SPEC.actuator.tau_mode
     difference = by_pressures["bend_1"] - truth["bend_1"][:351]
     assert np.abs(difference).max() < 2 * swing / SPEC.actuator.tau_fill * tau
     assert np.sqrt((difference**2).mean()) < 0.01

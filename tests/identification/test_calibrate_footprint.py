@@ -324,10 +324,8 @@ def test_shipped_footprints_are_current(name):
         "right": "right_m",
     }
     for key, column in columns.items():
-        value, spread = (
-            getattr(file, column).value[row],
-            getattr(file.spread, column)[row],
-        )
+        value = getattr(file, column).value[row]
+        spread = getattr(file.spread, column)[row]
         assert getattr(again, key) == pytest.approx(
             value, abs=2 * spread + 2e-3 * abs(value)
         ), key

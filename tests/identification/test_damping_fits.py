@@ -26,7 +26,8 @@ from srs_twin.identification.hanging_segment import (
 )
 
 STIFFNESS, DAMPING_TIME = NAMES
-MASS, INERTIA = 0.2, 4e-5
+MASS = 0.2
+INERTIA = 4e-5
 
 
 def known_swing(**changes) -> Swing:
@@ -99,7 +100,8 @@ def test_motion_is_that_of_an_independent_equation(closed):
         time, start, np.full(200, 0.03), 200.0, material, segment, NO_BRANCHES
     )
     assert bends == pytest.approx(expected, abs=1e-4 if closed else 1e-6)
-    small, wanted = ringing(segment, material, 0.03, end[2:]), truth.answers(amount)
+    small = ringing(segment, material, 0.03, end[2:])
+    wanted = truth.answers(amount)
     assert small.frequency == pytest.approx(wanted["frequency"], rel=1e-5)
     assert small.loss_factor == pytest.approx(wanted["loss_factor"], rel=1e-5)
 
@@ -334,7 +336,8 @@ def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
 
     Seeds below 3000 served the development of the fit.
     """
-    inside, refused = Counter(), 0
+    inside = Counter()
+    refused = 0
     for seed in range(3000, 3060):
         each = draw(seed, law, closed=seed % 2 == 1)
         try:

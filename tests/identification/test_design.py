@@ -27,7 +27,8 @@ def test_predicted_intervals_agree_with_the_scatter_of_fits():
     assert [experiment.description for experiment in fit.chosen][0].startswith(
         "10 pulls across"
     )
-    rng, fits = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    fits = []
     force = SPEC.friction.mu_n * SPEC.mass.total * GRAVITY
     for _ in range(300):
         pulled = force * (1 + PULL_SHARE * np.sqrt(10) * rng.standard_normal(10)) / 30.0

@@ -234,7 +234,8 @@ def test_a_reference_fit_adds_the_model_error_to_the_intervals(bias):
 @pytest.mark.parametrize("slope", [-0.7, 0.0, 0.5])
 def test_the_bias_is_evaluated_at_the_true_value(slope):
     """Five searches converge to the bias at the truth, 0.05; after two with slope −0.7 it would be 0.026."""
-    true, bias = 2.0, 0.05
+    true = 2.0
+    bias = 0.05
     at = lambda b: bias + slope * (b - true)  # noqa: E731
     measured = (true + at(true)) * TIME + 1e-3 * np.random.default_rng(0).normal(
         size=len(TIME)

@@ -50,7 +50,8 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
 
     Its ends are round: half discs beyond its middle line.
     """
-    half, half_length = crawl.geometry.width / 2, crawl.geometry.body_length / 2
+    half = crawl.geometry.width / 2
+    half_length = crawl.geometry.body_length / 2
     ahead, aside = crawl.sway
     if curvature == 0:
         return (
@@ -60,7 +61,8 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
             half_length + half + ahead,
         )
     radius = 1 / abs(curvature)
-    inner, outer = half + aside, math.hypot(half_length, radius + half + aside) - radius
+    inner = half + aside
+    outer = math.hypot(half_length, radius + half + aside) - radius
     corner = math.atan2(half_length, radius - half)
     disc = math.atan2(half_length, radius) + math.asin(
         half / math.hypot(half_length, radius)
@@ -129,10 +131,8 @@ def test_a_snake_without_forward_motion_has_no_footprint():
 
 
 def test_repeats_are_combined_as_mean_paths_and_farthest_edges():
-    a, b = (
-        SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2),
-        SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1),
-    )
+    a = SteadyPath(0.1, 1.0, 0.03, 0.04, 0.1, 0.2)
+    b = SteadyPath(0.2, 2.0, 0.05, 0.02, 0.3, 0.1)
     path, spread = average_repeats([a, b])
     assert astuple(path) == pytest.approx((0.15, 1.5, 0.05, 0.04, 0.3, 0.2))
     assert astuple(spread) == pytest.approx((0.05, 0.5, 0.01, 0.01, 0.1, 0.05))
@@ -168,7 +168,8 @@ def test_arc_motions_and_arc_coordinates_agree_with_geometry(
         assert (along, left) == pytest.approx((u, w), abs=1e-6)
         return
     centre = here.place[0] + 1j / curvature * cmath.exp(1j * heading)
-    sign, radius = math.copysign(1, curvature), 1 / abs(curvature)
+    sign = math.copysign(1, curvature)
+    radius = 1 / abs(curvature)
     assert left == pytest.approx(sign * (radius - abs(point - centre)), abs=1e-9)
     angle = cmath.phase((point - centre) / (here.place[0] - centre))
     assert along == pytest.approx(sign * radius * angle, abs=1e-6)
@@ -206,14 +207,17 @@ def measured(
 )
 def test_a_delayed_turn_is_recovered(before, after):
     crawl, change = late(before, after)
-    fit, way = measured(crawl, change), crawl.speed * LATE
+    fit = measured(crawl, change)
+    way = crawl.speed * LATE
     # Along the old arc by the delay distance, and back along the new arc.
-    place, heading = 0j, 0.0
+    place = 0j
+    heading = 0.0
     for curvature, length in ((before, way), (after, -way)):
         steps = np.exp(
             1j * (heading + curvature * length * (np.arange(20_000) + 0.5) / 20_000)
         )
-        place, heading = place + length * steps.mean(), heading + curvature * length
+        place = place + length * steps.mean()
+        heading = heading + curvature * length
     assert fit.dheading == pytest.approx(heading, abs=2e-3)
     assert (fit.dx, fit.dy) == pytest.approx((place.real, place.imag), abs=1e-3)
     assert fit.length == pytest.approx(
@@ -223,7 +227,8 @@ def test_a_delayed_turn_is_recovered(before, after):
     # Excess of the bar beyond the circles around both centres of the nominal new arc.
     time = np.arange(801) / 100
     places, headings = crawl.path(time)
-    begin, direction = places[400], cmath.exp(1j * headings[400])
+    begin = places[400]
+    direction = cmath.exp(1j * headings[400])
     bar = crawl.geometry.body_length * np.linspace(-0.5, 0.5, 201)
     sides = np.concatenate(
         [bar + 0.5j * crawl.geometry.width, bar - 0.5j * crawl.geometry.width]
@@ -268,10 +273,8 @@ def test_transients_are_invariant_to_pose_and_phase_and_mirror_symmetric(
 ):
     crawl, change = late(0.5, 2.5, sway=(0.002, 0.004), phase=phase)
     run = crawl.trajectory()
-    fit, elsewhere = (
-        measured(crawl, change, run),
-        measured(crawl, change, moved(run, x, 1.0, angle)),
-    )
+    fit = measured(crawl, change, run)
+    elsewhere = measured(crawl, change, moved(run, x, 1.0, angle))
     assert astuple(elsewhere) == pytest.approx(astuple(fit), abs=1e-6)
     seen = measured(crawl, change, mirrored(run), seen=True)
     assert (seen.left, seen.right, seen.length) == pytest.approx(

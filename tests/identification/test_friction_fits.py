@@ -23,8 +23,10 @@ from srs_twin.identification.parameters import with_values
 from srs_twin.plants.analytical.floor import slide, spin_share
 
 SPEC = robot(stiffness=20.0)
-MU_T, MU_N = 0.06, 0.5
-SPRING, MASS = 120.0, 0.25
+MU_T = 0.06
+MU_N = 0.5
+SPRING = 120.0
+MASS = 0.25
 
 
 def pulls(mu_t, mu_n, **more) -> Pulls:
@@ -126,7 +128,8 @@ def thrown(
     time = np.arange(0.0, seconds, 0.01)
     share = spin_share(SPEC) if share is None else share
     way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], share=share)
-    c, s = np.cos(heading), np.sin(heading)
+    c = np.cos(heading)
+    s = np.sin(heading)
     place = way @ np.array([[c, s], [-s, c]]) + [3.0, -2.0]
     place = place + noise * np.random.default_rng(seed).normal(size=place.shape)
     columns = {"time": time + 7.0, "com_x": place[:, 0], "com_y": place[:, 1]}
@@ -144,7 +147,8 @@ def thrown(
 def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
     """Reference: the independent integrators of the friction tests."""
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    mu_t, mu_n = SPEC.friction.mu_t, SPEC.friction.mu_n
+    mu_t = SPEC.friction.mu_t
+    mu_n = SPEC.friction.mu_n
     late = np.array([0.0, 4.0])
     wheel = slide(velocity, late, law="wheel", mu_t=mu_t, mu_n=mu_n, share=0.03)[-1]
     assert wheel == pytest.approx(sliding_wheel(velocity, 0.03), rel=0.005, abs=1e-4)

@@ -154,7 +154,8 @@ def test_a_common_factor_of_mass_stiffness_and_damping_cancels():
 
 def test_metrics_of_a_compliant_body_depend_smoothly_on_its_parameters():
     """The sum of many small changes is at most 1.05 times one large change (default tolerances: 1.27)."""
-    spec, gait = load_robot("gen4"), Gait(1.6, 0.2)
+    spec = load_robot("gen4")
+    gait = Gait(1.6, 0.2)
     ends = {
         "friction.mu_t": 0.04,
         "friction.mu_n": 0.026,
@@ -207,7 +208,8 @@ def test_stiffness_and_gap_of_the_twin_are_recovered_from_a_distant_start():
 
 @pytest.mark.slow
 def test_validation_runs_do_not_influence_the_fit():
-    fitted, stored = straight_and_curved()[:2], straight_and_curved()[2:]
+    fitted = straight_and_curved()[:2]
+    stored = straight_and_curved()[2:]
     names = ["friction.mu_t", "geometry.rigid_gap_m"]
     start = with_values(SPEC, {"friction.mu_n": 0.48})
     alone = fit_locomotion(fitted, start, names, model=COMPLETE, starts=1)

@@ -42,7 +42,8 @@ OFFSETS = (0.0, 0.3, -0.3)
 
 def law(spec, offset):
     """Return a path by a law of our own: without masses, and of the friction only the ratio acts."""
-    length, friction = spec.geometry.segment_length, spec.friction
+    length = spec.geometry.segment_length
+    friction = spec.friction
     speed = 2 * length * (1 - 3 * friction.mu_t / friction.mu_n + 0.5 * offset**2)
     return SteadyPath(
         speed, (0.5 * offset - spec.modules.sensor_bias[0]) / length, 0, 0, 0, 0
@@ -221,7 +222,8 @@ def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
     ],
 )
 def test_the_shipped_predictions_are_what_the_plants_give(study, offset):
-    fit, drive = FITS[study], drive_of(study)
+    fit = FITS[study]
+    drive = drive_of(study)
     moved = replace(drive, spec=with_values(drive.spec, numbers(fit)))
     (path,) = predicted(moved, [offset], threads=1)
     speed, radius = values_of(fit, "predicted")[offset]

@@ -49,8 +49,11 @@ OF_CHAIN = {
     }.items()
     for j, value in enumerate(values)
 }
-TRUE_MODULE, TRUE_CHAIN = with_values(MODULE, OF_MODULE), with_values(SPEC, OF_CHAIN)
-HOLD, RISE, RATE = 2.5, 0.5, 100.0
+TRUE_MODULE = with_values(MODULE, OF_MODULE)
+TRUE_CHAIN = with_values(SPEC, OF_CHAIN)
+HOLD = 2.5
+RISE = 0.5
+RATE = 100.0
 LEVELS = (6e3, 12e3, 18e3, 24e3)
 
 
@@ -69,7 +72,8 @@ def regulated(held: np.ndarray, hold: float = HOLD) -> tuple[np.ndarray, np.ndar
     """Return times (rows,), s, and pressures (rows, segments, 2) of a regulator, Pa."""
     time = np.arange(0.0, hold * len(held), 1 / RATE)
     row = np.minimum((time / hold + 1e-9).astype(int), len(held) - 1)
-    before, since = held[np.maximum(row - 1, 0)], time - hold * row
+    before = held[np.maximum(row - 1, 0)]
+    since = time - hold * row
     return (
         time,
         before + (held[row] - before) * np.clip(since / RISE, 0, 1)[:, None, None],
@@ -146,7 +150,8 @@ def hits(fit: FitEstimate, truth: dict[str, float]) -> int:
 @pytest.mark.slow
 def test_modules_are_recovered_from_bend_logs(tmp_path):
     """60 intervals with 95 %: fewer than 51 hits have a probability below 1 in 1,000."""
-    total, time_and_pressure = 0, regulated(levels(4))
+    total = 0
+    time_and_pressure = regulated(levels(4))
     for seed in range(5):
         path = log_of_bends(tmp_path, TRUE_CHAIN, *time_and_pressure, seed=seed)
         (table,) = plateau_tables([taken(path, SPEC)], SPEC, 48e3)
@@ -246,10 +251,8 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     assert again.returncode == 0, again.stderr
     assert load_fit(tmp_path / "again.yaml").parameters == fit.parameters
     takes = [taken(tmp_path / f"held_{seed}.csv", MODULE) for seed in range(2)]
-    table, read = (
-        merge_tables(plateau_tables(takes, MODULE, 48e3)),
-        read_static_table(path, MODULE),
-    )
+    table = merge_tables(plateau_tables(takes, MODULE, 48e3))
+    read = read_static_table(path, MODULE)
     for name in ("pressure", "bend", "bend_error"):
         assert (getattr(table, name) == getattr(read, name)).all()
     assert is_static_table(path) and not is_static_table(tmp_path / "held_0.csv")

@@ -140,7 +140,8 @@ def test_unknown_numbered_columns_suggest_similar_ones(run):
 
 
 def test_numpy_numbers_and_arrays_are_numbers(snake):
-    pose, duration = np.zeros(3), np.float32(0.5)
+    pose = np.zeros(3)
+    duration = np.float32(0.5)
     assert (
         len(
             srs.rollout(

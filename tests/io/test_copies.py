@@ -136,7 +136,8 @@ for name in sys.argv[1:]:
 
 @pytest.mark.slow
 def test_pickles_continue_bit_for_bit_in_another_process(tmp_path):
-    expected, names = [], []
+    expected = []
+    names = []
     for case in (
         ("loaded", "lag", "follow", "hall"),
         ("preloaded", "lag", "gait", "ideal"),

@@ -153,7 +153,8 @@ def in_a_fork(call):
 def test_earlier_set_is_restored_if_a_file_cannot_be_moved(room, monkeypatch, pair):
     """Every move fails once, as with an immutable file, a mount point or a full disk."""
     old, new = PAIRS[pair]
-    moved, rename = [], Path.rename
+    moved = []
+    rename = Path.rename
 
     def refuse(path, target):
         moved.append(path)
@@ -196,7 +197,8 @@ def test_immutable_file_is_named_and_the_earlier_set_kept(room):
 
 
 def test_next_run_restores_files_that_could_not_be_moved_back(room, monkeypatch):
-    folder, rename = room("here", OLD), Path.rename
+    folder = room("here", OLD)
+    rename = Path.rename
 
     def refuse(path, target):
         if path.name == "page.html":
@@ -227,7 +229,8 @@ def finishes(folder, who, count, gate):
 
 
 def test_simultaneous_processes_never_leave_a_mixed_set(tmp_path):
-    fork, count = get_context("fork"), 40
+    fork = get_context("fork")
+    count = 40
     gate = fork.Barrier(3)
     workers = [
         fork.Process(target=finishes, args=(tmp_path, who, count, gate))

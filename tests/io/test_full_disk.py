@@ -51,7 +51,8 @@ def room(tmp_path):
 @contextmanager
 def largest_file(size):
     """Limit the size of files (bytes), as a quota does, without writing truncated bytecode."""
-    bytecode, sys.dont_write_bytecode = sys.dont_write_bytecode, True
+    bytecode = sys.dont_write_bytecode
+    sys.dont_write_bytecode = True
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:

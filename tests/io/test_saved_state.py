@@ -96,7 +96,8 @@ def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenari
 
 def started(asked: Scenario, seed: int) -> tuple[Plant, Controller]:
     (name,) = asked.plants
-    plant, controller = asked.build_plant(name), asked.build_controller()
+    plant = asked.build_plant(name)
+    controller = asked.build_controller()
     plant.reset(seed=seed)
     controller.reset(plant.spec, plant.tick, seed=seed)
     return plant, controller
@@ -149,7 +150,8 @@ def written_and_read(state: SavedState, tmp_path: Path) -> SavedState:
 def test_restored_run_continues_bit_for_bit(case, tmp_path):
     asked = scenario(*case)
     rng = np.random.default_rng(sum(map(ord, "".join(case))))
-    before, after = rng.integers(3, 40), 12
+    before = rng.integers(3, 40)
+    after = 12
     plant, controller = started(asked, seed=5)
     simulate(plant, controller, int(before))
     kept, steering = (
@@ -159,7 +161,8 @@ def test_restored_run_continues_bit_for_bit(case, tmp_path):
     simulate(there, wheel, 5)  # its earlier run must not matter
     assert same(there.restore(kept), plant.state)
     wheel.restore(steering)
-    one, other = simulate(plant, controller, after), simulate(there, wheel, after)
+    one = simulate(plant, controller, after)
+    other = simulate(there, wheel, after)
     assert all(same(a, b) for a, b in zip(one, other, strict=True))
     assert repr(controller.signals()) == repr(wheel.signals())
     assert controller.events() == wheel.events()
@@ -406,11 +409,13 @@ def test_compliant_model_continues_from_a_physical_state():
     snake = MOVING["compliant"]()
     gait = Gait(2.0, 0.1)
     rollout(snake, gait, 1.38, pose=(0.1, 0.2, 0.4))
-    yaw, other = float(snake._body.velocity[2]), MOVING["compliant"]()
+    yaw = float(snake._body.velocity[2])
+    other = MOVING["compliant"]()
     other.place(snake.state, yaw_rate=yaw)
     for _ in range(25):
         valves = gait.valves_at(float(snake.state.time))
-        one, two = snake.step(valves), other.step(valves)
+        one = snake.step(valves)
+        two = other.step(valves)
         assert two.com == pytest.approx(one.com, abs=1e-4)
         assert two.bend == pytest.approx(one.bend, abs=1e-3)
 
@@ -419,7 +424,8 @@ def test_compliant_model_continues_from_a_physical_state():
 def test_twin_continues_near_a_physical_state(contact):
     """Hinge angles, wheel speeds and penetration are not in a physical state: deviations of mm/s."""
     make = partial(TwinSnake, load_robot("gen2"), contact=contact)
-    twin, gait = make(), Gait(2.0)
+    twin = make()
+    gait = Gait(2.0)
     rollout(twin, gait, 1.38)
     bodies = twin.physics
     yaw = float(bodies.data.cvel[bodies._connectors, 2].mean())
@@ -427,7 +433,8 @@ def test_twin_continues_near_a_physical_state(contact):
     other.place(twin.state, yaw_rate=yaw)
     for _ in range(10):
         valves = gait.valves_at(float(twin.state.time))
-        one, two = twin.step(valves), other.step(valves)
+        one = twin.step(valves)
+        two = other.step(valves)
     assert np.abs(two.com - one.com).max() < 0.0005
     assert np.abs(two.bend - one.bend).max() < 0.002
 

@@ -60,7 +60,8 @@ def test_drag_acts_along_the_heading_only(plant, rolls):
         (0, STIFF.friction.mu_t * MASS * GRAVITY + DRAG),
         (1, STIFF.friction.mu_n * MASS * GRAVITY),
     ):
-        snake, velocity = plant(spec), [0.0, 0.0]
+        snake = plant(spec)
+        velocity = [0.0, 0.0]
         velocity[direction] = 0.5
         throw(snake, tuple(velocity))
         start = (

@@ -60,7 +60,8 @@ def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(
 ):
     plant = TwinSnake(module("gen4", 20.0), supply_pa=SUPPLY, timestep=timestep)
     samples = round(plant.tick / timestep)
-    time, bend = [], []
+    time = []
+    bend = []
     for valves in [FILL_PLUS] * 30:
         for state in plant.advance(valves, samples):
             time.append(state.time)
@@ -72,7 +73,8 @@ def test_bend_of_a_stiff_module_in_mujoco_follows_the_identified_step_response(
 
 def test_stiff_module_in_mujoco_follows_the_chambers_through_valve_events():
     """Random valve events every 5 ms: the deviation from the chambers is of first order in the step."""
-    coarse, fine = _distance_from_free_bend(0.001), _distance_from_free_bend(0.00025)
+    coarse = _distance_from_free_bend(0.001)
+    fine = _distance_from_free_bend(0.00025)
     assert coarse < 0.02
     assert fine < 0.5 * coarse
 
@@ -83,7 +85,8 @@ def _distance_from_free_bend(timestep: float) -> float:
     plant = TwinSnake(spec, timestep=timestep, tick=0.02)
     free = LagPneumatics(spec, supply_pa=spec.supply.nominal)
     generator = np.random.default_rng(5)
-    twin, chambers = [], []
+    twin = []
+    chambers = []
     for _ in range(50):
         slots = generator.choice([-1, 1], size=(4, 1, 2)).astype(np.int8)
         twin.append(plant.step(slots).bend[0])

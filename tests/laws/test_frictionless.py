@@ -20,7 +20,8 @@ from srs_twin import (
 from srs_twin.plants.analytical import kernels
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
-EVEN, UNEVEN = robot(mu_t=0.0, mu_n=0.0), chain(MASSES, mu_t=0.0, mu_n=0.0)
+EVEN = robot(mu_t=0.0, mu_n=0.0)
+UNEVEN = chain(MASSES, mu_t=0.0, mu_n=0.0)
 MODELS = {
     "complete": {},
     "lumped": {"inertia": "lumped"},
@@ -64,11 +65,13 @@ def test_moment_of_momentum_of_recorded_positions_is_conserved(name):
     )
     throw(plant, (0.3, -0.2), spin=2.0)
     h = plant.play(plant.pneumatics.schedule(valves(plant), 1.0), round(1 / step))
-    arm, velocity = h.position - h.com[:, None], np.gradient(h.position, step, axis=0)
+    arm = h.position - h.com[:, None]
+    velocity = np.gradient(h.position, step, axis=0)
     terms = UNEVEN.mass.array() * (
         arm[..., 0] * velocity[..., 1] - arm[..., 1] * velocity[..., 0]
     )
-    moment, scale = terms.sum(axis=1)[1:-1], np.abs(terms).sum(axis=1).max()
+    moment = terms.sum(axis=1)[1:-1]
+    scale = np.abs(terms).sum(axis=1).max()
     assert np.ptp(h.bend, axis=0).min() > 1.0
     stations = -UNEVEN.geometry.pitch * np.arange(5)
     mass = UNEVEN.mass.array()
@@ -105,7 +108,8 @@ def drift(spec: RobotSpec, timestep: float, smooth: bool) -> tuple[float, float]
     plant = TwinSnake(
         spec, timestep=timestep, contact=PreloadedContact(preload=0.0), **chambers
     )
-    data, seen = plant.physics.data, []
+    data = plant.physics.data
+    seen = []
 
     def watch(state) -> None:
         mujoco.mj_subtreeVel(plant.physics.model, data)

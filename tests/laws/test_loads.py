@@ -22,7 +22,8 @@ FLOORS = {
 @pytest.fixture(scope="module", params=FLOORS)
 def crawling_loads(request) -> np.ndarray:
     """Load of each connector of gen2, straight at 2 Hz, after two periods, shape (ticks, N), N."""
-    plant, loads = TwinSnake(SPEC, **FLOORS[request.param]), []
+    plant = TwinSnake(SPEC, **FLOORS[request.param])
+    loads = []
     rollout(
         plant,
         Gait(2.0),
@@ -55,7 +56,8 @@ def test_loads_at_rest_are_static(name, share, floor):
     plant = TwinSnake(robot(name), **FLOORS[floor])
     for _ in range(100):
         plant.step(vented(plant.spec))
-    loads, weight = plant.physics.wheel_loads(), plant.spec.mass.array() * GRAVITY
+    loads = plant.physics.wheel_loads()
+    weight = plant.spec.mass.array() * GRAVITY
     assert loads.sum() == pytest.approx(weight.sum(), rel=1e-6)
     assert loads.sum(axis=1) == pytest.approx(weight, rel=share)
     # Without friction in the engine its solver has less to hold on to, and stops at its

@@ -30,10 +30,8 @@ def test_twin_coasts_without_friction():
         robot(stiffness=20.0, mu_t=0.0, mu_n=0.0), contact=PreloadedContact(preload=0.0)
     )
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
-    start, heading = (
-        plant.physics.center_of_mass()[:2],
-        plant.physics.connector_headings().mean(),
-    )
+    start = plant.physics.center_of_mass()[:2]
+    heading = plant.physics.connector_headings().mean()
     for _ in range(50):
         state = plant.step(vented(plant.spec))
     assert state.com - start == pytest.approx([0.3, -0.2], abs=1e-3)
@@ -61,7 +59,8 @@ def test_frictionless_analytical_snake_has_no_thrust():
 def test_frictionless_twin_gains_momentum_only_from_the_time_step():
     # Generalised coordinates conserve momentum to first order in the step: half of it,
     # half the drift.
-    coarse, fine = _largest_momentum(0.001), _largest_momentum(0.00025)
+    coarse = _largest_momentum(0.001)
+    fine = _largest_momentum(0.00025)
     assert fine[0] < 0.4 * coarse[0]
     assert fine[1] < 0.4 * coarse[1]
     # Against what the parts have: connectors move at about 0.5 m/s, half a body turns
@@ -75,7 +74,8 @@ def _largest_momentum(timestep: float) -> tuple[float, float]:
     plant = TwinSnake(
         SLIPPERY, timestep=timestep, contact=PreloadedContact(preload=0.0)
     )
-    physics, seen = plant.physics, []
+    physics = plant.physics
+    seen = []
 
     def watch(state) -> None:
         mujoco.mj_subtreeVel(physics.model, physics.data)

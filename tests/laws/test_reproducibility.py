@@ -101,7 +101,8 @@ def test_concurrent_construction_keeps_the_number_of_blas_threads():
             leave.wait(1.0)
             seen.append(blas_threads())
 
-    seen, before = [], blas_threads()
+    seen = []
+    before = blas_threads()
     events = [threading.Event() for _ in range(4)]
     first = threading.Thread(target=hold, args=events[:2])
     second = threading.Thread(target=hold, args=events[2:])

@@ -153,10 +153,8 @@ def test_defaults_of_plants_and_scenarios_are_the_same():
     }
     scenario = parse_scenario(document)
     for kind, plant in (("analytical", AnalyticalSnake), ("twin", TwinSnake)):
-        settings, default = (
-            scenario.build_plant(kind).describe(),
-            plant(scenario.robot).describe(),
-        )
+        settings = scenario.build_plant(kind).describe()
+        default = plant(scenario.robot).describe()
         for key in ("tick_s", "timestep_s", "slip_speed_m_s"):
             assert settings[key] == default[key], key
     assert scenario.document["plants"]["twin"]["timestep_s"] == 0.004

@@ -86,7 +86,8 @@ def elastica(spec: RobotSpec, distance: float) -> tuple[float, float]:
     the middle; contact and tangent at the middle give two conditions.
     """
     rigidity = spec.bending.stiffness * spec.geometry.segment_length
-    end, middle = spec.mass.connectors[0] * PULL, spec.mass.connectors[1] * PULL
+    end = spec.mass.connectors[0] * PULL
+    middle = spec.mass.connectors[1] * PULL
     reach = POST + spec.geometry.width / 2
 
     def rates(_, y, force_x, force_y):
@@ -108,10 +109,8 @@ def elastica(spec: RobotSpec, distance: float) -> tuple[float, float]:
         force = (middle / 2 + end) / math.cos(tail[2])
         load = -force * math.sin(tail[2]), force * math.cos(tail[2]) - end
         head = solve_ivp(rates, (place, 0.0), tail, args=load, rtol=1e-9).y[:, -1]
-        x, y = (
-            tail[0] - head[0] + reach * math.sin(tail[2]),
-            tail[1] - head[1] - reach * math.cos(tail[2]),
-        )
+        x = tail[0] - head[0] + reach * math.sin(tail[2])
+        y = tail[1] - head[1] - reach * math.cos(tail[2])
         return force, y + reach, head[2], x
 
     def residual(unknown):
@@ -159,10 +158,8 @@ def test_plants_and_elastica_agree_on_force_and_deflection(stiffness):
     spec = beam(stiffness)
     world = two_posts(spec, 0.045, 0.0)
     _, sag = elastica(spec, 0.045)
-    soft, rods = (
-        settle(compliant(spec, world), 3.0),
-        settle(twin(spec, world, hinges=8), 2.0),
-    )
+    soft = settle(compliant(spec, world), 3.0)
+    rods = settle(twin(spec, world, hinges=8), 2.0)
     assert rods.obstacle_force.sum(axis=0) == pytest.approx(
         soft.obstacle_force.sum(axis=0), rel=1e-3, abs=1e-3
     )
@@ -177,7 +174,8 @@ def test_plants_and_elastica_agree_on_force_and_deflection(stiffness):
 def test_body_slides_along_posts_under_coulomb_friction(make, slope):
     # Gravity presses with cos φ and pulls along with sin φ: the body moves if tan φ >
     # μ.
-    friction, spec = 0.5, beam(20.0, masses=(0.1, 0.1, 0.1))
+    friction = 0.5
+    spec = beam(20.0, masses=(0.1, 0.1, 0.1))
     angle = math.atan(slope)
     plant = make(spec, two_posts(spec, 0.045, friction, math.pi / 2 + angle))
     duration = 0.2
@@ -197,7 +195,9 @@ def test_collision_conserves_moment_about_a_smooth_post_and_loses_energy(frictio
     throw(plant, (0.0, 0.4), spin=2.0)
     body = plant._body
     states = [plant.state]
-    energies, moments, impulse = [], [], np.zeros(2)
+    energies = []
+    moments = []
+    impulse = np.zeros(2)
     for _ in range(25):
         states.append(plant.step(vented(spec)))
         impulse += plant.tick * states[-1].obstacle_force.sum(axis=0)
@@ -234,7 +234,8 @@ def test_work_among_pegs_is_that_of_the_torques(make):
     run = rollout(plant, Gait(2.0), 1.5, record_hz=1000)
     # The air works on the free bend. The material stores or dissipates the part that
     # does not reach the bend.
-    torque, free = run.stack("torque"), free_bends(plant, Gait(2.0), run.time).bend
+    torque = run.stack("torque")
+    free = free_bends(plant, Gait(2.0), run.time).bend
     work = ((torque[1:] + torque[:-1]) / 2 * np.diff(free, axis=0)).sum()
     assert run["work"][-1] - run["work"][0] == pytest.approx(work, rel=0.02)
 

@@ -13,7 +13,8 @@ from srs_twin import AnalyticalSnake, LoadedContact, Plant, PreloadedContact, Tw
 from srs_twin.plants.twin.mjcf.numerics import LAW_OF
 
 SPEC = robot(stiffness=20.0)
-MU_T, MU_N = SPEC.friction.mu_t, SPEC.friction.mu_n
+MU_T = SPEC.friction.mu_t
+MU_N = SPEC.friction.mu_n
 MASS = SPEC.mass.total
 # Rolling wheels must stop spinning, too: Σ I/R² with I = m R²/2, two wheels per
 # connector.
@@ -34,7 +35,8 @@ def stopped(
     plant: Plant, velocity: tuple[float, float], heading: float = 0.0
 ) -> np.ndarray:
     """Start a plant with a velocity; return its displacement until it rests, body frame, m."""
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     throw(
         plant,
         (c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]),
@@ -60,7 +62,8 @@ def sliding_wheel(velocity: tuple[float, float], spin_share: float) -> np.ndarra
     friction cone if that is smaller; the force across is the remainder of the cone.
     """
     step = 2e-4
-    v, place = np.array(velocity), np.zeros(2)
+    v = np.array(velocity)
+    place = np.zeros(2)
     while np.hypot(*v) > 0:
         speed = np.hypot(*v)
         along = min(MU_T / (1 + spin_share), MU_N * abs(v[0]) / speed)
@@ -149,17 +152,17 @@ def test_analytical_stops_at_an_angle_as_a_wheeled_point_does(degrees):
 @pytest.mark.parametrize("degrees", [30, 60])
 def test_twin_stops_at_an_angle_as_a_wheeled_point_does(degrees):
     velocity = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    displacement, expected = (
-        stopped(twin(), velocity),
-        sliding_wheel(velocity, SPIN_MASS / MASS),
-    )
+    displacement = stopped(twin(), velocity)
+    expected = sliding_wheel(velocity, SPIN_MASS / MASS)
     assert displacement[0] == pytest.approx(expected[0], rel=0.02)
     assert displacement[1] == pytest.approx(expected[1], rel=0.03)
 
 
 def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
     """Integrate a unit mass on skids under friction of maximum dissipation; return its displacement, m."""
-    step, v, place = 1e-4, np.array(velocity), np.zeros(2)
+    step = 1e-4
+    v = np.array(velocity)
+    place = np.zeros(2)
     mu = np.array([MU_T, MU_N])
     while np.hypot(*v) > 1e-3:
         after = v - step * GRAVITY * mu**2 * v / np.hypot(*(mu * v))

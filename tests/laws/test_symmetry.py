@@ -51,11 +51,10 @@ def turning(name: str) -> Trajectory:
 @pytest.mark.parametrize("name", PLANTS)
 def test_trajectory_transforms_with_the_initial_pose(name, pose):
     x, y, angle = pose
-    on_cpu, on_device = (
-        turning(name),
-        rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose),
-    )
-    c, s = np.cos(angle), np.sin(angle)
+    on_cpu = turning(name)
+    on_device = rollout(plant(name), Gait(2.0, OFFSET), 2.0, pose=pose)
+    c = np.cos(angle)
+    s = np.sin(angle)
     turned = on_cpu.position @ np.array([[c, s], [-s, c]]) + [x, y]
     rounding = ROUNDING.get(name, 1e-9)
     assert np.abs(on_device.position - turned).max() < rounding
@@ -65,10 +64,8 @@ def test_trajectory_transforms_with_the_initial_pose(name, pose):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_opposite_offset_and_half_period_mirror_the_path(name):
-    left, right = (
-        turning(name),
-        rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0),
-    )
+    left = turning(name)
+    right = rollout(plant(name), Gait(2.0, -OFFSET, phase=np.pi), 2.0)
     # The same code runs with left and right exchanged: no more than rounding is allowed
     # to differ.
     assert np.abs(right.position - left.position * [1, -1]).max() < 1e-9
@@ -82,7 +79,8 @@ def test_opposite_offset_and_half_period_mirror_the_path(name):
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_opposite_offset_alone_is_not_the_mirror_image(name):
-    left, right = turning(name), rollout(plant(name), Gait(2.0, -OFFSET), 1.0)
+    left = turning(name)
+    right = rollout(plant(name), Gait(2.0, -OFFSET), 1.0)
     assert np.abs(right.position - left.position[:101] * [1, -1]).max() > 1e-3
 
 

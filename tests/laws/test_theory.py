@@ -64,7 +64,8 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
     segments, friction, middle, radius, law
 ):
     """Kelly and Murray, for wheels without slip and for viscous friction."""
-    spec, path = wheeled(segments, friction), loop(middle, radius, PERIOD)
+    spec = wheeled(segments, friction)
+    path = loop(middle, radius, PERIOD)
     run = without_inertia(spec, PrescribedBends(spec, path), friction=law)
     x, y, heading = (run[f"{name}_1"][[-51, -1]] for name in ("x", "y", "theta"))
     (dx, dy), c, s = (

@@ -127,7 +127,8 @@ def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late
     """Both clocks agree here: every twentieth message has no delay."""
     delay = np.random.default_rng(4).uniform(0.0, jitter, 1500)
     delay[::20] = 0.0
-    sent, buffer = 0.02 * np.arange(len(delay)), ReorderBuffer(hold_s=0.03)
+    sent = 0.02 * np.arange(len(delay))
+    buffer = ReorderBuffer(hold_s=0.03)
     events = sorted(
         [(s + d, s) for s, d in zip(sent, delay, strict=True)]
         + [(t, -1.0) for t in sent + 0.01]

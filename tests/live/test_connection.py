@@ -29,7 +29,8 @@ def gait(steps, segments=4):
 
 def test_who_bends_and_straightens_the_same_way_is_where_it_was():
     """Scallop theorem: without momentum, a shape change and its reverse cause no displacement."""
-    known, there = connection(), gait(40)
+    known = connection()
+    there = gait(40)
     bends = np.concatenate([there, there[-2::-1]])
     went = sum(
         known.matrix((a + b) / 2) @ (b - a)
@@ -39,13 +40,16 @@ def test_who_bends_and_straightens_the_same_way_is_where_it_was():
 
 
 def test_mirrored_bends_go_the_mirrored_way():
-    known, bends = connection(), gait(9)[4]
-    left, right = known.matrix(bends), known.matrix(-bends)
+    known = connection()
+    bends = gait(9)[4]
+    left = known.matrix(bends)
+    right = known.matrix(-bends)
     assert right == pytest.approx(left * [[-1.0], [1.0], [1.0]], abs=1e-5)
 
 
 def test_what_a_robot_does_otherwise_is_found():
-    known, rng = connection(), np.random.default_rng(3)
+    known = connection()
+    rng = np.random.default_rng(3)
     hidden = rng.normal(size=known.weights.shape) * 0.01
     bends = gait(3000)
     bends = bends + 0.2 * np.cumsum(rng.normal(size=bends.shape), axis=0) / np.sqrt(
@@ -69,7 +73,9 @@ def test_what_a_robot_does_otherwise_is_found():
 
 
 def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
-    known, bends, rng = connection(), gait(600), np.random.default_rng(1)
+    known = connection()
+    bends = gait(600)
+    rng = np.random.default_rng(1)
     draws = rng.normal(size=(200, *known.weights.shape))
 
     def unsure(change):
@@ -77,7 +83,8 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
             :, 2
         ].std() / np.linalg.norm(change[1] - change[0])
 
-    seen, other = bends[30:32], np.array([np.full(4, 0.9), np.full(4, 1.0)])
+    seen = bends[30:32]
+    other = np.array([np.full(4, 0.9), np.full(4, 1.0)])
     before = unsure(seen)
     for a, b in zip(bends[:-1], bends[1:], strict=True):
         known.learn(known.features(a, b), rng.normal(size=3) * [1e-4, 1e-4, 1e-3])
@@ -91,7 +98,9 @@ def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
     found = followed_estimate(
         Run(2, 40.0, robot=robot, frequency=frequency, cameras_s=30.0)
     )
-    truth, end, n = found["truth"], found["estimate"][-1], found["truth"].shape[1] - 4
+    truth = found["truth"]
+    end = found["estimate"][-1]
+    n = found["truth"].shape[1] - 4
     there = truth[:, 0] >= 30.0
     way = np.hypot(*np.diff(truth[there][:, n + 1 : n + 3], axis=0).T).sum()
     true = [np.interp(end[0], truth[:, 0], truth[:, n + k]) for k in (1, 2)]
@@ -101,7 +110,9 @@ def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
 
 
 def test_a_snapshot_keeps_what_the_connection_learns_later_out():
-    known, bends, rng = connection(), gait(400), np.random.default_rng(1)
+    known = connection()
+    bends = gait(400)
+    rng = np.random.default_rng(1)
     draws = rng.normal(size=(5, *known.weights.shape))
 
     def teach(change: slice) -> None:
@@ -109,7 +120,8 @@ def test_a_snapshot_keeps_what_the_connection_learns_later_out():
             known.learn(known.features(a, b), rng.normal(size=3) * 1e-3)
 
     teach(slice(0, 200))
-    snapshot, parts = known.snapshot(), known.features(bends[30], bends[31])
+    snapshot = known.snapshot()
+    parts = known.features(bends[30], bends[31])
     before = snapshot.matrix(bends[30]), snapshot.sample_model_error(parts, draws)
     teach(slice(200, 400))
     assert np.array_equal(snapshot.matrix(bends[30]), before[0])

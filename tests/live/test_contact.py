@@ -13,16 +13,15 @@ from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message, encode_con
 from srs_twin.pneumatics.chambers import air_bend
 
 GEN2 = load_robot("gen2")
-N, PERIOD = GEN2.segments, 25
+N = GEN2.segments
+PERIOD = 25
 
 
 @pytest.mark.slow
 def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fits_at_first():
-    rng, contact, commands = (
-        np.random.default_rng(1),
-        LiveContact(GEN2),
-        CommandPeriod(),
-    )
+    rng = np.random.default_rng(1)
+    contact = LiveContact(GEN2)
+    commands = CommandPeriod()
     first = None
     for k in range(900):
         wave = np.sin(2 * np.pi * (k + 0.5) / PERIOD - np.pi / 2 * np.arange(N))

@@ -10,7 +10,10 @@ from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 
 GEN2 = load_robot("gen2")
-N, PITCH, SAMPLE_S, PERIOD = GEN2.segments, GEN2.geometry.pitch, 0.02, 25
+N = GEN2.segments
+PITCH = GEN2.geometry.pitch
+SAMPLE_S = 0.02
+PERIOD = 25
 
 
 def gait_sample(k, supply=1.0):
@@ -32,8 +35,11 @@ def observed(force, place, *, gains=1.0, lost=0.0, scale=1.0):
     """
     spec = GEN2 if scale == 1.0 else scaled(GEN2, scale)
     sample = SAMPLE_S * np.sqrt(scale)
-    rng, observer = np.random.default_rng(3), ContactObserver(spec, sample, PERIOD)
-    count, touch, results = 700, 680, []
+    rng = np.random.default_rng(3)
+    observer = ContactObserver(spec, sample, PERIOD)
+    count = 700
+    touch = 680
+    results = []
 
     def bend(k):
         _, pressure, extra = gait_sample(k)
@@ -87,7 +93,8 @@ def test_force_and_place_of_a_contact_are_recovered_in_spite_of_wrong_gains(
 @pytest.mark.slow
 def test_estimates_scale_with_the_robot():
     """A robot of four times the size has two times the times, and 64 times the forces."""
-    last, large = observed(0.6, 2.2)[-1], observed(0.6, 2.2, scale=4.0)[-1]
+    last = observed(0.6, 2.2)[-1]
+    large = observed(0.6, 2.2, scale=4.0)[-1]
     assert large.score == pytest.approx(last.score, rel=1e-6)
     assert large.force == pytest.approx(64 * last.force, rel=1e-6)
     assert large.place == pytest.approx(4 * last.place)
@@ -97,15 +104,14 @@ def test_estimates_scale_with_the_robot():
 @pytest.mark.parametrize("chambers", ["lag", "orifice"])
 def test_pressed_twin_is_detected_with_force_and_place(chambers):
     """The reference is another plant: hinges, spinning wheels and momentary loads of the twin."""
-    twin, gait, force, place = (
-        TwinSnake(GEN2, pneumatics=chambers),
-        Gait(2.0),
-        0.7,
-        2.0 * PITCH,
-    )
+    twin = TwinSnake(GEN2, pneumatics=chambers)
+    gait = Gait(2.0)
+    force = 0.7
+    place = 2.0 * PITCH
     observer = ContactObserver(GEN2, SAMPLE_S, PERIOD)
     gait.reset(GEN2, twin.tick)
-    state, data = twin.reset(), twin.physics.data
+    state = twin.reset()
+    data = twin.physics.data
     rng = np.random.default_rng(1)
     connector = data.body("connector_3")
     for k in range(630):
@@ -124,7 +130,8 @@ def test_pressed_twin_is_detected_with_force_and_place(chambers):
 
 
 def test_drifting_supply_is_no_contact():
-    rng, observer = np.random.default_rng(3), ContactObserver(GEN2, SAMPLE_S, PERIOD)
+    rng = np.random.default_rng(3)
+    observer = ContactObserver(GEN2, SAMPLE_S, PERIOD)
     scores = []
     for k in range(900):
         command, pressure, _ = gait_sample(k, supply=1.0 if k < 700 else 0.9)
@@ -151,11 +158,9 @@ def test_another_gait_is_learnt_again():
 @pytest.mark.parametrize("period", [PERIOD, 600])
 def test_estimates_begin_after_the_noise_has_been_measured(period):
     """Messages are missing while the observer learns, or a period is longer than the time for learning."""
-    rng, observer, scores = (
-        np.random.default_rng(3),
-        ContactObserver(GEN2, SAMPLE_S, period),
-        [],
-    )
+    rng = np.random.default_rng(3)
+    observer = ContactObserver(GEN2, SAMPLE_S, period)
+    scores = []
     for k in range(1500):
         if 123 < k < 700 and period == PERIOD:
             observer.skip(1)

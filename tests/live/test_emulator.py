@@ -130,11 +130,13 @@ def test_robots_differ_by_seed_and_only_by_it():
 def test_sensor_and_camera_noise_is_independent_in_every_component():
     """Tolerances are five standard errors of 1000 frames; heading markers are 20 mm from the centre."""
     robot = EmulatedRobot("gen4", seed=3, noise_rad=0.05)
-    seen, bends = [], []
+    seen = []
+    bends = []
     for _ in range(1000):
         seen.append([turned(each, "y")[[0, 1, 3]] for each in robot.bodies().values()])
         bends.append(robot.bends())
-    state, bends = robot.state, np.array(bends)
+    state = robot.state
+    bends = np.array(bends)
     noise = np.array(seen) - np.column_stack([state.position, state.theta])
     noise[:, :, 2] = np.arctan2(np.sin(noise[:, :, 2]), np.cos(noise[:, :, 2]))
     assert noise.std(axis=0) == pytest.approx(
@@ -158,10 +160,13 @@ def test_duties_fill_in_between():
 class Bench:
     """A robot, its link and a clock that only sleeping moves; the robot keeps when it obeyed."""
 
-    tick, valves = 0.02, np.zeros((4, 2))
+    tick = 0.02
+    valves = np.zeros((4, 2))
 
     def __init__(self, monkeypatch, commands=()):
-        self.now, self.obeyed, self.sent = 100.0, [], []
+        self.now = 100.0
+        self.obeyed = []
+        self.sent = []
         self._commands = [100.0 + each for each in commands]
         monkeypatch.setattr(emulator, "clock", lambda: self.now)
         monkeypatch.setattr(emulator, "time", SimpleNamespace(sleep=self._sleep))
@@ -211,7 +216,8 @@ def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
 @pytest.mark.slow
 @needs_broker
 def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
-    port, capture = free_port(), free_port()
+    port = free_port()
+    capture = free_port()
     command = [
         *(
             str(Path(sys.executable).with_name("srs-twin")),
@@ -236,7 +242,8 @@ def test_it_lives_in_real_time_and_vents_when_nobody_commands(tmp_path):
             command, env=os.environ | {"PYTHONUNBUFFERED": "1"}, cwd=tmp_path
         )
         eyes = NatNetLink(port=capture)
-        heard, poses = [], []
+        heard = []
+        poses = []
         try:
             wait(
                 lambda: (

@@ -17,8 +17,10 @@ def test_one_measurement_corrects_as_in_a_kalman_filter():
     members = rng.multivariate_normal(
         [0.3, -0.2], [[0.04, 0.03], [0.03, 0.09]], size=20_000
     )
-    covariance, mean = np.cov(members.T), members.mean(axis=0)
-    noise, measured = 0.02, 0.5
+    covariance = np.cov(members.T)
+    mean = members.mean(axis=0)
+    noise = 0.02
+    measured = 0.5
     gain = covariance[:, 0] / (covariance[0, 0] + noise)
     predicted = members[:, :1].copy()
     kept = members.copy()
@@ -57,7 +59,8 @@ def test_chance_correlations_correct_little():
 
 def test_outliers_count_less():
     members = np.random.default_rng(5).normal(size=(200, 1))
-    near, far = members.copy(), members.copy()
+    near = members.copy()
+    far = members.copy()
     for copy, measured in ((near, 3.0), (far, 300.0)):
         correct(
             copy,
@@ -82,7 +85,8 @@ def test_members_without_errors_follow_the_compliant_model(robot):
         slip_speed=0.001,
         timestep=0.0025,
     )
-    ensemble, gait = EnsembleFilter(spec, members=2, error=EXACT), Gait(1.25)
+    ensemble = EnsembleFilter(spec, members=2, error=EXACT)
+    gait = Gait(1.25)
     gait.reset(spec, 0.02)
     for k in range(100):
         valves = gait.valves_at(0.02 * k)
@@ -117,7 +121,8 @@ def test_first_frame_places_the_members():
     ensemble = EnsembleFilter(spec, members=32)
     poses = ensemble.poses().mean(axis=0)
     turn = 2.5
-    c, s = np.cos(turn), np.sin(turn)
+    c = np.cos(turn)
+    s = np.sin(turn)
     seen = np.column_stack(
         [
             1 + c * poses[:, 0] - s * poses[:, 1],
@@ -172,22 +177,23 @@ def test_motion_by_bends_minimises_friction(robot):
     ensemble.members[:, ensemble.columns["bend"]] = [0.5, 0.1, -0.4, -0.2]
     ensemble.members[:, ensemble.columns["heading"]] = 0.7
     ensemble.odometry._draws[:] = 0.0
-    begun, first = ensemble.members.copy(), ensemble.poses()[0]
+    begun = ensemble.members.copy()
+    first = ensemble.poses()[0]
 
     def slides():
         x, y = (ensemble.poses()[0] - first)[:, :2].T
-        c, s = np.cos(first[:, 2]), np.sin(first[:, 2])
-        ahead, aside = c * x + s * y, c * y - s * x
+        c = np.cos(first[:, 2])
+        s = np.sin(first[:, 2])
+        ahead = c * x + s * y
+        aside = c * y - s * x
         return float(
             np.sum(spec.friction.mu_t * ahead**2 + spec.friction.mu_n * aside**2)
         )
 
     for bent in 1e-3 * np.eye(4):
         ensemble.members[:] = begun
-        ensemble.odometry._bends, ensemble.odometry._elapsed = (
-            begun[:, ensemble.columns["bend"]],
-            0.02,
-        )
+        ensemble.odometry._bends = begun[:, ensemble.columns["bend"]]
+        ensemble.odometry._elapsed = 0.02
         ensemble.members[:, ensemble.columns["bend"]] += bent
         stays = slides()
         ensemble.apply_odometry()
@@ -207,7 +213,8 @@ def test_corrected_bends_do_not_move_the_body():
     air = ValveInput(
         np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2))
     )
-    bend, begun = ensemble.columns["bend"], ensemble.members.copy()
+    bend = ensemble.columns["bend"]
+    begun = ensemble.members.copy()
     for segments in ([0, 1], [2, 3]):
         ensemble.predict(air, 0.02)
         assert np.abs(ensemble.members[:, bend] - begun[:, bend]).max() > 1e-3

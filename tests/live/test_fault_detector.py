@@ -9,7 +9,9 @@ from snakes import robot
 from srs_twin.live.fault_detector import FaultDetector
 from srs_twin.pneumatics import LagPneumatics
 
-TICK, HALF, NOISE = 0.02, 17, 0.02
+TICK = 0.02
+HALF = 17
+NOISE = 0.02
 OFFSET, SCALE, DRIFT = np.array(
     [[0.06, -0.05, 0.0, 0.03], [0.05, -0.05, 0.08, 0.0], [6e-4, 0.0, -6e-4, 3e-4]]
 )
@@ -17,7 +19,8 @@ OFFSET, SCALE, DRIFT = np.array(
 
 def walked(seconds, fault=lambda time, readings: readings, supply=lambda time: 1.0):
     """Return a detector after a walk without pressures, the last readings of poor sensors and the bends."""
-    spec, rng = robot("gen4"), np.random.default_rng(2)
+    spec = robot("gen4")
+    rng = np.random.default_rng(2)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal)
     detector = FaultDetector(spec, supply_pa=spec.supply.nominal)
     for k in range(round(seconds / TICK)):

@@ -52,7 +52,8 @@ def evaluate(code: str, given=None, folder=None):
         "import sys, json\nsys.path.insert(0, sys.argv[1])\ngiven ="
         " json.load(open(sys.argv[2]))\n"
     )
-    file, data = folder / "code.py", folder / "given.json"
+    file = folder / "code.py"
+    data = folder / "given.json"
     file.write_text(prologue + code + "\nprint(json.dumps(result))\n", "utf-8")
     data.write_text(json.dumps(given), "utf-8")
     command = micropython()
@@ -79,10 +80,8 @@ for payload in given:
 
 
 def test_commands_of_the_shadow_are_decoded_exactly(tmp_path):
-    states, duties = (
-        np.array([[1.0, -1.0], [-1.0, 1.0]]),
-        np.array([[0.25, 0.0], [0.0, 1.0]]),
-    )
+    states = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    duties = np.array([[0.25, 0.0], [0.0, 1.0]])
     times = (0.0, 1e-5, 0.02, 123456.789, 1795715650.123, -3.5, 1e11)
     given = [
         encode(COMMAND, at, values).decode()
@@ -288,11 +287,13 @@ def served(tmp_path, ms, serve):
             thread.join()
 
 
-CONNACK, SUBACK = b"\x20\x02\x00\x00", b"\x90\x03\x00\x01\x00"
+CONNACK = b"\x20\x02\x00\x00"
+SUBACK = b"\x90\x03\x00\x01\x00"
 
 
 def published(payload: bytes) -> bytes:
-    length, head = 2 + 1 + len(payload), b""
+    length = 2 + 1 + len(payload)
+    head = b""
     while length > 127:
         head += bytes([length & 127 | 128])
         length >>= 7
@@ -470,7 +471,8 @@ def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
     with Rig(tmp_path) as rig:
         until(lambda: rig.robot.filling)
         time.sleep(1.5)
-        feeds, sent = rig.robot.feeds[-50:], rig.controller.sent()
+        feeds = rig.robot.feeds[-50:]
+        sent = rig.controller.sent()
         ages = [at - firmware_rig.latest(sent, bits, at) for at, bits in feeds if bits]
     assert len(ages) > 20 and np.median(ages) < 0.04
 

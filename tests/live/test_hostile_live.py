@@ -73,7 +73,8 @@ counts = pytest.mark.parametrize(
 
 @counts
 def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, count):
-    draw, wire = Random(count), Wire(SEGMENTS)
+    draw = Random(count)
+    wire = Wire(SEGMENTS)
     monkeypatch.setattr(NatNetLink, "_start", lambda _: None)
     with NatNetServer({}) as server, NatNetLink(port=server.port) as eyes:
         sender = "127.0.0.1", server.port
@@ -129,7 +130,8 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
 def test_a_robot_ignores_hostile_messages_and_obeys_a_command_within_one_tick(
     link, monkeypatch, count
 ):
-    draw, bench = Random(count), Bench(monkeypatch)
+    draw = Random(count)
+    bench = Bench(monkeypatch)
     whole = bench._sleep
 
     def sleep(seconds: float) -> None:

@@ -17,7 +17,8 @@ from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, STATUS, Mes
 def messages(count: int) -> list[Message]:
     found = []
     for k in range(count):
-        sent, arrived = 0.02 * k, 100 + 0.02 * k
+        sent = 0.02 * k
+        arrived = 100 + 0.02 * k
         found.append(
             Message(BENDS, "r", sent, arrived, np.array([0.1 * (k % 5), math.nan]))
         )
@@ -84,7 +85,8 @@ def test_a_kill_takes_the_end_with_it_and_no_more(tmp_path):
 @pytest.mark.parametrize("speed", [math.inf, 20.0])
 def test_it_is_played_at_any_speed(tmp_path, speed):
     said = written(tmp_path / "a.mcap", 40)[:-2]
-    begun, found = time.monotonic(), []
+    begun = time.monotonic()
+    found = []
     with McapLink(tmp_path / "a.mcap", "r", 2, speed=speed) as link:
         wait(lambda: found.extend(link.received()) or len(found) >= len(said))
     assert all(same(a, b) for a, b in zip(found, said, strict=False))

@@ -12,7 +12,8 @@ from snakes import robot
 from srs_twin.live.air_balance import SCATTER, SCATTER_STROKES, LeakDetector
 from srs_twin.pneumatics import LagPneumatics, OrificePneumatics
 
-TICK, NOISE = 0.02, 0.015
+TICK = 0.02
+NOISE = 0.015
 VARIANTS = [(0.0, 1.0), (0.0, 0.0), (2.0, 1.0), (6.0, 1.0), (0.0, 0.5)]
 SOUND, CLOSED, SLOW, FAST, WEAK = range(5)
 
@@ -22,7 +23,8 @@ def stroked(chambers, spec, *, half=17, strokes=16, after=lambda: None, said=Non
     rng = np.random.default_rng(4)
     said = said or spec
     detector = LeakDetector(said, supply_pa=said.supply.nominal, variants=VARIANTS)
-    found, sound = [], np.ones(spec.segments)
+    found = []
+    sound = np.ones(spec.segments)
     supply = said.supply.nominal, 0.001 * said.supply.nominal
     for k in range(2 * half * strokes):
         if k == 2 * half * (strokes - 3):

@@ -28,7 +28,8 @@ def test_what_is_sent_arrives_with_its_times(tmp_path):
             time.sleep(0.2)  # subscribed
             there.send(BENDS, np.array([0.25, np.nan]))
             here.send(COMMAND, np.array([[1, -1], [-1, 1]]))
-            heard, told = [], []
+            heard = []
+            told = []
             wait(lambda: heard.extend(here.received()) or heard)
             wait(lambda: told.extend(there.received()) or told)
         assert np.array_equal(heard[0].values, [0.25, np.nan], equal_nan=True)
@@ -85,10 +86,12 @@ def refused(link):
 
 def until_refused(link, wanted):
     """Wait until so many messages are refused, or their number has not changed for a second."""
-    last, changed = -1, time.monotonic()
+    last = -1
+    changed = time.monotonic()
     while (now := refused(link)) < wanted and time.monotonic() < changed + 1.0:
         if now != last:
-            last, changed = now, time.monotonic()
+            last = now
+            changed = time.monotonic()
         time.sleep(0.001)
 
 

@@ -130,7 +130,8 @@ def test_bodies_with_any_number_not_finite_are_not_seen(bad):
     def with_one_bad(numbers: tuple[float, ...]) -> list[tuple[float, ...]]:
         return [(*numbers[:k], bad, *numbers[k + 1 :]) for k in range(len(numbers))]
 
-    places, turns = with_one_bad((1.0, 2.0, 3.0)), with_one_bad((0.0, 0.0, 0.0, 1.0))
+    places = with_one_bad((1.0, 2.0, 3.0))
+    turns = with_one_bad((0.0, 0.0, 0.0, 1.0))
     bodies = [RigidBody(each) for each in places] + [
         RigidBody((1.0, 2.0, 3.0), each) for each in turns
     ]
@@ -207,7 +208,8 @@ def test_frames_arrive_and_come_back_after_a_silence(version, monkeypatch):
 
 
 def test_a_group_is_joined(monkeypatch):
-    group, port = "239.255.42.98", 15_511
+    group = "239.255.42.98"
+    port = 15_511
     server_info = packets.write_server((4, 1), group=group, port=port)
     monkeypatch.setattr(natnet, "write_server", lambda: server_info)
     with (

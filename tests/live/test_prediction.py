@@ -15,7 +15,8 @@ from srs_twin.live.estimate import (
 
 @pytest.mark.parametrize("seconds", [0.5, 1 / 1.5, 1.0])
 def test_periodic_commands_are_repeated(seconds):
-    period, times = CommandPeriod(), SLOT_S * (np.arange(400) + 0.5)
+    period = CommandPeriod()
+    times = SLOT_S * (np.arange(400) + 0.5)
     wave = (
         np.sin(
             2 * np.pi * (times / seconds)[:, None, None] + np.arange(8).reshape(4, 2)
@@ -28,7 +29,8 @@ def test_periodic_commands_are_repeated(seconds):
 
 
 def test_without_a_period_the_last_command_is_kept():
-    period, rng = CommandPeriod(), np.random.default_rng(0)
+    period = CommandPeriod()
+    rng = np.random.default_rng(0)
     for k in range(300):
         last = rng.integers(0, 2, (4, 2)).astype(float)
         period.add(SLOT_S * (k + 0.5), last)
@@ -41,9 +43,12 @@ def test_without_a_period_the_last_command_is_kept():
 
 def test_errors_of_earlier_predictions_widen_intervals():
     """A model that is 10 % slow, with stated standard deviations of 1 mm."""
-    rng, calibration = np.random.default_rng(2), PredictionCalibration()
+    rng = np.random.default_rng(2)
+    calibration = PredictionCalibration()
     ahead = np.arange(1, 11) * 0.1
-    pose, path, predictions = np.zeros(3), [], []
+    pose = np.zeros(3)
+    path = []
+    predictions = []
     for k in range(3000):
         speed = 0.2 + 0.05 * np.sin(0.02 * k * 2 * np.pi)
         pose = pose + 0.02 * np.array(
@@ -69,11 +74,14 @@ def test_errors_of_earlier_predictions_widen_intervals():
 
 def test_intervals_cover_95_percent_along_and_across_the_heading():
     """A few percent more are allowed: standard deviations come from few predictions."""
-    heading, sd = 0.7, np.array([0.03, 0.01, 0.2])
+    heading = 0.7
+    sd = np.array([0.03, 0.01, 0.2])
     error = np.random.default_rng(5).normal(size=(20_000, 3)) * sd
-    c, s = np.cos(heading), np.sin(heading)
+    c = np.cos(heading)
+    s = np.sin(heading)
     turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-    zeros, count = np.zeros((len(error), 3)), np.zeros(len(error))
+    zeros = np.zeros((len(error), 3))
+    count = np.zeros(len(error))
     predicted = Prediction(0.0, heading, count, zeros + [1.0, 2.0, 3.0], zeros + sd)
     poses = [1.0, 2.0, 3.0] + error @ turn
     assert np.abs(predicted.error(poses) - error).max() < 1e-12
@@ -84,7 +92,8 @@ def test_intervals_cover_95_percent_along_and_across_the_heading():
 @pytest.mark.parametrize("rate", [5, 50])
 def test_intervals_are_calibrated_for_errors_with_heavy_tails(rate):
     """Errors have a Student's t distribution and twice the stated standard deviation."""
-    rng, calibration = np.random.default_rng(1), IntervalCalibration([4, 2])
+    rng = np.random.default_rng(1)
+    calibration = IntervalCalibration([4, 2])
     inside = []
     for k in range(60 * rate):
         time = k / rate

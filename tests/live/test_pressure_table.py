@@ -9,12 +9,17 @@ import pytest
 
 from srs_twin.live.pressure_table import PressureRates
 
-SUPPLY, TAU, NOISE, TICK, STEP = 50e3, 0.11, 300.0, 0.02, 0.001
+SUPPLY = 50e3
+TAU = 0.11
+NOISE = 300.0
+TICK = 0.02
+STEP = 0.001
 
 
 def followed(deviation, seconds=30.0, half=15, late=0.007):
     """Return rates and innovations for a chamber that changes by `deviation` (age) faster than its law."""
-    rng, rates = np.random.default_rng(5), PressureRates(1, SUPPLY, 0.15)
+    rng = np.random.default_rng(5)
+    rates = PressureRates(1, SUPPLY, 0.15)
     pressure = model = 0.0
     off = []
     for k in range(round(seconds / STEP)):

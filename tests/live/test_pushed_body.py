@@ -11,7 +11,10 @@ from srs_twin.robot.spec import GRAVITY
 
 GEN2 = load_robot("gen2")
 SMOOTH = replace(GEN2, friction=replace(GEN2.friction, mu_t=0.0, mu_n=0.0))
-N, PITCH, SAMPLE_S, PERIOD = GEN2.segments, GEN2.geometry.pitch, 0.02, 25
+N = GEN2.segments
+PITCH = GEN2.geometry.pitch
+SAMPLE_S = 0.02
+PERIOD = 25
 STATIONS = np.linspace(0.0, GEN2.geometry.body_length, 9)
 WAVE = 0.8 * np.sin(
     2 * np.pi * np.arange(PERIOD)[:, None] / PERIOD - np.pi / 2 * np.arange(N)
@@ -31,11 +34,14 @@ def test_moments_of_a_force_on_a_free_chain_match_a_sum_over_the_connectors():
     """A force on the first connector of a straight chain without friction."""
     _, moment = pushed(PushedBody(SMOOTH, STRAIGHT, SAMPLE_S, STATIONS), 0.01, 0)
     x = PITCH * (N / 2 - np.arange(N + 1))
-    mass, total, gyration = GEN2.mass.array(), GEN2.mass.total, GEN2.yaw_inertia()
+    mass = GEN2.mass.array()
+    total = GEN2.mass.total
+    gyration = GEN2.yaw_inertia()
     inertia = float(mass @ x**2 + gyration.sum())
     acceleration = 1 / total + x * x[0] / inertia
     for j in range(N):
-        front, cut = slice(0, j + 1), x[j] - PITCH / 2
+        front = slice(0, j + 1)
+        cut = x[j] - PITCH / 2
         expected = (x[0] - cut) - (
             mass[front] * acceleration[front] * (x[front] - cut)
         ).sum()

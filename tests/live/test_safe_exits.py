@@ -25,7 +25,8 @@ from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
 from srs_twin.live.steering import EstimateSteering
 
-STALE_S, TOO_SLOW_S = sessions.STALE_S, sessions.TOO_SLOW_S
+STALE_S = sessions.STALE_S
+TOO_SLOW_S = sessions.TOO_SLOW_S
 WORK_S = sessions._WORK_S
 
 
@@ -44,7 +45,9 @@ class Wire(Link):
     def __init__(self, segments: int = 4, *, still: bool = True) -> None:
         super().__init__()
         self.sent: list[tuple[float, str, object]] = []
-        self._segments, self._still, self._count = segments, still, 0
+        self._segments = segments
+        self._still = still
+        self._count = 0
 
     def received(self) -> list[Message]:
         if self._still:
@@ -73,18 +76,14 @@ class Steering(EstimateSteering):
     """A steering that commands at once, without a plan."""
 
     def __init__(self, segments: int = 4) -> None:
-        self._pressure, self._given_up, self.follower = (
-            np.zeros((segments, 2)),
-            "",
-            Following(),
-        )
-        self._control, self._last, self._events, self._steps, self._tick = (
-            GO,
-            self.vented(),
-            [],
-            0,
-            0.02,
-        )
+        self._pressure = np.zeros((segments, 2))
+        self._given_up = ""
+        self.follower = Following()
+        self._last = self.vented()
+        self._control = GO
+        self._events = []
+        self._steps = 0
+        self._tick = 0.02
         self._lost_s = self._uncertain_s = self._paused_s = 0.0
 
     def _steer(self, found, shadow) -> np.ndarray:
@@ -93,7 +92,9 @@ class Steering(EstimateSteering):
 
 
 class Following:
-    ending, finished, submit = None, False, None
+    ending = None
+    finished = False
+    submit = None
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -146,7 +147,10 @@ def breaks(*_, **__):
 )
 def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, where):
     found, wire = session(tmp_path / "lab", views=[breaks] if where == "view" else [])
-    stop, calls = (lambda: False), []
+    calls = []
+
+    def stop():
+        return False
 
     def later(*given, **named):
         calls.append(0)
@@ -157,7 +161,8 @@ def test_any_error_vents_says_so_and_writes_the_summary(tmp_path, monkeypatch, w
         )
 
     if where == "stop":
-        stop, whole = later, (lambda: False)
+        whole = stop
+        stop = later
     elif where != "view":
         owner, name = where.split(".")
         of = {
@@ -377,7 +382,8 @@ def test_a_steering_that_is_held_lets_time_stand_still():
     shadow = Shadow(load_robot("gen2"), members=8)
     steering = EstimateSteering(load_scenario("follow_orifice"), shadow, 0.02)
     steering.control("pause")
-    wire, now = Wire(shadow.spec.segments), 0.0
+    wire = Wire(shadow.spec.segments)
+    now = 0.0
     for _ in range(80):
         time.sleep(0.001)
         now = clock()
@@ -394,7 +400,8 @@ def test_a_state_that_was_saved_is_whole(tmp_path):
 
 def slowed(found: Session, seconds: float, ticks: range) -> None:
     """Delay the filter of a session in some ticks."""
-    take, count = found.shadow.update, 0
+    take = found.shadow.update
+    count = 0
 
     def slow(now, messages, **options):
         nonlocal count
@@ -490,7 +497,9 @@ def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(
 @pytest.mark.parametrize("speed", [2.0, 50.0, 1000.0])
 def test_every_message_of_a_journal_is_used_at_any_speed(tmp_path, monkeypatch, speed):
     """On a machine that needs a multiple of the time in which the messages are played."""
-    spec, count, used = load_robot("gen4"), 60, []
+    spec = load_robot("gen4")
+    count = 60
+    used = []
     with Journal(tmp_path / "a.mcap") as journal:
         for k in range(count):
             journal.write(Message(BENDS, "robot", k / 50, 100 + k / 50, np.zeros(4)))

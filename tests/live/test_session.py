@@ -65,7 +65,8 @@ def ended(process: subprocess.Popen[str]) -> None:
 @pytest.mark.slow
 @needs_broker
 def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
-    port, capture = free_port(), free_port()
+    port = free_port()
+    capture = free_port()
     with broker(tmp_path, port), MqttLink("gen4", 4, port=port, kinds=(BENDS,)) as link:
         robot = emulator(port, capture, tmp_path, "--fault", "lost_marker:5@0")
         try:
@@ -148,7 +149,8 @@ def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(
         broker(tmp_path, port),
         MqttLink("gen2", 4, port=port, kinds=(COMMAND, STATUS)) as robot,
     ):
-        twin, heard = start("shadow", "gen2", *words, cwd=tmp_path), []
+        twin = start("shadow", "gen2", *words, cwd=tmp_path)
+        heard = []
 
         def said(kind: str) -> list:
             robot.send(BENDS, np.zeros(4))
@@ -212,11 +214,15 @@ def hears(lab: Path, known: set[Path]) -> bool:
 @needs_broker
 @pytest.mark.slow
 def test_twenty_kills(tmp_path):
-    port, capture = free_port(), free_port()
-    draw, told, known = random.Random(4), [], set()
+    port = free_port()
+    capture = free_port()
+    draw = random.Random(4)
+    told = []
+    known = set()
     alive = broker(tmp_path, port)
     alive.__enter__()
-    robot, twin = emulator(port, capture, tmp_path), shadow(port, capture, tmp_path)
+    robot = emulator(port, capture, tmp_path)
+    twin = shadow(port, capture, tmp_path)
     gait = MqttLink("gen4", 4, port=port, kinds=(BENDS,))
     try:
         for k in range(20):

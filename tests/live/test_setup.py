@@ -111,7 +111,10 @@ def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
     found = SimpleNamespace()
 
     def broker_link(name, segments, address, user, ca, *, speaks):
-        found.name, found.broker, found.user, found.ca = name, address, user, ca
+        found.name = name
+        found.broker = address
+        found.user = user
+        found.ca = ca
         raise InputError("far enough")
 
     monkeypatch.setattr("srs_twin.live.session.warm_up", lambda _: None)
@@ -186,7 +189,8 @@ def test_keys_are_read_one_by_one_and_the_terminal_is_restored():
         with typed_words(stream) as words:
             assert words() == []
             os.write(keyboard, b"pxG\xff v")
-            end, found = time.monotonic() + 5, []
+            end = time.monotonic() + 5
+            found = []
             while len(found) < 3 and time.monotonic() < end:
                 found += words()
             assert found == ["pause", "go", "vent"]

@@ -57,7 +57,8 @@ def test_errors_are_small_and_within_their_intervals(pneumatics):
     result = followed_estimate(Run(1, 12.0, pneumatics=pneumatics), members=24)
     error, sd, n = errors(result)
     filtered = result["filtered"][result["estimate"][:, 0] > SETTLED_S]
-    times, bends = filtered[:, 0], filtered[:, 1:]
+    times = filtered[:, 0]
+    bends = filtered[:, 1:]
     assert rms(bends - true_values(result, times)[:, :n]) < 0.03
     # The estimate is predicted by 30 to 60 ms from the newest message. The model has
     # first-order chambers: it predicts most of the change of the bends, or all of it if
@@ -86,7 +87,8 @@ def test_unknown_camera_noise_does_not_disturb_bends(monkeypatch):
 
 
 def test_receive_detects_the_same_faults_as_update():
-    recording, probability = recorded(Run(2, 1.5)), []
+    recording = recorded(Run(2, 1.5))
+    probability = []
     for method in ("receive", "update"):
         shadow = Shadow(load_robot("gen4"), members=4)
         for time, messages in recording.updates:
@@ -132,7 +134,8 @@ def test_estimates_are_for_now_and_their_intervals_hold(rate):
 @pytest.mark.slow
 def test_measurements_beyond_50_hz_are_left_out(monkeypatch):
     spec = load_robot("gen4")
-    shadow, used = Shadow(spec, members=8), []
+    shadow = Shadow(spec, members=8)
+    used = []
     monkeypatch.setattr(
         shadow.faults, "update", lambda *given, **named: used.append(given)
     )
@@ -146,7 +149,8 @@ def test_measurements_beyond_50_hz_are_left_out(monkeypatch):
 
 def test_commands_that_wait_already_bend_the_estimate():
     """Messages wait for others that were sent earlier; the estimate of now does not."""
-    spec, bends = load_robot("gen4"), []
+    spec = load_robot("gen4")
+    bends = []
     n = spec.segments
     for fills in (False, True):
         shadow = Shadow(spec, members=8)
@@ -269,7 +273,8 @@ def restarted(run, pause):
 def test_a_restart_of_the_robot_is_not_a_fault(seed, pause, supply, monkeypatch):
     monkeypatch.setattr(live_runs, "OUTAGE", (0.05, 1.0))
     run = Run(seed, 5.0, supply=supply, changes_s=0.0)
-    shadow, named = Shadow(load_robot(run.robot), members=4), {}
+    shadow = Shadow(load_robot(run.robot), members=4)
+    named = {}
     for time, messages in restarted(run, pause):
         shadow.receive(time, messages)
         named |= {name: time for name in shadow.faults.named.values()}
@@ -310,10 +315,8 @@ def test_a_plan_without_margin_is_refused_unless_pressing_on():
 
 
 def test_heading_at_the_start_counts_modulo_whole_turns():
-    shadow, scenario = (
-        Shadow(load_robot("gen2"), members=8),
-        load_scenario("follow_orifice"),
-    )
+    shadow = Shadow(load_robot("gen2"), members=8)
+    scenario = load_scenario("follow_orifice")
     x, y, heading = scenario.pose
     for turn, renewed in ((2 * np.pi, False), (-2 * np.pi, False), (np.pi, True)):
         steering = EstimateSteering(scenario, shadow, 0.02)
@@ -324,7 +327,8 @@ def test_heading_at_the_start_counts_modulo_whole_turns():
 
 
 def test_robots_of_equal_parts_are_equal_whatever_their_names_and_modules():
-    gen2, gen4 = load_robot("gen2"), load_robot("gen4")
+    gen2 = load_robot("gen2")
+    gen4 = load_robot("gen4")
     assert differences(replace(gen2, name="mine", title="My robot"), gen2) == []
     assert differences(load_scenario("follow_orifice").robot, gen2) == []
     assert differences(load_scenario("follow_gen4_a").robot, gen4) == []

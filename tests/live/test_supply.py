@@ -9,7 +9,8 @@ from live_runs import DROOPS_S, OUTAGE, Run, alarms, conditioned, isolated, shad
 from srs_twin.live.air_balance import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
 from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
 
-NOMINAL, TICK = 60e3, 0.02
+NOMINAL = 60e3
+TICK = 0.02
 
 
 def chambers(supply, rng, sd=0.03, count=4):
@@ -23,7 +24,8 @@ def chambers(supply, rng, sd=0.03, count=4):
 
 
 def followed(supplies, seed=1, outlier=0.0, repeats=1.0):
-    rng, supply = np.random.default_rng(seed), SupplyFilter(NOMINAL)
+    rng = np.random.default_rng(seed)
+    supply = SupplyFilter(NOMINAL)
     estimates = []
     for true in supplies:
         supply.predict(TICK)
@@ -117,7 +119,8 @@ def test_drooping_supply_is_followed_and_is_not_a_fault(supply):
 
 @pytest.mark.slow
 def test_starved_is_reported_and_cleared_when_the_supply_recovers():
-    back, named = DROOPS_S + OUTAGE[1], {}
+    back = DROOPS_S + OUTAGE[1]
+    named = {}
     for moment in shadowed(Run(104, back + 3.0, supply="outage"), members=8):
         named[moment.time] = dict(moment.shadow.faults.named)
     period = 1 / 1.5

@@ -28,7 +28,8 @@ ARC = st.tuples(
     EDGE,
     EDGE,
 )
-NO_CIRCLES, NO_SIDES = np.empty((0, 3)), np.empty((0, 4))
+NO_CIRCLES = np.empty((0, 3))
+NO_SIDES = np.empty((0, 4))
 ANYWHERE = np.array([-np.inf, np.inf, -np.inf, np.inf])
 NEAR = 1e-4
 """Tolerance between the drawn polygon and the region, m."""
@@ -94,7 +95,8 @@ def test_children_obey_the_corrected_eq_33(pose, turn, length):
                 pose.y + length * math.sin(pose.heading),
             )
         else:
-            r, after = length / alpha, pose.heading + alpha
+            r = length / alpha
+            after = pose.heading + alpha
             expected = (
                 pose.x + r * (math.sin(after) - math.sin(pose.heading)),
                 pose.y - r * (math.cos(after) - math.cos(pose.heading)),
@@ -112,7 +114,8 @@ def test_circles_collide_as_with_a_drawn_region(arc, x, y, radius):
 
 @given(ARC, PLACE, PLACE, PLACE, PLACE)
 def test_sides_collide_as_with_a_drawn_region(arc, ax, ay, bx, by):
-    region, side = drawn(arc), shapely.LineString([(ax, ay), (bx, by)])
+    region = drawn(arc)
+    side = shapely.LineString([(ax, ay), (bx, by)])
     hit = region.intersects(side)
     assume(
         hit
@@ -126,7 +129,8 @@ def test_sides_collide_as_with_a_drawn_region(arc, ax, ay, bx, by):
     ARC, st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2), st.floats(0.02, 2)
 )
 def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
-    region, pose = drawn(arc), arc[0]
+    region = drawn(arc)
+    pose = arc[0]
     box = (pose.x - west, pose.y - south, pose.x + east, pose.y + north)
     inside = shapely.box(*box).contains(region)
     assume(

@@ -36,12 +36,15 @@ BODY = Footprint(
         Transient(0.0, 0.3, 0.045, 0.01, 0.6),
     ),
 )
-BEND, STRAIGHT, STEP = (2.0, 0.3), (0.0, 1.0), 1e-4
+BEND = (2.0, 0.3)
+STRAIGHT = (0.0, 1.0)
+STEP = 1e-4
 
 
 def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
     """Return whether a path from the origin is free, by the plan checker and by the search."""
-    moves, free = make_move_set(Primitives(3, 0.4, 0.2), BODY), True
+    moves = make_move_set(Primitives(3, 0.4, 0.2), BODY)
+    free = True
     way = initial_state(0.0, 0.0, 0.0, moves)
     for curvature, length in pieces:
         move = int(np.argmin(abs(moves.curvatures - curvature)))
@@ -58,7 +61,8 @@ def frees(pieces: list[tuple[float, float]], world: World) -> tuple[bool, bool]:
 def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> World:
     """Return a world with a thin pin, s ahead of the start of a piece and n to its left, m."""
     x, y, heading = path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, BODY)[piece].start
-    c, sn = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    sn = math.sin(heading)
     return World((Circle(x + c * s - sn * n, y + sn * s + c * n, STEP),))
 
 
@@ -134,7 +138,8 @@ def test_nearest_compares_each_bound_with_obstacles(wall):
 
     def box(gap: float) -> Polygon:
         """Return a square at this distance from the point near the bound, on the inner side."""
-        a, b = near[0] - (gap + 0.1) * east, near[1] - (gap + 0.1) * north
+        a = near[0] - (gap + 0.1) * east
+        b = near[1] - (gap + 0.1) * north
         return Polygon(
             tuple(
                 (a + u, b + v)
@@ -157,7 +162,8 @@ def test_nearest_compares_each_bound_with_obstacles(wall):
 
 def test_crossing_a_bound_is_reported_on_each_side(wall):
     x, y, east, north = wall
-    world, said = World(bounds=ROOM), "the bounds (x -1 to 2 m, y -3 to 4 m)"
+    world = World(bounds=ROOM)
+    said = "the bounds (x -1 to 2 m, y -3 to 4 m)"
     body = Footprint.box(0.05, 0.0, speed=0.2, curvature=2.0, ahead=0.09)
     for gap, hit in ((0.001, ""), (-0.001, said)):
         assert obstacle_at(world, x - gap * east, y - gap * north) == hit
@@ -216,11 +222,10 @@ def test_passages_at_a_bound_rotate_with_the_world(quarters):
         rows = np.column_stack([x, y, np.cos(heading), np.sin(heading), through])
         return rows[np.lexsort(rows.round(6).T)]
 
-    c, s = (
-        round(math.cos(quarters * math.pi / 2)),
-        round(math.sin(quarters * math.pi / 2)),
-    )
-    turn, before = np.array([[c, s], [-s, c]]), passages(world)
+    c = round(math.cos(quarters * math.pi / 2))
+    s = round(math.sin(quarters * math.pi / 2))
+    turn = np.array([[c, s], [-s, c]])
+    before = passages(world)
     assert len(before)
     expected = np.column_stack(
         [before[:, :2] @ turn, before[:, 2:4] @ turn, before[:, 4]]

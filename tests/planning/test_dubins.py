@@ -23,14 +23,19 @@ RADIUS = st.floats(0.1, 2)
 
 def rolled(pose: Pose, pieces) -> np.ndarray:
     """End pose by the circle's centre, (x, y, heading)."""
-    x, y, heading = pose.x, pose.y, pose.heading
+    x = pose.x
+    y = pose.y
+    heading = pose.heading
     for k, s in pieces:
         if k == 0:
-            x, y = x + s * math.cos(heading), y + s * math.sin(heading)
+            x = x + s * math.cos(heading)
+            y = y + s * math.sin(heading)
             continue
-        cx, cy = x - math.sin(heading) / k, y + math.cos(heading) / k
+        cx = x - math.sin(heading) / k
+        cy = y + math.cos(heading) / k
         heading += k * s
-        x, y = cx + math.sin(heading) / k, cy - math.cos(heading) / k
+        x = cx + math.sin(heading) / k
+        y = cy - math.cos(heading) / k
     return np.array([x, y, heading])
 
 
@@ -108,10 +113,8 @@ def test_never_shorter_than_the_straight_line_and_longer_for_wider_turns(
 def test_no_three_pieces_found_by_search_are_shorter(seed):
     """All words of three pieces, their lengths by a root finder from many guesses."""
     rng = np.random.default_rng(seed)
-    a, b = (
-        Pose(0, 0, rng.uniform(-3, 3)),
-        Pose(*rng.uniform(-2.5, 2.5, 2), rng.uniform(-3, 3)),
-    )
+    a = Pose(0, 0, rng.uniform(-3, 3))
+    b = Pose(*rng.uniform(-2.5, 2.5, 2), rng.uniform(-3, 3))
     found = []
     for word in itertools.product((1.0, 0.0, -1.0), repeat=3):
         if word[0] == word[1] or word[1] == word[2]:

@@ -23,7 +23,9 @@ from srs_twin.planning.steering import BearingLaw, PathLaw, Predictor, Steering
 from srs_twin.robot.file import load_robot
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
-ORIGIN, CLEAR, EMPTY = Pose(0.0, 0.0, 0.0), Camera(), World()
+ORIGIN = Pose(0.0, 0.0, 0.0)
+CLEAR = Camera()
+EMPTY = World()
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
 SETTLE = 0.05
 STRAIGHT = ((0.0, 3.0),)
@@ -211,7 +213,8 @@ class Watcher(Steering):
 
 def test_law_receives_the_pose_at_which_its_command_takes_effect():
     """Also while earlier commands are still delayed."""
-    law, delay = Watcher(), 0.3
+    law = Watcher()
+    delay = 0.3
     _, plant, way = follow(a_plan(), law=law, delay=delay, duration=8.0)
     ahead = round(delay / plant.tick)
     given = np.array([(pose.x, pose.y) for pose in law.poses])[:-ahead]
@@ -223,10 +226,14 @@ def test_law_receives_the_pose_at_which_its_command_takes_effect():
 
 def test_prediction_is_better_than_the_last_frame():
     """On a circle the prediction from a mean half a period old is the actual pose."""
-    predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
+    predictor = Predictor(BODY, 0.5, 0.1, SETTLE)
+    mean = PeriodMean(0.5)
     wheel = Wheel()
     plant = Unicycle(wheel, as_told)
-    state, orders, far, lag = plant.reset(), [(0.1, 0.2)], [], []
+    state = plant.reset()
+    orders = [(0.1, 0.2)]
+    far = []
+    lag = []
     frames = CameraFrames(Camera(), 0)
     for _ in range(400):
         time = float(state.time)
@@ -269,11 +276,10 @@ def test_headings_are_unwrapped():
 
 def camera_frames(seed, rate=30.0):
     """Return camera frames of a snake at rest over 100 s; None between frames."""
-    camera, plant = (
-        CameraFrames(Camera(rate, 0.01, 0.1), seed),
-        Unicycle(Wheel(), as_told, speed=0.0, wag=0.0),
-    )
-    state, found = plant.reset(), []
+    camera = CameraFrames(Camera(rate, 0.01, 0.1), seed)
+    plant = Unicycle(Wheel(), as_told, speed=0.0, wag=0.0)
+    state = plant.reset()
+    found = []
     for _ in range(5000):
         found.append(camera.capture(state))
         state = plant.step(None)
@@ -480,7 +486,8 @@ class Later:
     """Future that is done when it is polled for the tenth time."""
 
     def __init__(self, job):
-        self.job, self.asked = job, 0
+        self.job = job
+        self.asked = 0
 
     def done(self):
         self.asked += 1
@@ -568,10 +575,14 @@ def test_reset_restores_all_settings():
 
 def test_gain_and_disturbance_of_turning_are_estimated_and_reset():
     """A snake with a turning gain of 0.7 and a disturbance of 0.4 1/m."""
-    predictor, mean = Predictor(BODY, 0.5, 0.1, SETTLE), PeriodMean(0.5)
+    predictor = Predictor(BODY, 0.5, 0.1, SETTLE)
+    mean = PeriodMean(0.5)
     wheel = Wheel()
     plant = Unicycle(wheel, lambda offset: 0.7 * as_told(offset) + 0.4)
-    state, orders, frames, wanted = plant.reset(), [], CameraFrames(Camera(), 0), 0.0
+    state = plant.reset()
+    orders = []
+    frames = CameraFrames(Camera(), 0)
+    wanted = 0.0
     for step in range(1500):
         time = float(state.time)
         if frame := frames.capture(state):

@@ -202,7 +202,8 @@ def test_middles_of_segments_lie_on_their_arcs():
     snake = Snake(amplitude=0.9, rigid_gap=0.0)
     run = snake.trajectory()
     points, heading = centre_points(run)
-    middles, arcs = points[:, 5:], heading[:, 5:]
+    middles = points[:, 5:]
+    arcs = heading[:, 5:]
     bend = run.stack("bend")
     for j in range(4):
         # From connector j back along the arc: chord of half of it, with bend/2, from

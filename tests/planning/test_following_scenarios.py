@@ -331,7 +331,8 @@ def test_goal_of_a_given_path_is_its_end():
         "step_m": 0.2,
     }
     route = parse_scenario(data(planner=planner, world={})).planner
-    plan, goal = route.plan(), route.problem.goal
+    plan = route.plan()
+    goal = route.problem.goal
     assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
     assert (goal.x, goal.y, goal.heading) == pytest.approx(
         (plan.end.x, plan.end.y, 0.0)

@@ -15,7 +15,8 @@ from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
-START, GOAL = Pose(-2.0, 0.0, 0.0), Goal(2.0, 0.0, None, 0.0)
+START = Pose(-2.0, 0.0, 0.0)
+GOAL = Goal(2.0, 0.0, None, 0.0)
 BODY = Footprint.box(0.1, 0.0, speed=0.1, curvature=2.0)
 
 

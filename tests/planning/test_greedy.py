@@ -63,7 +63,8 @@ def test_fig_53_turns_toward_the_target_from_both_ends():
     )
     answer = plan(problem, planner="greedy")
     assert answer.found
-    first, last = answer.segments[0], answer.segments[-1]
+    first = answer.segments[0]
+    last = answer.segments[-1]
     # The nearest of the five children is the one that turns left by alpha_max; so on
     # the other side.
     assert first.curvature == pytest.approx(math.pi / 3 / 0.5) == last.curvature
@@ -78,7 +79,8 @@ def test_fig_53_turns_toward_the_target_from_both_ends():
 
 def test_first_arc_has_the_lowest_score():
     problem = fig54(0, 0)
-    start, goal = problem.start, problem.goal
+    start = problem.start
+    goal = problem.goal
     scores = [
         0.001 * abs(i - 10) + arc_through(child, goal.x, goal.y)[1]
         for i, child in enumerate(ARCS.children(start))

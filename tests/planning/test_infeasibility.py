@@ -67,7 +67,8 @@ def test_dead_end_at_the_start_is_proven():
 def test_dead_end_between_bounds_is_proven_in_every_direction(quarters):
     """The bounds are a corridor; the goal faces away from its closed end."""
     turn = 1j**quarters
-    start, angle = -3.0 * turn, quarters * math.pi / 2
+    start = -3.0 * turn
+    angle = quarters * math.pi / 2
     for half, proven in ((0.12, "goal"), (1.7, "")):
         ends = np.array([complex(-3.4, -half), complex(0.8, half)]) * turn
         x, y = (
@@ -136,7 +137,8 @@ def test_goals_facing_out_of_dead_ends_are_proven_infeasible(name):
 )
 def test_paths_of_a_step_end_in_the_box_of_their_turn(tight, turn, shares):
     """Sequences of arcs stay within the bounds of turning first to one side and then to the other."""
-    step, sector = turn / tight, 0.1 * turn
+    step = turn / tight
+    sector = 0.1 * turn
     moves = _step_boxes(tight, step, sector)
     x = y = heading = 0.0
     for share in shares:
@@ -145,7 +147,8 @@ def test_paths_of_a_step_end_in_the_box_of_their_turn(tight, turn, shares):
         turned = math.floor((begin + 0.5) + heading / sector)
         (row,) = moves[moves[:, 0] == turned]
         assert row[1] <= x <= row[2] and row[3] <= y <= row[4]
-    way, at = [(0.0, 0.0, 0.0)], (0.0, 0.0, 0.0)
+    way = [(0.0, 0.0, 0.0)]
+    at = (0.0, 0.0, 0.0)
     for share in shares:
         for _ in range(10):
             at = arc_end(*at, share * tight, step / len(shares) / 10)
@@ -160,7 +163,8 @@ def test_paths_of_a_step_end_in_the_box_of_their_turn(tight, turn, shares):
 )
 def test_boxes_are_as_narrow_as_two_tightest_arcs_allow(tight, turn, parts):
     """A path with the largest turn Δ within two sectors turns left first, then right, as in θ_hi."""
-    step, sector = turn / tight, turn / parts
+    step = turn / tight
+    sector = turn / parts
     for turned, _, _, low, high in _step_boxes(tight, step, sector):
         for side, bound in ((1, high), (-1, -low)):
             most = min((side * turned + 1) * sector, turn)

@@ -85,10 +85,12 @@ def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():
 @given(st.integers(0, 1000), st.integers(0, 4), st.integers(0, 4), st.floats(0.05, 1.0))
 def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length):
     """A transient widens the first part of an arc only."""
-    body, rng = load_footprint("gen4_ilc"), np.random.default_rng(seed)
+    body = load_footprint("gen4_ilc")
+    rng = np.random.default_rng(seed)
     moves = make_move_set(Primitives(5, 0.5, 0.25), body)
     world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))
-    way, pieces = initial_state(0.0, 0.0, 0.0, moves), []
+    way = initial_state(0.0, 0.0, 0.0, moves)
+    pieces = []
     for move in moves.primitives[[one, other]]:
         free, way = follow_arc(way, move, length, moves, obstacle_grid(world))
         pieces.append((float(moves.curvatures[move]), length))

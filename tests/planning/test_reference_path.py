@@ -62,7 +62,8 @@ def test_joint_of_two_arcs_has_the_curvature_of_the_second():
     way = route([(1.0, 0.5), (-2.0, 0.25), (3.0, 0.5)])
     assert [way.curvature(s) for s in (0.0, 0.5, 0.75, 1.25)] == [1.0, -2.0, 3.0, 0.0]
     for s in (0.0, 0.5, 0.75):
-        before, after = way.pose(s - 1e-9), way.pose(s)
+        before = way.pose(s - 1e-9)
+        after = way.pose(s)
         assert [*after] == pytest.approx([*before], abs=1e-8)
 
 
@@ -80,7 +81,8 @@ def test_window_distinguishes_crossings_of_a_path():
 
 
 def test_coordinates_of_many_points_equal_those_of_each():
-    way, rng = route([(1.0, 0.7), (-2.0, 0.9)]), np.random.default_rng(0)
+    way = route([(1.0, 0.7), (-2.0, 0.9)])
+    rng = np.random.default_rng(0)
     points = rng.uniform(-1, 2, (50, 2))
     s, n = way.coordinates(points)
     assert [(a, b) for a, b in zip(s, n, strict=True)] == [

@@ -22,7 +22,8 @@ from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 pytestmark = pytest.mark.fast
 
-START, GOAL = Pose(0.2, 0.5, 0.0), Goal(1.8, 0.5, None, 0.02)
+START = Pose(0.2, 0.5, 0.0)
+GOAL = Goal(1.8, 0.5, None, 0.02)
 FLOOR = Bounds((0.0, 2.0), (0.0, 1.0))
 
 
@@ -47,8 +48,10 @@ def test_heap_pops_nodes_in_key_order(keys, early):
     )
 )
 def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
-    cell, sector = 0.5, math.pi / 6
-    frontier, slots = empty_frontier(64), {}
+    cell = 0.5
+    sector = math.pi / 6
+    frontier = empty_frontier(64)
+    slots = {}
     for k, (x, y, heading) in enumerate(poses):
         # Headings on the border of two sectors may fall into either.
         turned = (heading / sector) % 12

@@ -25,7 +25,8 @@ SPEC = robot("gen2")
 BODY = load_footprint("gen2_gait").reduced(turn_share=0.5)
 LIMITS = touch_limits(SPEC, BODY)
 LEANING = Settings(touch_limits=LIMITS)
-RADIUS, X = 0.06, 0.8
+RADIUS = 0.06
+X = 0.8
 
 
 def row(
@@ -71,7 +72,8 @@ def test_gaps_narrower_than_the_hard_edges_have_no_plan():
 
 def test_clear_worlds_have_the_plan_without_touch():
     for problem in (across(0.3), replace(across(0.2), world=World())):
-        leaning, clear = plan(problem, LEANING), plan(problem)
+        leaning = plan(problem, LEANING)
+        clear = plan(problem)
         assert leaning.touches == () and clear.touches is None
         assert leaning.length <= clear.length + 1e-9
 
@@ -81,7 +83,8 @@ def test_clear_worlds_have_the_plan_without_touch():
 def test_touches_are_where_sampled_edges_overlap(sign):
     """The overlaps agree with a straight path next to one post, whose geometry is known."""
     straight = BODY.at(0.0)
-    edge, depth = straight.left if sign > 0 else straight.right, 0.008
+    edge = straight.left if sign > 0 else straight.right
+    depth = 0.008
     post = Circle(0.8, sign * (edge + RADIUS - depth), RADIUS)
     goal = Goal(1.6, 0.0, 0.0, 0.0, 0.0)
     # Walls along the path leave no other path.
@@ -106,7 +109,10 @@ def test_touches_are_where_sampled_edges_overlap(sign):
 
 def test_stiffness_is_that_of_a_chain_with_fixed_neighbours():
     """Minimise the elastic energy of two segments, discretised into many hinges, without the formula."""
-    k, pitch, pushed, count = SPEC.bending.stiffness, SPEC.geometry.pitch, 1e-4, 40
+    k = SPEC.bending.stiffness
+    pitch = SPEC.geometry.pitch
+    pushed = 1e-4
+    count = 40
 
     def shape(parameters):
         turns = (

@@ -18,7 +18,8 @@ from srs_twin.planning.problem import Problem, Settings
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 
-LEARNT, OPEN = load_footprint("gen4_ilc"), load_footprint("gen2_gait")
+LEARNT = load_footprint("gen4_ilc")
+OPEN = load_footprint("gen2_gait")
 START = Pose(0.0, 0.0, 0.0)
 FIELD = World(
     (Circle(0.9, 0.05, 0.1), Circle(1.7, -0.25, 0.12)), Bounds((-0.5, 3.0), (-1.0, 1.0))
@@ -41,8 +42,10 @@ def test_transition_arcs_end_on_the_measured_path(t):
         path_from_arcs(START, [(old, 1.0), (new, 1.0)], LEARNT), LEARNT
     )
     assert len(path) == 3
-    command, settled = path[1].start, path[2]
-    c, s = math.cos(command.heading), math.sin(command.heading)
+    command = path[1].start
+    settled = path[2]
+    c = math.cos(command.heading)
+    s = math.sin(command.heading)
     jumped = Pose(
         command.x + c * t.dx - s * t.dy,
         command.y + s * t.dx + c * t.dy,

@@ -47,7 +47,8 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
 def turning():
     """States of an uneven snake that turns left, every millisecond for one second, and its robot."""
     spec = chain(MASSES)
-    plant, states = AnalyticalSnake(spec, friction="wheel", tick=0.001), []
+    plant = AnalyticalSnake(spec, friction="wheel", tick=0.001)
+    states = []
     rollout(plant, Gait(2.0, 0.3), 1.0, record_hz=1000, observers=[states.append])
     return spec, states
 
@@ -67,7 +68,8 @@ def test_state_fields_are_consistent(turning):
     assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
     # Neighbours are one chord apart along their mean heading: an arc of l and half a
     # gap at each end.
-    g, half = spec.geometry, bend / 2
+    g = spec.geometry
+    half = bend / 2
     chords = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
     mean = (theta[:, :-1] + theta[:, 1:]) / 2
     links = chords[..., None] * np.stack([np.cos(mean), np.sin(mean)], axis=-1)
@@ -132,10 +134,8 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
 @LAWS
 def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
     """Regression: Newton's method alternated between the sides of the kink where a wheel stops rolling."""
-    plant, angle = (
-        AnalyticalSnake(SPEC, friction=law, slip_speed=0.001),
-        np.radians(degrees),
-    )
+    plant = AnalyticalSnake(SPEC, friction=law, slip_speed=0.001)
+    angle = np.radians(degrees)
     throw(plant, (0.5 * np.cos(angle), 0.5 * np.sin(angle)))
     for _ in range(65):
         state = plant.step(vented(SPEC))
@@ -149,8 +149,10 @@ def test_spinning_snake_decelerates_by_the_friction_moment(law):
     throw(plant, (0.0, 0.0), spin=10.0)
     for _ in range(100):
         state = plant.step(vented(SPEC))
-    mass, reach = SPEC.mass.array(), np.abs(SPEC.geometry.pitch * np.arange(-2, 3))
-    inertia, moment = (mass * reach**2).sum(), 0.57 * 9.81 * (mass * reach).sum()
+    mass = SPEC.mass.array()
+    reach = np.abs(SPEC.geometry.pitch * np.arange(-2, 3))
+    inertia = (mass * reach**2).sum()
+    moment = 0.57 * 9.81 * (mass * reach).sum()
     assert state.heading == pytest.approx(inertia * 10.0**2 / (2 * moment), rel=0.01)
 
 
@@ -267,7 +269,8 @@ def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
         np.int8
     )
     steps = plant._steps(Schedule(0.04, starts, states), samples)
-    ends, marks = steps.ends, steps.sample_steps
+    ends = steps.ends
+    marks = steps.sample_steps
     assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(
         0.04
     )

@@ -68,7 +68,8 @@ def written(run: Trajectory | DivergedError) -> bytes:
     """Return a trajectory, or the history and message of an error, as the bytes of a file."""
     output = b""
     if isinstance(run, DivergedError):
-        run, output = run.trajectory, str(run).encode()
+        output = str(run).encode()
+        run = run.trajectory
     assert run is not None
     file = io.BytesIO()
     run.to_parquet(file)
@@ -120,7 +121,8 @@ class Fuse(Plant):
     tick = 0.02
 
     def __init__(self, act: Callable[[float], None] = lambda time: None) -> None:
-        self.spec, self._act = SPEC, act
+        self.spec = SPEC
+        self._act = act
 
     def reset(self, *, pose: Any = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
         self._still = AnalyticalSnake(self.spec).reset(pose=pose)
@@ -317,7 +319,8 @@ def test_jobs_after_a_failed_one_end_early():
 
 
 def test_shared_plants_and_controllers_are_refused():
-    gait, snake = Gait(2.0), AnalyticalSnake(SPEC)
+    gait = Gait(2.0)
+    snake = AnalyticalSnake(SPEC)
     with pytest.raises(
         InputError,
         match=(

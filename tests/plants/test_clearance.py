@@ -56,12 +56,15 @@ def mujoco_distances(twin: TwinSnake, places: np.ndarray) -> np.ndarray:
 
 def poses(twin: TwinSnake, count: int, *, unequal: bool, seed: int) -> np.ndarray:
     """Draw poses anywhere among the obstacles, segments bent by up to 1.5 rad, shape (count, nq)."""
-    draw, model = np.random.default_rng(seed), twin.physics.model
+    draw = np.random.default_rng(seed)
+    model = twin.physics.model
     found = np.tile(twin.physics.data.qpos, (count, 1))
     heading = draw.uniform(-np.pi, np.pi, count)
     found[:, :2] = draw.uniform(-0.6, 0.6, (count, 2))
-    found[:, 3], found[:, 6] = np.cos(heading / 2), np.sin(heading / 2)
-    segments, hinges = twin.spec.segments, twin.describe()["hinges_per_segment"]
+    found[:, 3] = np.cos(heading / 2)
+    found[:, 6] = np.sin(heading / 2)
+    segments = twin.spec.segments
+    hinges = twin.describe()["hinges_per_segment"]
     angles = (
         draw.uniform(-1.5, 1.5, (count, segments, hinges if unequal else 1)) / hinges
     )
@@ -111,7 +114,8 @@ def test_clearance_equals_mujocos_smallest_distance(name, hinges, unequal):
         robot(name), world=WORLD, hinges_per_segment=hinges, contact="preloaded"
     )
     places = poses(twin, 40, unequal=unequal, seed=hinges)
-    run, distance = seen(twin, places), mujoco_distances(twin, places)
+    run = seen(twin, places)
+    distance = mujoco_distances(twin, places)
     assert clearance(twin, run) == pytest.approx(distance, abs=ROUNDING_M)
     assert distance.min() < 0 < distance.max()
 
@@ -128,7 +132,8 @@ def test_inner_hinges_that_bend_unequally_are_bounded():
 def test_the_hull_is_within_its_bound_of_the_arc():
     twin = TwinSnake(robot("gen2"), world=WORLD)
     places = poses(twin, 100, unequal=False, seed=3)
-    run, geometry = seen(twin, places), twin.spec.geometry
+    run = seen(twin, places)
+    geometry = twin.spec.geometry
     bend = np.abs(np.diff(run.theta, axis=1))
     lines = hull_lines(run.position, run.theta, geometry, 2)
     hinges = lines[:, :-1].reshape(100, geometry.segments, 3, 2)[:, :, 1:]

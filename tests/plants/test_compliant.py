@@ -19,7 +19,9 @@ from srs_twin.robot.friction import LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import Mass
 
-LENGTH, GAP, SLIP = 0.037, 0.018, 0.02
+LENGTH = 0.037
+GAP = 0.018
+SLIP = 0.02
 
 MARKED_LAWS = [
     pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow])
@@ -74,8 +76,10 @@ class Body:
 
     def advance(self, bends, duration: float, step: float, start=None) -> np.ndarray:
         """Return the kernel's states after every step; `bends` maps times to free bends."""
-        count, segments = round(duration / step), len(self.mass) - 1
-        begin, tiny = step * np.arange(count), 1e-30
+        count = round(duration / step)
+        segments = len(self.mass) - 1
+        begin = step * np.arange(count)
+        tiny = 1e-30
         stages = np.stack([begin + kernels.GAMMA * step, begin + step], axis=1)
         times = np.append(0.0, stages.ravel())
         free = bends(times), bends(times + 1j * tiny).imag / tiny
@@ -83,15 +87,15 @@ class Body:
         state = np.zeros(first + 2 * segments)
         u = np.zeros(3 + segments)
         if start is not None:
-            q, u = start[0], start[1].copy()
+            q = start[0]
+            u = start[1].copy()
             state[first : first + segments] = q
             momentum = self.balance(q, u, np.zeros(segments))[0]
-            state[3:5], state[5], state[first + segments :] = (
-                u[:2],
-                momentum[2],
-                momentum[3:],
-            )
-        states, marks = np.empty((count, len(state))), np.arange(1, count + 1)
+            state[3:5] = u[:2]
+            state[5] = momentum[2]
+            state[first + segments :] = momentum[3:]
+        states = np.empty((count, len(state)))
+        marks = np.arange(1, count + 1)
         seen = states, np.empty((count, len(u)))
         work = WorkArrays.of(len(self.mass), len(state))
         done = compliant_kernels.advance(
@@ -119,11 +123,13 @@ def draw(
 
 def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Return the derivatives of the connectors' motion by u, shape (N, 3, 3 + segments), by complex steps."""
-    n, tiny = len(mass), 1e-30
+    n = len(mass)
+    tiny = 1e-30
     place = body_shape(q, mass, LENGTH, GAP)
     result = np.zeros((n, 3, n + 2))
     result[:, 0, 0] = result[:, 1, 1] = result[:, 2, 2] = 1.0
-    result[:, 0, 2], result[:, 1, 2] = -place[:, 1], place[:, 0]
+    result[:, 0, 2] = -place[:, 1]
+    result[:, 1, 2] = place[:, 0]
     for j in range(n - 1):
         step = q + 1j * tiny * np.eye(n - 1)[j]
         result[:, :2, 3 + j] = body_shape(step, mass, LENGTH, GAP).imag / tiny
@@ -133,10 +139,8 @@ def jacobian(mass: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 def mass_matrix(body: Body, q: np.ndarray) -> np.ndarray:
     """Return the second derivatives of the kinetic energy by u."""
-    j, weights = (
-        jacobian(body.mass, q),
-        np.stack([body.mass, body.mass, body.inertia], axis=1),
-    )
+    j = jacobian(body.mass, q)
+    weights = np.stack([body.mass, body.mass, body.inertia], axis=1)
     return np.einsum("ia,iaj,iak->jk", weights, j, j)
 
 
@@ -183,7 +187,8 @@ def test_power_is_balanced(seed):
 
     def energy(h: float) -> float:
         # Momenta in the rotating frame: its rotation does not change the energy.
-        p, bends = momentum + h * force, q + h * u[3:]
+        p = momentum + h * force
+        bends = q + h * u[3:]
         return (
             p @ np.linalg.solve(mass_matrix(body, bends), p) / 2
             + body.stiffness * bends @ bends / 2
@@ -192,9 +197,11 @@ def test_power_is_balanced(seed):
     drag = 0.0
     turn = relative_headings(q)
     for i, (vx, vy, spin) in enumerate(jacobian(body.mass, q) @ u):
-        c, s = np.cos(turn[i]), np.sin(turn[i])
+        c = np.cos(turn[i])
+        s = np.sin(turn[i])
         for arm in (body.track, -body.track):
-            along, across = vx * c + vy * s - arm * spin, vy * c - vx * s
+            along = vx * c + vy * s - arm * spin
+            across = vy * c - vx * s
             drag += (
                 body.mass[i] * 9.81 / 2 * (body.mu_t * along**2 + body.mu_n * across**2)
             )
@@ -240,7 +247,8 @@ def test_linear_cost_solve_equals_dense_solve(connectors, law):
 @pytest.mark.slow
 def test_long_chain_conserves_momentum_and_energy_balance():
     """48 segments without external forces: only dampers take energy from a swinging chain."""
-    g, n = np.random.default_rng(3), 49
+    g = np.random.default_rng(3)
+    n = 49
     body = Body(
         g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0
     )
@@ -249,10 +257,8 @@ def test_long_chain_conserves_momentum_and_energy_balance():
         np.concatenate([[0.3, -0.2, 0.5], g.normal(size=n - 1)]),
     )
     momentum = body.balance(*start, np.zeros(n - 1))[0][2:]
-    bends, momenta = (
-        slice(compliant_kernels.BENDS, compliant_kernels.BENDS + n - 1),
-        slice(1 - n, None),
-    )
+    bends = slice(compliant_kernels.BENDS, compliant_kernels.BENDS + n - 1)
+    momenta = slice(1 - n, None)
 
     def energy(q: np.ndarray, p: np.ndarray) -> float:
         return (
@@ -345,7 +351,8 @@ def test_frictionless_momentum_is_exact_and_energy_of_second_order():
 
 def test_massless_segments_have_their_free_bends_whatever_their_damping():
     """Eq. 14 in closed form, from the model with prescribed bends."""
-    spec, gait = robot(mu_t=1e-12, mu_n=1e-12), Gait(1.37, 0.1)
+    spec = robot(mu_t=1e-12, mu_n=1e-12)
+    gait = Gait(1.37, 0.1)
     masses = {
         "connectors": tuple(1e-12 * m for m in spec.mass.connectors),
         "wheel": 0.0,
@@ -409,7 +416,8 @@ def test_stiff_compliant_bends_equal_prescribed_bends():
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["axis", "wheel"])
 def test_stiff_compliant_model_has_the_speed_of_complete(law):
-    spec, options = robot(), {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}
+    spec = robot()
+    options = {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **options), Gait(2.0), 4.0)
     stiff = rollout(
         compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0
@@ -436,7 +444,8 @@ def test_motion_depends_on_ratios_of_mass_and_stiffness_only():
 @pytest.mark.parametrize(("offset", "bridge"), [(0.0, 0.06), (0.2, 0.06)])
 def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
     """`complete` deviates from the twin's bends by 7 to 10 % at the shipped stiffness, `compliant` by 2 %."""
-    spec, gait = robot(), Gait(2.0, offset)
+    spec = robot()
+    gait = Gait(2.0, offset)
     twin = rollout(TwinSnake(spec, supply_pa=48300.0), gait, 4.0)
     options = {"friction": "wheel", "supply_pa": 48300.0}
     rigid = rollout(AnalyticalSnake(spec, **options), gait, 4.0)
@@ -462,7 +471,8 @@ def test_free_module_follows_the_free_bend():
     spec = replace(
         spec, geometry=geometry, mass=Mass(connectors=(1e-4, 1e-4), wheel=1e-5)
     )
-    bends, free = [], []
+    bends = []
+    free = []
     plants = compliant(spec), AnalyticalSnake(spec)
     for k in range(20):
         valves = np.array([[1, -1]] if k < 10 else [[-1, 1]])
@@ -474,7 +484,8 @@ def test_free_module_follows_the_free_bend():
 
 def test_state_fields_and_description_are_consistent():
     spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
-    plant, states = compliant(spec, friction="wheel", tick=0.001), []
+    plant = compliant(spec, friction="wheel", tick=0.001)
+    states = []
     rollout(
         plant,
         Gait(2.0, 0.3),

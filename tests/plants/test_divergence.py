@@ -38,7 +38,8 @@ from srs_twin.plants.base import check_plausible
 from srs_twin.pneumatics.valves import Schedule
 
 SPEC = robot()
-TICK, AT = 0.02, 0.04
+TICK = 0.02
+AT = 0.04
 WILD = (np.nan, np.inf, -np.inf, 1e15, -1e15)
 
 Spoil = Callable[[Any, float], None]
@@ -215,10 +216,13 @@ class Runaway(Controller):
     kind = "runaway"
 
     def __init__(self, valves: Any, *, after: int = 2, scripted: bool = False) -> None:
-        self._valves, self._after, self._scripted = valves, after, scripted
+        self._valves = valves
+        self._after = after
+        self._scripted = scripted
 
     def reset(self, spec: Any, tick: float, *, seed: int = 0) -> None:
-        self._tick, self._count = tick, 0
+        self._tick = tick
+        self._count = 0
 
     def step(self, state: SnakeState) -> Any:
         self._count += 1

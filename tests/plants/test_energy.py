@@ -88,7 +88,8 @@ def test_work_is_the_integral_of_the_torque_power(options, law, mu):
         ]
         return np.abs(h.work - added).max() / h.work[-1]
 
-    coarse, fine = missed(5e-4), missed(2.5e-4)
+    coarse = missed(5e-4)
+    fine = missed(2.5e-4)
     assert fine < 2e-6
     assert np.log2(coarse / fine) == pytest.approx(
         2, abs=0.6
@@ -120,7 +121,8 @@ def stored(plant: AnalyticalSnake, h: SnakeState) -> np.ndarray:
 )
 def test_friction_only_dissipates(options, law):
     """Work minus kinetic energy never decreases."""
-    spec, step = robot(), 2e-4
+    spec = robot()
+    step = 2e-4
     plant = AnalyticalSnake(
         spec, friction=law, timestep=step, supply_pa=SUPPLY, **options
     )
@@ -150,7 +152,8 @@ def test_mean_gait_power_equals_friction_power(name):
     """Over whole periods, the metric is the power of the floor forces plus that of the dampers."""
     plant = AnalyticalSnake(robot(), supply_pa=SUPPLY, timestep=5e-4, **MODELS[name])
     metrics = plant_metrics(rollout(plant, Gait(2.0, 0.2), 4.0))
-    h, step = driven(plant, 4.0, 2000), 5e-4
+    h = driven(plant, 4.0, 2000)
+    step = 5e-4
     velocity = np.gradient(h.position, step, axis=0)
     deviation = h.bend_rate - free_rates(plant, h)
     power = (
@@ -158,7 +161,8 @@ def test_mean_gait_power_equals_friction_power(name):
     )
     taken = (power - (h.contact_force * velocity).sum(axis=(1, 2)))[h.time > 1.0].mean()
     assert metrics["mechanical_power_w"] == pytest.approx(taken, rel=0.005)
-    weight, speed = plant.spec.mass.total * 9.81, metrics["com_speed_m_s"]
+    weight = plant.spec.mass.total * 9.81
+    speed = metrics["com_speed_m_s"]
     assert metrics["cost_of_transport"] == pytest.approx(
         taken / (weight * speed), rel=0.005
     )
@@ -169,7 +173,8 @@ def test_mean_gait_power_equals_friction_power(name):
 
 def test_yaw_power_counts_without_friction_torque():
     """The omitted moment does no work: it neither rotates the body nor dissipates."""
-    spec, step = robot(), 2e-4
+    spec = robot()
+    step = 2e-4
     plant = AnalyticalSnake(
         spec,
         timestep=step,
@@ -178,10 +183,8 @@ def test_yaw_power_counts_without_friction_torque():
         **MODELS["no torque"],
     )
     h = driven(plant, 1.0, 1 / step)
-    velocity, yaw_rate = (
-        np.gradient(h.position, step, axis=0),
-        np.gradient(h.heading, step),
-    )
+    velocity = np.gradient(h.position, step, axis=0)
+    yaw_rate = np.gradient(h.heading, step)
     arm = h.position - h.com[:, None]
     moment = (
         arm[..., 0] * h.contact_force[..., 1] - arm[..., 1] * h.contact_force[..., 0]
@@ -208,7 +211,8 @@ def in_springs_and_dampers(
     Hinges of stiffness 2k and damping 2c deviate from their shares q_f/2 of the free
     bends.
     """
-    model, law = plant.physics.model, plant.spec.bending
+    model = plant.physics.model
+    law = plant.spec.bending
     rates = free_rates(plant, h)
     free = cumulative_simpson(rates, dx=float(h.time[1] - h.time[0]), axis=0, initial=0)
     stored = lost = 0.0
@@ -231,14 +235,16 @@ def recorded_work(plant: TwinSnake, h: SnakeState, offset: float = 0.2) -> np.nd
 @pytest.mark.parametrize("offset", [0.0, 0.4])
 def test_twin_work_is_the_integral_of_torque_times_bend_rate(contact, offset):
     """To first order in the step for the preloaded contact, second order for the loaded one."""
-    step, duration = 2.5e-4, 1.5
+    step = 2.5e-4
+    duration = 1.5
     plant = TwinSnake(robot(), contact=contact, timestep=step, supply_pa=SUPPLY)
     gait = Gait(2.0, offset)
     gait.reset(plant.spec, plant.tick)
     h = plant.play(gait.script(duration), round(duration / step))
     begin = round(0.5 / step)
     expected = recorded_work(plant, h, offset)[begin:]
-    recorded, expected = h.work[begin:] - h.work[begin], expected - expected[0]
+    recorded = h.work[begin:] - h.work[begin]
+    expected = expected - expected[0]
     assert recorded[-1] == pytest.approx(
         expected[-1], rel={"loaded": 5e-4, "preloaded": 7e-3}[contact]
     )
@@ -253,7 +259,8 @@ def conserved(plant: TwinSnake, duration: float) -> tuple[float, float, float]:
     step = plant.timestep
     h = driven(plant, duration, 1 / step)
     model = plant.physics.model
-    qvel, inertia = np.zeros((len(h.time), model.nv)), np.zeros((model.nv, model.nv))
+    qvel = np.zeros((len(h.time), model.nv))
+    inertia = np.zeros((model.nv, model.nv))
     for k in range(1, len(qvel)):
         mujoco.mj_differentiatePos(model, qvel[k], step, h.qpos[k - 1], h.qpos[k])
     stored, lost = in_springs_and_dampers(plant, h, qvel)
@@ -279,7 +286,8 @@ def test_energy_of_a_clamped_twin_is_conserved():
         assert lost > 0.02 * work
         return (kept + lost) / work - 1
 
-    coarse, fine = missed(2.5e-4), missed(1.25e-4)
+    coarse = missed(2.5e-4)
+    fine = missed(1.25e-4)
     assert 2 * fine - coarse == pytest.approx(0, abs=1e-3)
 
 
@@ -301,7 +309,9 @@ def test_energy_of_a_twin_on_the_floor_is_conserved(contact):
 
 
 def test_batch_work_equals_that_of_single_twins():
-    spec, gait, samples = robot(), Gait(2.0, 0.2), 20
+    spec = robot()
+    gait = Gait(2.0, 0.2)
+    samples = 20
     twin = TwinSnake(spec, supply_pa=SUPPLY)
     gait.reset(spec, twin.tick)
     script = gait.script(0.2)
@@ -320,27 +330,24 @@ def bare(plant: TwinSnake, duration: float) -> tuple[np.ndarray, np.ndarray]:
     not counted: wheels bouncing on the floor gain energy from the finite time step (6 %
     of the friction at 1 ms, 1.4 % at 0.25 ms), which no torque delivers.
     """
-    gait, chambers = Gait(2.0, 0.2), copy.deepcopy(plant.pneumatics)
+    gait = Gait(2.0, 0.2)
+    chambers = copy.deepcopy(plant.pneumatics)
     gait.reset(plant.spec, plant.tick)
     chambers.reset()
     times = plant.timestep * np.arange(round(duration / plant.timestep))
     trace = chambers.advance(gait.script(duration), np.append(times, duration))
     controls = plant.physics.controls(trace)[:-1]
     plant.reset()
-    model, data, kind = (
-        plant.physics.model,
-        plant.physics.data,
-        mujoco.mjtState.mjSTATE_INTEGRATION,
-    )
+    model = plant.physics.model
+    data = plant.physics.data
+    kind = mujoco.mjtState.mjSTATE_INTEGRATION
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, state, kind)
-    energy, taken, inertia = (
-        np.empty(len(times)),
-        np.empty(len(times)),
-        np.empty((model.nv, model.nv)),
-    )
+    energy = np.empty(len(times))
+    taken = np.empty(len(times))
+    inertia = np.empty((model.nv, model.nv))
     for k, row in enumerate(controls):
         data.ctrl[: len(row)] = row
         mujoco.mj_step(model, data)
@@ -375,8 +382,10 @@ def test_twin_work_equals_the_power_of_constraint_forces(stiffness, timestep):
     # segments. Recorded work contains the kinetic energy at the beginning of the last
     # step.
     begin = round(0.25 / timestep)
-    change, expected = work[1 + begin :], (energy + taken)[begin:-1]
-    change, expected = change - change[0], expected - expected[0]
+    change = work[1 + begin :]
+    expected = (energy + taken)[begin:-1]
+    change = change - change[0]
+    expected = expected - expected[0]
     assert change[-1] == pytest.approx(expected[-1], rel=0.01)
     assert np.abs(change - expected).max() < 0.02 * expected[-1]
     # Constraints only dissipate, except for the energy that wheels and contacts store.

@@ -70,7 +70,8 @@ def at_home(model: mujoco.MjModel) -> mujoco.MjData:
 
 def step_pressures(twin: TwinSnake, frequency: float, duration: float) -> np.ndarray:
     """Return the pressures of a gait at the beginning of each time step, shape (steps, segments, 2), Pa."""
-    gait, chambers = Gait(frequency), copy.deepcopy(twin.pneumatics)
+    gait = Gait(frequency)
+    chambers = copy.deepcopy(twin.pneumatics)
     gait.reset(twin.spec, twin.tick)
     chambers.reset()
     times = twin.timestep * np.arange(round(duration / twin.timestep))
@@ -238,7 +239,8 @@ def test_every_number_reaches_the_files_or_is_named_as_missing():
     robot = complete_robot()
     before = robot_files(robot.spec(), linear=True)
     lines = {line.partition(" = ")[0]: line for line in describe_departures(robot)}
-    silent, untrue = [], []
+    silent = []
+    untrue = []
     for path, record in robot.records().items():
         section, key = path.split(".")
         if path == "geometry.connectors":  # the lists of the modules would not fit
@@ -325,7 +327,8 @@ def test_pressure_option_raises_the_limit_of_the_controls(tmp_path, srs_twin):
 
 def test_moment_of_the_air_ends_at_the_bend_limit(tmp_path):
     robot = changed("gen4", actuator=BEND_LIMIT)
-    model, spec = exported(tmp_path, robot), robot.spec()
+    model = exported(tmp_path, robot)
+    spec = robot.spec()
     data = at_home(model)
     for pressure in (30e3, 131e3):
         data.actuator("minus_2").ctrl = pressure

@@ -39,7 +39,8 @@ def test_all_chambers_lengthen_the_segments_with_their_pressure():
     spec = long_robot()
     twin = TwinSnake(spec, supply_pa=SUPPLY)
     full = np.ones((spec.segments, 4), dtype=np.int8)
-    tau1, tau2 = spec.actuator.tau_fill, spec.bending.damping_time
+    tau1 = spec.actuator.tau_fill
+    tau2 = spec.bending.damping_time
     for tick in range(1, 26):
         state = twin.step(full)
         if tick in (5, 25):
@@ -61,7 +62,8 @@ def test_one_of_four_chambers_lengthens_the_arc_by_a_quarter_as_much():
     one[:, 0] = 1
     for _ in range(50):
         state = twin.step(one)
-    g, q = spec.geometry, state.bend[:, 0]
+    g = spec.geometry
+    q = state.bend[:, 0]
     assert q == pytest.approx(spec.actuator.gain * SUPPLY, rel=0.05)
     arc = g.segment_length + EXTENSION * SUPPLY / 4
     chord = arc * np.sin(q / 2) / (q / 2) + g.rigid_gap * np.cos(q / 2)

@@ -30,12 +30,16 @@ def by_rows(
     components of the bends are their moments.
     """
     n = len(solid.mass)
-    body, pushed = np.empty((ROWS, n)), np.empty((n, 3))
-    rows, rates = np.empty((n, 3, n + 2)), np.zeros((n, 3, n + 2))
+    body = np.empty((ROWS, n))
+    pushed = np.empty((n, 3))
+    rows = np.empty((n, 3, n + 2))
+    rates = np.zeros((n, 3, n + 2))
     pose_body(bend, u[3:], solid, body)
     fill_forces(body, solid.mass, u, floor, pushed)
     fill_rows(body, bend, u, solid, rows, rates)
-    r, rate, f = rows.reshape(3 * n, -1), rates.reshape(3 * n, -1), pushed.ravel()
+    r = rows.reshape(3 * n, -1)
+    rate = rates.reshape(3 * n, -1)
+    f = pushed.ravel()
     weights = np.stack([solid.mass, solid.mass, solid.inertia], axis=1).ravel()
     rate[2::3] = 0.0  # headings are linear in the bends
     forces = r.T @ f
@@ -65,12 +69,11 @@ def test_recursive_inverse_dynamics_equals_the_dense_sum(
     inertia = random.uniform(0.0, 1e-4, connectors) if heavy else np.zeros(connectors)
     solid = BodyParameters.of(mass, inertia, 0.037, 0.018, frozen)
     floor = floor_friction(law, random.choice([0.0, 0.02]), 0.05, 0.5, 0.01)
-    samples, segments = 3, connectors - 1
+    samples = 3
+    segments = connectors - 1
     u = random.normal(0, [0.3, 0.3, 2.0, *[5.0] * segments], (samples, 3 + segments))
-    bend, acceleration = (
-        random.normal(0, 0.7, (samples, segments)),
-        random.normal(0, 99, (samples, segments)),
-    )
+    bend = random.normal(0, 0.7, (samples, segments))
+    acceleration = random.normal(0, 99, (samples, segments))
     result = np.empty((samples, segments))
     trace = Trace.empty(samples, segments)._replace(
         bend=bend, bend_rate=u[:, 3:].copy(), bend_acceleration=acceleration

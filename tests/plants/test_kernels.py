@@ -62,7 +62,8 @@ class Swim:
         """Return bends and rates at times, shape (…, segments); they start at rest."""
         lag = math.pi / 2 * np.arange(len(self.mass) - 1)
         t = np.asarray(t)[..., None]
-        rise, slope = 1 - np.exp(-((t / 0.1) ** 2)), 200 * t * np.exp(-((t / 0.1) ** 2))
+        rise = 1 - np.exp(-((t / 0.1) ** 2))
+        slope = 200 * t * np.exp(-((t / 0.1) ** 2))
         wave = self.amplitude * np.sin(self.omega * t - lag)
         rate = self.amplitude * self.omega * np.cos(self.omega * t - lag)
         return rise * wave, slope * wave + rise * rate
@@ -89,11 +90,10 @@ def run(
     solid = BodyParameters.of(mass, np.zeros_like(mass), swim.length, swim.gap)
     floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
-    now, seen = (
-        (state, slope, np.array([0.0, across, 0.0])),
-        (np.empty((0, kernels.STATES)), np.empty((0, 3))),
-    )
-    steps, marks = np.full(count, step), np.empty(0, dtype=int)
+    now = (state, slope, np.array([0.0, across, 0.0]))
+    seen = (np.empty((0, kernels.STATES)), np.empty((0, 3)))
+    steps = np.full(count, step)
+    marks = np.empty(0, dtype=int)
     done, substeps = advance(
         now, steps, trace, marks, (solid, floor, True), tolerance, seen
     )
@@ -106,7 +106,8 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
 
 def geometry(swim: Swim, t: float) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors (x + iy) and headings of a body with its head at 0 along x, by quadrature."""
-    places, headings = [0j], [0.0]
+    places = [0j]
+    headings = [0.0]
     for q in swim.bends(t)[0]:
         arc = swim.length / 2 * (WEIGHTS * np.exp(-0.5j * q * (NODES + 1))).sum()
         chord = swim.gap / 2 + arc + swim.gap / 2 * np.exp(-1j * q)
@@ -118,7 +119,9 @@ def geometry(swim: Swim, t: float) -> tuple[np.ndarray, np.ndarray]:
 def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
     """Return the floor's force on one contact, N."""
     v = velocity * np.exp(-1j * heading)
-    along, across, slip = v.real, v.imag, swim.slip
+    along = v.real
+    across = v.imag
+    slip = swim.slip
     if swim.law == "axis":
         f_t = swim.mu_t * along / math.hypot(along, slip)
         f_n = swim.mu_n * across / math.hypot(across, slip)
@@ -142,7 +145,8 @@ def by_newton(swim: Swim, duration: float) -> np.ndarray:
     The sums of m_i r̈_i and of their moments about the head equal those of the floor.
     Velocities and accelerations of the shape are time differences.
     """
-    mass, h = np.array(swim.mass), 1e-4
+    mass = np.array(swim.mass)
+    h = 1e-4
     contacts = (0.0,) if swim.track == 0 else (swim.track, -swim.track)
 
     def shape(t: float) -> tuple[np.ndarray, ...]:
@@ -151,11 +155,14 @@ def by_newton(swim: Swim, duration: float) -> np.ndarray:
 
     def rates(t: float, y: np.ndarray) -> list[float]:
         d, d1, d2, phi, phi1 = shape(t)
-        head, angle, spin = y[3] + 1j * y[4], y[2], y[5]
+        head = y[3] + 1j * y[4]
+        angle = y[2]
+        spin = y[5]
         turn = np.exp(1j * angle)
         arm = d * turn
         velocity = head + turn * (d1 + 1j * spin * d)
-        total, moment = 0j, 0.0
+        total = 0j
+        moment = 0.0
         for m, a, v, p, p1 in zip(mass, arm, velocity, phi, phi1, strict=True):
             for side in contacts:
                 sideways = 1j * side * np.exp(1j * (angle + p))
@@ -169,7 +176,8 @@ def by_newton(swim: Swim, duration: float) -> np.ndarray:
                 moment += ((a + sideways).conjugate() * f).imag
         # r̈_i = r̈_head + i α ρ_i + known_i, with α the angular acceleration.
         known = turn * (d2 + 2j * spin * d1 - spin**2 * d)
-        s, weight = (mass * arm).sum(), mass.sum()
+        s = (mass * arm).sum()
+        weight = mass.sum()
         matrix = np.array(
             [
                 [weight, 0, -s.imag],
@@ -205,12 +213,11 @@ CASES = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_kernel_satisfies_newtons_law(name):
-    swim, duration = CASES[name], 1.0
+    swim = CASES[name]
+    duration = 1.0
     expected = by_newton(swim, duration)
-    coarse, fine = (
-        by_kernel(swim, duration, 1e-3)[:3],
-        by_kernel(swim, duration, 2.5e-4)[:3],
-    )
+    coarse = by_kernel(swim, duration, 1e-3)[:3]
+    fine = by_kernel(swim, duration, 2.5e-4)[:3]
     travelled = np.hypot(*expected[:2])
     assert travelled > 0.01
     assert coarse == pytest.approx(expected, abs=1e-3 * travelled + 1e-4)
@@ -241,7 +248,8 @@ def test_result_is_insensitive_to_the_slip_speed():
 def draw(seed: int, connectors: int) -> tuple[BodyParameters, np.ndarray, np.ndarray]:
     """Return a random body, bends and rates."""
     g = np.random.default_rng(seed)
-    mass, own = g.uniform(0.02, 0.1, connectors), g.uniform(0, 1e-5, connectors)
+    mass = g.uniform(0.02, 0.1, connectors)
+    own = g.uniform(0, 1e-5, connectors)
     bend, rate = g.normal(size=(2, connectors - 1))
     return BodyParameters.of(mass, own, 0.04, 0.02), bend, rate
 
@@ -257,7 +265,8 @@ def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarr
 @pytest.mark.parametrize("track", [0.0, 0.02])
 def test_floor_force_slopes_match_finite_differences(law, track):
     solid, bend, rate = draw(2, 4)
-    body, u = posed(solid, bend, rate), np.array([0.2, -0.1, 1.5])
+    body = posed(solid, bend, rate)
+    u = np.array([0.2, -0.1, 1.5])
     floor = floor_friction(law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -279,8 +288,10 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     fill_forces(body, solid.mass, u, floor, force)
     turn = body[COS] + 1j * body[SIN]
     pushed = (force[:, 0] + 1j * force[:, 1]) * turn
-    place, own = body[X] + 1j * body[Y], body[VX] + 1j * body[VY]
-    velocity, spin = u[0] + 1j * u[1] + 1j * u[2] * place + own, u[2] + body[SPIN]
+    place = body[X] + 1j * body[Y]
+    own = body[VX] + 1j * body[VY]
+    velocity = u[0] + 1j * u[1] + 1j * u[2] * place + own
+    spin = u[2] + body[SPIN]
     assert net[:2] == pytest.approx([pushed.sum().real, pushed.sum().imag], abs=1e-14)
     assert net[2] == pytest.approx(
         (place.conjugate() * pushed).imag.sum() + force[:, 2].sum(), abs=1e-14
@@ -300,14 +311,18 @@ def test_floor_evaluates_the_named_law(law, track):
     def compiled(along, across, spin, floor):
         return connector_friction(along, across, spin, 2.0, floor)
 
-    along, across, spin = 0.2, -0.1, 3.0
+    along = 0.2
+    across = -0.1
+    spin = 3.0
     contacts = (0.0,) if track == 0 else (-track, track)
-    force, moment = np.zeros(2), 0.0
+    force = np.zeros(2)
+    moment = 0.0
     for arm in contacts:
         pushed = getattr(friction, law)(
             along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05
         )[:2]
-        force, moment = force + pushed, moment + arm * pushed[0]
+        force = force + pushed
+        moment = moment + arm * pushed[0]
     actual = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
     assert actual[:3] == pytest.approx([*force, moment], rel=1e-12)
 
@@ -322,7 +337,8 @@ def test_posed_rates_match_finite_differences():
     assert now[SPIN] == pytest.approx(turning, abs=1e-8)
     assert now[VX : VY + 1] == pytest.approx(difference[X : Y + 1], abs=1e-9)
     inertia, moment = pose_body(bend, rate, solid, now)
-    place, own = now[X : Y + 1], solid.inertia
+    place = now[X : Y + 1]
+    own = solid.inertia
     assert inertia == pytest.approx((solid.mass * (place**2).sum(axis=0) + own).sum())
     cross = now[X] * now[VY] - now[Y] * now[VX]
     assert moment == pytest.approx((solid.mass * cross + own * now[SPIN]).sum())
@@ -332,7 +348,8 @@ def test_mean_heading_is_zero_for_a_coil_of_several_turns():
     """With 1 rad in each of 40 segments, the head is 20 rad, three turns, ahead of the mean heading."""
     bend = np.ones(40)
     solid = BodyParameters.of(np.full(41, 0.03), np.zeros(41), 0.04, 0.02)
-    body, phi = posed(solid, bend, 0 * bend), relative_headings(bend)
+    body = posed(solid, bend, 0 * bend)
+    phi = relative_headings(bend)
     assert body[COS] == pytest.approx(np.cos(phi), abs=1e-12)
     assert body[SIN] == pytest.approx(np.sin(phi), abs=1e-12)
     place = body_shape(bend, solid.mass, solid.length, solid.gap)
@@ -387,7 +404,8 @@ def test_stop_within_a_step_has_the_exact_position(speed):
 
 def test_substeps_reduce_the_error_where_friction_reverses():
     """The same longest step with and without substeps, compared with steps of 10 µs over many kinks."""
-    whole, cut = [], []
+    whole = []
+    cut = []
     for amplitude in (0.7, 0.8, 0.9, 1.0, 1.1):
         swim = Swim((0.03,) * 5, "axis", slip=0.00025, amplitude=amplitude)
         exact = by_kernel(swim, 1.0, 1e-5)[:2]
@@ -407,7 +425,8 @@ def test_bends_between_stages_are_cubic_polynomials():
 
     h = 0.3
     at = (0.0, kernels.GAMMA * h, h)
-    bends, rates = np.array([cubic(t) for t in at]), np.array([rate(t) for t in at])
+    bends = np.array([cubic(t) for t in at])
+    rates = np.array([rate(t) for t in at])
     for share in (0.0, 0.1, kernels.GAMMA, 0.5, 0.9, 1.0):
         q, r = np.empty((2, 2))
         bend_within(share, h, bends, rates, q, r)

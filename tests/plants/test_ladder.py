@@ -138,7 +138,8 @@ def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
     assert h.heading == pytest.approx(expected, abs=2e-6)
     assert np.abs(h.heading).max() > 0.05
     # Its moment of momentum, from places, stays zero.
-    arm, velocity = h.position - h.com[:, None], np.gradient(h.position, h.time, axis=0)
+    arm = h.position - h.com[:, None]
+    velocity = np.gradient(h.position, h.time, axis=0)
     terms = spec.mass.array() * (
         arm[..., 0] * velocity[..., 1] - arm[..., 1] * velocity[..., 0]
     )
@@ -214,17 +215,16 @@ def test_mass_cancels_with_prescribed_bends(options, law):
 
 def test_simplified_differs_from_complete_in_a_gait():
     """At the bends of a gait the three models differ; only the one without friction torque cannot steer."""
-    spec, gait = robot(), Gait(2.0, 0.2)
+    spec = robot()
+    gait = Gait(2.0, 0.2)
 
     def turned(**options) -> float:
         run = rollout(AnalyticalSnake(spec, supply_pa=SUPPLY, **options), gait, 4.0)
         return float(run["heading"][-1] - run["heading"][100]) / 3
 
-    complete, simplified, unturned = (
-        turned(),
-        turned(model="simplified"),
-        turned(model="simplified", friction_torque=False),
-    )
+    complete = turned()
+    simplified = turned(model="simplified")
+    unturned = turned(model="simplified", friction_torque=False)
     assert complete > 0.5 and simplified > 0.5
     assert abs(unturned) < 0.2 * complete
 
@@ -305,10 +305,8 @@ def gapped(speed: float = 0.2):
 
 
 def test_gap_factor_multiplies_the_reference_speed():
-    plain, factor = (
-        compare(gapless(), gapped()),
-        compare(gapless(), gapped(), gap_factor=True),
-    )
+    plain = compare(gapless(), gapped())
+    factor = compare(gapless(), gapped(), gap_factor=True)
     assert plain.metrics["gap_factor"] == 1.0
     assert factor.metrics["gap_factor"] == pytest.approx((0.037 + 0.018) / 0.037)
     assert plain.metrics["com_speed_rel"] == pytest.approx(0.2 / 0.15 - 1, rel=1e-5)

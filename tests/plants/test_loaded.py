@@ -53,7 +53,8 @@ def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(
     v_t, v_n, mu_t, mu_n, at
 ):
     assume(abs(v_t) > 1e-3 and abs(v_n) > 1e-3)
-    p_t, p_n = 0.99 * LOAD * mu_t * math.cos(at), 0.99 * LOAD * mu_n * math.sin(at)
+    p_t = 0.99 * LOAD * mu_t * math.cos(at)
+    p_n = 0.99 * LOAD * mu_n * math.sin(at)
     assert stick_slip_friction(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[
         :2
     ] == pytest.approx((p_t, p_n), rel=1e-12)
@@ -100,7 +101,8 @@ def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, share):
 def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, share):
     """A law without a branch of its own in the friction solve would run as another one."""
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
-    slip, mu_t = 1e-6, share * mu_n
+    slip = 1e-6
+    mu_t = share * mu_n
     expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
     contact = SimpleNamespace(
         wheels=1,
@@ -119,16 +121,13 @@ def test_rolling_friction_slopes_match_finite_differences(seed, slip):
     v_t, v_n, rim, mu_t, mu_n, p_t, p_n = np.random.default_rng(seed).uniform(
         [-1, -1, -1, 0.01, 0.1, -0.1, -0.1], [1, 1, 1, 0.1, 1, 0.1, 0.1]
     )
-    step, arguments = 1e-7, (LOAD, mu_t, mu_n, slip, p_t, p_n, rim, 0.5)
+    step = 1e-7
+    arguments = (LOAD, mu_t, mu_n, slip, p_t, p_n, rim, 0.5)
     _, _, tt, tn, nn, _ = rolling_friction(v_t, v_n, *arguments)
-    ahead, behind = (
-        rolling_friction(v_t + step, v_n, *arguments),
-        rolling_friction(v_t - step, v_n, *arguments),
-    )
-    left, right = (
-        rolling_friction(v_t, v_n + step, *arguments),
-        rolling_friction(v_t, v_n - step, *arguments),
-    )
+    ahead = rolling_friction(v_t + step, v_n, *arguments)
+    behind = rolling_friction(v_t - step, v_n, *arguments)
+    left = rolling_friction(v_t, v_n + step, *arguments)
+    right = rolling_friction(v_t, v_n - step, *arguments)
     found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [
         (left[1] - right[1]) / (2 * step)
     ]
@@ -160,10 +159,8 @@ def test_extrapolation_is_exact_for_a_power_of_the_slip_speed(
 
 @pytest.mark.slow
 def test_transient_agrees_with_the_explicit_simulation():
-    twin, explicit = (
-        crawled("gen2_straight", 2, contact="loaded"),
-        simulate(POINTS["gen2_straight"], 2),
-    )
+    twin = crawled("gen2_straight", 2, contact="loaded")
+    explicit = simulate(POINTS["gen2_straight"], 2)
     assert_close(twin, explicit.speed_mm_s, explicit.yaw_rate, drift=0.01)
 
 
@@ -171,10 +168,8 @@ def test_transient_agrees_with_the_explicit_simulation():
 @pytest.mark.parametrize("name", ["gen2_turn", "gen1_straight", "gen3_straight"])
 def test_stored_values_are_current(name):
     slip = SLIPS_M_S[0]
-    result, runs = (
-        simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip),
-        stored()[name],
-    )
+    result = simulate(POINTS[name], None, STEP_SHARES_S2_M[0] * slip, slip)
+    runs = stored()[name]
     assert result.speed_mm_s == pytest.approx(runs.speed_mm_s[0][0], rel=1e-3)
     assert result.yaw_rate == pytest.approx(runs.yaw_rate[0][0], rel=2e-3, abs=1e-3)
 
@@ -186,7 +181,8 @@ def test_stored_values_are_current(name):
 def test_every_point_agrees_with_the_explicit_simulation(name):
     # This one turns 2.8 % too fast at 1 ms and 0.5 % at half of it.
     step = 0.0005 if name == "stiff_slow_turn" else 0.001
-    twin, runs = crawled(name, None, step, contact="loaded"), stored()[name]
+    twin = crawled(name, None, step, contact="loaded")
+    runs = stored()[name]
     assert_close(twin, runs.speed[0], runs.yaw[0], drift=2e-3)
     assert twin.swing == pytest.approx(runs.swing, rel=0.1)
     assert abs(twin.ripple - runs.ripple) < 0.02
@@ -224,7 +220,8 @@ def test_static_loads_of_a_two_axle_tail_follow_the_levers():
 def test_spinning_snake_decelerates_by_the_lever_of_its_axles():
     spec = replace(robot("gen3"), tail=TAIL, friction=Friction(mu_t=0.5, mu_n=0.5))
     plant = TwinSnake(spec, contact=LoadedContact("ellipse"), tick=0.001)
-    physics, data = plant.physics, plant.physics.data
+    physics = plant.physics
+    data = plant.physics.data
     axles = physics.connector_positions()[
         [axle.connector - 1 for axle in spec.axles], 0
     ]
@@ -235,7 +232,8 @@ def test_spinning_snake_decelerates_by_the_lever_of_its_axles():
     before = float(data.subtree_angmom[0, 2])
     plant.step(np.full((spec.segments, 2), -1))
     physics.refresh()
-    force, side = physics.floor_forces(), spec.geometry.half_track * np.array([1, -1])
+    force = physics.floor_forces()
+    side = spec.geometry.half_track * np.array([1, -1])
     moment = (levers[:, None] * force[..., 1] - side * force[..., 0]).sum()
     assert data.subtree_angmom[0, 2] - before == pytest.approx(0.001 * moment, rel=1e-3)
     assert moment < -0.1
@@ -262,13 +260,12 @@ def test_half_the_time_step_gives_the_same_result(name):
 def test_spinning_up_wheels_does_not_pitch_the_snake():
     # Thrown along with wheels at rest, the floor's force F at the hubs and the
     # bearings' drag tip it forward.
-    plant, g = TwinSnake(SPEC, contact="loaded", tick=0.004), SPEC.geometry
+    plant = TwinSnake(SPEC, contact="loaded", tick=0.004)
+    g = SPEC.geometry
     plant.physics.data.qvel[0] = 0.5
     plant.step(np.full((SPEC.segments, 2), -1))
-    force, loads = (
-        -plant.physics.floor_forces()[..., 0].sum(),
-        plant.physics.wheel_loads().sum(axis=1),
-    )
+    force = -plant.physics.floor_forces()[..., 0].sum()
+    loads = plant.physics.wheel_loads().sum(axis=1)
     assert force == pytest.approx(SPEC.friction.mu_n * loads.sum(), rel=1e-3)
     places = plant.physics.connector_positions()[:, 0]
     moment = loads @ (places - plant.physics.center_of_mass()[0])
@@ -282,11 +279,9 @@ def test_spinning_up_wheels_does_not_pitch_the_snake():
 def test_energy_balance_of_air_motion_floor_and_segments():
     plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
     run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
-    gait, chambers, torque = (
-        Gait(2.0, 0.2),
-        TwinSnake(SPEC, supply_pa=48.3e3).pneumatics,
-        run.stack("torque"),
-    )
+    gait = Gait(2.0, 0.2)
+    chambers = TwinSnake(SPEC, supply_pa=48.3e3).pneumatics
+    torque = run.stack("torque")
     gait.reset(SPEC, plant.tick)
     free = chambers.advance(gait.script(2.0), run.time).bend
     # Pitch and roll take a little.
@@ -369,7 +364,8 @@ def test_deprecated_keywords_work_and_warn(former, contact, numerics):
 
 
 def test_deprecated_attributes_work_and_warn():
-    twin, contact = TwinSnake(SPEC), PreloadedContact(preload=3.0)
+    twin = TwinSnake(SPEC)
+    contact = PreloadedContact(preload=3.0)
     with pytest.warns(DeprecationWarning, match="use Plant.max_chunk_s"):
         assert twin.stretch == twin.max_chunk_s
     with pytest.warns(DeprecationWarning, match="use preload_ratio"):

@@ -12,7 +12,8 @@ SPEC = chain((0.0532,) * 17)
 
 
 def test_long_twin_continues_from_a_saved_state_bit_for_bit():
-    twin, gait = TwinSnake(SPEC), Gait(2.0)
+    twin = TwinSnake(SPEC)
+    gait = Gait(2.0)
     gait.reset(SPEC, twin.tick)
     states = [twin.reset()]
     for _ in range(6):

@@ -181,7 +181,8 @@ def test_tendon_length_is_the_difference_of_headings(scene):
 
 def test_axle_and_tread_friction_are_proportional_to_the_load(scene):
     model, _, name = scene
-    spec, numerics = load_robot(name), ModelSettings(contact=PreloadedContact())
+    spec = load_robot(name)
+    numerics = ModelSettings(contact=PreloadedContact())
     pressed = preload_force(spec, PreloadedContact())
     for i, mass in enumerate(spec.mass.connectors, start=1):
         load = mass * GRAVITY / 2

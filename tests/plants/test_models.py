@@ -133,7 +133,8 @@ def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipp
 def test_exported_and_built_models_move_equally(spec, shipped):
     rng = np.random.default_rng(1)
     twin = with_lags(spec)
-    one, other = at_home(twin), at_home(shipped)
+    one = at_home(twin)
+    other = at_home(shipped)
     for step in range(SECOND):
         if step % 50 == 0:
             target = rng.uniform(*twin.actuator_ctrlrange.T)
@@ -191,7 +192,8 @@ def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped)
 
 
 def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
-    data, g = at_home(shipped), spec.geometry
+    data = at_home(shipped)
+    g = spec.geometry
     mujoco.mj_forward(shipped, data)
     places = np.array(
         [data.body(f"connector_{i}").xpos for i in range(1, g.connectors + 1)]
@@ -246,7 +248,8 @@ def test_robot_file_contains_the_robot_only(root, spec):
 
 def test_files_have_the_layout_of_menagerie(spec):
     texts = robot_files(spec)
-    robot, scene = texts[f"{spec.name}.xml"], texts[SCENE]
+    robot = texts[f"{spec.name}.xml"]
+    scene = texts[SCENE]
     assert "`srs-twin models export`" in robot and f"'{spec.name}'" in robot
     assert f'<include file="{spec.name}.xml"/>' in scene
     for text in texts.values():
@@ -296,10 +299,8 @@ def test_files_have_the_layout_of_menagerie(spec):
             for item in tree.iterfind(f"./{section}//{tag}")
         ]
         assert own and not [item for item in own if item.get(repeated)], (tag, repeated)
-    ours, theirs = (
-        ElementTree.fromstring(scene),
-        {"compiler", "option", "tendon", "actuator", "keyframe"},
-    )
+    ours = ElementTree.fromstring(scene)
+    theirs = {"compiler", "option", "tendon", "actuator", "keyframe"}
     assert not theirs & {section.tag for section in ours}
 
 

@@ -20,7 +20,8 @@ from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.sensing import make_sensor
 
 MODULE = load_robot("gen4_module")
-STEP, SINE = Step(math.radians(25), time=0.1), Sine(math.radians(34.3), 6.0)
+STEP = Step(math.radians(25), time=0.1)
+SINE = Sine(math.radians(34.3), 6.0)
 CONTROLS = {"direct": (DirectSMC, "in_out"), "iterative": (IterativeSMC, "3/2")}
 PLANTS = {"analytical": AnalyticalSnake, "twin": TwinSnake}
 
@@ -202,7 +203,8 @@ def test_work_equals_the_kinetic_energy(kind, allowed):
         **{"twin": {"timestep": 0.00025}}.get(kind, {}),
     )
     run = rollout(plant, HoldValves(), 1.0, record_hz=1000)
-    q, time = run["bend_1"], run.time
+    q = run["bend_1"]
+    time = run.time
     power = run["torque_1"] * np.gradient(q, time)
     done = np.concatenate(
         [[0], np.cumsum((power[1:] + power[:-1]) / 2 * np.diff(time))]
@@ -236,12 +238,15 @@ def test_analytical_torque_satisfies_lagranges_equation():
     from srs_twin.plants.analytical.kinematics import BodyParameters
     from srs_twin.pneumatics import Trace
 
-    mass, inertia = np.array([0.01, 0.02, 0.03]), np.array([1e-6, 2e-6, 3e-6])
+    mass = np.array([0.01, 0.02, 0.03])
+    inertia = np.array([1e-6, 2e-6, 3e-6])
     solid = BodyParameters.of(mass, inertia, 0.07, 0.004)
 
     def places(q):
         """Return positions and headings of the connectors by integration along the arcs."""
-        x, angle, actual = np.zeros(2), 0.0, [(np.zeros(2), 0.0)]
+        x = np.zeros(2)
+        angle = 0.0
+        actual = [(np.zeros(2), 0.0)]
         for bend in q:
             ahead = np.array([np.cos(angle), np.sin(angle)])
             x = x - 0.002 * ahead
@@ -254,11 +259,15 @@ def test_analytical_torque_satisfies_lagranges_equation():
         return np.array([p for p, _ in actual]), np.array([a for _, a in actual])
 
     def energy(q, dq, h=1e-5):
-        before, after = places(q - h * dq), places(q + h * dq)
-        v, w = (after[0] - before[0]) / (2 * h), (after[1] - before[1]) / (2 * h)
+        before = places(q - h * dq)
+        after = places(q + h * dq)
+        v = (after[0] - before[0]) / (2 * h)
+        w = (after[1] - before[1]) / (2 * h)
         return float((mass * (v**2).sum(axis=1) + inertia * w**2).sum() / 2)
 
-    q, dq, ddq = np.array([0.5, -0.8]), np.array([2.0, 3.0]), np.array([-40.0, 25.0])
+    q = np.array([0.5, -0.8])
+    dq = np.array([2.0, 3.0])
+    ddq = np.array([-40.0, 25.0])
     h = 1e-4
 
     def momentum(q, dq):
@@ -269,20 +278,16 @@ def test_analytical_torque_satisfies_lagranges_equation():
             ]
         )
 
-    later, earlier = (
-        momentum(q + h * dq, dq + h * ddq),
-        momentum(q - h * dq, dq - h * ddq),
-    )
+    later = momentum(q + h * dq, dq + h * ddq)
+    earlier = momentum(q - h * dq, dq - h * ddq)
     slope = np.array(
         [(energy(q + h * e, dq) - energy(q - h * e, dq)) / (2 * h) for e in np.eye(2)]
     )
     expected = (later - earlier) / (2 * h) - slope
     head = np.array([0.3, -0.2, 1.1])
-    states, velocities, torque = (
-        np.zeros((1, kernels.STATES)),
-        np.zeros((1, 3)),
-        np.zeros((1, 2)),
-    )
+    states = np.zeros((1, kernels.STATES))
+    velocities = np.zeros((1, 3))
+    torque = np.zeros((1, 2))
     trace = Trace.empty(1, len(q))._replace(
         bend=q[None], bend_rate=dq[None], bend_acceleration=ddq[None]
     )
@@ -290,7 +295,8 @@ def test_analytical_torque_satisfies_lagranges_equation():
     assert torque[0] == pytest.approx(expected, rel=1e-4)
 
     def turned(vector):
-        c, s = math.cos(head[2]), math.sin(head[2])
+        c = math.cos(head[2])
+        s = math.sin(head[2])
         return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
 
     def centre(q):
@@ -394,12 +400,10 @@ class Blindfolded(Plant):
 
     def __init__(self, plant: Plant) -> None:
         self._plant = plant
-        self.name, self.spec, self.tick, self.layout = (
-            plant.name,
-            plant.spec,
-            plant.tick,
-            plant.layout,
-        )
+        self.name = plant.name
+        self.spec = plant.spec
+        self.tick = plant.tick
+        self.layout = plant.layout
         self.commands: list[np.ndarray] = []
 
     def reset(self, **start) -> SnakeState:
@@ -421,7 +425,8 @@ class Blindfolded(Plant):
 @plants
 @controls
 def test_controllers_read_only_the_sensor(kind, control):
-    blind, controller = Blindfolded(bench(kind, control)), CONTROLS[control][0](STEP)
+    blind = Blindfolded(bench(kind, control))
+    controller = CONTROLS[control][0](STEP)
     state = blind.reset(seed=3)
     controller.reset(blind.spec, blind.tick, seed=3)
     for _ in range(300):

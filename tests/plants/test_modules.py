@@ -53,7 +53,8 @@ def unlike(
     **onset: float,
 ) -> RobotSpec:
     """Return a generation 4 with unequal modules and a bend limit (rad)."""
-    rng, spec = np.random.default_rng(seed), load_robot("gen4")
+    rng = np.random.default_rng(seed)
+    spec = load_robot("gen4")
     modules = Modules.from_arrays(
         gain=rng.uniform(0.7, 1.3, (4, 2)),
         tau_fill=rng.uniform(0.7, 1.3, (4, 2)),
@@ -98,7 +99,8 @@ def test_bend_law_saturates_at_its_limit(x, limit):
         (x * limit) ** 4, rel=1e-9, abs=1e-12
     )
     step = 1e-4
-    ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
+    ahead = apply_bend_law(x + step, law)
+    behind = apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx(
         (ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2
@@ -118,7 +120,8 @@ def test_bend_law_saturates_at_its_limit(x, limit):
 def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
     x, limit, share, onset, width
 ):
-    law, step = (limit, share, onset, width), 1e-5
+    law = (limit, share, onset, width)
+    step = 1e-5
     value, slope, curve = apply_bend_law(x, law)
     y = x - share * width / 2 * np.log(
         np.cosh((x + onset) / width) / np.cosh((x - onset) / width)
@@ -140,13 +143,15 @@ def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
     assert equivalent_linear_pressure(spec, np.zeros((4, 2))) == pytest.approx(
         np.zeros((4, 2))
     )
-    ahead, behind = apply_bend_law(x + step, law), apply_bend_law(x - step, law)
+    ahead = apply_bend_law(x + step, law)
+    behind = apply_bend_law(x - step, law)
     assert slope == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
 
 def test_equivalent_linear_pressure_gives_the_same_bend():
-    spec, pressure = unlike(), np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
+    spec = unlike()
+    pressure = np.random.default_rng(5).uniform(0, SUPPLY, (7, 4, 2))
     linear = replace(spec, actuator=replace(spec.actuator, bend_limit=np.inf))
     assert air_bend(
         linear, equivalent_linear_pressure(spec, pressure)
@@ -161,7 +166,8 @@ def test_equivalent_linear_pressure_gives_the_same_bend():
 
 def law(spec: RobotSpec, kind: str, leak: float):
     """Return y' of (p⁺, p⁻, x) of segment 2 from the dissertation, and its bend, for one valve state."""
-    modules, actuator = spec.modules, spec.actuator
+    modules = spec.modules
+    actuator = spec.actuator
     g = actuator.gain * modules.array("gain")[1]
     fill = actuator.tau_fill * modules.array("tau_fill")[1]
     vent = actuator.tau_vent * modules.array("tau_vent")[1]
@@ -189,7 +195,8 @@ def test_lag_solves_the_equations_of_unequal_modules(leak):
     chambers = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     assert chambers.bend == pytest.approx(spec.modules.bias, abs=0)
     rates, bend = law(spec, "lag", leak)
-    y, at = np.zeros(3), np.linspace(0.002, 0.05, 25)
+    y = np.zeros(3)
+    at = np.linspace(0.002, 0.05, 25)
     for states in np.random.default_rng(2).choice([-1, 0, 1], size=(12, 4, 2)):
         trace = chambers.advance(chambers.schedule(states, 0.05), at)
         solution = solve_ivp(
@@ -241,7 +248,8 @@ def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
     assert not np.abs(chambers.pressure).any()
-    air, displacement = chambers._plumbing.dead, spec.chamber.displacement
+    air = chambers._plumbing.dead
+    displacement = spec.chamber.displacement
 
     def content() -> float:
         sizes = air + displacement * np.maximum(
@@ -276,10 +284,8 @@ def test_larger_time_constant_means_smaller_conductance():
 def test_initially_empty_line_delays_filling():
     spec = load_robot("gen4")
     options = {"supply_pa": SUPPLY, "flow_limit": 1e-3, "line_volume": 5e-4}
-    full, empty = (
-        OrificePneumatics(spec, **options),
-        OrificePneumatics(spec, **options, line_begins=0.0),
-    )
+    full = OrificePneumatics(spec, **options)
+    empty = OrificePneumatics(spec, **options, line_begins=0.0)
     for chambers in (full, empty):
         chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
     assert empty.bend.max() < 0.5 * full.bend.min()
@@ -402,7 +408,8 @@ def test_stuck_valve_ignores_commands(kind, state, level):
     plant = PLANTS[kind](robot("gen4"), supply_pa=48e3)
     plant.pneumatics.stuck = (StuckValve(2, 0, state, since=0.513),)
     run = rollout(plant, Gait(1.0), 3.0)
-    stuck, other = run["pressure_plus_2"], run["pressure_minus_2"]
+    stuck = run["pressure_plus_2"]
+    other = run["pressure_minus_2"]
     assert np.ptp(run["valve_plus_2"][run["time"] > 0.53]) == 0
     assert np.abs(stuck[run["time"] > 2.0] / 48e3 - level).max() < 1e-4
     assert (
@@ -570,11 +577,10 @@ def test_robot_file_with_modules_has_sources(tmp_path):
 
 def test_sensor_drift_keeps_the_noise():
     spec = unlike(sensors=0.1)
-    drifted, plain = (
-        make_sensor("hall", spec),
-        make_sensor("hall", replace(spec, variation=None)),
-    )
-    bend, time = np.full((5, 4), 0.3), np.arange(5) * 0.01
+    drifted = make_sensor("hall", spec)
+    plain = make_sensor("hall", replace(spec, variation=None))
+    bend = np.full((5, 4), 0.3)
+    time = np.arange(5) * 0.01
     expected = (
         plain.read(bend, time, 3) * spec.modules.sensor_gain + spec.modules.sensor_bias
     )

@@ -56,7 +56,8 @@ def test_sliding_object_stops_after_the_distance_of_coulomb_friction(item, veloc
 
 @pytest.mark.slow
 def test_spinning_cylinder_is_braked_by_the_moment_of_a_uniform_pressure():
-    twin, spin = twin_with(CYLINDER), 20.0
+    twin = twin_with(CYLINDER)
+    spin = 20.0
     twin.physics.data.qvel[-1] = spin
     twin.step(VENTED)
     radius = CYLINDER.size[0]
@@ -96,7 +97,8 @@ def test_collision_conserves_momentum(item):
     """Without friction on the floor, momentum and angular momentum pass from the object to the snake."""
     item = replace(item, friction=0.0, x=0.03, y=0.08)
     twin = twin_with(item, robot=SLIPPERY)
-    data, model = twin.physics.data, twin.physics.model
+    data = twin.physics.data
+    model = twin.physics.model
     data.qvel[-2] = -0.5
 
     def momenta() -> np.ndarray:
@@ -106,7 +108,8 @@ def test_collision_conserves_momentum(item):
         mujoco.mj_subtreeVel(model, data)
         total = np.zeros(3)
         for body, mass in ((1, GEN2.mass.total), (model.nbody - 1, item.mass)):
-            velocity, place = data.subtree_linvel[body], data.subtree_com[body]
+            velocity = data.subtree_linvel[body]
+            place = data.subtree_com[body]
             spin = data.subtree_angmom[body][2] + mass * (
                 place[0] * velocity[1] - place[1] * velocity[0]
             )
@@ -167,8 +170,10 @@ def test_mirrored_push_gives_the_mirrored_motion():
 
 @pytest.mark.slow
 def test_saved_state_continues_with_the_same_bits():
-    gait, item = Gait(2.0), replace(CYLINDER, x=0.17, y=0.01)
-    first, second = twin_with(item), twin_with(item)
+    gait = Gait(2.0)
+    item = replace(CYLINDER, x=0.17, y=0.01)
+    first = twin_with(item)
+    second = twin_with(item)
     gait.reset(GEN2, first.tick)
     state = first.state
     touched = False
@@ -209,7 +214,8 @@ def test_curled_body_touches_itself():
         geometry=replace(GEN2.geometry, connectors=9),
         mass=replace(GEN2.mass, connectors=GEN2.mass.connectors[:1] * 9),
     )
-    world, width = World(objects=(replace(CYLINDER, x=2.0),)), chain.geometry.width
+    world = World(objects=(replace(CYLINDER, x=2.0),))
+    width = chain.geometry.width
     coarse, overlap = curled(TwinSnake(chain, world=world))
     fine, _ = curled(TwinSnake(chain, world=world, timestep=0.00025))
     assert fine < 0.5 * coarse
@@ -221,10 +227,8 @@ def test_curled_body_touches_itself():
 
 def curled(twin: TwinSnake) -> tuple[float, float]:
     """Fill all left chambers for 0.8 s; return the displacement of the centre of mass and the overlap, m."""
-    spec, curl = (
-        twin.spec,
-        np.tile(np.array([1, -1], dtype=np.int8), (twin.spec.segments, 1)),
-    )
+    spec = twin.spec
+    curl = np.tile(np.array([1, -1], dtype=np.int8), (twin.spec.segments, 1))
     start = twin.reset().com
     states = [twin.step(curl) for _ in range(40)]
     signals = {
@@ -256,16 +260,19 @@ def pulled_over_an_object(
     The chain has no floor friction. The hold-back tension acts on the tail; a stiff
     spring moves the head slowly, and its force is the tension.
     """
-    connectors, width = 17, 0.002
+    connectors = 17
+    width = 0.002
     chain = replace(
         SLIPPERY,
         geometry=replace(GEN2.geometry, connectors=connectors, width=width),
         mass=replace(GEN2.mass, connectors=(0.02,) * connectors, wheel=0.001),
         bending=replace(GEN2.bending, stiffness=1e-4, damping_time=1.0),
     )
-    pitch, bent_radius = chain.geometry.pitch, radius + width / 2 + 2e-4
+    pitch = chain.geometry.pitch
+    bent_radius = radius + width / 2 + 2e-4
     edges = np.arange(connectors) * pitch
-    middle, half = edges[-1] / 2, wrap * bent_radius / 2
+    middle = edges[-1] / 2
+    half = wrap * bent_radius / 2
     bend = np.clip(
         np.minimum(edges[1:], middle + half) - np.maximum(edges[:-1], middle - half),
         0,
@@ -288,17 +295,21 @@ def pulled_over_an_object(
         np.column_stack([2 * on_arc, np.ones(len(on_arc))]), (on_arc**2).sum(axis=1)
     )[0]
     twin = wrapped(float(centre[0]), float(centre[1]))
-    data, model = twin.physics.data, twin.physics.model
-    head, tail = model.body("connector_1").id, model.body(f"connector_{connectors}").id
-    ahead, behind = data.xmat[head][[0, 3]].copy(), -data.xmat[tail][[0, 3]]
-    start, vented, pulls = (
-        data.xpos[head][:2].copy(),
-        np.full((connectors - 1, 2), -1, dtype=np.int8),
-        [],
-    )
-    speed, stiffness, damping = 0.01, 2000.0, 20.0
+    data = twin.physics.data
+    model = twin.physics.model
+    head = model.body("connector_1").id
+    tail = model.body(f"connector_{connectors}").id
+    ahead = data.xmat[head][[0, 3]].copy()
+    behind = -data.xmat[tail][[0, 3]]
+    start = data.xpos[head][:2].copy()
+    vented = np.full((connectors - 1, 2), -1, dtype=np.int8)
+    pulls = []
+    speed = 0.01
+    stiffness = 2000.0
+    damping = 20.0
     for k in range(2000):
-        time, velocity = k * twin.tick, np.empty(6)
+        time = k * twin.tick
+        velocity = np.empty(6)
         mujoco.mj_objectVelocity(
             model, data, mujoco.mjtObj.mjOBJ_BODY, head, velocity, 0
         )

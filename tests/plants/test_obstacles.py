@@ -34,7 +34,8 @@ def forces(run: Trajectory) -> np.ndarray:
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
     """Return the largest depth of the body in an obstacle, from the recorded positions, m."""
     model = twin.physics.model
-    data, result = mujoco.MjData(model), 0.0
+    data = mujoco.MjData(model)
+    result = 0.0
     for k in range(0, len(run["time"]), 5):
         data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]
         mujoco.mj_forward(model, data)
@@ -62,7 +63,8 @@ def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, law):
     twin = TwinSnake(
         robot(), supply_pa=48e3, world=WORLDS[name], contact=LoadedContact(law)
     )
-    gait, mass = Gait(2.0), twin.spec.mass.total
+    gait = Gait(2.0)
+    mass = twin.spec.mass.total
     gait.reset(twin.spec, twin.tick)
     history = twin.play(gait.script(3.0), 1500)
     pushed = history.contact_force.sum(axis=1) + history.obstacle_force.sum(axis=1)

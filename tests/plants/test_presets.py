@@ -39,7 +39,8 @@ def settings(found):
     )
 
 
-FAST, DEFAULT = ("loaded", 0.002, 2, "fast"), ("loaded", 0.001, 2, None)
+FAST = ("loaded", 0.002, 2, "fast")
+DEFAULT = ("loaded", 0.001, 2, None)
 REFERENCE = ("loaded", 0.00025, 2, "reference")
 
 

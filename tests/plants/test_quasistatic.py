@@ -71,7 +71,8 @@ def sidewinder():
 
 def posed(seed):
     """Return a random state, its constants and workspace."""
-    constants, points = make_constants(SPEC, 1e-4, "free"), SPEC.skin.points
+    constants = make_constants(SPEC, 1e-4, "free")
+    points = SPEC.skin.points
     work = kernels.work_arrays(SEGMENTS, points)
     state = np.zeros(kernels.BENDS + 3 * SEGMENTS + 4 * SEGMENTS * points)
     draw = np.random.default_rng(seed)
@@ -85,9 +86,11 @@ def posed(seed):
 def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
     state, constants, work = posed(0)
     kernels.pose(state, constants, work)
-    motion, size = work.motion[:, :3].copy(), 6 + 3 * SEGMENTS
+    motion = work.motion[:, :3].copy()
+    size = 6 + 3 * SEGMENTS
     for row in range(size):
-        velocity, places = np.eye(size)[row], []
+        velocity = np.eye(size)[row]
+        places = []
         for step in (1e-6, -1e-6):
             moved = state.copy()
             work.bend[:] = work.load[:] = 0.0
@@ -120,7 +123,8 @@ def test_a_segment_bent_in_one_plane_is_an_arc():
     state[kernels.BENDS + 1] = bend
     kernels.pose(state, constants, work)
     behind = work.frame[0].T @ (work.position[1] - work.position[0])
-    radius, gap = constants.length / bend, constants.gap
+    radius = constants.length / bend
+    gap = constants.gap
     # Both ends of a body that bends upwards rise, so that the rear is above the frame
     # of the head.
     along = gap + radius * math.sin(bend) + gap * math.cos(bend)
@@ -130,7 +134,8 @@ def test_a_segment_bent_in_one_plane_is_an_arc():
 
 @pytest.mark.slow
 def test_a_cantilever_sags_as_the_elastica():
-    segments, stiffness = 8, 0.5
+    segments = 8
+    stiffness = 0.5
     spec = short(
         segments,
         stiffness=stiffness,
@@ -143,7 +148,8 @@ def test_a_cantilever_sags_as_the_elastica():
     state = snake.state
     for _ in range(25):
         state = snake.step(np.full((segments, 4), -1, dtype=np.int8))
-    length, weight = spec.geometry.body_length, GRAVITY * spec.mass.total
+    length = spec.geometry.body_length
+    weight = GRAVITY * spec.mass.total
     number = weight * length**2 / (stiffness * spec.geometry.segment_length)
     s = np.linspace(0.0, 1.0, 50)
     rod = solve_bvp(
@@ -164,9 +170,11 @@ def test_a_cantilever_sags_as_the_elastica():
 def test_loads_balance_the_weight_and_its_moment(sidewinder):
     snake, run = sidewinder
     body = snake._body
-    state, points = body.state, len(body._constants.mass)
+    state = body.state
+    points = len(body._constants.mass)
     kernels.pose(state, body._constants, body._work)
-    loads, place = state[-points:], body._work.point
+    loads = state[-points:]
+    place = body._work.point
     weight = body._constants.mass * GRAVITY
     assert 0.1 < (loads > 0.0).mean() < 0.9
     assert loads.sum() == pytest.approx(weight.sum(), rel=2e-3)
@@ -184,7 +192,8 @@ def test_loads_balance_the_weight_and_its_moment(sidewinder):
 def test_the_work_of_the_air_is_dissipated_or_stored(sidewinder):
     snake, run = sidewinder
     body = snake._body
-    state, constants = body.state, body._constants
+    state = body.state
+    constants = body._constants
     twist = state[kernels.BENDS :][: 3 * SEGMENTS].reshape(-1, 3)[:, 2]
     kernels.pose(state, constants, body._work)
     height = body._work.point[:, 2] - constants.radius
@@ -245,21 +254,18 @@ def test_half_the_step_hardly_changes_the_path():
 
 @pytest.mark.slow
 def test_a_saved_state_continues_with_the_same_bits():
-    gait, first = (
-        Gait(0.5, pitch=SIDEWINDING),
-        AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01),
-    )
+    gait = Gait(0.5, pitch=SIDEWINDING)
+    first = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
     gait.reset(SPEC, first.tick)
     commands = [gait.step(first.state) for _ in range(10)]
     for command in commands[:5]:
         first.step(command)
-    saved, second = (
-        first.save(),
-        AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01),
-    )
+    saved = first.save()
+    second = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
     second.restore(saved)
     for command in commands[5:]:
-        one, other = first.step(command), second.step(command)
+        one = first.step(command)
+        other = second.step(command)
     assert (
         (one.com == other.com).all()
         and (one.load == other.load).all()

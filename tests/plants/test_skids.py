@@ -54,9 +54,11 @@ def test_skids_have_the_mass_and_inertia_of_wheels(scene):
     spec = load_robot(name)
     wheeled = scene_mjcf(spec, ModelSettings(contact=PreloadedContact())).compile()
     assert model.body_mass.sum() == pytest.approx(spec.mass.total, rel=1e-12)
-    g, yaw = spec.geometry, 2
+    g = spec.geometry
+    yaw = 2
     for i in range(1, g.connectors + 1):
-        own, axle = model.body(f"connector_{i}"), wheeled.body(f"connector_{i}")
+        own = model.body(f"connector_{i}")
+        axle = wheeled.body(f"connector_{i}")
         assert own.ipos == pytest.approx([0, 0, 0], abs=1e-15)
         wheels = [wheeled.body(f"wheel_{side}_{i}") for side in ("left", "right")]
         assert own.mass == pytest.approx(
@@ -104,7 +106,8 @@ def test_contact_frames_turn_with_the_skids(heading):
 
 
 def test_skids_stay_on_the_floor_and_off_their_tips():
-    plant, contacts = TwinSnake(robot(), contact=PreloadedContact("skid")), []
+    plant = TwinSnake(robot(), contact=PreloadedContact("skid"))
+    contacts = []
     rollout(
         plant,
         Gait(2.0, 0.2),

@@ -58,7 +58,8 @@ def gait_run(plant, offset=0.0, phase=0.0, seconds=3.0):
 
 
 def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
-    pitch, half = SPEC.geometry.pitch, SPEC.geometry.body_length / 2
+    pitch = SPEC.geometry.pitch
+    half = SPEC.geometry.body_length / 2
     expected = SPEC.mass.total * (2 * half) ** 2 / 12
     for places, masses in (
         (
@@ -106,9 +107,11 @@ def test_sliding_skin_of_the_twin_follows_the_law(law):
 
 @LAWS
 def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
-    rng, slip = np.random.default_rng(2), 1e-2
+    rng = np.random.default_rng(2)
+    slip = 1e-2
     for _ in range(50):
-        v, p = rng.normal(scale=slip, size=2), rng.normal(scale=0.2, size=2)
+        v = rng.normal(scale=slip, size=2)
+        p = rng.normal(scale=0.2, size=2)
         values = skin_friction(*v, 2.0, 0.1, 0.15, 0.5, slip, *p, law == "cosine")
         for k in range(2):
             h = np.eye(2)[k] * 1e-6 * slip

@@ -115,10 +115,8 @@ def test_lateral_force_transfers_load():
     plant = TwinSnake(SPEC, contact="loaded")
     plant.physics.data.qvel[1] = 0.5
     plant.step(np.full((SPEC.segments, 2), -1))
-    loads, force = (
-        plant.physics.wheel_loads(),
-        plant.physics.floor_forces()[..., 1].sum(axis=1),
-    )
+    loads = plant.physics.wheel_loads()
+    force = plant.physics.floor_forces()[..., 1].sum(axis=1)
     shift = SPEC.geometry.com_height / (2 * SPEC.geometry.half_track) * force
     assert (loads[:, 1] - loads[:, 0]) / 2 == pytest.approx(shift, rel=0.02)
 
@@ -170,19 +168,19 @@ def test_wheels_climb_steps_up_to_the_limit(height, reached):
 
 
 def test_snake_leaning_on_a_wall_is_in_static_equilibrium():
-    tilt, side = math.radians(40), -SPEC.geometry.width
+    tilt = math.radians(40)
+    side = -SPEC.geometry.width
     wall = Polygon(((-1.0, side - 0.2), (1.0, side - 0.2), (1.0, side), (-1.0, side)))
     world = World(floor=Floor(tilt, math.pi / 2), polygons=(wall,))
     twin = TwinSnake(SPEC, contact="loaded", world=world)
     run = rollout(twin, AIRLESS, 3.0)
     assert abs(run["com_y"][-1] - run["com_y"][-11]) < 1e-6
-    weight, g = SPEC.mass.total * GRAVITY, SPEC.geometry
+    weight = SPEC.mass.total * GRAVITY
+    g = SPEC.geometry
     resting = twin.pneumatics.rest_trace().at(np.zeros(2, dtype=int))
     _, pushed, held = twin.physics.run(resting).obstacle_force[0].sum(axis=0)
-    loads, across = (
-        twin.physics.wheel_loads().sum(axis=0),
-        twin.physics.floor_forces()[..., 1].sum(),
-    )
+    loads = twin.physics.wheel_loads().sum(axis=0)
+    across = twin.physics.floor_forces()[..., 1].sum()
     assert pushed + across == pytest.approx(weight * math.sin(tilt), rel=1e-3)
     assert loads.sum() + held == pytest.approx(weight * math.cos(tilt), rel=1e-3)
     assert abs(held) < FRICTION * pushed
@@ -204,7 +202,8 @@ def along_a_wall(uphill):
 
 
 def test_wall_friction_follows_coulomb():
-    twin, still = along_a_wall(math.pi / 2), np.full((SPEC.segments, 2), -1)
+    twin = along_a_wall(math.pi / 2)
+    still = np.full((SPEC.segments, 2), -1)
     twin.physics.data.qvel[0] = 0.3
     states = [twin.step(still) for _ in range(6)]
     slowed = (states[0].com_velocity[0] - states[-1].com_velocity[0]) / (5 * twin.tick)

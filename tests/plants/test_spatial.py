@@ -57,7 +57,8 @@ def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
     planar_spec = replace(SPEC, chamber=replace(SPEC.chamber, directions=None))
     planar = LagPneumatics(planar_spec, supply_pa=SUPPLY, layout="3/2")
     spatial = make_pneumatics("lag", SPEC, supply_pa=SUPPLY, layout="3/2")
-    times, starts = np.linspace(0.0, 0.3, 7), np.array([0.0, 0.1])
+    times = np.linspace(0.0, 0.3, 7)
+    starts = np.array([0.0, 0.1])
     one, many = (np.full((2, 8, count), -1, dtype=np.int8) for count in (2, 4))
     one[0, 0, 0] = many[0, 0, filled] = 1
     expected = planar.advance(Schedule(0.3, starts, one), times)
@@ -208,18 +209,18 @@ def test_the_mirror_image_of_a_gait_travels_along_the_mirror_image_of_its_path(l
 
 def test_the_motion_does_not_depend_on_the_heading(lifting):
     other = lift(Gait(0.5, pitch=SIDEWINDING), pose=(1.0, 2.0, 1.0))
-    c, s = np.cos(1.0), np.sin(1.0)
+    c = np.cos(1.0)
+    s = np.sin(1.0)
     turned = lifting.com @ np.array([[c, s], [-s, c]]) + [1.0, 2.0]
     assert other.com == pytest.approx(turned, abs=1e-9)
 
 
 def test_a_run_continues_from_a_saved_state_with_the_same_bits():
-    twin, gait = (
-        TwinSnake(small(), supply_pa=SUPPLY, timestep=0.002),
-        Gait(0.5, pitch=SIDEWINDING),
-    )
+    twin = TwinSnake(small(), supply_pa=SUPPLY, timestep=0.002)
+    gait = Gait(0.5, pitch=SIDEWINDING)
     rollout(twin, gait, 0.2)
-    saved, valves = twin.save(), gait.valves_at(0.2)
+    saved = twin.save()
+    valves = gait.valves_at(0.2)
     expected = twin.step(valves)
     twin.step(valves)
     twin.restore(saved)
@@ -233,7 +234,8 @@ def test_a_clamped_snake_sags_as_the_elastica():
     spec = small(
         replace(SPEC, geometry=replace(SPEC.geometry, rigid_gap=0.0)), connectors=5
     )
-    length, mass = spec.geometry.body_length, spec.mass.total
+    length = spec.geometry.body_length
+    mass = spec.mass.total
     stiffness = 2.0  # N·m/rad; the tip then sags by a tenth of the length
     spec = replace(
         spec,
@@ -313,7 +315,8 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
 
 
 def test_supports_and_turns_about_the_axis_are_counted():
-    count, times = 6, np.linspace(0.0, 2.0, 41)
+    count = 6
+    times = np.linspace(0.0, 2.0, 41)
     load = np.zeros((len(times), count))
     load[:, [0, 1, 3, 5]] = 1.0  # three separate parts
     roll = 2 * np.pi * 0.75 * times

@@ -43,7 +43,9 @@ def rolling_speed(spec, frequency, supply):
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_rolling_is_that_of_an_arc_that_turns_once_per_period(side):
-    spec, frequency, supply = short_robot(5), 1.0, 5e3
+    spec = short_robot(5)
+    frequency = 1.0
+    supply = 5e3
     twin = TwinSnake(spec, supply_pa=supply, timestep=0.002)
     pitch = PitchWave(0.5, side * np.pi / 2)
     phase = 0.0 if side > 0 else np.pi
@@ -61,7 +63,8 @@ def lifted_head(spec, lifted, supply, cells=8):
     The chain lies in a vertical plane. Unknowns are the bends, and the slope and height
     of the tail.
     """
-    g, free = spec.geometry, np.zeros(spec.segments)
+    g = spec.geometry
+    free = np.zeros(spec.segments)
     free[:lifted] = spec.actuator.gain * supply
     pieces = [
         (g.rigid_gap / 2, 0.0, 1),
@@ -93,7 +96,8 @@ def lifted_head(spec, lifted, supply, cells=8):
         return bending + weights @ heights(unknowns)[0]
 
     floor = {"type": "ineq", "fun": lambda unknowns: 100 * heights(unknowns)[0]}
-    start, options = [*0.9 * free, 0, 0], {"ftol": 1e-12}
+    start = [*0.9 * free, 0, 0]
+    options = {"ftol": 1e-12}
     found = minimize(
         energy, start, constraints=[floor], method="SLSQP", options=options
     )

@@ -21,7 +21,8 @@ shares = st.lists(st.floats(0.001, 0.999), max_size=6, unique=True).map(sorted)
 def test_steps_cover_the_span_and_end_on_samples_and_events(
     span, shares, samples, length
 ):
-    events, longest = span * np.array(shares), span * length
+    events = span * np.array(shares)
+    longest = span * length
     steps = Steps.between(span, events, samples, longest=longest, same=SAME)
     assert (steps.lengths > 0).all()
     assert steps.lengths.max() <= longest * (1 + 1e-9)

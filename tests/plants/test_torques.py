@@ -45,9 +45,12 @@ def from_the_tail(
     """
     needed = spec.mass.array()[:, None] * second(h.position) - h.contact_force[1:-1]
     spin = inertia * second(h.theta) - yaw[1:-1]
-    place, mean = h.position[1:-1], (h.theta[1:-1, 1:] + h.theta[1:-1, :-1]) / 2
-    ahead, half = np.stack([np.cos(mean), np.sin(mean)], axis=-1), h.bend[1:-1] / 2
-    length, gap = spec.geometry.segment_length, spec.geometry.rigid_gap
+    place = h.position[1:-1]
+    mean = (h.theta[1:-1, 1:] + h.theta[1:-1, :-1]) / 2
+    ahead = np.stack([np.cos(mean), np.sin(mean)], axis=-1)
+    half = h.bend[1:-1] / 2
+    length = spec.geometry.segment_length
+    gap = spec.geometry.rigid_gap
     slope = (
         length * (np.cos(half) - np.sinc(half / np.pi)) / (2 * half)
         - gap * np.sin(half) / 2
@@ -86,7 +89,8 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
     across = cross(
         np.stack([np.cos(h.theta), np.sin(h.theta)], axis=-1), first(h.position)
     )
-    track, load = spec.geometry.half_track, spec.mass.array() * 9.81 / 2
+    track = spec.geometry.half_track
+    load = spec.mass.array() * 9.81 / 2
     left, right = (
         wheel(
             along - side * track * first(h.theta),
@@ -113,7 +117,8 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
     ],
 )
 def test_torques_satisfy_newtons_law(model, law, mu, inertia):
-    slip, spec = 0.02, chain(MASSES, **mu)
+    slip = 0.02
+    spec = chain(MASSES, **mu)
     plant = AnalyticalSnake(
         spec,
         model=model,
@@ -134,7 +139,8 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
         inertia
     ]
     # From 0.2 s on, where bends are large enough to divide by them.
-    expected, result = from_the_tail(h, spec, own, yaw)[2000:], h.torque[1:-1][2000:]
+    expected = from_the_tail(h, spec, own, yaw)[2000:]
+    result = h.torque[1:-1][2000:]
     error = np.abs(result - expected) / np.sqrt((expected**2).mean())
     assert np.sqrt((error**2).mean()) < 5e-5
     assert error.max() < 5e-3  # at kinks of the wheels' law
@@ -153,11 +159,15 @@ def apart(
     at 10 kHz resolve them; at 1 kHz they would be sampled at random, and the filter
     would spread them over 50 ms.
     """
-    spec, options = (
-        robot(**mu),
-        {"friction": law, "inertia": inertia, "supply_pa": 48.3e3, "timestep": STEP},
-    )
-    gait, length = Gait(2.0, 0.2), 1.0
+    spec = robot(**mu)
+    options = {
+        "friction": law,
+        "inertia": inertia,
+        "supply_pa": 48.3e3,
+        "timestep": STEP,
+    }
+    gait = Gait(2.0, 0.2)
+    length = 1.0
     complete = rollout(
         AnalyticalSnake(spec, **options), gait, length, record_hz=1 / STEP
     )
@@ -227,10 +237,13 @@ def test_torque_of_one_segment_between_two_masses():
         STEP,
     )
     q, dq, ddq = (values[:, 0] for values in wave.free(h.time))
-    length, gap, tiny = spec.geometry.segment_length, spec.geometry.rigid_gap, 1e-20j
+    length = spec.geometry.segment_length
+    gap = spec.geometry.rigid_gap
+    tiny = 1e-20j
 
     def slope(q: np.ndarray) -> np.ndarray:
-        s, c = np.sin(q / 2), np.cos(q / 2)
+        s = np.sin(q / 2)
+        c = np.cos(q / 2)
         return length * (c / q - 2 * s / q**2) - gap * s / 2
 
     bulge = slope(q + tiny).imag / tiny.imag

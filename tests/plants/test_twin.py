@@ -23,7 +23,8 @@ PLUS = np.tile(np.array([1, -1], dtype=np.int8), (4, 1))
 
 def turn_left(timestep: float):
     """Return the plant and its states every 2 ms for 0.6 s, of an uneven snake that turns left."""
-    plant, states = TwinSnake(chain(MASSES), tick=0.002, timestep=timestep), []
+    plant = TwinSnake(chain(MASSES), tick=0.002, timestep=timestep)
+    states = []
     rollout(plant, Gait(2.0, 0.3), 0.6, record_hz=500, observers=[states.append])
     return plant, states
 
@@ -58,7 +59,8 @@ def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
 
 def test_state_fields_are_consistent(turning):
     plant, states = turning
-    mass, position = plant.spec.mass.array(), column(states, "position")
+    mass = plant.spec.mass.array()
+    position = column(states, "position")
     # Links between hinges, and wheels away from the centre of the axle, carry 2 % of
     # the mass.
     centre = np.einsum("i,tij->tj", mass, position) / mass.sum()
@@ -72,7 +74,8 @@ def test_state_fields_are_consistent(turning):
     )
     assert np.abs(column(states, "bend")).max() > 0.8
     chords = np.linalg.norm(np.diff(position, axis=1), axis=-1)
-    half, g = column(states, "bend") / 2, plant.spec.geometry
+    half = column(states, "bend") / 2
+    g = plant.spec.geometry
     arcs = g.segment_length * np.sinc(half / np.pi) + g.rigid_gap * np.cos(half)
     assert chords == pytest.approx(arcs, rel=5e-3)
 
@@ -88,7 +91,8 @@ def test_velocities_are_time_derivatives_of_positions(turning):
 
 def test_momentum_changes_by_the_impulse_of_the_floor(turning):
     """To second order in the time step; first order for the preloaded twin."""
-    coarse, fine = _momentum_error(*turning), _momentum_error(*turn_left(0.00025))
+    coarse = _momentum_error(*turning)
+    fine = _momentum_error(*turn_left(0.00025))
     assert fine < 0.002
     assert fine == pytest.approx(coarse / 16, rel=0.3)
 
@@ -117,16 +121,15 @@ def test_friction_stays_near_the_static_friction_cone(turning):
 def test_named_accessors_agree_with_mujoco_arrays():
     plant = TwinSnake(SPEC)
     rollout(plant, Gait(2.0, 0.2), 0.3)
-    physics, data = plant.physics, plant.physics.data
+    physics = plant.physics
+    data = plant.physics.data
     for j in range(1, 5):
         hinges = [
             data.joint(f"hinge_{j}_{k}")
             for k in range(1, ModelSettings.hinges_per_segment + 1)
         ]
-        angle, rate = (
-            sum(hinge.qpos[0] for hinge in hinges),
-            sum(hinge.qvel[0] for hinge in hinges),
-        )
+        angle = sum(hinge.qpos[0] for hinge in hinges)
+        rate = sum(hinge.qvel[0] for hinge in hinges)
         assert physics.bend_angles()[j - 1] == pytest.approx(angle, abs=1e-12)
         assert physics.bend_rates()[j - 1] == pytest.approx(rate, abs=1e-9)
     for i in range(1, 6):
@@ -158,7 +161,8 @@ def test_accessors_return_copies():
 
 
 def test_physics_alone_moves_as_in_the_plant():
-    plant, physics = TwinSnake(SPEC), TwinSnake(SPEC).physics
+    plant = TwinSnake(SPEC)
+    physics = TwinSnake(SPEC).physics
     state = plant.step(PLUS)
     schedule = plant.pneumatics.schedule(PLUS, plant.tick)
     steps = round(plant.tick / physics.model.opt.timestep)
@@ -169,10 +173,12 @@ def test_physics_alone_moves_as_in_the_plant():
 
 def test_samples_within_a_tick_belong_to_the_same_run():
     generator = np.random.default_rng(4)
-    whole, parts = TwinSnake(SPEC), TwinSnake(SPEC)
+    whole = TwinSnake(SPEC)
+    parts = TwinSnake(SPEC)
     for _ in range(5):
         slots = np.repeat(generator.choice([-1, 1], size=(4, 4, 2)), 50, axis=0)
-        end, samples = whole.advance(slots, 1), parts.advance(slots, 10)
+        end = whole.advance(slots, 1)
+        samples = parts.advance(slots, 10)
         assert [s.time for s in samples] == pytest.approx(
             end[0].time - 0.002 * np.arange(9, -1, -1)
         )

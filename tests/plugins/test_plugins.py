@@ -376,7 +376,8 @@ def test_keys_cover_the_sources_of_a_plugin(plugin):
 
 
 def test_keys_cover_all_files_and_the_version_of_a_distribution(site, tmp_path):
-    runner, keys = "srs_twin.rollout", set()
+    runner = "srs_twin.rollout"
+    keys = set()
     data = {"controller": {"kind": "damped"}}
     built_in = run_key({"controller": {"kind": "gait"}}, ["twin"], runner)
     keys.add(run_key(data, ["twin"], runner))

@@ -24,7 +24,9 @@ from srs_twin.pneumatics import (
 )
 from srs_twin.pneumatics.flow import flow
 
-AMBIENT, SUPPLY, L_PER_MIN = 101_325.0, 48_300.0, 1 / 60_000
+AMBIENT = 101_325.0
+SUPPLY = 48_300.0
+L_PER_MIN = 1 / 60_000
 COMPRESSOR = 2 * L_PER_MIN  # generation 3's, Section 2.3.2
 FILL, VENT, HOLD = (np.tile([state, -1], (4, 1)) for state in (1, -1, 0))
 
@@ -96,7 +98,8 @@ def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critica
     )
     supply = spec.supply.nominal
     for direction, tau in ((1, spec.actuator.tau_fill), (-1, spec.actuator.tau_vent)):
-        filling, emptying = np.tile([1, -1], (4, 1)), np.tile([-1, -1], (4, 1))
+        filling = np.tile([1, -1], (4, 1))
+        emptying = np.tile([-1, -1], (4, 1))
         first, then = (emptying, filling) if direction == 1 else (filling, emptying)
         times = np.linspace(0.0, 3 * tau, 3001)
         curves = []
@@ -163,7 +166,9 @@ def reference(
     chambers: OrificePneumatics, spec: RobotSpec, order: Schedule, times: np.ndarray
 ) -> np.ndarray:
     """Return pressures, bends, line amount, drawn and lost amounts by LSODA, shape (times, 15)."""
-    n, actuator, air = spec.segments, spec.actuator, chambers._plumbing
+    n = spec.segments
+    actuator = spec.actuator
+    air = chambers._plumbing
     fill, vent = (1e5 * c for c in chambers.conductances)
 
     def look(y):
@@ -175,7 +180,8 @@ def reference(
     def rates(_, y, state):
         pressure, bend = look(y)
         line = y[3 * n] / air.line_volume if air.limited else SUPPLY + AMBIENT
-        into, out = np.zeros((n, 2)), air.leak * (pressure - AMBIENT)
+        into = np.zeros((n, 2))
+        out = air.leak * (pressure - AMBIENT)
         for at in np.ndindex(n, 2):
             if state[at] == 1:
                 into[at] = fill[at] * iso_6358(line, pressure[at], air.critical)
@@ -235,7 +241,8 @@ def reference(
     ],
 )
 def test_integration_converges_to_an_independent_integrator(case):
-    spec, times = robot(), np.linspace(0.005, 0.3, 60)
+    spec = robot()
+    times = np.linspace(0.005, 0.3, 60)
     errors = []
     for substep in (5e-4, 1.25e-4):
         chambers = OrificePneumatics(
@@ -346,7 +353,8 @@ def test_closed_chamber_is_compressed_by_the_actual_bend():
     spec = robot()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY, layout="in_out")
     assert chambers.depends_on_bend and not LagPneumatics.depends_on_bend
-    bend, rate = np.full(4, 1.2), np.full(4, -2.0)
+    bend = np.full(4, 1.2)
+    rate = np.full(4, -2.0)
     chambers.advance(chambers.schedule(FILL, 0.5), np.zeros(0), bend=bend)
     times = np.linspace(0, 0.1, 6)
     order = chambers.schedule(HOLD * [1, 0], 0.1)
@@ -365,10 +373,13 @@ def test_closed_chamber_is_compressed_by_the_actual_bend():
 
 def test_passing_the_free_bends_changes_nothing():
     free, reported = (OrificePneumatics(robot(), supply_pa=SUPPLY) for _ in range(2))
-    expected, got, rate = [], [], np.zeros(4)
+    expected = []
+    got = []
+    rate = np.zeros(4)
     for valves in np.random.default_rng(5).choice([-1, 1], size=(6, 4, 2)):
         for _ in range(500):
-            order, end = free.schedule(valves, 1e-4), np.array([1e-4])
+            order = free.schedule(valves, 1e-4)
+            end = np.array([1e-4])
             got.append(
                 reported.advance(order, end, bend=free.bend, bend_rate=rate).pressure[0]
             )
@@ -451,11 +462,10 @@ def test_changed_supply_pressure_equals_construction_with_it(limit):
 
 
 def test_place_sets_pressures_and_bends():
-    chambers, random = (
-        OrificePneumatics(robot(), supply_pa=SUPPLY),
-        np.random.default_rng(2),
-    )
-    pressure, bend = random.uniform(0, SUPPLY, (4, 2)), np.array([1.1, -0.8, 0.3, -0.1])
+    chambers = OrificePneumatics(robot(), supply_pa=SUPPLY)
+    random = np.random.default_rng(2)
+    pressure = random.uniform(0, SUPPLY, (4, 2))
+    bend = np.array([1.1, -0.8, 0.3, -0.1])
     chambers.place(pressure, bend)
     now = chambers.current_trace()
     assert now.pressure[0] == pytest.approx(pressure) and now.bend[0] == pytest.approx(
@@ -603,7 +613,8 @@ def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
         )
         return distance, actual["heading"][-1]
 
-    preloaded, loaded = crawled(contact="preloaded"), crawled(contact="loaded")
+    preloaded = crawled(contact="preloaded")
+    loaded = crawled(contact="loaded")
     assert loaded == pytest.approx(preloaded, rel=0.1)
     assert crawled(contact="loaded", timestep=0.00025) == pytest.approx(
         loaded, rel=0.03

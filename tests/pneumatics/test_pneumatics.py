@@ -60,7 +60,8 @@ def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode,
         layout="in_out",
         leak_per_s=leak,
     )
-    tick, values = 0.03, np.zeros(3)
+    tick = 0.03
+    values = np.zeros(3)
     at = np.array([0.004, 0.01, 0.017, 0.0299, tick])
     for slots in valves:
         trace = pneumatics.advance(pneumatics.schedule(slots, tick), at)
@@ -151,7 +152,8 @@ def test_exchanged_chambers_mirror_the_bend(valves):
 @given(commands(6, 3, 2, (-1, 0, 1)))
 def test_openings_count_changes_to_filling(valves):
     pneumatics = LagPneumatics(actuated(), supply_pa=SUPPLY, layout="in_out")
-    expected, last = np.zeros((2, 2), dtype=int), np.full((2, 2), -1)
+    expected = np.zeros((2, 2), dtype=int)
+    last = np.full((2, 2), -1)
     for state in valves.reshape(-1, 2, 2):
         expected += (state == 1) & (last != 1)
         last = state
@@ -165,7 +167,8 @@ def test_holding_keeps_the_pressure_and_a_leak_lowers_it():
         pneumatics = LagPneumatics(
             actuated(1), supply_pa=SUPPLY, layout="in_out", leak_per_s=leak
         )
-        fill, hold = np.array([[1, -1]]), np.array([[0, 0]])
+        fill = np.array([[1, -1]])
+        hold = np.array([[0, 0]])
         full = pneumatics.advance(
             pneumatics.schedule(fill, 0.5), np.array([0.5])
         ).pressure[0, 0, 0]
@@ -193,7 +196,8 @@ def test_fill_and_vent_have_separate_time_constants():
 @pytest.mark.parametrize("excess", [0.0, 1e-8, 1e-7, 3e-6, 1e-4])
 def test_equal_time_constants_have_a_finite_limit(excess):
     """For τ₁ → τ₂ the step response tends to 1 − (1 + t/τ) e^{−t/τ}."""
-    tau, time = 0.05, np.linspace(0, 0.4, 9)
+    tau = 0.05
+    time = np.linspace(0, 0.4, 9)
     pneumatics = LagPneumatics(
         actuated(1, fill=tau, vent=tau, mode=tau * (1 + excess)), supply_pa=SUPPLY
     )
@@ -206,9 +210,12 @@ def test_equal_time_constants_have_a_finite_limit(excess):
 @given(commands(4, 2, 1, (-1, 0, 1)), st.sampled_from([0.0, 0.6]))
 def test_air_is_the_integrated_inflow(valves, leak):
     """∫ V (p_s − p)/τ + (p + p_a) V' dt over the fills, integrated with the equations."""
-    spec, tau = actuated(1), 0.11
+    spec = actuated(1)
+    tau = 0.11
     pneumatics = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
-    values, space, worth = np.zeros(4), spec.chamber, SUPPLY / (SUPPLY + AMBIENT_PA)
+    values = np.zeros(4)
+    space = spec.chamber
+    worth = SUPPLY / (SUPPLY + AMBIENT_PA)
     for slots in valves:
         trace = pneumatics.advance(
             pneumatics.schedule(slots, 0.1), np.linspace(0.002, 0.1, 50)
@@ -276,7 +283,8 @@ def test_valve_delay_shifts_the_response_across_ticks(kind, delay):
     valves = np.random.default_rng(7).choice([-1, 0, 1], size=(9, 2, 2, 2))
     times = np.linspace(0.0, 0.18, 1801)
     whole = prompt.advance(prompt.schedule(valves.reshape(-1, 2, 2), 0.18), times)
-    pressures, states = [], []
+    pressures = []
+    states = []
     for slots in valves:
         trace = late.advance(late.schedule(slots, 0.02), np.array([0.01, 0.02]))
         pressures.append(trace.pressure)

@@ -14,7 +14,8 @@ from srs_twin.recordings.formats import bags, identify, read_markers, read_topic
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import NO_MAP
 
-FRAMES, RATE = 50, 100.0
+FRAMES = 50
+RATE = 100.0
 TIME = np.arange(FRAMES) / RATE
 RNG = np.random.default_rng(5)
 PLACE = np.cumsum(RNG.normal(scale=3e-3, size=(FRAMES, 3, 3)), axis=0) + RNG.uniform(
@@ -36,7 +37,8 @@ CONTAINERS = (
 def everything(make):
     """Yield a message of each type on each frame, for bodies at three positions."""
     for k, (a, b, c) in enumerate(PLACE):
-        at, header = ns(k) + 4_000_000, make.header(k)
+        at = ns(k) + 4_000_000
+        header = make.header(k)
         yield (
             "/a",
             "geometry_msgs/PoseStamped",
@@ -108,7 +110,8 @@ BODIES = {"/a": 0, "/b": 1, "/odom": 2, "d": 0, "e": 1, "f": 2, "/path": 0, "/po
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_all_message_types_of_all_containers_are_read(tmp_path, container):
     found = read_topics(written(tmp_path, container, everything))
-    table, shift = found.markers, -0.004
+    table = found.markers
+    shift = -0.004
     assert table.labels == tuple(BODIES)
     assert np.abs(table.time - shift - TIME).max() < 1e-6
     for k, which in enumerate(BODIES.values()):

@@ -367,7 +367,8 @@ def test_an_unknown_unit_is_settled_by_the_given_one(tmp_path):
 
 def test_damaged_bytes_are_read_or_refused_within_bounds(tmp_path):
     by_ezc3d(tmp_path / "a.c3d", walk(30, 3), analog=2)
-    content, rng = (tmp_path / "a.c3d").read_bytes(), random.Random(1)
+    content = (tmp_path / "a.c3d").read_bytes()
+    rng = random.Random(1)
     for _ in range(300):
         damaged = bytearray(content)
         damaged[rng.randrange(2, 2048)] = rng.randrange(256)

@@ -26,7 +26,8 @@ def run(tmp_path_factory):
 
 @pytest.mark.slow
 def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
-    path, finished = tmp_path / "run.mcap", load_run(run)
+    path = tmp_path / "run.mcap"
+    finished = load_run(run)
     write_mcap(path, finished.trajectories)
     seen: dict[str, list] = {}
     with path.open("rb") as file:
@@ -71,8 +72,10 @@ def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
 
 
 def test_the_file_reads_back_as_a_recording_of_the_robot(run, tmp_path):
-    path, finished = tmp_path / "run.mcap", load_run(run)
-    twin, spec = finished.trajectories["twin"], finished.scenario.robot
+    path = tmp_path / "run.mcap"
+    finished = load_run(run)
+    twin = finished.trajectories["twin"]
+    spec = finished.scenario.robot
     write_mcap(path, finished.trajectories)
     reader = RecordingReader(map=read_map(recording_map("twin", twin)))
     recording = reader.take(str(path), str(path), spec)

@@ -35,11 +35,14 @@ def seen():
 
 def bag(path):
     """Write a bag with a pose of each connector, mounted at any angle, and the valves as JSON."""
-    truth, random, states = motion(), np.random.default_rng(5), valves()
+    truth = motion()
+    random = np.random.default_rng(5)
+    states = valves()
     name = "geometry_msgs/msg/PoseStamped"
     with path.open("wb") as stream:
         writer = Writer(stream)
-        kind, raw = writer.register_msgdef(name, DEFINED[name]), writer._writer
+        kind = writer.register_msgdef(name, DEFINED[name])
+        raw = writer._writer
         channel = raw.register_channel(
             "/valves", "json", raw.register_schema("valves", "jsonschema", b"{}")
         )

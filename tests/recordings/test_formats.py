@@ -39,7 +39,9 @@ from srs_twin.recordings.recording_map import RecordingMap
 
 pytestmark = [pytest.mark.fast, pytest.mark.filterwarnings("ignore:No analog data")]
 
-FRAMES, MARKERS, RATE = 40, 4, 100.0
+FRAMES = 40
+MARKERS = 4
+RATE = 100.0
 NAMES = [f"snake{k}" for k in range(MARKERS)]
 TIME = np.arange(FRAMES) / RATE
 PIXEL = 0.002  # m
@@ -156,7 +158,8 @@ def plain():
 
 
 def motive(*, version="1.23", bodies=True, parent=False):
-    kind, count = "Rigid Body" if bodies else "Marker", 7 if bodies else 3
+    kind = "Rigid Body" if bodies else "Marker"
+    count = 7 if bodies else 3
     turns = quaternions()
     head = [
         (
@@ -279,7 +282,8 @@ def mcap_file(compression=CompressionType.ZSTD, *, signals=True, checked=True):
     )
     write("/info", "std_msgs/msg/String", {"data": "hello"}, ORIGIN)
     for k in range(FRAMES):
-        stamp, log = ns(TIME[k]), ns(TIME[k]) + 4_000_000
+        stamp = ns(TIME[k])
+        log = ns(TIME[k]) + 4_000_000
         header = stamped(stamp)
         body = {"header": header, "pose": pose(TRUTH[k, 0], turns[k, 0])}
         write("/body", "geometry_msgs/msg/PoseStamped", body, log)
@@ -530,7 +534,8 @@ def test_c3d_with_integers_and_with_many_points(tmp_path):
 def test_a_motion_is_the_same_in_another_format(tmp_path):
     path = tmp_path / "take.csv"
     write_motive(motion(), Take(layout="head", noise=0.0, up="z"), path)
-    table, expected = read_markers(path), read_motion(path, SPEC)
+    table = read_markers(path)
+    expected = read_motion(path, SPEC)
     found = read_motion(
         written(tmp_path, c3d_file(table.points, names=table.labels), "take.c3d"), SPEC
     )
@@ -743,7 +748,8 @@ def refusals(folder, kind, seed):
         else mcap_file(CompressionType.NONE, checked=False)
     )
     for number, content in enumerate(damaged(made, seed)):
-        path, began = written(folder, content), time.perf_counter()
+        path = written(folder, content)
+        began = time.perf_counter()
         try:
             found = read_markers(path, TABLE)
         except InputError as error:
@@ -828,7 +834,8 @@ def test_unknown_formats_are_named(tmp_path, name, content, words):
 
 def test_a_missing_column_is_reported_at_the_header(tmp_path):
     """The same rows can be read with the column."""
-    names, rows = "time,a_x,a_y,b_x,b_y,b_z", "0,1,2,3,4,5\n0.1,1,2,3,4,5\n"
+    names = "time,a_x,a_y,b_x,b_y,b_z"
+    rows = "0,1,2,3,4,5\n0.1,1,2,3,4,5\n"
     with pytest.raises(
         InputError, match=r"m\.csv:1: a_z is missing, although other markers have one"
     ):
@@ -902,10 +909,8 @@ def test_a_unit_in_conflict_with_the_file_is_refused(tmp_path, kind):
         read_markers(path, Unstated(unit="ft"))
     with pytest.raises(InputError, match=words):
         inspect_file(path, RecordingMap(units="ft"), None)
-    same_unit, alone = (
-        read_markers(path, Unstated(unit=STATED[kind])),
-        read_markers(path),
-    )
+    same_unit = read_markers(path, Unstated(unit=STATED[kind]))
+    alone = read_markers(path)
     assert np.array_equal(same_unit.points, alone.points, equal_nan=True)
 
 

@@ -38,7 +38,8 @@ def test_outliers_are_detected_at_any_position(place, hidden):
 @pytest.mark.parametrize("seed", range(20))
 def test_only_the_outlier_among_missing_samples_is_detected(seed):
     """Any samples around it may be missing; near the ends there are too few of them."""
-    random, s = np.random.default_rng(seed), np.linspace(-1, 1, 200)
+    random = np.random.default_rng(seed)
+    s = np.linspace(-1, 1, 200)
     points = np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])[:, None].copy()
     points[random.random(200) < 0.25] = np.nan
     places = np.flatnonzero(np.isfinite(points[:, 0, 0]))[[0, 20, 40, 60, 80, -2]]

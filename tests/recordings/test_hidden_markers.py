@@ -34,7 +34,8 @@ def test_hidden_markers_that_pass_each_other_keep_their_identity():
 
 def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
     """The next one on a body that bends a little is almost two segments away."""
-    pitch, count = GEOMETRY.pitch, GEOMETRY.connectors
+    pitch = GEOMETRY.pitch
+    count = GEOMETRY.connectors
     heading = 0.6 * np.arange(
         count
     )  # two straight steps of length 1 that turn by 0.6 span 2 cos(0.3) = 1.91
@@ -47,7 +48,8 @@ def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
 
 
 def test_body_is_recovered_while_a_marker_is_hidden():
-    count, time = GEOMETRY.connectors - 1, np.arange(200) / 100
+    count = GEOMETRY.connectors - 1
+    time = np.arange(200) / 100
     marks = MarkerPlacement(
         np.repeat(2 * np.arange(count + 1), 2),
         np.tile([0.02j, -0.02j], count + 1),

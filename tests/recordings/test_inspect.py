@@ -59,7 +59,8 @@ def test_gaps_and_coverage_are_counted(tmp_path):
         tmp_path,
         Take(labeled=True, occluded=[(2, 1.0, 1.15), (2, 2.0, 2.05), (4, 3.5, 9.0)]),
     )
-    third, last = facts.markers[2], facts.markers[4]
+    third = facts.markers[2]
+    last = facts.markers[4]
     assert third.gaps == 2 and third.longest_gap_s == pytest.approx(0.15)
     assert third.coverage == pytest.approx(1 - 20 / 401) and last.gaps == 0
     assert last.coverage == pytest.approx(350 / 401)
@@ -140,7 +141,8 @@ def test_quantities_are_known_by_names_and_units(tmp_path, column, values, said)
 
 
 def test_a_carrier_is_distinguished_from_a_gait(tmp_path):
-    path, time = tmp_path / "log.csv", np.arange(4000) / 1000
+    path = tmp_path / "log.csv"
+    time = np.arange(4000) / 1000
     state = (time * 30 % 1 < 0.4).astype(int)
     path.write_text(
         "time,valve_plus_1\n"

@@ -304,7 +304,8 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
         "key": "flex",
     }
     if way == "header" and unit == "°":
-        raw, factor = np.sin(np.arange(30)), 1
+        raw = np.sin(np.arange(30))
+        factor = 1
     log_keys = {
         "map": {"bend_1": names[way]},
         "map unit": {"bend_1": {"column": "flex", "unit": unit or "rad"}},

@@ -170,7 +170,8 @@ def test_motion_does_not_depend_on_the_world_frame(
     folder = tmp_path_factory.mktemp("turned")
     here = recorded(folder, Take(layout=layout, noise=0.0, digits=9)).trajectory
     truth = motion()
-    c, s = np.cos(turn), np.sin(turn)
+    c = np.cos(turn)
+    s = np.sin(turn)
     place = truth.position @ np.array([[c, s], [-s, c]]) + [x, y]
     moved = {f"x_{i + 1}": place[:, i, 0] for i in range(5)} | {
         f"y_{i + 1}": place[:, i, 1] for i in range(5)
@@ -191,7 +192,8 @@ def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled
     random = np.random.default_rng(0)
     moved = random.uniform(-1, 1, (300, 1, 3)) + random.uniform(-0.1, 0.1, (300, 4, 3))
     flat = moved * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
-    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    c = np.cos(np.radians(degrees))
+    s = np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
     found = map_to_floor(tilted, "auto", "z")
     assert (
@@ -209,10 +211,13 @@ def test_levelling_is_noted(tmp_path):
     values = np.array(
         [row.split(",") for row in rows.split("\r\n") if row], dtype=float
     )
-    c, s = np.cos(0.12), np.sin(0.12)
+    c = np.cos(0.12)
+    s = np.sin(0.12)
     for k in range(2, values.shape[1], 3):
-        y, z = values[:, k + 1].copy(), values[:, k + 2].copy()
-        values[:, k + 1], values[:, k + 2] = c * y - s * z, s * y + c * z
+        y = values[:, k + 1].copy()
+        z = values[:, k + 2].copy()
+        values[:, k + 1] = c * y - s * z
+        values[:, k + 2] = s * y + c * z
     path = tmp_path / "tilted.csv"
     body = "\n".join(",".join(f"{v:.9g}" for v in row) for row in values)
     path.write_text(f"{head}X,Y,Z\n{body}\n")
@@ -314,7 +319,8 @@ def test_reflections_are_removed_and_counted(tmp_path):
 def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
     text = motive_csv(motion(), Take(layout="pair", noise=0.0))
     lines = text.split("\r\n")
-    header, rows = lines[:7], lines[7:-1]
+    header = lines[:7]
+    rows = lines[7:-1]
     random = np.random.default_rng(3)
     kept = np.delete(np.arange(len(rows)), [100, 101, 250])
     order = np.append(random.permutation(kept), [40, 41])
@@ -462,7 +468,8 @@ def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
     found = recorded(
         tmp_path, Take(layout="pair", swaps=10, lost=0.02), gait_frequency_hz=2.0
     )
-    measured, true = plant_metrics(found.trajectory), plant_metrics(motion())
+    measured = plant_metrics(found.trajectory)
+    true = plant_metrics(motion())
     assert measured["com_speed_m_s"] == pytest.approx(true["com_speed_m_s"], rel=0.005)
     assert measured["bend_amplitude_rad"] == pytest.approx(
         true["bend_amplitude_rad"], rel=0.05

@@ -51,7 +51,8 @@ def test_bend_from_two_markers_at_each_end(heading, bend, apart):
 
 
 def test_impossible_curvature_gives_a_half_circle():
-    front, rear = np.array([0.05, 0.0]), np.zeros(2)
+    front = np.array([0.05, 0.0])
+    rear = np.zeros(2)
     arc = arc_between(front, rear, np.array(1e3))
     assert np.isfinite(arc).all()
     assert np.abs(np.hypot(*(arc - [0.025, 0.0]).T) - 0.025).max() < 1e-12
@@ -69,7 +70,8 @@ def test_slope_of_a_line_is_exact_everywhere(start, slope, half, seed):
 @pytest.mark.parametrize("rate", [15.0, 120.0])
 def test_oscillation_is_attenuated_as_stated_without_lag(rate):
     time = np.arange(400) / rate
-    omega, n = 2 * np.pi * 0.6, np.arange(1, 6)
+    omega = 2 * np.pi * 0.6
+    n = np.arange(1, 6)
     kept = 3 * (n * np.sin(n * omega / rate)).sum() / (5 * 6 * 5.5 * omega / rate)
     found = moving_slope(time, np.sin(omega * time))[5:-5]
     assert np.abs(found - kept * omega * np.cos(omega * time[5:-5])).max() < 1e-9
@@ -77,10 +79,8 @@ def test_oscillation_is_attenuated_as_stated_without_lag(rate):
 
 def test_slope_equals_that_of_the_least_squares_line():
     random = np.random.default_rng(0)
-    time, values = (
-        np.cumsum(random.uniform(0.01, 0.1, 40)),
-        random.standard_normal((40, 3)),
-    )
+    time = np.cumsum(random.uniform(0.01, 0.1, 40))
+    values = random.standard_normal((40, 3))
     found = moving_slope(time, values)
     for k in (0, 3, 20, 39):
         rows = slice(max(0, k - 5), k + 6)

@@ -25,7 +25,8 @@ from srs_twin.recordings.signals.logs import read_valves
 pytestmark = pytest.mark.fast
 
 MODULE = load_robot("gen4_module")
-FRAMES, RATE = 60, 100.0
+FRAMES = 60
+RATE = 100.0
 TIME = np.arange(FRAMES) / RATE
 ORIGIN_NS = 1_700_000_000_123_456_789
 NAMES = [f"c{k}_{axis}" for k in range(1, 6) for axis in "xyz"]
@@ -85,7 +86,8 @@ def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
     name, time = CLOCKS[clock]
     table = frame()
     table.insert(0, name, time)
-    path, digits = tmp_path / "x.csv", 6 if index else 9
+    path = tmp_path / "x.csv"
+    digits = 6 if index else 9
     form = None if clock in ("epoch_s",) else f"%.{digits}f"
     if clock == "dates in UTC" and decimal == ",":
         table[name] = table[name].astype("int64")

@@ -58,7 +58,8 @@ def test_recorded_pressures_give_the_bends_of_their_valves():
     )
     gait = Gait(2.0, 0.1)
     gait.reset(spec, 0.02)
-    schedule, times = gait.script(2.0), np.linspace(0.0, 2.0, 401)
+    schedule = gait.script(2.0)
+    times = np.linspace(0.0, 2.0, 401)
     off = []
     for step in (0.008, 0.004, 0.002):
         bends, chambers = recorded_of(spec, schedule, times, step)
@@ -280,7 +281,8 @@ def test_missing_sections_of_a_replay_are_reported(perfect, changes, message):
     ],
 )
 def test_errors_of_a_recording_name_their_keys(perfect, tmp_path, line, place):
-    take, log = perfect / "take.csv", perfect / "take.valves.csv"
+    take = perfect / "take.csv"
+    log = perfect / "take.valves.csv"
     lines = {
         "motion": f"  motion: {take}",
         "valves": f"  valves: {log}",

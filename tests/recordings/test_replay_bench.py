@@ -178,7 +178,8 @@ def test_bend_log_of_a_chain_has_the_geometry_of_the_plant(tmp_path):
 
 
 def test_a_bend_log_can_be_used_for_actuator_fits(bench):
-    motion, log = str(bench / "sensor.csv"), str(bench / "sensor.valves.csv")
+    motion = str(bench / "sensor.csv")
+    log = str(bench / "sensor.valves.csv")
     take = RecordingReader(offset_s=0.0).take(motion, log, MODULE)
     response = Response.from_recording(take, "sensor", SUPPLY)
     assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()

@@ -103,10 +103,8 @@ def test_damaged_trc_is_refused(tmp_path, old, new, words):
 @pytest.mark.parametrize("origin", [0.0, 12.5, 1_700_000_000.0])
 @pytest.mark.parametrize("space", [" ", "  ", "\t"])
 def test_tum_poses_are_read(tmp_path, head, origin, space):
-    points, turns = (
-        walk(1),
-        Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat(),
-    )
+    points = walk(1)
+    turns = Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat()
     rows = np.column_stack([origin + np.arange(FRAMES) / RATE, points[:, 0], turns])
     text = head + "".join(
         space.join(f"{value:.9f}" for value in row) + " \n" for row in rows
@@ -149,16 +147,18 @@ def test_damaged_tum_is_refused(tmp_path):
 
 def tracker(points, turns, unit, angle):
     """Return a Tracker export; `angle` is rad or deg (rotation vectors), or a quaternion."""
-    names, axes, units, rows = ["", ""], ["Frame", "Sub Frame"], ["", ""], []
+    names = ["", ""]
+    axes = ["Frame", "Sub Frame"]
+    units = ["", ""]
+    rows = []
     if angle == "quaternion":
-        rotation, own, said = (
-            turns.as_quat().reshape(FRAMES, -1, 4),
-            ["RX", "RY", "RZ", "RW"],
-            [""] * 4,
-        )
+        rotation = turns.as_quat().reshape(FRAMES, -1, 4)
+        own = ["RX", "RY", "RZ", "RW"]
+        said = [""] * 4
     else:
         rotation = turns.as_rotvec(degrees=angle == "deg").reshape(FRAMES, -1, 3)
-        own, said = ["RX", "RY", "RZ"], [angle] * 3
+        own = ["RX", "RY", "RZ"]
+        said = [angle] * 3
     for k in range(points.shape[1]):
         names += [f"Global Angle snake:c{k}", *[""] * (len(own) + 2)]
         axes += [*own, "TX", "TY", "TZ"]

@@ -142,7 +142,8 @@ def test_standard_error_equals_the_scatter_over_noise():
     Resampling at half of a frame's time smooths white noise, which makes the standard
     errors a little large.
     """
-    time, log_time = np.arange(0, 8, 0.02), np.arange(0, 8, 0.002)
+    time = np.arange(0, 8, 0.02)
+    log_time = np.arange(0, 8, 0.002)
 
     def bend(t):
         return np.where(t > 3, 1 - np.exp(-np.maximum(t - 3, 0) / 0.3), 0.0)[:, None]
@@ -164,7 +165,8 @@ def test_modelled_bends_begin_when_initial_pressures_have_settled(fill, vent):
     spec = replace(SPEC, actuator=replace(SPEC.actuator, tau_fill=fill, tau_vent=vent))
     time = np.arange(0.0, 6.0, 0.1)
     states = np.random.default_rng(1).choice([-1.0, 1.0], (len(time), spec.segments, 2))
-    states[0], states[20] = -1.0, 1.0
+    states[0] = -1.0
+    states[20] = 1.0
     whole = ValveLog("valve", time, states, "whole", "", ())
     cut = replace(whole, time=time[20:], values=states[20:])
     clock, bends = driven_bends(cut, spec)

@@ -157,7 +157,8 @@ def test_rows_that_repeat_a_fitted_number_are_not_predictions():
 
 def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
     (claim,) = (claim for claim in CLAIMS if claim.id == "gen3-symmetry.mirror")
-    spec, tick = load_robot("gen3"), 0.001
+    spec = load_robot("gen3")
+    tick = 0.001
     gaits = []
     for measure in claim.all_measures:
         document = load_scenario(measure.scenario).document["controller"]

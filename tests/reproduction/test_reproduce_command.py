@@ -169,7 +169,8 @@ def test_changed_verdicts_exit_with_1_better_or_worse(
     assert "--write-baseline" in messages
 
 
-CLAIMS, BASELINE = load_claims(), load_baseline()
+CLAIMS = load_claims()
+BASELINE = load_baseline()
 ROWS = judged_claims(CLAIMS, BASELINE)
 
 
@@ -197,10 +198,8 @@ def test_readme_counts_the_met_predictions_of_the_baseline():
             counts = [
                 count_verdicts(by_category(ROWS)[name], column) for name in groups
             ]
-            met, all_rows = (
-                sum(each[MET] for each in counts),
-                sum(each["all"] for each in counts),
-            )
+            met = sum(each[MET] for each in counts)
+            all_rows = sum(each["all"] for each in counts)
             assert cell == f"{met} of {all_rows}"
 
 

@@ -45,7 +45,8 @@ def test_nothing_is_graded_as_validated_against_hardware():
 
 
 def test_a_missed_law_lowers_the_grade_of_the_verification():
-    claims, baseline = load_claims(), load_baseline()
+    claims = load_claims()
+    baseline = load_baseline()
     before = scorecard(claims, baseline)["crawling, generation 2"]
     assert (before["verification"].grade, before["validation"].grade) == (3, 1)
     laws = [claim.id for claim in claims if claim.use == "law"]
@@ -59,7 +60,8 @@ def test_a_missed_law_lowers_the_grade_of_the_verification():
     ("verdict", "grade"), [("met", 2), ("explained", 0), ("missed", 0)]
 )
 def test_validation_depends_only_on_headline_predictions(verdict, grade):
-    claims, baseline = load_claims(), load_baseline()
+    claims = load_claims()
+    baseline = load_baseline()
     headline = [claim.id for claim in claims if claim.group == "headline"]
     others = [claim.id for claim in claims if claim.group not in (None, "headline")]
     before = scorecard(claims, baseline)

@@ -9,12 +9,15 @@ from srs_twin.reproduction import traces
 from srs_twin.reproduction.computations import bend_at, primitive_error, turn_limit
 from srs_twin.trajectory import Trajectory
 
-TAU_1, TAU_2, C0 = 0.15, 0.004, 0.7
+TAU_1 = 0.15
+TAU_2 = 0.004
+C0 = 0.7
 
 
 def test_parameters_of_a_step_response_after_eq_14_are_recovered():
     time = np.arange(0, 3.5, 0.0005)
-    c1, c2 = -C0 * TAU_1 / (TAU_1 - TAU_2), C0 * TAU_2 / (TAU_1 - TAU_2)
+    c1 = -C0 * TAU_1 / (TAU_1 - TAU_2)
+    c2 = C0 * TAU_2 / (TAU_1 - TAU_2)
     run = Trajectory(
         {
             "time": time,

@@ -48,7 +48,8 @@ class FakeStore:
     """Store whose values are looked up by the scenario's name and the changed fields."""
 
     def __init__(self, values):
-        self._values, self.run_names = values, []
+        self._values = values
+        self.run_names = []
 
     def jobs(self, runs):
         return (ReproductionJob(" ".join([runs.name, *map(str, runs.set.items())])),)

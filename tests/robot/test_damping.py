@@ -23,7 +23,8 @@ CHANGES = {"robot.bending.lead": False, "robot.bending.damping_time_s": 0.008}
 
 
 def test_without_lead_the_total_delay_stays():
-    own, gen2 = load_scenario("gen2_straight", set=CHANGES).robot, load_robot("gen2")
+    own = load_scenario("gen2_straight", set=CHANGES).robot
+    gen2 = load_robot("gen2")
     assert own.actuator.tau_mode == own.bending.damping_time == 0.008
     delays = [each.actuator.tau_fill + each.actuator.tau_mode for each in (own, gen2)]
     assert delays[0] == pytest.approx(delays[1])
@@ -41,7 +42,8 @@ def test_without_lead_a_light_segment_follows_the_pressures_with_its_damping_tim
         record_hz=500,
     )
     pressure = run["pressure_plus_1"] - run["pressure_minus_1"]
-    bend, drive = run["bend_1"], own.actuator.gain * pressure
+    bend = run["bend_1"]
+    drive = own.actuator.gain * pressure
     # T q̇ + q = G (p⁺ − p⁻); differences over 4 ms, away from the switching of the
     # valves.
     rate = np.gradient(bend, run.time)

@@ -36,14 +36,10 @@ def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
     )
     h = 1e-5 * slip
     slopes = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
-    ahead, behind = (
-        forces(law, v_t + h, v_n, mu_t, mu_n, slip),
-        forces(law, v_t - h, v_n, mu_t, mu_n, slip),
-    )
-    left, right = (
-        forces(law, v_t, v_n + h, mu_t, mu_n, slip),
-        forces(law, v_t, v_n - h, mu_t, mu_n, slip),
-    )
+    ahead = forces(law, v_t + h, v_n, mu_t, mu_n, slip)
+    behind = forces(law, v_t - h, v_n, mu_t, mu_n, slip)
+    left = forces(law, v_t, v_n + h, mu_t, mu_n, slip)
+    right = forces(law, v_t, v_n - h, mu_t, mu_n, slip)
     steepest = LOAD * max(mu_t, mu_n) / slip
     differences = [
         (ahead[0] - behind[0]) / (2 * h),
@@ -65,7 +61,8 @@ def test_friction_never_does_positive_work(law, v_t, v_n, mu_t, mu_n, slip):
 @EACH_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU)
 def test_reversed_motion_reverses_the_force(law, v_t, v_n, mu_t, mu_n):
-    there, back = forces(law, v_t, v_n, mu_t, mu_n), forces(law, -v_t, -v_n, mu_t, mu_n)
+    there = forces(law, v_t, v_n, mu_t, mu_n)
+    back = forces(law, -v_t, -v_n, mu_t, mu_n)
     assert back == pytest.approx([-f for f in there], abs=1e-15)
 
 
@@ -102,7 +99,9 @@ def test_straight_rolling_wheel_has_only_axle_drag(v_t, mu_n):
 
 
 def test_wheel_law_is_continuous_where_rolling_begins():
-    mu_t, mu_n, slip = 0.1, 0.6, 1e-3
+    mu_t = 0.1
+    mu_n = 0.6
+    slip = 1e-3
     v_n = 0.2
     edge = mu_t * math.sqrt((v_n**2 + slip**2) / (mu_n**2 - mu_t**2))
     below, above = (
@@ -121,12 +120,16 @@ def spinning_wheel(
     The wheel spins with Coulomb friction in its axle, and its contact slides
     isotropically. The spin is integrated from rest to its steady state.
     """
-    radius, inertia, step, tiny = 0.01, 2e-7, 2e-5, 1e-3
+    radius = 0.01
+    inertia = 2e-7
+    step = 2e-5
+    tiny = 1e-3
     rim = 0.0  # ω R
     for _ in range(40_000):
         creep = v_t - rim
         slide = math.sqrt(creep**2 + v_n**2 + tiny**2)
-        f_t, f_n = -mu_n * LOAD * creep / slide, -mu_n * LOAD * v_n / slide
+        f_t = -mu_n * LOAD * creep / slide
+        f_n = -mu_n * LOAD * v_n / slide
         # The floor force changes the spin; the axle friction opposes the spin or locks
         # the wheel.
         turning = rim - step * f_t * radius**2 / inertia
@@ -191,7 +194,8 @@ def test_ellipse_law_has_maximum_dissipation(angle, mu_t, mu_n):
 def test_ellipse_law_along_one_direction_is_the_axis_law(v, greater, share, slip):
     lesser = share * greater
     for mu_t, mu_n in ((greater, lesser), (lesser, greater)):
-        along, across = forces(friction.ellipse, v, 0.0, mu_t, mu_n, slip), (0.0, v)
+        along = forces(friction.ellipse, v, 0.0, mu_t, mu_n, slip)
+        across = (0.0, v)
         # The slip speed applies to the larger coefficient; in the other direction v
         # must be well above it.
         if mu_t == greater:
@@ -272,7 +276,8 @@ def test_sliding_skin_is_on_its_friction_ellipse(angle, mu_t, mu_n):
 @EACH_LAW
 def test_compiled_scalars_equal_arrays(law):
     v_t, v_n = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
-    whole, scalar = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2), njit(law)
+    whole = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2)
+    scalar = njit(law)
     for k in range(20):
         assert [part[k] for part in whole] == pytest.approx(
             scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2)

@@ -48,10 +48,8 @@ def test_first_derivative_of_the_chord_matches_finite_differences(bend, length, 
 
 @pytest.mark.parametrize("bend", [-2.0, -0.1001, -0.0999, -1e-3, 0.0, 0.05, 0.3, 6.0])
 def test_second_derivative_of_the_chord_matches_finite_differences(bend):
-    h, slopes = (
-        1e-2,
-        [chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)],
-    )
+    h = 1e-2
+    slopes = [chord_derivatives(bend + k * 1e-2, 0.04, 0.02)[1] for k in range(-3, 4)]
     sixth_order = (
         -slopes[0]
         + 9 * slopes[1]
@@ -70,7 +68,8 @@ def test_second_derivative_of_the_chord_matches_finite_differences(bend):
 )
 def test_geometry_is_smooth_through_zero_bend(bend):
     """Compare with the series to eighth order, L = l (1 − q²/24 + q⁴/1920 − …)."""
-    q, length = bend, 0.05
+    q = bend
+    length = 0.05
     series = 1 - q**2 / 24 + q**4 / 1920 - q**6 / 322560
     slope = -q / 12 + q**3 / 480 - q**5 / 53760 + q**7 / 11612160
     assert chord(q, length, 0.0) == pytest.approx(length * series, rel=1e-14)
@@ -91,7 +90,8 @@ def integrated_body(
     bends: np.ndarray, length: float, gap: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return connectors (x + iy) and headings, head first, of a body with its tail at 0 along x."""
-    positions, headings = [0j], [0.0]
+    positions = [0j]
+    headings = [0.0]
     for bend in bends[::-1]:
         positions.append(
             positions[-1] + segment_end(bend, length, gap) * np.exp(1j * headings[-1])

@@ -74,7 +74,8 @@ def test_robots_have_the_published_dimensions_gains_and_limits(
 def test_gen4_actuator_has_the_published_coefficients():
     """Eq. 15's a, b and c of Fig. 20 follow from the two time constants (E1, E2)."""
     actuator = load_robot("gen4").actuator
-    fill, mode = actuator.tau_fill, actuator.tau_mode
+    fill = actuator.tau_fill
+    mode = actuator.tau_mode
     assert 1 / (fill * mode) == pytest.approx(4221.8, rel=1e-3)
     assert 1 / fill + 1 / mode == pytest.approx(476.4912, rel=1e-3)
     assert 0.8366 / (fill * mode) == pytest.approx(3532.2, rel=1e-3)

@@ -98,14 +98,16 @@ def draw(rng, channels, white):
 def pixels(values, white, alpha=None):
     """Return colours (rows, columns, 3), alpha and white of drawn values."""
     if values.shape[2] in (2, 4):
-        values, alpha = values[..., :-1], values[..., -1]
+        alpha = values[..., -1]
+        values = values[..., :-1]
     return np.broadcast_to(values, (*SHAPE, 3)), alpha, white
 
 
 def by_pillow(mode, suffix):
     def write(path, rng):
         if mode in ("P", "P transparent"):
-            palette, index = rng.integers(0, 256, (16, 4)), rng.integers(0, 16, SHAPE)
+            palette = rng.integers(0, 256, (16, 4))
+            index = rng.integers(0, 16, SHAPE)
             picture = Image.fromarray(index.astype(np.uint8), "L")
             picture.putpalette(palette[:, :3].astype(np.uint8).tobytes())
             clear = mode != "P"
@@ -177,7 +179,8 @@ def pgm(white, *, text=False, comment=""):
 
 def raw_png(depth, kind, clear=False):
     def write(path, rng):
-        full, white = 2**depth - 1, 65535 if depth == 16 else 255
+        full = 2**depth - 1
+        white = 65535 if depth == 16 else 255
         values = draw(rng, {0: 1, 2: 3, 4: 2}[kind], full)
         if depth < 8:
             bits = (values.reshape(SHAPE)[..., None] >> np.arange(depth)[::-1]) & 1
@@ -387,10 +390,8 @@ def sparse(path, width, height):
 
 
 def two_headers(path):
-    data, second = (
-        png(4, 1, 8, 0, [b"\0" * 4]),
-        struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0),
-    )
+    data = png(4, 1, 8, 0, [b"\0" * 4])
+    second = struct.pack(">IIBBBBB", 20_000, 20_000, 8, 0, 0, 0, 0)
     path.write_bytes(data[:33] + chunk(b"IHDR", second) + data[33:])
 
 
@@ -503,7 +504,8 @@ def test_other_spellings_of_a_map(tmp_path):
     """Missing thresholds, a number with an exponent, a rotated map; a path of Windows is refused."""
     Image.fromarray(WALL).save(tmp_path / "a.png")
     path = write_map(tmp_path / "a.png")
-    text, plain = path.read_text(), read_map(path)
+    text = path.read_text()
+    plain = read_map(path)
     for new in (
         text.replace("0.05\n", "5e-2\n"),
         text[: text.index("occupied")],

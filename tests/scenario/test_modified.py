@@ -143,10 +143,8 @@ def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
         (data_root() / "scenarios/gen2_straight.yaml").read_text("utf-8"), "x"
     ).data
     data["controller"]["frequency_hz"] = 1.0
-    written, was_set = (
-        parse_scenario(data, name="other").document,
-        gen2(**SLOW).document,
-    )
+    written = parse_scenario(data, name="other").document
+    was_set = gen2(**SLOW).document
     assert "changes" in was_set and "changes" not in written
     assert run_key(was_set, ["twin"], RUNNER) == run_key(written, ["twin"], RUNNER)
     assert judged_digest(was_set) == judged_digest(written)
@@ -201,7 +199,8 @@ OURS = [("comparison", "shape_rms_body")]
     ],
 )
 def test_published_values_are_not_expected_under_other_conditions(fields, left_out):
-    plain, found = gen2(), gen2(**fields)
+    plain = gen2()
+    found = gen2(**fields)
     gone = [each for each in plain.expect if each not in found.expect]
     assert {each.subject for each in gone} == left_out
     assert all(each.source or each.known for each in gone)
@@ -338,10 +337,8 @@ def set_to(field, value):
 
 
 def test_modified_sweep_is_marked_and_not_compared_with_published_values():
-    plain, found = (
-        load_sweep("table8"),
-        load_sweep("table8", set=set_to("robot.friction.mu_t", 0.2)),
-    )
+    plain = load_sweep("table8")
+    found = load_sweep("table8", set=set_to("robot.friction.mu_t", 0.2))
     assert found.title == f"{plain.title} (modified: robot.friction.mu_t 0.0901 → 0.2)"
     assert plain.beside is not None and found.beside is None
     assert "because robot.friction.mu_t was changed" in found.warnings[-1]

@@ -39,7 +39,9 @@ def test_field_is_a_grid_about_the_line_of_the_start():
 
 
 def test_seed_of_the_scenario_displaces_the_pegs():
-    still, first, again = pegs(), pegs(jitter_m=0.01), pegs(jitter_m=0.01)
+    still = pegs()
+    first = pegs(jitter_m=0.01)
+    again = pegs(jitter_m=0.01)
     assert first.world.obstacles == again.world.obstacles
     other = pegs(jitter_m=0.01, seed=4)
     moves = [

@@ -71,7 +71,8 @@ def test_shipped_scenarios_miss_only_known_expectations(name, shipped_run):
     for chamber in (
         range(1, robot.chambers + 1) if robot.is_spatial else ("plus", "minus")
     ):
-        valve, pressure = f"valve_{chamber}", f"pressure_{chamber}"
+        valve = f"valve_{chamber}"
+        pressure = f"pressure_{chamber}"
         assert (both["twin"].stack(valve) == both["analytical"].stack(valve)).all()
         assert both["twin"].stack(pressure) == pytest.approx(
             both["analytical"].stack(pressure), abs=1e-6
@@ -101,7 +102,8 @@ def as_documented(name, plants):
         # documented distribution.
         drawn = DOCUMENTED["leak"]["of"][name.rpartition("_")[2]][plant]
         for metric, unit in (("inlet_openings", 1), ("steady_rms_rad", 180 / math.pi)):
-            mean, deviation = drawn[metric]["mean"], drawn[metric]["deviation"]
+            mean = drawn[metric]["mean"]
+            deviation = drawn[metric]["deviation"]
             assert unit * numbers[metric] == pytest.approx(mean, abs=4 * deviation)
 
 

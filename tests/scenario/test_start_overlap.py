@@ -39,7 +39,10 @@ def circle(x, y=0.0, radius=0.05):
 
 
 def square(x, y, side):
-    near, far, low, high = x - side / 2, x + side / 2, y - side / 2, y + side / 2
+    near = x - side / 2
+    far = x + side / 2
+    low = y - side / 2
+    high = y + side / 2
     return {
         "polygons": [
             {"corners_m": [[near, low], [far, low], [far, high], [near, high]]}
@@ -188,7 +191,8 @@ def test_objects_are_refused(box):
 @pytest.mark.parametrize("heading", [0.0, 0.7])
 def test_touching_is_allowed(gap, heading):
     ahead = NOSE + HALF + 0.05 + gap
-    x, y = 0.1 + ahead * math.cos(heading), -0.2 + ahead * math.sin(heading)
+    x = 0.1 + ahead * math.cos(heading)
+    y = -0.2 + ahead * math.sin(heading)
     start = {"x_m": 0.1, "y_m": -0.2, "heading_rad": heading}
     found = scenario(circle(x, y), start=start)
     for kind in BOTH:
@@ -218,7 +222,8 @@ def test_bends_at_the_start_count():
 @pytest.mark.parametrize("kind", ["analytical", "twin"])
 def test_checked_start_is_that_of_the_plants(snake, kind):
     """The distance at the start equals the first recorded one."""
-    pose, bend = (0.1, 0.2, 0.4), [0.5, -0.3, 0.4, 0.2]
+    pose = (0.1, 0.2, 0.4)
+    bend = [0.5, -0.3, 0.4, 0.2]
     segments = robot(snake).segments
     start = dict(zip(("x_m", "y_m", "heading_rad"), pose, strict=True))
     start["bend_rad"] = (bend * segments)[:segments]
@@ -277,7 +282,8 @@ SOLID = [
 
 @pytest.mark.parametrize(("world", "words"), SOLID)
 def test_python_refuses_a_start_in_an_obstacle(world, words):
-    twin, gait = TwinSnake(robot("gen2"), world=world), Gait(2.0)
+    twin = TwinSnake(robot("gen2"), world=world)
+    gait = Gait(2.0)
     with pytest.raises(InputError, match=words):
         rollout(twin, gait, 0.1)
     assert rollout(twin, gait, 0.1, pose=(3.0, 3.0, 0.0))["clearance"].min() > 1.0
@@ -295,14 +301,16 @@ def test_python_refuses_a_start_in_an_obstacle(world, words):
 
 def test_saved_state_in_contact_continues():
     world = World((Circle(0.25, 0.0, 0.05),))
-    twin, gait = TwinSnake(robot("gen2"), world=world), Gait(2.0)
+    twin = TwinSnake(robot("gen2"), world=world)
+    gait = Gait(2.0)
     rollout(twin, gait, 0.6)
     saved = twin.save(), gait.save()
     assert len(rollout(twin, gait, 0.1, resume=saved)) == 11
 
 
 def test_warning_about_ignored_obstacles_is_given_once():
-    world, word = circle(1.0), "ignores the obstacles"
+    world = circle(1.0)
+    word = "ignores the obstacles"
     both = scenario(world)
     assert [word in text for text in both.warnings] == [True]
     assert both.run_on(["twin"]).warnings == ()

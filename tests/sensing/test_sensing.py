@@ -67,10 +67,8 @@ def potential(r: np.ndarray, moment: np.ndarray) -> float:
 
 def slope_along(r: np.ndarray, moment: np.ndarray, direction: np.ndarray) -> float:
     h = 1e-4 * np.linalg.norm(r)
-    ahead, behind = (
-        potential(r + h * direction, moment),
-        potential(r - h * direction, moment),
-    )
+    ahead = potential(r + h * direction, moment)
+    behind = potential(r - h * direction, moment)
     return (ahead - behind) / (2 * h)
 
 
@@ -186,7 +184,8 @@ def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
 @pytest.mark.parametrize("height", [0.0002, 0.00045, 0.0007])
 def test_slope_at_small_bends(height):
     """First order in θ = κL: −3 k h/L⁴ for `up`, −k/(2 L³) for `side`, k = μ₀ m/4π."""
-    h, k = 1e-4, MU0_4PI * MOMENT
+    h = 1e-4
+    k = MU0_4PI * MOMENT
     for orientation, slope in (
         ("up", -3 * k * height / 0.0031**4),
         ("side", -k / (2 * 0.0031**3)),
@@ -222,7 +221,8 @@ def plain(**changes: object) -> HallSensor:
 
 @given(bend=BEND, bits=st.integers(1, 16))
 def test_readings_are_quantised(bend, bits):
-    smooth, stepped = plain(bits=None), plain(bits=bits)
+    smooth = plain(bits=None)
+    stepped = plain(bits=bits)
     read = float(stepped.voltage(bend))
     assert stepped.step == 5 / 2**bits
     assert read / stepped.step - 0.5 == pytest.approx(
@@ -265,7 +265,8 @@ def test_bias_shifts_the_angle_by_the_calibration_slope(bias, bend):
 
 
 def test_gain_error_scales_the_voltage_about_its_offset():
-    fresh, drifted = plain(bits=None), plain(bits=None, gain_error=0.1)
+    fresh = plain(bits=None)
+    drifted = plain(bits=None, gain_error=0.1)
     assert drifted.gain == fresh.gain
     assert drifted.voltage(BENDS) - 2.5 == pytest.approx(
         1.1 * (fresh.voltage(BENDS) - 2.5), abs=1e-12
@@ -307,7 +308,8 @@ def test_reading_is_monotonic_with_semicircular_chambers_only(robot):
 
 
 def test_pressing_saturates_for_round_chambers():
-    good, bad = Strip(LENGTH), Strip(LENGTH, chamber="rectangular")
+    good = Strip(LENGTH)
+    bad = Strip(LENGTH, chamber="rectangular")
     shift = 2 * ROUNDING_BEND_RAD
     far = np.linspace(1.2, 2.0, 9)
     assert field(far, bad) == pytest.approx(field(far - shift, good), rel=1e-6)
@@ -339,7 +341,8 @@ def test_fit_agrees_with_scipy():
     rng = np.random.default_rng(1)
     angle = np.linspace(-1, 1, 60)
     voltage = 2 - 0.4 * angle + 0.05 * rng.standard_normal(60)
-    values, theirs = fit_line(voltage, angle), stats.linregress(voltage, angle)
+    values = fit_line(voltage, angle)
+    theirs = stats.linregress(voltage, angle)
     assert (values.slope, values.intercept) == pytest.approx(
         (theirs.slope, theirs.intercept), rel=1e-9
     )
@@ -370,14 +373,16 @@ def test_sign_only_sensor_has_r_squared_of_three_quarters():
 
 
 def test_shorter_span_has_a_smaller_error():
-    whole, bench = make_sensor("hall", GEN4), make_sensor("hall", GEN4, span=0.7326)
+    whole = make_sensor("hall", GEN4)
+    bench = make_sensor("hall", GEN4, span=0.7326)
     assert bench.calibration.worst_error < 0.5 * whole.calibration.worst_error
     assert bench.calibration.r_squared > whole.calibration.r_squared
 
 
 def test_sensor_study_results():
     """Section 2.2.2: L as in the dissertation; the sideways magnet is more linear (docs/sensor.md)."""
-    near, far = 3.1, 4.6
+    near = 3.1
+    far = 4.6
     for heights in ((0.45, 0.45), (0.45, 0.7), (0.7, 0.7)):
         up = [study.strip(d, heights, "up") for d in (near, far)]
         side = [study.strip(d, heights, "side") for d in (near, far)]
@@ -552,10 +557,8 @@ def test_noise_differs_between_seeds_and_segments(plant):
 
 
 def test_sensors_are_selected_by_name():
-    ideal, hall = (
-        make_sensor("ideal", GEN4),
-        make_sensor("hall", GEN4, orientation="side", bits=12),
-    )
+    ideal = make_sensor("ideal", GEN4)
+    hall = make_sensor("hall", GEN4, orientation="side", bits=12)
     bend = np.array([[0.1, -0.2]])
     read = ideal.read(bend, 0.0, 1)
     read[0, 0] = 9

@@ -9,7 +9,8 @@ from srs_twin import load_robot, load_scenario, rollout
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.sensing import CurvatureSensor, DeadSensor, FaultySensor, make_sensor
 
-SPATIAL, PLANAR = load_robot("spatial_example"), load_robot("skin_example")
+SPATIAL = load_robot("spatial_example")
+PLANAR = load_robot("skin_example")
 BEND = np.random.default_rng(1).uniform(-1, 1, (400, SPATIAL.segments, 2))
 TIME = 0.01 * np.arange(400)
 
@@ -49,7 +50,8 @@ def test_a_dead_sensor_loses_both_axes_of_its_segment_only():
     faulty = FaultySensor(
         make_sensor("ideal", SPATIAL), (DeadSensor(3, 0.2, since=2.0),)
     )
-    read, dead = faulty.read(BEND, TIME, 0), TIME >= 2.0
+    read = faulty.read(BEND, TIME, 0)
+    dead = TIME >= 2.0
     assert (read[dead, 2] == 0.2).all() and (read[~dead] == BEND[~dead]).all()
     others = np.delete(np.arange(8), 2)
     assert (read[:, others] == BEND[:, others]).all()

@@ -24,7 +24,9 @@ class FakeWindow:
     def __init__(
         self, ticks: int, keys: dict[int, tuple[int, ...]] | None = None
     ) -> None:
-        self.ticks, self.keys, self.shown = ticks, keys or {}, []
+        self.ticks = ticks
+        self.keys = keys or {}
+        self.shown = []
         self.snake: LiveSnake | None = None
 
     def is_open(self) -> bool:
@@ -44,7 +46,8 @@ class FakeTime:
     """Simulated clock that advances only in `sleep` and by the simulated work."""
 
     def __init__(self) -> None:
-        self.now, self.slept = 100.0, []
+        self.now = 100.0
+        self.slept = []
 
     def clock(self) -> float:
         return self.now
@@ -55,7 +58,8 @@ class FakeTime:
 
 
 def run(window: FakeWindow, time: FakeTime | None = None) -> LiveSnake:
-    snake, time = LiveSnake(SPEC), time or FakeTime()
+    snake = LiveSnake(SPEC)
+    time = time or FakeTime()
     window.snake = snake
     steer(snake, window, clock=time.clock, sleep=time.sleep)
     return snake
@@ -133,11 +137,13 @@ def test_lag_is_made_up_for_to_a_limit():
             super().show(snake)
             time.now += {10: 0.1, 40: 5.0}.get(len(self.shown), 0.0)
 
-    time, window = FakeTime(), Slow(100)
+    time = FakeTime()
+    window = Slow(100)
     snake = run(window, time)
     # Of the 5 s that one picture took, all but the quarter that is caught up is lost,
     # on a raster of ticks.
-    passed, crawled = time.now - 100.0, float(snake.state.time)
+    passed = time.now - 100.0
+    crawled = float(snake.state.time)
     assert passed - crawled == pytest.approx(5.0 - live.MAX_LAG_S, abs=0.05)
     assert crawled == pytest.approx(2.0 + 0.1 + live.MAX_LAG_S, abs=0.05)
     assert np.min(time.slept) >= 0
@@ -149,7 +155,8 @@ def test_slow_pictures_do_not_slow_the_snake():
             super().show(snake)
             time.now += 0.2
 
-    time, window = FakeTime(), Slow(10)
+    time = FakeTime()
+    window = Slow(10)
     snake = run(window, time)
     assert float(snake.state.time) == pytest.approx(time.now - 100.0, abs=0.21)
 
@@ -164,7 +171,9 @@ def test_status_lines_have_units():
 
 
 def test_a_scenario_is_played_as_it_runs():
-    scenario, window, time = load_scenario("gen2_turn"), FakeWindow(60), FakeTime()
+    scenario = load_scenario("gen2_turn")
+    window = FakeWindow(60)
+    time = FakeTime()
     snake = LiveSnake(scenario=scenario)
     steer(snake, window, clock=time.clock, sleep=time.sleep)
     ran = rollout(
@@ -186,11 +195,9 @@ def test_first_steering_key_takes_over_until_a_restart():
         20: (live.HOME,),
         30: (live.BACKSPACE,),
     }
-    snake, window, time = (
-        LiveSnake(scenario=load_scenario("gen2_turn")),
-        FakeWindow(40, keys),
-        FakeTime(),
-    )
+    snake = LiveSnake(scenario=load_scenario("gen2_turn"))
+    window = FakeWindow(40, keys)
+    time = FakeTime()
     window.snake = snake
     steer(snake, window, clock=time.clock, sleep=time.sleep)
     by_keys = [dict(lines).get("offset (left, right)") for _, _, lines in window.shown]
@@ -218,7 +225,8 @@ def test_plan_and_goal_of_a_scenario_are_on_the_floor():
         "plan/edges",
         "plan/goal",
     ]
-    wanted, first = snake.scenario.world.goal, snake._controller.plan.segments[0]
+    wanted = snake.scenario.world.goal
+    first = snake._controller.plan.segments[0]
     assert path.strips[0][0] == pytest.approx([first.start.x, first.start.y])
     assert np.hypot(*(path.strips[-1][-1] - [wanted.x, wanted.y])) <= wanted.radius
     ring = np.hypot(*(goal.strips[0] - [wanted.x, wanted.y]).T)
@@ -230,7 +238,8 @@ def test_plan_and_goal_of_a_scenario_are_on_the_floor():
 
 def test_a_new_plan_replaces_the_lines_of_the_old_one(monkeypatch):
     snake = LiveSnake(scenario=load_scenario("follow_fig57"))
-    before, follower = snake.floor_lines, snake._controller
+    before = snake.floor_lines
+    follower = snake._controller
     shorter = replace(follower.plan, segments=follower.plan.segments[:1])
     follower.plans.append((0.02, shorter))
     monkeypatch.setattr(

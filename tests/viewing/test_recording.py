@@ -202,7 +202,8 @@ def test_step_signals_keep_their_changes(tmp_path):
     runs = of_kind("gait")
     path = tmp_path / "r.rrd"
     write_recording(path, RunContent(robot(), runs))
-    twin, found = runs["twin"], read_back(path)
+    twin = runs["twin"]
+    found = read_back(path)
     state = (twin.stack("valve_plus") - twin.stack("valve_minus")) / 2
     for j in range(4):
         seconds, values = found[f"/module/{j + 1}/valve/twin"]
@@ -278,7 +279,8 @@ def test_wheels_roll_without_slip():
 
 
 def test_spokes_rotate_about_the_axle(tmp_path):
-    spec, runs = robot(), pair(duration=1.0)
+    spec = robot()
+    runs = pair(duration=1.0)
     path = tmp_path / "r.rrd"
     write_recording(path, RunContent(spec, runs))
     (poses,) = (

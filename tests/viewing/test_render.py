@@ -84,8 +84,10 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
         "--fps",
         "5",
     )
-    whole, part = ((), ("--from", "1", "--to", "2"))
-    counts, firsts = [], []
+    whole = ()
+    part = ("--from", "1", "--to", "2")
+    counts = []
+    firsts = []
     for options in (whole, part):
         assert srs_twin(*words, *options, cwd=tmp_path).returncode == 0
         counts.append(len(frames(tmp_path / "out.mp4")))
@@ -207,10 +209,8 @@ def test_an_obstacle_does_not_hide_the_snake(runs, opengl_here):
     ).at(row)
     # A low camera behind the obstacle, which is in line with the snake.
     camera.azimuth = np.degrees(np.arctan2(-place[1], -place[0]))
-    camera.elevation, camera.distance = (
-        -4.0,
-        float(np.hypot(*place)) + 3 * circle.radius,
-    )
+    camera.elevation = -4.0
+    camera.distance = float(np.hypot(*place)) + 3 * circle.radius
     obstacle = stage.model.geom("obstacle_1").id
     shown = {}
     with Canvas(stage.model, 320, 180) as canvas:
@@ -429,10 +429,8 @@ def test_missing_run_is_refused(runs, srs_twin, tmp_path):
 
 
 def test_a_trajectory_of_another_robot_is_refused(runs):
-    run, other = (
-        load_run(runs / "gen2_straight"),
-        load_run(runs / "module_step_iterative"),
-    )
+    run = load_run(runs / "gen2_straight")
+    other = load_run(runs / "module_step_iterative")
     with pytest.raises(
         InputError,
         match=r"columns qpos_1…, but the twin of the scenario has \d+ positions",

@@ -84,7 +84,8 @@ def test_centre_line_is_the_integral_of_its_tangent(spec, runs):
     lines = centre_lines(snake, spec.geometry, divisions=8)
     assert lines.shape == (len(snake), 4, 11, 2)
     for row, j in ((0, 0), (333, 2), (700, 3)):
-        theta, bend = snake[f"theta_{j + 1}"][row], snake[f"bend_{j + 1}"][row]
+        theta = snake[f"theta_{j + 1}"][row]
+        bend = snake[f"bend_{j + 1}"][row]
         start = complex(snake[f"x_{j + 1}"][row], snake[f"y_{j + 1}"][row])
         expected = integrated(theta, bend, start, np.linspace(0, 1, 9))
         assert np.allclose(lines[row, j, 1:-1], expected, atol=1e-8)
@@ -585,7 +586,10 @@ class Reader(html.parser.HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open, self.rows, self.sources, self.tags = [], [], [], set()
+        self.open = []
+        self.rows = []
+        self.sources = []
+        self.tags = set()
 
     def handle_starttag(self, tag, attrs):
         self.tags.add(tag)

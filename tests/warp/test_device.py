@@ -79,7 +79,8 @@ def test_friction_laws_agree_in_warp():
         out[i, 5] = f
 
     rng = np.random.default_rng(3)
-    speed, load = rng.normal(scale=0.1, size=(200, 2)), rng.uniform(0, 1, size=(200, 1))
+    speed = rng.normal(scale=0.1, size=(200, 2))
+    load = rng.uniform(0, 1, size=(200, 1))
     mu = np.sort(rng.uniform(0.01, 0.5, size=(200, 2)), axis=1)
     push = rng.normal(scale=0.05, size=(200, 2))
     inputs = np.hstack(
@@ -119,7 +120,8 @@ def waves(gaits, slot, slots, steps):
     )
     from srs_twin.warp.translation import stack_records, warp_struct
 
-    twin, empty = TwinSnake(GEN2), np.zeros((GEN2.segments, 2))
+    twin = TwinSnake(GEN2)
+    empty = np.zeros((GEN2.segments, 2))
     whole = empty.astype(int)
     records = {
         "relaxation": twin.pneumatics.relaxation(slot),
@@ -133,7 +135,8 @@ def waves(gaits, slot, slots, steps):
     spec = StepSettings(
         h=slots * slot, slot=slot, slots=slots, tick=1, mean_control=False
     )
-    kernel, actual = build_kernels(ported, spec).set_gait, []
+    kernel = build_kernels(ported, spec).set_gait
+    actual = []
     waves_on_device = stack_records(
         ported["wave"],
         [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits],
@@ -163,7 +166,9 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
     ]
     for gait in gaits:
         gait.reset(GEN2, 0.02)
-    slot, slots, steps = 1e-4, 2000, 6
+    slot = 1e-4
+    slots = 2000
+    steps = 6
     there = waves(gaits, slot, slots, steps)
     for gait, values in zip(gaits, there, strict=True):
         schedule = gait.script(slot * slots * steps)
@@ -192,17 +197,17 @@ def test_device_controls_equal_those_of_the_processor():
 
     damped = replace(GEN2, bending=replace(GEN2.bending, damping_time=8e-3))
     bent = replace(damped, actuator=replace(GEN2.actuator, bend_limit=0.6))
-    twin, empty, h = TwinSnake(bent), np.zeros((bent.segments, 2)), 1e-4
+    twin = TwinSnake(bent)
+    empty = np.zeros((bent.segments, 2))
+    h = 1e-4
     valves = np.array([[1, -1], [-1, 1], [1, 1], [-1, -1]])
     chambers = twin.pneumatics
     chambers.advance(
         chambers.schedule(np.array([-valves, valves]), 0.2), np.array([0.2])
     )
-    pressure, linear, free = (
-        chambers.pressure.copy(),
-        chambers._linear.copy(),
-        chambers.bend.copy(),
-    )
+    pressure = chambers.pressure.copy()
+    linear = chambers._linear.copy()
+    free = chambers.bend.copy()
     trace = chambers.advance(chambers.schedule(valves, h), np.array([0.0, h]))
     whole = empty.astype(int)
     air = ChamberState(

@@ -40,7 +40,9 @@ def evaluated():
     laws = as_warp_functions(
         [stick_slip_friction, skin_friction, rolling_friction, _friction_law]
     )
-    law, All, select = laws["_friction_law"], struct.batched, struct.select
+    law = laws["_friction_law"]
+    All = struct.batched
+    select = struct.select
 
     @wp.kernel(enable_backward=False)
     def each(
@@ -89,7 +91,8 @@ def test_every_law_of_the_twin_agrees_in_warp(evaluated, law, skin):
     velocity = rng.choice([-1, 1], (CONTACTS, 3)) * 10 ** rng.uniform(
         -5, -1, (CONTACTS, 3)
     )  # stick or slide
-    load, h = rng.uniform(0.1, 1, CONTACTS), rng.uniform(1e-3, 1e-2, CONTACTS)
+    load = rng.uniform(0.1, 1, CONTACTS)
+    h = rng.uniform(1e-3, 1e-2, CONTACTS)
     state = np.column_stack([velocity[:, :2], load, velocity[:, 2], h])
     force = rng.normal(scale=0.02, size=(CONTACTS, 3))
     mu = np.sort(rng.uniform(0.01, 0.5, size=(CONTACTS, 2)), axis=1)

@@ -53,9 +53,10 @@ def doctor(
 
 def _show(checks: Sequence[Check]) -> None:
     """Print one line per check, grouped by topic, with its remedy on the next line."""
-    width = (
-        shutil.get_terminal_size((100, 24)).columns if sys.stdout.isatty() else 10_000
-    )
+    if sys.stdout.isatty():
+        width = shutil.get_terminal_size((100, 24)).columns
+    else:
+        width = 10_000
     name_width = max(len(check.name) for check in checks)
     for topic, group in groupby(checks, key=lambda check: check.topic):
         typer.echo(topic)

@@ -144,11 +144,9 @@ class RequiredPackage:
         """Problem with the installed version; empty if there is none."""
         if self.installed is None:
             return f"{self.name} is missing"
-        return (
-            ""
-            if self.fits
-            else f"{self.name} is {self.installed}, but {self.requirement} is required"
-        )
+        if self.fits:
+            return ""
+        return f"{self.name} is {self.installed}, but {self.requirement} is required"
 
 
 def required_packages(requirements: Sequence[str]) -> list[RequiredPackage]:
@@ -299,7 +297,9 @@ def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
         cgroup: folder of the control group (version 2) of this process.
     """
     quota, _, period = _read(cgroup / "cpu.max").partition(" ")
-    return int(quota) / int(period) if quota.isdigit() and period.isdigit() else None
+    if quota.isdigit() and period.isdigit():
+        return int(quota) / int(period)
+    return None
 
 
 def free_memory(cgroup: Path = _CGROUP, meminfo: Path = _MEMINFO) -> int | None:
@@ -384,7 +384,10 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
         for path in (folder.absolute(), *folder.absolute().parents)
         if os.path.isdir(path)
     )
-    free = shutil.disk_usage(existing).free if free is None else free
+    if free is None:
+        free = shutil.disk_usage(existing).free
+    else:
+        free = free
     remedy = (
         f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use"
         " another disk with --out"
@@ -393,8 +396,6 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
 
 
 def _size(bytes_: int) -> str:
-    return (
-        f"{bytes_ / (1 << 30):.3g} GB"
-        if bytes_ >= 1 << 30
-        else f"{bytes_ / (1 << 20):.3g} MB"
-    )
+    if bytes_ >= 1 << 30:
+        return f"{bytes_ / (1 << 30):.3g} GB"
+    return f"{bytes_ / (1 << 20):.3g} MB"

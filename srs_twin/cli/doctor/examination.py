@@ -120,7 +120,10 @@ def _installation_check(installed: bool, *, checkout: bool) -> Check:
     detail = f"{__version__}, {'checkout' if checkout else 'wheel'} in {data_root()}"
     if installed:
         return Check(checks.INSTALLATION, "srs_twin", "ok", detail, necessary=True)
-    remedy = "uv sync" if checkout else "pip install the wheel again"
+    if checkout:
+        remedy = "uv sync"
+    else:
+        remedy = "pip install the wheel again"
     detail += "; it is not installed, so its required packages are unknown"
     return Check(
         checks.INSTALLATION, "srs_twin", "missing", detail, remedy, necessary=True
@@ -139,7 +142,10 @@ def _run_all_probes(modules: Sequence[str], time_limit_s: float) -> list[Check]:
 def check_from(name: str, result: ProbeResult) -> Check:
     """Return the check with the result of a probe and a remedy."""
     topic = next(topic for topic, remedies in REMEDIES.items() if name in remedies)
-    remedy = "" if result.status == "ok" else result.remedy or REMEDIES[topic][name]
+    if result.status == "ok":
+        remedy = ""
+    else:
+        remedy = result.remedy or REMEDIES[topic][name]
     necessary = topic in (checks.INSTALLATION, SIMULATION)
     return Check(topic, name, result.status, result.detail, remedy, necessary)
 
@@ -151,7 +157,8 @@ def known_results(env: Mapping[str, str], platform: str) -> dict[str, ProbeResul
         env: environment variables.
         platform: `sys.platform`.
     """
-    known, selected = {}, env.get("MUJOCO_GL", "")
+    known = {}
+    selected = env.get("MUJOCO_GL", "")
     for name in LIBRARIES:
         if selected in (*LIBRARIES, "glfw") and selected != name:
             # PyOpenGL cannot change its backend within a process.
@@ -199,10 +206,8 @@ def run_probes(
         InputError: temporary files cannot be written.
     """
     try:
-        folder, output = (
-            tempfile.TemporaryDirectory(prefix="srs-twin-doctor-"),
-            tempfile.TemporaryFile(),
-        )
+        folder = tempfile.TemporaryDirectory(prefix="srs-twin-doctor-")
+        output = tempfile.TemporaryFile()
     except OSError as error:
         raise InputError(
             f"cannot write temporary files ({error.strerror}); set TMPDIR to a writable"
@@ -258,7 +263,8 @@ def _parse_output(
         names: probes that should have run.
     """
     results: dict[str, ProbeResult] = {}
-    importing, last_noise = "Python", ""
+    importing = "Python"
+    last_noise = ""
     for line in lines:
         noise, _, text = line.partition(probes.MARKER)
         last_noise = noise.strip() or last_noise
@@ -269,7 +275,10 @@ def _parse_output(
     if "imports" not in results:
         # The child ended during an import; its last line usually contains the error.
         exit_result = result_of_exit(code)
-        reason = last_noise if code > 0 and last_noise else exit_result.detail
+        if code > 0 and last_noise:
+            reason = last_noise
+        else:
+            reason = exit_result.detail
         results["imports"] = ProbeResult(exit_result.status, f"{importing}: {reason}")
     not_run = ProbeResult(
         "undecided", f"not tested: {results['imports'].detail}", "fix `imports` first"

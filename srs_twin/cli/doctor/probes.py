@@ -70,7 +70,8 @@ def data() -> str | ProbeResult:
     from srs_twin.io.files import data_root, shipped_names
     from srs_twin.robot.file import load_robot
 
-    robots, scenarios = shipped_names("robot"), shipped_names("scenario")
+    robots = shipped_names("robot")
+    scenarios = shipped_names("scenario")
     scenes = [name for name in robots if _scene(name).is_file()]
     faults = []
     for name in robots:
@@ -246,7 +247,10 @@ def main(modules: Sequence[str], names: Sequence[str], time_limit_s: float) -> N
         if pid == 0:
             code = 1
             try:
-                code = 0 if _run(name, PROBES[name], time_limit_s) else _REPORTED
+                if _run(name, PROBES[name], time_limit_s):
+                    code = 0
+                else:
+                    code = _REPORTED
             finally:
                 os._exit(code)  # skips the exit handlers of libraries
         code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
@@ -266,9 +270,10 @@ def _run(
     signal.setitimer(signal.ITIMER_REAL, time_limit_s)
     try:
         outcome = probe()
-        result = (
-            outcome if isinstance(outcome, ProbeResult) else ProbeResult("ok", outcome)
-        )
+        if isinstance(outcome, ProbeResult):
+            result = outcome
+        else:
+            result = ProbeResult("ok", outcome)
     except Exception as error:  # a library may raise anything
         result = ProbeResult("broken", _error_text(error))
     _send(name=name, **vars(result))

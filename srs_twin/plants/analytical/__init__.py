@@ -65,7 +65,9 @@ def default_timestep(tick: float, scale: Scale) -> float:
         scale: units of the robot. For those of the shipped robots the step does not
             depend on the tick.
     """
-    return TIMESTEP_S if scale == SHIPPED else divide(tick, TIMESTEP_S * scale.time)
+    if scale == SHIPPED:
+        return TIMESTEP_S
+    return divide(tick, TIMESTEP_S * scale.time)
 
 
 TIMESTEP_S = 0.002
@@ -234,11 +236,21 @@ class AnalyticalSnake(PneumaticPlant):
                 floor with steps; a tail on two axles; touch with another model; or a
                 model that does not fit the segments of the robot.
         """
-        world, unit = world or World(), spec.scale.time
+        world = world or World()
+        unit = spec.scale.time
         tick = TICK_S * unit if tick is None else tick
-        timestep = default_timestep(tick, spec.scale) if timestep is None else timestep
-        tolerance = TOLERANCE_M_S * unit if tolerance is None else tolerance
-        slip_speed = SLIP_SPEED_M_S * unit if slip_speed is None else slip_speed
+        if timestep is None:
+            timestep = default_timestep(tick, spec.scale)
+        else:
+            timestep = timestep
+        if tolerance is None:
+            tolerance = TOLERANCE_M_S * unit
+        else:
+            tolerance = tolerance
+        if slip_speed is None:
+            slip_speed = SLIP_SPEED_M_S * unit
+        else:
+            slip_speed = slip_speed
         friction = spec.skin.law if spec.skin else friction
         _check_options(
             spec, world, model, friction, load, friction_torque, inertia, base
@@ -253,24 +265,24 @@ class AnalyticalSnake(PneumaticPlant):
         check_positive("tick", tick, "s")
         check_positive("time step", timestep, "s")
         check_positive("tolerance", tolerance, "m/s")
-        self.spec, self.tick, self.timestep, self.friction = (
-            spec,
-            tick,
-            timestep,
-            friction,
-        )
+        self.spec = spec
+        self.tick = tick
+        self.timestep = timestep
+        self.friction = friction
         self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         self.touches = touch and world.has_obstacles
         self.world: World = world
-        self._touch, self._cells = touch, cells
-        self._model, self._inertia, self._friction_torque = (
-            model,
-            inertia,
-            friction_torque,
-        )
+        self._touch = touch
+        self._cells = cells
+        self._model = model
+        self._inertia = inertia
+        self._friction_torque = friction_torque
         self.base = base
         if track is None:
-            track = spec.geometry.half_track if friction in TWO_POINT_LAWS else 0.0
+            if friction in TWO_POINT_LAWS:
+                track = spec.geometry.half_track
+            else:
+                track = 0.0
         mu = spec.friction
         self._tolerance = tolerance
         self.load = load
@@ -278,9 +290,10 @@ class AnalyticalSnake(PneumaticPlant):
             raise InputError(
                 "momentary loads need two contacts side by side; track must be above 0"
             )
-        load_transfer = (
-            spec.geometry.com_height / (2 * track) if load == "momentary" else 0.0
-        )
+        if load == "momentary":
+            load_transfer = spec.geometry.com_height / (2 * track)
+        else:
+            load_transfer = 0.0
         x, y, z = world.floor.down
         gravity = GRAVITY * x, GRAVITY * y, GRAVITY * z
         drag = mu.drag / spec.geometry.connectors
@@ -308,9 +321,11 @@ class AnalyticalSnake(PneumaticPlant):
             seed: random seed of the sensor noise.
         """
         self.pneumatics.reset()
-        self._ticks, self.seed = 0, seed
+        self._ticks = 0
+        self.seed = seed
         self._body.reset(pose)
-        body, trace = self._body, self.pneumatics.rest_trace()
+        body = self._body
+        trace = self.pneumatics.rest_trace()
         now = body.motion(body.state[None].copy(), body.velocity[None].copy(), trace)
         self.state = self._observe(np.zeros(1), now, trace).at(0)
         return self.state
@@ -323,12 +338,12 @@ class AnalyticalSnake(PneumaticPlant):
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
         self.pneumatics.place(snake.pressure, snake.bend)
-        body, trace = self._body, self.pneumatics.current_trace()
-        bends = (
-            (snake.bend, snake.bend_rate)
-            if body.compliant
-            else (trace.bend[0], trace.bend_rate[0])
-        )
+        body = self._body
+        trace = self.pneumatics.current_trace()
+        if body.compliant:
+            bends = (snake.bend, snake.bend_rate)
+        else:
+            bends = (trace.bend[0], trace.bend_rate[0])
         body.place(
             np.array([*snake.com_velocity, yaw_rate]),
             *(np.array(values, dtype=float) for values in bends),
@@ -365,7 +380,9 @@ class AnalyticalSnake(PneumaticPlant):
         Chambers whose pressures depend on compliant bends alternate with the body,
         every step or two.
         """
-        motions, traces, done = [], [], 0
+        motions = []
+        traces = []
+        done = 0
         for chunk_schedule, chunk in self._chunks(schedule, steps):
             bend, rate = self._body.bends()
             trace = self.pneumatics.advance(
@@ -419,7 +436,10 @@ class AnalyticalSnake(PneumaticPlant):
 
     def identity(self) -> dict[str, Any]:
         """See `Plant.identity`."""
-        world = {"world": short_digest(self.world)} if self.touches else {}
+        if self.touches:
+            world = {"world": short_digest(self.world)}
+        else:
+            world = {}
         return super().identity() | {"floor": short_digest(self._floor_plane)} | world
 
     def _make_body(self) -> Body:
@@ -428,10 +448,8 @@ class AnalyticalSnake(PneumaticPlant):
         cells = self._divide()
         frozen = 1.0 if self._model == "simplified" else 0.0
         inertia = self._connector_inertia(cells.mass)
-        solid, floor = (
-            BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen),
-            self._floor,
-        )
+        solid = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen)
+        floor = self._floor
         if isinstance(cells, Cells):
             # The floor has the drag on one connector; along a divided body it acts in
             # smaller parts.
@@ -447,22 +465,19 @@ class AnalyticalSnake(PneumaticPlant):
                 friction_torque=self._friction_torque,
                 tolerance=self._tolerance,
             )
-        obstacles = (
-            make_obstacles(self.world, self.spec, cells, self._floor.slip)
-            if self.touches
-            else None
-        )
+        if self.touches:
+            obstacles = make_obstacles(self.world, self.spec, cells, self._floor.slip)
+        else:
+            obstacles = None
         return CompliantBends(self.spec, solid, floor, cells, obstacles)
 
     def _divide(self) -> Undivided:
         """Return the division of the segments."""
         if self.spec.skin is not None:
             return cells_of_skin(self.spec)
-        return (
-            cells_of_wheels(self.spec, self._cells)
-            if self.touches
-            else Undivided(self.spec)
-        )
+        if self.touches:
+            return cells_of_wheels(self.spec, self._cells)
+        return Undivided(self.spec)
 
     @property
     def _coupled(self) -> bool:
@@ -472,14 +487,12 @@ class AnalyticalSnake(PneumaticPlant):
     def _coupling_step(self) -> float:
         """Largest interval between exchanges of bends and pressures, s; point masses need a shorter one."""
         massless = not self._body.solid.inertia.all()
-        return (
-            min(
+        if massless:
+            return min(
                 self.pneumatics.coupling_step_s,
                 _POINT_MASS_COUPLING_STEP * self.spec.scale.time,
             )
-            if massless
-            else self.pneumatics.coupling_step_s
-        )
+        return self.pneumatics.coupling_step_s
 
     def _connector_inertia(self, mass: np.ndarray) -> np.ndarray:
         """Return the moments of inertia of the points with masses about their centres, (points,), kg·m².
@@ -502,9 +515,10 @@ class AnalyticalSnake(PneumaticPlant):
 
     def _steps(self, schedule: Schedule, samples: int) -> Steps:
         """Return the integrator's steps for a schedule."""
-        longest = (
-            min(self.timestep, self._coupling_step) if self._coupled else self.timestep
-        )
+        if self._coupled:
+            longest = min(self.timestep, self._coupling_step)
+        else:
+            longest = self.timestep
         return Steps.between(
             schedule.span,
             schedule.events,
@@ -518,11 +532,15 @@ class AnalyticalSnake(PneumaticPlant):
         if isinstance(self._body, QuasistaticArcs):
             sensed = self.sensor.read(motion.bend, time, self.seed)
             return self._body.observe(time, motion, trace, sensed)
-        cells, solid = self._body.cells, self._body.solid
-        count, n = len(time), len(solid.mass)
-        wheels, bends = self._floor._replace(drag=0.0), (motion.bend, motion.bend_rate)
+        cells = self._body.cells
+        solid = self._body.solid
+        count = len(time)
+        n = len(solid.mass)
+        wheels = self._floor._replace(drag=0.0)
+        bends = (motion.bend, motion.bend_rate)
         seen = kernels.observe(motion.states, motion.velocities, bends, solid, wheels)
-        divided, bend = isinstance(cells, Cells), cells.total(motion.bend)
+        divided = isinstance(cells, Cells)
+        bend = cells.total(motion.bend)
         obstacles = np.zeros((count, self.spec.geometry.connectors, 2))
         if isinstance(cells, Cells) and self.touches:
             obstacles = cells.obstacle_force(

@@ -96,7 +96,9 @@ class Body(Stateful, ABC):
         bends: int = 0,
     ) -> None:
         """Set the constants; `bends` is the number of bends that are degrees of freedom."""
-        self.solid, self.floor, self.cells = solid, floor, cells
+        self.solid = solid
+        self.floor = floor
+        self.cells = cells
         self._shapes = kernels.STATES + 2 * bends, 3 + bends
 
     @property
@@ -126,12 +128,15 @@ class Body(Stateful, ABC):
             bend: shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
         """
-        bend, rate = self.cells.split(bend), self.cells.split(rate)
+        bend = self.cells.split(bend)
+        rate = self.cells.split(rate)
         self.state[kernels.HEADING] += self.cells.lead(bend)
         (x, y, yaw), heading = velocity, float(self.state[kernels.HEADING])
         yaw += self.cells.lead(rate)
-        c, s = math.cos(heading), math.sin(heading)
-        self.state[kernels.STATE_VX], self.state[kernels.STATE_VY] = x, y
+        c = math.cos(heading)
+        s = math.sin(heading)
+        self.state[kernels.STATE_VX] = x
+        self.state[kernels.STATE_VY] = y
         self.velocity[:3] = c * x + s * y, c * y - s * x, yaw
         inertia, moment = pose_body(
             bend, rate, self.solid, np.empty((ROWS, len(self.solid.mass)))
@@ -202,7 +207,8 @@ class PrescribedBends(Body):
         tolerance: float,
     ) -> None:
         super().__init__(solid, floor, cells)
-        self._model, self._tolerance = (solid, floor, friction_torque), tolerance
+        self._model = (solid, floor, friction_torque)
+        self._tolerance = tolerance
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
@@ -214,7 +220,8 @@ class PrescribedBends(Body):
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
         now = self.state, self._state_rate, self.velocity
-        samples, trace = self._allocate(len(sample_steps)), self._split(trace)
+        samples = self._allocate(len(sample_steps))
+        trace = self._split(trace)
         done, _ = advance(
             now, steps, trace, sample_steps, self._model, self._tolerance, samples
         )
@@ -289,80 +296,74 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
             (samples, 3).
         torque: out, net moments of the segments, shape (samples, segments), N·m.
     """
-    n, total = solid.mass.shape[0], solid.mass.sum()
-    position, acceleration, alpha = np.empty((n, 2)), np.empty((n, 2)), np.empty(n)
+    n = solid.mass.shape[0]
+    total = solid.mass.sum()
+    position = np.empty((n, 2))
+    acceleration = np.empty((n, 2))
+    alpha = np.empty(n)
     lever = np.empty((n - 1, 2))
     for k in range(trace.bend.shape[0]):
-        angle, spin, mean, mean_spin = head[2], 0.0, head[2], 0.0
+        angle = head[2]
+        spin = 0.0
+        mean = head[2]
+        mean_spin = 0.0
         alpha[0] = 0.0
-        position[0], acceleration[0] = 0.0, 0.0
+        position[0] = 0.0
+        acceleration[0] = 0.0
         v_x = v_y = com_x = com_y = com_vx = com_vy = 0.0
         for j in range(n - 1):
-            q, dq, ddq = (
-                trace.bend[k, j],
-                trace.bend_rate[k, j],
-                trace.bend_acceleration[k, j],
-            )
-            psi, chord_spin, chord_alpha = (
-                angle - q / 2,
-                spin - dq / 2,
-                alpha[j] - ddq / 2,
-            )
-            angle, spin, alpha[j + 1] = angle - q, spin - dq, alpha[j] - ddq
+            q = trace.bend[k, j]
+            dq = trace.bend_rate[k, j]
+            ddq = trace.bend_acceleration[k, j]
+            psi = angle - q / 2
+            chord_spin = spin - dq / 2
+            chord_alpha = alpha[j] - ddq / 2
+            angle = angle - q
+            spin = spin - dq
+            alpha[j + 1] = alpha[j] - ddq
             _, _, span, slope, curvature = chord_terms(q, solid, j)
-            chord_rate, chord_acceleration = (
-                slope * dq,
-                curvature * dq * dq + slope * ddq,
-            )
-            inward, aside = (
-                chord_acceleration - span * chord_spin * chord_spin,
-                span * chord_alpha + 2 * chord_rate * chord_spin,
-            )
-            c, s = math.cos(psi), math.sin(psi)
+            chord_rate = slope * dq
+            chord_acceleration = curvature * dq * dq + slope * ddq
+            inward = chord_acceleration - span * chord_spin * chord_spin
+            aside = span * chord_alpha + 2 * chord_rate * chord_spin
+            c = math.cos(psi)
+            s = math.sin(psi)
             position[j + 1, 0], position[j + 1, 1] = (
                 position[j, 0] - span * c,
                 position[j, 1] - span * s,
             )
-            v_x, v_y = (
-                v_x - chord_rate * c + span * chord_spin * s,
-                v_y - chord_rate * s - span * chord_spin * c,
-            )
+            v_x = v_x - chord_rate * c + span * chord_spin * s
+            v_y = v_y - chord_rate * s - span * chord_spin * c
             acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + aside * s
             acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - aside * c
             # Velocity of all connectors behind segment j per bend rate: the chord
             # shortens, and rotates by half of the bend.
-            lever[j, 0], lever[j, 1] = (
-                -slope * c - span / 2 * s,
-                -slope * s + span / 2 * c,
-            )
+            lever[j, 0] = -slope * c - span / 2 * s
+            lever[j, 1] = -slope * s + span / 2 * c
             share = solid.mass[j + 1] / total
-            com_x, com_y = (
-                com_x + share * position[j + 1, 0],
-                com_y + share * position[j + 1, 1],
-            )
-            com_vx, com_vy = com_vx + share * v_x, com_vy + share * v_y
-            mean, mean_spin = mean + (angle - head[2]) / n, mean_spin + spin / n
-        states[k, kernels.STATE_X], states[k, kernels.STATE_Y] = (
-            head[0] + com_x,
-            head[1] + com_y,
-        )
+            com_x = com_x + share * position[j + 1, 0]
+            com_y = com_y + share * position[j + 1, 1]
+            com_vx = com_vx + share * v_x
+            com_vy = com_vy + share * v_y
+            mean = mean + (angle - head[2]) / n
+            mean_spin = mean_spin + spin / n
+        states[k, kernels.STATE_X] = head[0] + com_x
+        states[k, kernels.STATE_Y] = head[1] + com_y
         states[k, kernels.HEADING] = mean
-        states[k, kernels.STATE_VX], states[k, kernels.STATE_VY] = com_vx, com_vy
-        c, s = math.cos(mean), math.sin(mean)
-        velocities[k, 0], velocities[k, 1] = (
-            com_vx * c + com_vy * s,
-            com_vy * c - com_vx * s,
-        )
+        states[k, kernels.STATE_VX] = com_vx
+        states[k, kernels.STATE_VY] = com_vy
+        c = math.cos(mean)
+        s = math.sin(mean)
+        velocities[k, 0] = com_vx * c + com_vy * s
+        velocities[k, 1] = com_vy * c - com_vx * s
         velocities[k, 2] = mean_spin
         force_x = force_y = moment = 0.0
         for j in range(n - 2, -1, -1):
             # Net force on all connectors behind segment j, and its moment about the
             # connector at the rear end.
             if j < n - 2:
-                arm_x, arm_y = (
-                    position[j + 2, 0] - position[j + 1, 0],
-                    position[j + 2, 1] - position[j + 1, 1],
-                )
+                arm_x = position[j + 2, 0] - position[j + 1, 0]
+                arm_y = position[j + 2, 1] - position[j + 1, 1]
                 moment += arm_x * force_y - arm_y * force_x
             force_x += solid.mass[j + 1] * acceleration[j + 1, 0]
             force_y += solid.mass[j + 1] * acceleration[j + 1, 1]
@@ -410,7 +411,8 @@ class CompliantBends(Body):
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]
         self._work = compliant_kernels.WorkArrays.of(self._bends + 1, self._shapes[0])
-        self._spec, self._bias = spec, spec.modules.array("bias")
+        self._spec = spec
+        self._bias = spec.modules.array("bias")
 
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`."""
@@ -425,12 +427,12 @@ class CompliantBends(Body):
         """See `Body.place`."""
         self.state[kernels.HEADING] -= self.cells.lead(self.cells.split(self._bias))
         super().place(velocity, bend, rate)
-        bend, rate = self.cells.split(bend), self.cells.split(rate)
-        self.state[compliant_kernels.BENDS :][: self._bends], self.velocity[3:] = (
-            bend,
-            rate,
-        )
-        model, work = self._model._replace(obstacles=None), self._work
+        bend = self.cells.split(bend)
+        rate = self.cells.split(rate)
+        self.state[compliant_kernels.BENDS :][: self._bends] = bend
+        self.velocity[3:] = rate
+        model = self._model._replace(obstacles=None)
+        work = self._work
         air = np.zeros(self._bends)
         compliant_kernels.balance(
             bend, self.velocity, air, 0.0, model, model.floor, work
@@ -440,11 +442,9 @@ class CompliantBends(Body):
     @property
     def _contact_loads(self) -> np.ndarray:
         """Normal forces of the latest stage, from which the next one starts; empty without obstacles."""
-        return (
-            np.empty(0)
-            if self.obstacles is None
-            else np.stack([self.obstacles.normal, self.obstacles.load])
-        )
+        if self.obstacles is None:
+            return np.empty(0)
+        return np.stack([self.obstacles.normal, self.obstacles.load])
 
     @_contact_loads.setter
     def _contact_loads(self, loads: np.ndarray) -> None:
@@ -455,7 +455,8 @@ class CompliantBends(Body):
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        now, samples = (self.state, self.velocity), self._allocate(len(sample_steps))
+        now = (self.state, self.velocity)
+        samples = self._allocate(len(sample_steps))
         free = self.cells.split(trace.bend), self.cells.split(trace.bend_rate)
         done: int = compliant_kernels.advance(
             now, steps, free, sample_steps, self._model, samples, self._work
@@ -489,11 +490,10 @@ class CompliantBends(Body):
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
         """See `Body.motion`."""
-        bend, rate = (
-            states[:, compliant_kernels.BENDS :][:, : self._bends],
-            velocities[:, 3:],
-        )
-        total, bending = self.cells.total, self._spec.bending
+        bend = states[:, compliant_kernels.BENDS :][:, : self._bends]
+        rate = velocities[:, 3:]
+        total = self.cells.total
+        bending = self._spec.bending
         torque = bending.moment(trace.bend - total(bend), trace.bend_rate - total(rate))
         columns = np.hstack([states[:, : kernels.STATES], states[:, self._impulses]])
         return Motion(columns, velocities, bend, rate, torque)

@@ -43,7 +43,8 @@ class Division(NamedTuple):
     @classmethod
     def of(cls, geometry: Geometry, points: int) -> Division:
         """Return at least `points` cells of about equal length, whose ends include those of the arc."""
-        half_gap, arc = geometry.rigid_gap / 2, geometry.segment_length
+        half_gap = geometry.rigid_gap / 2
+        arc = geometry.segment_length
         pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
         counts = [
             max(1, round(points * length / geometry.pitch))
@@ -135,9 +136,12 @@ class Cells(Undivided):
             mass: masses at the ends of all cells, shape (points,), kg.
         """
         super().__init__(spec)
-        self._segments, self.points_per_segment = spec.segments, len(cells.share)
-        self.mass, self.gap = mass, 0.0
-        self.length, self._share = np.tile(cells.length, spec.segments), cells.share
+        self._segments = spec.segments
+        self.points_per_segment = len(cells.share)
+        self.mass = mass
+        self.gap = 0.0
+        self.length = np.tile(cells.length, spec.segments)
+        self._share = cells.share
         self._behind_head = np.append(0.0, np.cumsum(self.length))
         rigid = cells.share == 0.0
         inverse = np.where(rigid, _RIGID_RATIO, 1.0 / np.where(rigid, 1.0, cells.share))

@@ -131,7 +131,10 @@ class CompliantModel(NamedTuple):
     ) -> CompliantModel:
         """Return the model; springs are numbers or have the shape (segments, cells per segment)."""
         cells = len(solid.mass) - 1
-        segments = cells if np.ndim(stiffness) == 0 else np.shape(stiffness)[0]
+        if np.ndim(stiffness) == 0:
+            segments = cells
+        else:
+            segments = np.shape(stiffness)[0]
         k, c = (
             np.full(cells, np.ravel(value), dtype=float)
             for value in (stiffness, damping)
@@ -158,18 +161,17 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         c = body[COS, j] * half_c + body[SIN, j] * half_s
         s = body[SIN, j] * half_c - body[COS, j] * half_s
         chord_rate = slope * u[3 + j]
-        forth, aside = (
-            curvature * u[3 + j] + 0.5 * span * spin,
-            slope * spin - 0.5 * chord_rate,
-        )
+        forth = curvature * u[3 + j] + 0.5 * span * spin
+        aside = slope * spin - 0.5 * chord_rate
         link = links[j]
-        link[0], link[1] = span * s, -span * c
-        link[2], link[3] = (
-            span * spin * c + chord_rate * s,
-            span * spin * s - chord_rate * c,
-        )
-        link[4], link[5] = -slope * c - 0.5 * span * s, 0.5 * span * c - slope * s
-        link[6], link[7] = aside * s - forth * c, -forth * s - aside * c
+        link[0] = span * s
+        link[1] = -span * c
+        link[2] = span * spin * c + chord_rate * s
+        link[3] = span * spin * s - chord_rate * c
+        link[4] = -slope * c - 0.5 * span * s
+        link[5] = 0.5 * span * c - slope * s
+        link[6] = aside * s - forth * c
+        link[7] = -forth * s - aside * c
 
 
 @compiled
@@ -192,41 +194,40 @@ def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def
     """
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
-        mass, load = solid.mass[i], loads[i]
-        c, s, x, y = body[COS, i], body[SIN, i], body[X, i], body[Y, i]
-        vx, vy, spin = (
-            body[VX, i] - u[2] * y,
-            body[VY, i] + u[2] * x,
-            u[2] + body[SPIN, i],
-        )
-        load[0], load[1], load[2] = mass * vx, mass * vy, solid.inertia[i] * spin
-        along, across = (
-            (vx + u[0]) * c + (vy + u[1]) * s,
-            (vy + u[1]) * c - (vx + u[0]) * s,
-        )
+        mass = solid.mass[i]
+        load = loads[i]
+        c = body[COS, i]
+        s = body[SIN, i]
+        x = body[X, i]
+        y = body[Y, i]
+        vx = body[VX, i] - u[2] * y
+        vy = body[VY, i] + u[2] * x
+        spin = u[2] + body[SPIN, i]
+        load[0] = mass * vx
+        load[1] = mass * vy
+        load[2] = solid.inertia[i] * spin
+        along = (vx + u[0]) * c + (vy + u[1]) * s
+        across = (vy + u[1]) * c - (vx + u[0]) * s
         t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
             along, across, spin, mass * floor.gravity, floor
         )
-        load[3], load[4], load[5] = t * c - n * s, t * s + n * c, m
+        load[3] = t * c - n * s
+        load[4] = t * s + n * c
+        load[5] = m
         power -= t * along + n * across + m * spin
-        fx, fy, moment = (
-            fx + load[3],
-            fy + load[4],
-            moment + x * load[4] - y * load[3] + m,
-        )
+        fx = fx + load[3]
+        fy = fy + load[4]
+        moment = moment + x * load[4] - y * load[3] + m
         xx, xy, yx, yy = slopes_of_force(tt, tn, nt, nn, c, s)
-        load[6], load[7], load[12], load[9] = (
-            mass - a * xx,
-            -a * xy,
-            -a * yx,
-            mass - a * yy,
-        )
-        load[8], load[10], load[11] = (
-            -a * (tm * c - nm * s),
-            -a * (tm * s + nm * c),
-            solid.inertia[i] - a * mm,
-        )
-        load[13], load[14] = -a * (tm * c - mn * s), -a * (tm * s + mn * c)
+        load[6] = mass - a * xx
+        load[7] = -a * xy
+        load[12] = -a * yx
+        load[9] = mass - a * yy
+        load[8] = -a * (tm * c - nm * s)
+        load[10] = -a * (tm * s + nm * c)
+        load[11] = solid.inertia[i] - a * mm
+        load[13] = -a * (tm * c - mn * s)
+        load[14] = -a * (tm * s + mn * c)
     return fx, fy, moment, power
 
 
@@ -264,31 +265,41 @@ def balance(q, u, moment, a, model, floor, work):  # type: ignore[no-untyped-def
     Returns:
         Power that the floor and obstacles take, W.
     """
-    solid, body, links, loads = model.solid, work.body, work.links, work.loads
-    momentum, force = work.momentum, work.force
-    n, weight = solid.mass.shape[0], solid.weight
+    solid = model.solid
+    body = work.body
+    links = work.links
+    loads = work.loads
+    momentum = work.momentum
+    force = work.force
+    n = solid.mass.shape[0]
+    weight = solid.weight
     inertia, h = pose_body(q, u[3:], solid, body)
     _fill_propagation(body, q, u, solid, links)
     fx, fy, floor_moment, power = _fill_loads(body, u, a, solid, floor, loads)
     x, y, m, loss = add_contacts(model.obstacles, body, u, a, loads)
-    fx, fy, floor_moment, power = fx + x, fy + y, floor_moment + m, power + loss
-    momentum[0], momentum[1], momentum[2] = (
-        weight * u[0],
-        weight * u[1],
-        inertia * u[2] + h,
-    )
-    force[0], force[1], force[2] = fx, fy, floor_moment
+    fx = fx + x
+    fy = fy + y
+    floor_moment = floor_moment + m
+    power = power + loss
+    momentum[0] = weight * u[0]
+    momentum[1] = weight * u[1]
+    momentum[2] = inertia * u[2] + h
+    force[0] = fx
+    force[1] = fy
+    force[2] = floor_moment
     # Sums over all connectors behind a segment, about the connector at its front end.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
-        load, link, share = loads[j + 1], links[j], (n - 1 - j) / n
+        load = loads[j + 1]
+        link = links[j]
+        share = (n - 1 - j) / n
         mass_share = solid.mass[j + 1] / weight
-        px, py, pm = px + load[0], py + load[1], pm + load[2]
-        x, y, m = (
-            x + load[3] - mass_share * fx,
-            y + load[4] - mass_share * fy,
-            m + load[5],
-        )
+        px = px + load[0]
+        py = py + load[1]
+        pm = pm + load[2]
+        x = x + load[3] - mass_share * fx
+        y = y + load[4] - mass_share * fy
+        m = m + load[5]
         momentum[3 + j] = link[4] * px + link[5] * py - pm + share * momentum[2]
         force[3 + j] = (
             link[4] * x
@@ -336,20 +347,21 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
         model: as in `balance`.
         work: as filled by `balance`, with the residual; its `step` is the solution.
     """
-    solid, links, loads, pivots, matrix = (
-        model.solid,
-        work.links,
-        work.loads,
-        work.pivots,
-        work.matrix,
-    )
-    residual, step = work.residual, work.step
-    n, weight = solid.mass.shape[0], solid.weight
+    solid = model.solid
+    links = work.links
+    loads = work.loads
+    pivots = work.pivots
+    matrix = work.matrix
+    residual = work.residual
+    step = work.step
+    n = solid.mass.shape[0]
+    weight = solid.weight
     for i in range(7):
         for k in range(8):
             matrix[i, k] = 0.0
     for j in range(n - 2, -1, -1):
-        link, pivot = links[j], pivots[j]
+        link = links[j]
+        pivot = pivots[j]
         _add_connector(
             matrix, loads[j + 1], solid.mass[j + 1], weight, 1 / n, a, residual
         )
@@ -398,9 +410,12 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
         )
     _add_connector(matrix, loads[0], solid.mass[0], weight, 1 / n, a, residual)
     x, y, m, ax, ay, vx, vy = _eliminate(matrix)
-    step[0], step[1], step[2] = vx, vy, m
+    step[0] = vx
+    step[1] = vy
+    step[2] = m
     for j in range(n - 1):
-        link, pivot = links[j], pivots[j]
+        link = links[j]
+        pivot = pivots[j]
         bend = (
             pivot[7]
             - pivot[0] * x
@@ -412,12 +427,11 @@ def solve(a, model, work):  # type: ignore[no-untyped-def]
         bend -= pivot[5] * vx + pivot[6] * vy
         step[3 + j] = bend
         step[2] -= (n - 1 - j) / n * bend
-        x, y = x + link[0] * m + link[4] * bend, y + link[1] * m + link[5] * bend
-        ax, ay, m = (
-            ax + link[2] * m + link[6] * bend,
-            ay + link[3] * m + link[7] * bend,
-            m - bend,
-        )
+        x = x + link[0] * m + link[4] * bend
+        y = y + link[1] * m + link[5] * bend
+        ax = ax + link[2] * m + link[6] * bend
+        ay = ay + link[3] * m + link[7] * bend
+        m = m - bend
 
 
 @kernel_only
@@ -511,13 +525,17 @@ def _residual(known, a, u, weight, floor, work):  # type: ignore[no-untyped-def]
         floor: the floor.
         work: as filled by `balance`.
     """
-    momentum, force, out = work.momentum, work.force, work.residual
+    momentum = work.momentum
+    force = work.force
+    out = work.residual
     heading = known[HEADING] + a * u[2]
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     size = u.shape[0]
     for j in range(size):
         out[j] = momentum[j] - a * force[j]
-    v_x, v_y = known[STATE_VX] + a * floor.pull_x, known[STATE_VY] + a * floor.pull_y
+    v_x = known[STATE_VX] + a * floor.pull_x
+    v_y = known[STATE_VY] + a * floor.pull_y
     out[0] -= weight * (v_x * c + v_y * s)
     out[1] -= weight * (v_y * c - v_x * s)
     out[2] -= known[MOMENT]
@@ -532,19 +550,15 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
     In place of the bends, Y contains their deviations from the free bends, which are
     known exactly.
     """
-    force, q, moment, residual, step = (
-        work.force,
-        work.bend,
-        work.moment,
-        work.residual,
-        work.step,
-    )
-    segments, size, weight, obstacles = (
-        free.shape[0],
-        u.shape[0],
-        model.solid.weight,
-        model.obstacles,
-    )
+    force = work.force
+    q = work.bend
+    moment = work.moment
+    residual = work.residual
+    step = work.step
+    segments = free.shape[0]
+    size = u.shape[0]
+    weight = model.solid.weight
+    obstacles = model.obstacles
     for j in range(segments):
         moment[j] = model.stiffness[j] * free[j] + model.damping[j] * free_rate[j]
     for j in range(size):
@@ -552,11 +566,10 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
     step_share = 0.0  # fraction of the latest Newton step that has been made
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
-    passes, power = 0, 0.0
-    tolerance, arm = (
-        _NEWTON_TOLERANCE * floor.unit,
-        _NEWTON_ARM * floor.unit * floor.unit,
-    )
+    passes = 0
+    power = 0.0
+    tolerance = _NEWTON_TOLERANCE * floor.unit
+    arm = _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
         for j in range(segments):
             q[j] = free[j] + known[BENDS + j] + a * (u[3 + j] - free_rate[j])
@@ -577,7 +590,9 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
             step_share = back
             continue
         solve(a, model, work)
-        slope_before, step_share, longest = 0.0, 1.0, 0.0
+        slope_before = 0.0
+        step_share = 1.0
+        longest = 0.0
         for j in range(size):
             u[j] -= step[j]
             slope_before += residual[j] * step[j]
@@ -594,16 +609,20 @@ def _stage(known, a, free, free_rate, model, floor, u, k, work):  # type: ignore
             converged = True
             break
     heading = known[HEADING] + a * u[2]
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     k[STATE_X] = u[0] * c - u[1] * s
     k[STATE_Y] = u[0] * s + u[1] * c
     k[STATE_VX] = (force[0] * c - force[1] * s) / weight + floor.pull_x
     k[STATE_VY] = (force[0] * s + force[1] * c) / weight + floor.pull_y
     power -= weight * (floor.pull_x * k[STATE_X] + floor.pull_y * k[STATE_Y])
     power += _damper_power(model, u[3:], free_rate)
-    k[HEADING], k[MOMENT], k[ENERGY_LOSS] = u[2], force[2], power
+    k[HEADING] = u[2]
+    k[MOMENT] = force[2]
+    k[ENERGY_LOSS] = power
     for j in range(segments):
-        k[BENDS + j], k[BENDS + segments + j] = u[3 + j] - free_rate[j], force[3 + j]
+        k[BENDS + j] = u[3 + j] - free_rate[j]
+        k[BENDS + segments + j] = force[3 + j]
     fill_rates(obstacles, model, (free, free_rate), q, u[3:], k)
     return converged
 
@@ -626,20 +645,22 @@ def advance(now, steps, free, marks, model, samples, work):  # type: ignore[no-u
         work: a `WorkArrays`.
     """
     (state, u), (states, velocities), (bends, rates) = now, samples, free
-    solid, rate, known, last, drift = (
-        model.solid,
-        work.rate,
-        work.known,
-        work.last,
-        work.drift,
-    )
-    reach, n, size = solid.pitch / 2, solid.mass.shape[0], u.shape[0]
+    solid = model.solid
+    rate = work.rate
+    known = work.known
+    last = work.last
+    drift = work.drift
+    reach = solid.pitch / 2
+    n = solid.mass.shape[0]
+    size = u.shape[0]
     for j in range(size):
         drift[j] = 0.0
     mark = 0
     for i in range(steps.shape[0]):
         h = steps[i]
-        a, fastest, fine = GAMMA * h, abs(u[0]) + abs(u[1]), True
+        a = GAMMA * h
+        fastest = abs(u[0]) + abs(u[1])
+        fine = True
         for j in range(2, size):
             fastest = max(fastest, reach * abs(u[j]))
         floor = with_reduced_slip_speed(model.floor, fastest)

@@ -85,7 +85,10 @@ def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-un
 @compiled
 def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contacts at the track with static loads."""
-    mu_t, mu_n, slip, arm = floor.mu_t, floor.mu_n, floor.slip, floor.track
+    mu_t = floor.mu_t
+    mu_n = floor.mu_n
+    slip = floor.slip
+    arm = floor.track
     a_t, a_n, a_tt, a_tn, _, a_nn = law(
         along - spin * arm, across, weight / 2, mu_t, mu_n, slip
     )
@@ -103,7 +106,10 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
 @compiled
 def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contacts at the track with momentary loads."""
-    mu_t, mu_n, slip, arm = floor.mu_t, floor.mu_n, floor.slip, floor.track
+    mu_t = floor.mu_t
+    mu_n = floor.mu_n
+    slip = floor.slip
+    arm = floor.track
     a_t, a_n, a_tt, a_tn, _, a_nn = law(
         along - spin * arm, across, 1.0, mu_t, mu_n, slip
     )
@@ -129,8 +135,11 @@ def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: igno
 @compiled
 def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     """Evaluate `connector_friction` for two contact points of a skin; the track may be 0."""
-    mu_n, slip, arm = floor.mu_n, floor.slip, floor.track
-    v_a, v_b = along - spin * arm, along + spin * arm
+    mu_n = floor.mu_n
+    slip = floor.slip
+    arm = floor.track
+    v_a = along - spin * arm
+    v_b = along + spin * arm
     mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
     mu_b = floor.mu_t if v_b >= 0.0 else floor.mu_back
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = law(v_a, across, 1.0, mu_a, mu_n, slip)
@@ -157,7 +166,8 @@ _CASES = tuple(
     for contacts in (_one_contact, _two_contacts, _two_loaded_contacts, _skin)
     for law in _LAWS
 )
-_COUNT, _COSINE = len(LAWS), LAWS.index("cosine")
+_COUNT = len(LAWS)
+_COSINE = LAWS.index("cosine")
 _SKIN = 3  # index of `_skin` in the above
 
 
@@ -190,9 +200,15 @@ def floor_friction(
         mu_back: see `FloorFriction`; None for wheels.
         unit: see `FloorFriction`.
     """
-    contacts = 0 if track == 0.0 else 1 if load_transfer == 0.0 else 2
+    if track == 0.0:
+        contacts = 0
+    elif load_transfer == 0.0:
+        contacts = 1
+    else:
+        contacts = 2
     if mu_back is not None or law == "cosine":
-        contacts, mu_back = _SKIN, mu_t if mu_back is None else mu_back
+        contacts = _SKIN
+        mu_back = mu_t if mu_back is None else mu_back
     case = LAWS.index(law) + len(LAWS) * contacts
     pull_x, pull_y, pull_z = gravity
     back = mu_t if mu_back is None else mu_back
@@ -284,12 +300,10 @@ def has_no_potential(floor):  # type: ignore[no-untyped-def]
 @kernel_only
 def slopes_of_force(tt, tn, nt, nn, c, s):  # type: ignore[no-untyped-def]
     """Return the slopes xx, xy, yx, yy of the force at a heading with the cosine c and the sine s."""
-    t_x, n_x, t_y, n_y = (
-        tt * c - tn * s,
-        nt * c - nn * s,
-        tt * s + tn * c,
-        nt * s + nn * c,
-    )
+    t_x = tt * c - tn * s
+    n_x = nt * c - nn * s
+    t_y = tt * s + tn * c
+    n_y = nt * s + nn * c
     return t_x * c - n_x * s, t_y * c - n_y * s, t_x * s + n_x * c, t_y * s + n_y * c
 
 
@@ -320,28 +334,42 @@ def floor_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyp
         with respect to the three velocities: xx, xy, xz, yy, yz, zz; the dissipated
             power, W.
     """
-    cosine, sine, spins = body[COS], body[SIN], body[SPIN]
-    place_x, place_y, rate_x, rate_y = body[X], body[Y], body[VX], body[VY]
+    cosine = body[COS]
+    sine = body[SIN]
+    spins = body[SPIN]
+    place_x = body[X]
+    place_y = body[Y]
+    rate_x = body[VX]
+    rate_y = body[VY]
     fx = fy = moment = power = 0.0
     xx = xy = xz = yy = yz = zz = 0.0
     for i in range(mass.shape[0]):
-        c, s, px, py = cosine[i], sine[i], place_x[i], place_y[i]
+        c = cosine[i]
+        s = sine[i]
+        px = place_x[i]
+        py = place_y[i]
         spin = yaw + spins[i]
-        vx, vy = forth - yaw * py + rate_x[i], aside + yaw * px + rate_y[i]
-        along, across = vx * c + vy * s, vy * c - vx * s
+        vx = forth - yaw * py + rate_x[i]
+        vy = aside + yaw * px + rate_y[i]
+        along = vx * c + vy * s
+        across = vy * c - vx * s
         t, n, m, tt, tn, tm, nn, nm, mm, _, _ = connector_friction(
             along, across, spin, mass[i] * floor.gravity, floor
         )
         # Derivatives of the velocities along and across by the yaw rate: the lever arms
         # of the forces.
-        t_arm, n_arm = px * s - py * c, px * c + py * s
+        t_arm = px * s - py * c
+        n_arm = px * c + py * s
         fx += t * c - n * s
         fy += t * s + n * c
         moment += t * t_arm + n * n_arm + m
         power -= t * along + n * across + m * spin
-        on_x_t, on_x_n = tt * c - tn * s, tn * c - nn * s
-        on_y_t, on_y_n = tt * s + tn * c, tn * s + nn * c
-        on_z_t, on_z_n = tt * t_arm + tn * n_arm + tm, tn * t_arm + nn * n_arm + nm
+        on_x_t = tt * c - tn * s
+        on_x_n = tn * c - nn * s
+        on_y_t = tt * s + tn * c
+        on_y_n = tn * s + nn * c
+        on_z_t = tt * t_arm + tn * n_arm + tm
+        on_z_n = tn * t_arm + nn * n_arm + nm
         on_z_m = tm * t_arm + nm * n_arm + mm
         xx += on_x_t * c - on_x_n * s
         xy += on_x_t * s + on_x_n * c
@@ -358,35 +386,38 @@ def _unsymmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[n
     fx = fy = moment = power = 0.0
     xx = xy = xz = yx = yy = yz = zx = zy = zz = 0.0
     for i in range(mass.shape[0]):
-        c, s, px, py, spin = (
-            body[COS, i],
-            body[SIN, i],
-            body[X, i],
-            body[Y, i],
-            yaw + body[SPIN, i],
-        )
-        vx, vy = forth - yaw * py + body[VX, i], aside + yaw * px + body[VY, i]
-        along, across = vx * c + vy * s, vy * c - vx * s
+        c = body[COS, i]
+        s = body[SIN, i]
+        px = body[X, i]
+        py = body[Y, i]
+        spin = yaw + body[SPIN, i]
+        vx = forth - yaw * py + body[VX, i]
+        vy = aside + yaw * px + body[VY, i]
+        along = vx * c + vy * s
+        across = vy * c - vx * s
         t, n, m, tt, tn, tm, nn, nm, mm, nt, mn = connector_friction(
             along, across, spin, mass[i] * floor.gravity, floor
         )
         d_xx, d_xy, d_yx, d_yy = slopes_of_force(tt, tn, nt, nn, c, s)
         # Derivatives by the spin alone, and of the moment by the velocity alone.
-        spin_x, spin_y = tm * c - nm * s, tm * s + nm * c
-        moment_x, moment_y = tm * c - mn * s, tm * s + mn * c
-        force_x, force_y = t * c - n * s, t * s + n * c
-        fx, fy, moment = (
-            fx + force_x,
-            fy + force_y,
-            moment + px * force_y - py * force_x + m,
-        )
+        spin_x = tm * c - nm * s
+        spin_y = tm * s + nm * c
+        moment_x = tm * c - mn * s
+        moment_y = tm * s + mn * c
+        force_x = t * c - n * s
+        force_y = t * s + n * c
+        fx = fx + force_x
+        fy = fy + force_y
+        moment = moment + px * force_y - py * force_x + m
         power -= t * along + n * across + m * spin
-        xx, xy, yx, yy = xx + d_xx, xy + d_xy, yx + d_yx, yy + d_yy
-        by_yaw_x, by_yaw_y = (
-            px * d_xy - py * d_xx + spin_x,
-            px * d_yy - py * d_yx + spin_y,
-        )
-        xz, yz = xz + by_yaw_x, yz + by_yaw_y
+        xx = xx + d_xx
+        xy = xy + d_xy
+        yx = yx + d_yx
+        yy = yy + d_yy
+        by_yaw_x = px * d_xy - py * d_xx + spin_x
+        by_yaw_y = px * d_yy - py * d_yx + spin_y
+        xz = xz + by_yaw_x
+        yz = yz + by_yaw_y
         zx += px * d_yx - py * d_xx + moment_x
         zy += px * d_yy - py * d_xy + moment_y
         zz += px * by_yaw_y - py * by_yaw_x + px * moment_y - py * moment_x + mm
@@ -404,7 +435,10 @@ def _symmetric_forces(body, mass, forth, aside, yaw, floor):  # type: ignore[no-
 
 def forces_and_slopes(body, mass, forth, aside, yaw, floor) -> Any:  # type: ignore[no-untyped-def]
     """Return the results of `floor_forces`, with the slopes yx, zx, zy of any law after the others."""
-    function = _unsymmetric_forces if has_no_potential(floor) else _symmetric_forces
+    if has_no_potential(floor):
+        function = _unsymmetric_forces
+    else:
+        function = _symmetric_forces
     return function(body, mass, forth, aside, yaw, floor)
 
 
@@ -412,7 +446,10 @@ def forces_and_slopes(body, mass, forth, aside, yaw, floor) -> Any:  # type: ign
 def _compile_forces_and_slopes(body, mass, forth, aside, yaw, floor):  # type: ignore[no-untyped-def]
     """Compile `forces_and_slopes` for the case of a floor's type, without a branch."""
     case = floor.types[floor.fields.index("case")].count
-    function = _unsymmetric_forces if case % _COUNT == _COSINE else _symmetric_forces
+    if case % _COUNT == _COSINE:
+        function = _unsymmetric_forces
+    else:
+        function = _symmetric_forces
     return lambda body, mass, forth, aside, yaw, floor: function(
         body, mass, forth, aside, yaw, floor
     )
@@ -431,14 +468,17 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force: out.
     """
     for i in range(mass.shape[0]):
-        c, s = body[COS, i], body[SIN, i]
-        vx, vy = (
-            u[0] - u[2] * body[Y, i] + body[VX, i],
-            u[1] + u[2] * body[X, i] + body[VY, i],
-        )
-        along, across, spin = vx * c + vy * s, vy * c - vx * s, u[2] + body[SPIN, i]
+        c = body[COS, i]
+        s = body[SIN, i]
+        vx = u[0] - u[2] * body[Y, i] + body[VX, i]
+        vy = u[1] + u[2] * body[X, i] + body[VY, i]
+        along = vx * c + vy * s
+        across = vy * c - vx * s
+        spin = u[2] + body[SPIN, i]
         terms = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        force[i, 0], force[i, 1], force[i, 2] = terms[0], terms[1], terms[2]
+        force[i, 0] = terms[0]
+        force[i, 1] = terms[1]
+        force[i, 2] = terms[2]
 
 
 # Ratio of speed to slip speed at which a law has reached its full force within 1e-4,
@@ -494,7 +534,9 @@ def slide(
 @compiled
 def _fill_positions(along, across, times, floor, position):  # type: ignore[no-untyped-def]
     """Integrate the coasting motion and fill its positions at `times`, shape (times, 2), m."""
-    x, y, now = 0.0, 0.0, 0.0
+    x = 0.0
+    y = 0.0
+    now = 0.0
     for k in range(times.shape[0]):
         steps = int(np.ceil((times[k] - now) / _COASTING_STEP))
         for _ in range(steps):
@@ -505,12 +547,11 @@ def _fill_positions(along, across, times, floor, position):  # type: ignore[no-u
             )
             x += _distance(along, a_t, h)
             y += _distance(across, a_n, h)
-            along, across = (
-                _stop_at_zero(along, h * a_t),
-                _stop_at_zero(across, h * a_n),
-            )
+            along = _stop_at_zero(along, h * a_t)
+            across = _stop_at_zero(across, h * a_n)
         now = times[k]
-        position[k, 0], position[k, 1] = x, y
+        position[k, 0] = x
+        position[k, 1] = y
 
 
 @kernel_only
@@ -524,13 +565,17 @@ def _deceleration(along, across, floor):  # type: ignore[no-untyped-def]
 def _stop_at_zero(speed, change):  # type: ignore[no-untyped-def]
     """Return a velocity after a change, or 0 if the change would reverse it."""
     after = speed + change
-    return after if after * speed > 0.0 else 0.0
+    if after * speed > 0.0:
+        return after
+    return 0.0
 
 
 @kernel_only
 def _mean_velocity(speed, change):  # type: ignore[no-untyped-def]
     """Return the mean velocity during a step, or during the part of it before the body stops."""
-    return speed + change / 2 if (speed + change) * speed > 0.0 else speed / 2
+    if (speed + change) * speed > 0.0:
+        return speed + change / 2
+    return speed / 2
 
 
 @kernel_only

@@ -140,7 +140,9 @@ def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion)
     for j in range(n - 1):
         alpha += (n - 1 - j) / n * acceleration[j]
     x = y = 0.0
-    motion[0, 0], motion[0, 1], motion[0, 2] = x, y, alpha
+    motion[0, 0] = x
+    motion[0, 1] = y
+    motion[0, 2] = alpha
     for j in range(n - 1):
         # The direction of a chord is half a bend from the heading of either end.
         half_c, half_s, span, slope, curvature = chord_terms(q[j], solid, j)
@@ -153,14 +155,16 @@ def _fill_accelerations(body, q, rate, acceleration, yaw, solid, chords, motion)
             - span * chord_spin * chord_spin
         )
         across = span * (alpha - acceleration[j] / 2) + 2 * slope * rate[j] * chord_spin
-        x, y, alpha = (
-            x - along * c + across * s,
-            y - along * s - across * c,
-            alpha - acceleration[j],
-        )
-        motion[j + 1, 0], motion[j + 1, 1], motion[j + 1, 2] = x, y, alpha
-        chords[j, _SLOPE], chords[j, _SLOPE + 1] = slope * c, slope * s
-        chords[j, _SPAN], chords[j, _SPAN + 1] = span * c, span * s
+        x = x - along * c + across * s
+        y = y - along * s - across * c
+        alpha = alpha - acceleration[j]
+        motion[j + 1, 0] = x
+        motion[j + 1, 1] = y
+        motion[j + 1, 2] = alpha
+        chords[j, _SLOPE] = slope * c
+        chords[j, _SLOPE + 1] = slope * s
+        chords[j, _SPAN] = span * c
+        chords[j, _SPAN + 1] = span * s
 
 
 @kernel_only
@@ -180,22 +184,32 @@ def _balance_loads(body, inertia, solid, friction_moment, friction, load):  # ty
         Moment of the loads about the centre of mass, N·m; 0 if the friction moment
         acts.
     """
-    mass, n = solid.mass, solid.mass.shape[0]
-    weight, fx, fy, moment, total_friction_moment = 0.0, 0.0, 0.0, 0.0, 0.0
+    mass = solid.mass
+    n = solid.mass.shape[0]
+    weight = 0.0
+    fx = 0.0
+    fy = 0.0
+    moment = 0.0
+    total_friction_moment = 0.0
     for i in range(n):
-        c, s, x, y = body[COS, i], body[SIN, i], body[X, i], body[Y, i]
-        floor_x, floor_y = (
-            friction[i, 0] * c - friction[i, 1] * s,
-            friction[i, 0] * s + friction[i, 1] * c,
-        )
+        c = body[COS, i]
+        s = body[SIN, i]
+        x = body[X, i]
+        y = body[Y, i]
+        floor_x = friction[i, 0] * c - friction[i, 1] * s
+        floor_y = friction[i, 0] * s + friction[i, 1] * c
         load[i, 0] = mass[i] * load[i, 0] - floor_x
         load[i, 1] = mass[i] * load[i, 1] - floor_y
         load[i, 2] = solid.inertia[i] * load[i, 2] - friction[i, 2]
-        weight, fx, fy = weight + mass[i], fx + load[i, 0], fy + load[i, 1]
+        weight = weight + mass[i]
+        fx = fx + load[i, 0]
+        fy = fy + load[i, 1]
         moment += x * load[i, 1] - y * load[i, 0] + load[i, 2]
         total_friction_moment += x * floor_y - y * floor_x + friction[i, 2]
     remainder = 0.0 if friction_moment else -total_friction_moment
-    ax, ay, alpha = -fx / weight, -fy / weight, (remainder - moment) / inertia
+    ax = -fx / weight
+    ay = -fy / weight
+    alpha = (remainder - moment) / inertia
     for i in range(n):
         load[i, 0] += mass[i] * (ax - alpha * body[Y, i])
         load[i, 1] += mass[i] * (ay + alpha * body[X, i])
@@ -217,11 +231,9 @@ def _sum_moments(chords, load, remainder, torque):  # type: ignore[no-untyped-de
     n = load.shape[0]
     fx = fy = moment = 0.0
     for j in range(n - 2, -1, -1):
-        fx, fy, moment = (
-            fx + load[j + 1, 0],
-            fy + load[j + 1, 1],
-            moment + load[j + 1, 2],
-        )
+        fx = fx + load[j + 1, 0]
+        fy = fy + load[j + 1, 1]
+        moment = moment + load[j + 1, 2]
         arm = chords[j, _SPAN] * fy - chords[j, _SPAN + 1] * fx
         lengthening = chords[j, _SLOPE] * fx + chords[j, _SLOPE + 1] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -273,7 +285,8 @@ def _solve3(a, b, c, p, q, r):  # type: ignore[no-untyped-def]
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
     """Return cosine and sine of an angle plus an increment; small increments use a series."""
     if abs(angle) > 0.1:  # rad; up to it the neglected terms are below 1e-17
-        dc, ds = math.cos(angle), math.sin(angle)
+        dc = math.cos(angle)
+        ds = math.sin(angle)
     else:
         p = angle * angle
         dc = 1 - p / 2 * (1 - p / 12 * (1 - p / 30 * (1 - p / 56)))
@@ -310,32 +323,30 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
         Whether Newton's method converged.
     """
     solid, floor, friction_moment = model
-    weight, acts = solid.weight, 1.0 if friction_moment else 0.0
+    weight = solid.weight
+    acts = 1.0 if friction_moment else 0.0
     inertia, moment = pose_body(q, rate, solid, body)
-    known_x, known_y = (
-        known[STATE_VX] + a * floor.pull_x,
-        known[STATE_VY] + a * floor.pull_y,
-    )
+    known_x = known[STATE_VX] + a * floor.pull_x
+    known_y = known[STATE_VY] + a * floor.pull_y
     known_moment = known[MOMENT]
-    x, y, z = u[0], u[1], u[2]
+    x = u[0]
+    y = u[1]
+    z = u[2]
     step_x = step_y = step_z = 0.0
     step_share = 0.0  # fraction of the latest Newton step that has been made
     slope_before = 0.0  # slope of the potential along that step at its start
     converged = False
     power = 0.0
     c, s = _rotate(heading[0], heading[1], heading[2] + a * z)
-    tolerance, arm = (
-        _NEWTON_TOLERANCE * floor.unit,
-        _NEWTON_ARM * floor.unit * floor.unit,
-    )
+    tolerance = _NEWTON_TOLERANCE * floor.unit
+    arm = _NEWTON_ARM * floor.unit * floor.unit
     for _ in range(_NEWTON_STEPS):
-        bx, by = known_x * c + known_y * s, known_y * c - known_x * s
+        bx = known_x * c + known_y * s
+        by = known_y * c - known_x * s
         force, slope, power = forces_and_slopes(body, solid.mass, x, y, z, floor)
         power += (1 - acts) * force[2] * z
-        residual_x, residual_y = (
-            weight * (x - bx) - a * force[0],
-            weight * (y - by) - a * force[1],
-        )
+        residual_x = weight * (x - bx) - a * force[0]
+        residual_y = weight * (y - by) - a * force[1]
         residual_z = inertia * z + moment - known_moment - a * acts * force[2]
         slope_after = residual_x * step_x + residual_y * step_y + residual_z * step_z
         if slope_after < -_OVERSHOOT * slope_before:
@@ -344,11 +355,9 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
             back = step_share * min(
                 max(slope_before / (slope_before - slope_after), 0.1), 0.7
             )
-            x, y, z = (
-                x + (step_share - back) * step_x,
-                y + (step_share - back) * step_y,
-                z + (step_share - back) * step_z,
-            )
+            x = x + (step_share - back) * step_x
+            y = y + (step_share - back) * step_y
+            z = z + (step_share - back) * step_z
             c, s = _rotate(c, s, a * (step_share - back) * step_z)
             step_share = back
             continue
@@ -361,18 +370,22 @@ def _stage(known, a, q, rate, heading, model, u, k, body):  # type: ignore[no-un
             residual_y,
             residual_z,
         )
-        step_share, slope_before = (
-            1.0,
-            residual_x * step_x + residual_y * step_y + residual_z * step_z,
-        )
-        x, y, z = x - step_x, y - step_y, z - step_z
+        step_share = 1.0
+        slope_before = residual_x * step_x + residual_y * step_y + residual_z * step_z
+        x = x - step_x
+        y = y - step_y
+        z = z - step_z
         c, s = _rotate(c, s, -a * step_z)
         if abs(step_x) + abs(step_y) + arm * abs(step_z) < tolerance:
             converged = True
             break
-    u[0], u[1], u[2] = x, y, z
+    u[0] = x
+    u[1] = y
+    u[2] = z
     # The equation of the stage gives f(Y) without a further evaluation.
-    k[STATE_X], k[STATE_Y], k[HEADING] = x * c - y * s, x * s + y * c, z
+    k[STATE_X] = x * c - y * s
+    k[STATE_Y] = x * s + y * c
+    k[HEADING] = z
     k[STATE_VX], k[STATE_VY] = (
         (k[STATE_X] - known[STATE_VX]) / a,
         (k[STATE_Y] - known[STATE_VY]) / a,
@@ -404,14 +417,20 @@ def step(state, h, bends, rates, model, u, drift, k, after, body):  # type: igno
     Returns:
         Whether both stages converged.
     """
-    a, between, solved, turned = GAMMA * h, (1 - GAMMA) * h, True, 0.0
-    c, s = math.cos(state[HEADING]), math.sin(state[HEADING])
+    a = GAMMA * h
+    between = (1 - GAMMA) * h
+    solved = True
+    turned = 0.0
+    c = math.cos(state[HEADING])
+    s = math.sin(state[HEADING])
     copy(state, after)
     for stage in range(2):
         # Linear extrapolation of the velocities between stages saves half of the Newton
         # iterations.
         lead, rest = (a, between) if stage == 0 else (between, a)
-        x, y, z = u[0], u[1], u[2]
+        x = u[0]
+        y = u[1]
+        z = u[2]
         for j in range(3):
             u[j] += drift[j] * lead
         rate = k[stage]
@@ -420,11 +439,9 @@ def step(state, h, bends, rates, model, u, drift, k, after, body):  # type: igno
         )
         for j in range(STATES):
             after[j] += rest * rate[j]
-        drift[0], drift[1], drift[2] = (
-            (u[0] - x) / lead,
-            (u[1] - y) / lead,
-            (u[2] - z) / lead,
-        )
+        drift[0] = (u[0] - x) / lead
+        drift[1] = (u[1] - y) / lead
+        drift[2] = (u[2] - z) / lead
         turned = between * rate[HEADING]
     return solved
 
@@ -462,7 +479,8 @@ def observe(
         solid: the body.
         floor: the floor.
     """
-    count, n = len(states), len(solid.mass)
+    count = len(states)
+    n = len(solid.mass)
     out = Observation(
         *map(np.zeros, [(count, n, 2), (count, n), (count, n, 2), (count,)])
     )
@@ -485,13 +503,17 @@ def observe(
 def _observe(states, velocities, bends, solid, floor, out, work):  # type: ignore[no-untyped-def]
     """Fill the observable quantities, see `observe`."""
     (angles, rates), (body, friction), n = bends, work, solid.mass.shape[0]
-    position, theta, force, energy = out.position, out.theta, out.force, out.energy
+    position = out.position
+    theta = out.theta
+    force = out.force
+    energy = out.energy
     for k in range(states.shape[0]):
         u = velocities[k]
         pose_body(angles[k], rates[k], solid, body)
         fill_forces(body, solid.mass, u, floor, friction)
         heading = states[k, HEADING]
-        c, s = math.cos(heading), math.sin(heading)
+        c = math.cos(heading)
+        s = math.sin(heading)
         angle = heading
         for j in range(n - 1):
             angle += (n - 1 - j) / n * angles[k, j]
@@ -499,13 +521,16 @@ def _observe(states, velocities, bends, solid, floor, out, work):  # type: ignor
         for i in range(n):
             angle -= angles[k, i - 1] if i > 0 else 0.0
             theta[k, i] = angle
-            x, y = body[X, i], body[Y, i]
+            x = body[X, i]
+            y = body[Y, i]
             position[k, i, 0] = states[k, STATE_X] + c * x - s * y
             position[k, i, 1] = states[k, STATE_Y] + s * x + c * y
-            along_c, along_s = math.cos(angle), math.sin(angle)
+            along_c = math.cos(angle)
+            along_s = math.sin(angle)
             force[k, i, 0] = friction[i, 0] * along_c - friction[i, 1] * along_s
             force[k, i, 1] = friction[i, 0] * along_s + friction[i, 1] * along_c
-            vx, vy = u[0] - u[2] * y + body[VX, i], u[1] + u[2] * x + body[VY, i]
+            vx = u[0] - u[2] * y + body[VX, i]
+            vy = u[1] + u[2] * x + body[VY, i]
             spin = u[2] + body[SPIN, i]
             energy[k] += (
                 solid.mass[i] * (vx * vx + vy * vy) + solid.inertia[i] * spin * spin

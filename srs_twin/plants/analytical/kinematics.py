@@ -82,7 +82,8 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
         solid: the body.
         j: segment, from 0 at the head.
     """
-    half_turn, length = _half_turn(q), solid.length[j]
+    half_turn = _half_turn(q)
+    length = solid.length[j]
     span, slope, curvature = _spans(half_turn, length, solid.gap)
     varying = 1.0 - solid.frozen
     return (
@@ -106,54 +107,60 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     """
     mass = solid.mass
     n = mass.shape[0]
-    cosine, sine, chord, chord_rate = out[COS], out[SIN], out[X], out[VX]
+    cosine = out[COS]
+    sine = out[SIN]
+    chord = out[X]
+    chord_rate = out[VX]
     lead = lead_rate = 0.0  # heading of the head relative to the mean heading
     for j in range(n - 1):
         # Terms of single segments first, so that the loop can be vectorised; `out`
         # serves as a buffer.
         half_c, half_s, span, slope, _ = chord_terms(q[j], solid, j)
-        cosine[j + 1], sine[j + 1], chord[j + 1], chord_rate[j + 1] = (
-            half_c,
-            half_s,
-            span,
-            slope * rate[j],
-        )
+        cosine[j + 1] = half_c
+        sine[j + 1] = half_s
+        chord[j + 1] = span
+        chord_rate[j + 1] = slope * rate[j]
         share = (n - 1 - j) / n
         lead += share * q[j]
         lead_rate += share * rate[j]
     # From the head to the tail, in the frame of the head.
-    c, s, spin = 1.0, 0.0, 0.0
+    c = 1.0
+    s = 0.0
+    spin = 0.0
     x = y = vx = vy = 0.0
     total = cx = cy = cvx = cvy = 0.0
     for i in range(n):
         if i > 0:
             # The direction of a chord is half a bend from the heading of either end.
-            half_c, half_s, span, span_rate = (
-                cosine[i],
-                sine[i],
-                chord[i],
-                chord_rate[i],
-            )
+            half_c = cosine[i]
+            half_s = sine[i]
+            span = chord[i]
+            span_rate = chord_rate[i]
             chord_spin = spin - rate[i - 1] / 2
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
-            x, y = x - span * c, y - span * s
-            vx, vy = (
-                vx - span_rate * c + span * chord_spin * s,
-                vy - span_rate * s - span * chord_spin * c,
-            )
+            x = x - span * c
+            y = y - span * s
+            vx = vx - span_rate * c + span * chord_spin * s
+            vy = vy - span_rate * s - span * chord_spin * c
             c, s = c * half_c + s * half_s, s * half_c - c * half_s
             spin -= rate[i - 1]
-        out[COS, i], out[SIN, i], out[SPIN, i] = c, s, spin
-        out[X, i], out[Y, i], out[VX, i], out[VY, i] = x, y, vx, vy
+        out[COS, i] = c
+        out[SIN, i] = s
+        out[SPIN, i] = spin
+        out[X, i] = x
+        out[Y, i] = y
+        out[VX, i] = vx
+        out[VY, i] = vy
         m = mass[i]
-        total, cx, cy, cvx, cvy = (
-            total + m,
-            cx + m * x,
-            cy + m * y,
-            cvx + m * vx,
-            cvy + m * vy,
-        )
-    cx, cy, cvx, cvy = cx / total, cy / total, cvx / total, cvy / total
+        total = total + m
+        cx = cx + m * x
+        cy = cy + m * y
+        cvx = cvx + m * vx
+        cvy = cvy + m * vy
+    cx = cx / total
+    cy = cy / total
+    cvx = cvx / total
+    cvy = cvy / total
     return _transform_to_mean(out, solid, (cx, cy, cvx, cvy), lead, lead_rate)
 
 
@@ -172,9 +179,15 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     Returns:
         I and h, see `pose_body`.
     """
-    mass, connector_inertia = solid.mass, solid.inertia
-    cosine, sine, spinning = out[COS], out[SIN], out[SPIN]
-    place_x, place_y, rate_x, rate_y = out[X], out[Y], out[VX], out[VY]
+    mass = solid.mass
+    connector_inertia = solid.inertia
+    cosine = out[COS]
+    sine = out[SIN]
+    spinning = out[SPIN]
+    place_x = out[X]
+    place_y = out[Y]
+    rate_x = out[VX]
+    rate_y = out[VY]
     cx, cy, cvx, cvy = centre
     a, b = (
         math.cos(lead),
@@ -182,12 +195,20 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     )  # may exceed a full turn in a long coil: no series expansion
     inertia = moment = 0.0
     for i in range(mass.shape[0]):
-        c, s, spin = cosine[i], sine[i], spinning[i] + lead_rate
-        x, y = place_x[i] - cx, place_y[i] - cy
-        vx, vy = rate_x[i] - cvx - lead_rate * y, rate_y[i] - cvy + lead_rate * x
-        cosine[i], sine[i], spinning[i] = a * c - b * s, b * c + a * s, spin
-        place_x[i], place_y[i] = a * x - b * y, b * x + a * y
-        rate_x[i], rate_y[i] = a * vx - b * vy, b * vx + a * vy
+        c = cosine[i]
+        s = sine[i]
+        spin = spinning[i] + lead_rate
+        x = place_x[i] - cx
+        y = place_y[i] - cy
+        vx = rate_x[i] - cvx - lead_rate * y
+        vy = rate_y[i] - cvy + lead_rate * x
+        cosine[i] = a * c - b * s
+        sine[i] = b * c + a * s
+        spinning[i] = spin
+        place_x[i] = a * x - b * y
+        place_y[i] = b * x + a * y
+        rate_x[i] = a * vx - b * vy
+        rate_y[i] = b * vx + a * vy
         inertia += mass[i] * (x * x + y * y) + connector_inertia[i]
         moment += mass[i] * (x * vy - y * vx) + connector_inertia[i] * spin
     return inertia, moment

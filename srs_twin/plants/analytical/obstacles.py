@@ -132,18 +132,22 @@ def _shapes(world: World) -> Iterator[tuple[float, ...]]:
 @compiled_if(is_given)
 def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
     """List the obstacles within `reach` (m) of the centre of mass, before a step."""
-    shape, near = obstacles.shape, obstacles.near
+    shape = obstacles.shape
+    near = obstacles.near
     near[0] = 0
     for k in range(shape.shape[0]):
-        ax, ay = shape[k, 0] - state[0], shape[k, 1] - state[1]
-        bx, by = shape[k, 2] - shape[k, 0], shape[k, 3] - shape[k, 1]
+        ax = shape[k, 0] - state[0]
+        ay = shape[k, 1] - state[1]
+        bx = shape[k, 2] - shape[k, 0]
+        by = shape[k, 3] - shape[k, 1]
         size = bx * bx + by * by
-        along = min(max(-(ax * bx + ay * by) / size, 0.0), 1.0) if size > 0.0 else 0.0
-        x, y, limit = (
-            ax + along * bx,
-            ay + along * by,
-            reach + shape[k, 4] + obstacles.half_width,
-        )
+        if size > 0.0:
+            along = min(max(-(ax * bx + ay * by) / size, 0.0), 1.0)
+        else:
+            along = 0.0
+        x = ax + along * bx
+        y = ay + along * by
+        limit = reach + shape[k, 4] + obstacles.half_width
         if x * x + y * y < limit * limit:
             near[0] += 1
             near[near[0]] = k
@@ -153,13 +157,13 @@ def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
 def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
     """Store the pose at the end of a stage with the known part `known` and the velocities u."""
     heading = known[2] + a * u[2]
-    c, s = math.cos(heading), math.sin(heading)
+    c = math.cos(heading)
+    s = math.sin(heading)
     pose = obstacles.pose
-    pose[0], pose[1] = (
-        known[0] + a * (u[0] * c - u[1] * s),
-        known[1] + a * (u[0] * s + u[1] * c),
-    )
-    pose[2], pose[3] = c, s
+    pose[0] = known[0] + a * (u[0] * c - u[1] * s)
+    pose[1] = known[1] + a * (u[0] * s + u[1] * c)
+    pose[2] = c
+    pose[3] = s
 
 
 @kernel_only
@@ -175,8 +179,10 @@ def _closest(px, py, ux, uy, lowest, highest, ax, ay, bx, by):  # type: ignore[n
     Returns:
         Place along the heading (m), and along the obstacle from 0 to 1.
     """
-    size, mixed = bx * bx + by * by, ux * bx + uy * by
-    dx, dy = ax - px, ay - py
+    size = bx * bx + by * by
+    mixed = ux * bx + uy * by
+    dx = ax - px
+    dy = ay - py
     if size == 0.0:
         return min(max(dx * ux + dy * uy, lowest), highest), 0.0
     # Perpendicular distance between the lines squared, which is 0 for parallel ones.
@@ -207,14 +213,17 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
         heading, and the power that the contacts take from the body, W.
     """
     o = obstacles
-    cos, sin = o.pose[2], o.pose[3]
+    cos = o.pose[2]
+    sin = o.pose[3]
     fx = fy = moment = power = 0.0
     for i in range(o.force.shape[0]):
         o.force[i, 0] = o.force[i, 1] = 0.0
     for index in range(1, o.near[0] + 1):
         shape = o.shape[o.near[index]]
-        ax, ay = shape[0] - o.pose[0], shape[1] - o.pose[1]
-        bx, by = shape[2] - shape[0], shape[3] - shape[1]
+        ax = shape[0] - o.pose[0]
+        ay = shape[1] - o.pose[1]
+        bx = shape[2] - shape[0]
+        by = shape[3] - shape[1]
         ax, ay, bx, by = (
             ax * cos + ay * sin,
             ay * cos - ax * sin,
@@ -224,11 +233,15 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
         contact_distance = shape[4] + o.half_width
         for i in range(o.force.shape[0]):
             o.normal[o.near[index], i] = 0.0
-            x, y, c, s = body[X, i], body[Y, i], body[COS, i], body[SIN, i]
+            x = body[X, i]
+            y = body[Y, i]
+            c = body[COS, i]
+            s = body[SIN, i]
             place, along = _closest(
                 x, y, c, s, -o.stretch[i, 1], o.stretch[i, 0], ax, ay, bx, by
             )
-            nx, ny = x + place * c - ax - along * bx, y + place * s - ay - along * by
+            nx = x + place * c - ax - along * bx
+            ny = y + place * s - ay - along * by
             square = nx * nx + ny * ny
             load = o.load[o.near[index], i]
             if square == 0.0 or (
@@ -236,29 +249,34 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
             ):
                 continue
             distance = math.sqrt(square)
-            nx, ny = nx / distance, ny / distance
+            nx = nx / distance
+            ny = ny / distance
             overlap = max(contact_distance - distance, 0.0)
             # Lever arm of the contact on the surface of the body about the point.
-            lx, ly = place * c - o.half_width * nx, place * s - o.half_width * ny
+            lx = place * c - o.half_width * nx
+            ly = place * s - o.half_width * ny
             spin = u[2] + body[SPIN, i]
             vx = u[0] + body[VX, i] - u[2] * y - spin * ly
             vy = u[1] + body[VY, i] + u[2] * x + spin * lx
-            v_n, v_t = vx * nx + vy * ny, vy * nx - vx * ny
+            v_n = vx * nx + vy * ny
+            v_t = vy * nx - vx * ny
             soft = max(1 - o.loss * v_n, 0.0)
-            normal, n_n = o.stiffness * overlap * soft, 0.0
+            normal = o.stiffness * overlap * soft
+            n_n = 0.0
             if normal > 0.0:
                 n_n = -o.stiffness * (a * soft + o.loss * overlap)
-            r, grip = 1 / math.sqrt(v_t * v_t + o.slip * o.slip), o.friction * load
-            tangential, t_t = -grip * v_t * r, -grip * r * (o.slip * r) ** 2
+            r = 1 / math.sqrt(v_t * v_t + o.slip * o.slip)
+            grip = o.friction * load
+            tangential = -grip * v_t * r
+            t_t = -grip * r * (o.slip * r) ** 2
             o.normal[o.near[index], i] = normal
             _add_load(loads[i], nx, ny, lx, ly, a, normal, tangential, n_n, t_t)
-            force_x, force_y = (
-                normal * nx - tangential * ny,
-                normal * ny + tangential * nx,
-            )
+            force_x = normal * nx - tangential * ny
+            force_y = normal * ny + tangential * nx
             o.force[i, 0] += force_x * cos - force_y * sin
             o.force[i, 1] += force_x * sin + force_y * cos
-            fx, fy = fx + force_x, fy + force_y
+            fx = fx + force_x
+            fy = fy + force_y
             moment += (x + lx) * force_y - (y + ly) * force_x
             power -= normal * v_n + tangential * v_t
     return fx, fy, moment, power
@@ -267,24 +285,21 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
 @kernel_only
 def _add_load(load, nx, ny, lx, ly, a, normal, tangential, n_n, t_t):  # type: ignore[no-untyped-def]
     """Add a contact with the normal (nx, ny) and the lever arm (lx, ly) to the load of a point."""
-    n_m, t_m = lx * ny - ly * nx, lx * nx + ly * ny
+    n_m = lx * ny - ly * nx
+    t_m = lx * nx + ly * ny
     load[3] += normal * nx - tangential * ny
     load[4] += normal * ny + tangential * nx
     load[5] += normal * n_m + tangential * t_m
     # Derivatives of normal and tangential force by the velocity (x, y) and the spin.
-    n_x, n_y, n_s, t_x, t_y, t_s = (
-        n_n * nx,
-        n_n * ny,
-        n_n * n_m,
-        -t_t * ny,
-        t_t * nx,
-        t_t * t_m,
-    )
-    xy, xm, ym = (
-        a * (n_y * nx - t_y * ny),
-        a * (n_s * nx - t_s * ny),
-        a * (n_s * ny + t_s * nx),
-    )
+    n_x = n_n * nx
+    n_y = n_n * ny
+    n_s = n_n * n_m
+    t_x = -t_t * ny
+    t_y = t_t * nx
+    t_s = t_t * t_m
+    xy = a * (n_y * nx - t_y * ny)
+    xm = a * (n_s * nx - t_s * ny)
+    ym = a * (n_s * ny + t_s * nx)
     load[6] -= a * (n_x * nx - t_x * ny)
     load[9] -= a * (n_y * ny + t_y * nx)
     load[11] -= a * (n_s * n_m + t_s * t_m)
@@ -296,7 +311,8 @@ def _add_load(load, nx, ny, lx, ly, a, normal, tangential, n_n, t_t):  # type: i
 @compiled_if(is_given, otherwise=False)
 def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
     """Set the loads of friction to the latest normal forces; return whether one changed by `scale` (N)."""
-    o, changed = obstacles, False
+    o = obstacles
+    changed = False
     for index in range(1, o.near[0] + 1):
         for i in range(o.force.shape[0]):
             k = o.near[index]
@@ -326,10 +342,8 @@ def fill_rates(obstacles, model, free, q, rates, k):  # type: ignore[no-untyped-
     count = obstacles.force.shape[0]
     first = k.shape[0] - 1 - 2 * count
     for i in range(count):
-        k[first + 2 * i], k[first + 2 * i + 1] = (
-            obstacles.force[i, 0],
-            obstacles.force[i, 1],
-        )
+        k[first + 2 * i] = obstacles.force[i, 0]
+        k[first + 2 * i + 1] = obstacles.force[i, 1]
     k[k.shape[0] - 1] = 1.0
     cells = q.shape[0] // model.segments
     power = 0.0

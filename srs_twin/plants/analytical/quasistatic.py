@@ -75,7 +75,10 @@ def make_constants(
     Raises:
         InputError: the friction law has no potential, or segments lengthen.
     """
-    g, bending, mu, skin = spec.geometry, spec.bending, spec.friction, spec.skin
+    g = spec.geometry
+    bending = spec.bending
+    mu = spec.friction
+    skin = spec.skin
     assert skin is not None and spec.mass.segments is not None, (
         "spatial robots have a skin"
     )
@@ -90,7 +93,8 @@ def make_constants(
             " actuator.extension"
         )
     place = (np.arange(skin.points) + 0.5) / skin.points * g.pitch
-    half_gap, radius = g.rigid_gap / 2, g.com_height
+    half_gap = g.rigid_gap / 2
+    radius = g.com_height
     stiffness = np.array(
         [bending.stiffness, bending.pitch_stiffness, bending.roll_stiffness]
     )
@@ -123,7 +127,8 @@ class QuasistaticArcs(Body):
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
         """Set the constants; arguments and errors as in `make_constants`."""
-        self._spec, self._constants = spec, make_constants(spec, slip_speed, base)
+        self._spec = spec
+        self._constants = make_constants(spec, slip_speed, base)
         points = len(self._constants.mass)
         self._work = kinematics.work_arrays(spec.segments, points // spec.segments)
         self._impulses = slice(
@@ -142,7 +147,8 @@ class QuasistaticArcs(Body):
     def reset(self, pose: Pose) -> None:
         """See `Body.reset`; with the rest bends of the modules."""
         self.state, self.velocity = map(np.zeros, self._shapes)
-        constants, segments = self._constants, self._spec.segments
+        constants = self._constants
+        segments = self._spec.segments
         bends = self.state[kinematics.BENDS :][: 3 * segments].reshape(segments, 3)
         bends[:, 0] = self._spec.modules.array("bias")
         self.state[self._impulses.stop :] = constants.mass * GRAVITY * constants.free
@@ -164,7 +170,8 @@ class QuasistaticArcs(Body):
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
         """See `Body.move`."""
-        samples, now = self._allocate(len(sample_steps)), (self.state, self.velocity)
+        samples = self._allocate(len(sample_steps))
+        now = (self.state, self.velocity)
         free = np.ascontiguousarray(trace.bend[::2])
         done: int = advance(
             now, steps, free, sample_steps, self._constants, self._work, samples
@@ -180,7 +187,8 @@ class QuasistaticArcs(Body):
             ..., :2
         ]
         rate = velocities[:, 6:].reshape(shape)[..., :2]
-        stiffness, damping = self._constants.stiffness[:2], self._constants.damping[:2]
+        stiffness = self._constants.stiffness[:2]
+        damping = self._constants.damping[:2]
         torque = stiffness * (trace.bend - bend) + damping * (trace.bend_rate - rate)
         return Motion(states, velocities, bend, rate, torque)
 
@@ -195,27 +203,26 @@ class QuasistaticArcs(Body):
             trace: trace of the chambers.
             sensed: readings of the bends.
         """
-        count, n = len(time), self._spec.geometry.connectors
-        com, velocity = np.empty((count, 3)), np.empty((count, 3))
-        position, frame, theta = (
-            np.empty((count, n, 3)),
-            np.empty((count, n, 3, 3)),
-            np.empty((count, n)),
-        )
+        count = len(time)
+        n = self._spec.geometry.connectors
+        com = np.empty((count, 3))
+        velocity = np.empty((count, 3))
+        position = np.empty((count, n, 3))
+        frame = np.empty((count, n, 3, 3))
+        theta = np.empty((count, n))
         for k, state in enumerate(motion.states):
             self._pose(state)
-            position[k], frame[k], theta[k] = (
-                self._work.position,
-                self._work.frame,
-                self._headings(),
-            )
+            position[k] = self._work.position
+            frame[k] = self._work.frame
+            theta[k] = self._headings()
             com[k] = self._com()
             velocity[k] = self._mean(self._work.motion[:, :3] @ motion.velocities[k])
         theta = np.unwrap(np.concatenate([self._theta[None], theta]), axis=0)[1:]
         exchanged = self._exchanged(motion.states)
         interval = np.diff(exchanged, axis=0, prepend=self._sampled[None])
         if count:
-            self._theta, self._sampled = theta[-1].copy(), exchanged[-1]
+            self._theta = theta[-1].copy()
+            self._sampled = exchanged[-1]
         impulse = interval[:, :-1].reshape(count, len(self._constants.mass), 3)
         impulse /= np.maximum(interval[:, -1:, None], 1e-12)
         force = np.einsum("ik,skc->sic", self._weights, impulse)
@@ -247,7 +254,8 @@ class QuasistaticArcs(Body):
         kinematics.pose(state, self._constants, self._work)
 
     def _turn_head(self, heading: float) -> None:
-        c, s = math.cos(heading), math.sin(heading)
+        c = math.cos(heading)
+        s = math.sin(heading)
         self.state[kinematics.ROTATION :][:9] = c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0
 
     def _headings(self) -> np.ndarray:

@@ -48,23 +48,29 @@ _ellipse = compiled(friction.ellipse)
 @compiled
 def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
     """Fill the part of the residual that is linear in the velocities: springs, dampers, weight and drag."""
-    segments, count = work.bend.shape[0], body.share.shape[0]
-    linear, at_rest = work.linear, work.at_rest
+    segments = work.bend.shape[0]
+    count = body.share.shape[0]
+    linear = work.linear
+    at_rest = work.at_rest
     for i in range(at_rest.shape[0]):
         at_rest[i] = 0.0
         for k in range(at_rest.shape[0]):
             linear[i, k] = 0.0
     for p in range(work.point.shape[0]):
-        rows, mass, used = work.rows[p], body.mass[p], 9 + 3 * (p // count)
+        rows = work.rows[p]
+        mass = body.mass[p]
+        used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):
-            z, q = drag * rows[UP, i], drag * rows[ROLL, i]
+            z = drag * rows[UP, i]
+            q = drag * rows[ROLL, i]
             at_rest[i] += mass * GRAVITY * rows[UP, i]
             for k in range(used):
                 linear[i, k] += z * rows[UP, k] + q * rows[ROLL, k]
     for j in range(segments):
         for i in range(3):
-            row, stiffness = 6 + 3 * j + i, body.stiffness[i]
+            row = 6 + 3 * j + i
+            stiffness = body.stiffness[i]
             at_rest[row] += stiffness * (state[BENDS + 3 * j + i] - work.bend[j, i])
             at_rest[row] -= body.damping[i] * work.bend_rate[j, i]
             linear[row, row] += h * stiffness + body.damping[i]
@@ -73,9 +79,11 @@ def _begin_step(state, body, work, h):  # type: ignore[no-untyped-def]
 @compiled
 def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[no-untyped-def]
     """Fill the residual of a step of length h (s) and, if asked, Newton's matrix; `slip` in m/s."""
-    count, size = body.share.shape[0], velocity.shape[0]
+    count = body.share.shape[0]
+    size = velocity.shape[0]
     mu_ahead, mu_back, mu_n, _ = body.friction
-    matrix, linear = work.matrix, work.linear
+    matrix = work.matrix
+    linear = work.linear
     for i in range(size):
         total = work.at_rest[i]
         for k in range(size):
@@ -85,13 +93,16 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
             for k in range(i + 1):
                 matrix[i, k] = linear[i, k]
     for p in range(work.point.shape[0]):
-        used, rows = 9 + 3 * (p // count), work.rows[p]
+        used = 9 + 3 * (p // count)
+        rows = work.rows[p]
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
         spring = body.free * body.mass[p] * GRAVITY / body.depth
         load = spring * max(0.0, body.radius - work.point[p, 2] - h * up)
-        work.load[p], work.force[p, 0], work.force[p, 1] = load, 0.0, 0.0
+        work.load[p] = load
+        work.force[p, 0] = 0.0
+        work.force[p, 1] = 0.0
         if load <= 0.0 and work.law_load[p] <= 0.0:
             continue
         along = across = 0.0
@@ -102,13 +113,18 @@ def _residual(velocity, body, work, h, slip, out, with_matrix):  # type: ignore[
         f_t, f_n, tt, tn, _, nn = _ellipse(
             along, across, work.law_load[p], mu, mu_n, slip
         )
-        work.force[p, 0], work.force[p, 1] = f_t, f_n
+        work.force[p, 0] = f_t
+        work.force[p, 1] = f_n
         slope = h * spring if load > 0.0 else 0.0
         for i in range(used):
-            a, b, z = rows[ALONG, i], rows[ACROSS, i], rows[UP, i]
+            a = rows[ALONG, i]
+            b = rows[ACROSS, i]
+            z = rows[UP, i]
             out[i] -= load * z + f_t * a + f_n * b
             if with_matrix:
-                g_t, g_n, g_z = tt * a + tn * b, tn * a + nn * b, slope * z
+                g_t = tt * a + tn * b
+                g_n = tn * a + nn * b
+                g_z = slope * z
                 for k in range(i + 1):
                     matrix[i, k] += (
                         g_z * rows[UP, k] - g_t * rows[ALONG, k] - g_n * rows[ACROSS, k]
@@ -137,9 +153,10 @@ def _solve(matrix, vector):  # type: ignore[no-untyped-def]
             total = matrix[i, k]
             for m in range(k):
                 total -= matrix[i, m] * matrix[k, m]
-            matrix[i, k] = (
-                math.sqrt(max(total, 1e-300)) if i == k else total / matrix[k, k]
-            )
+            if i == k:
+                matrix[i, k] = math.sqrt(max(total, 1e-300))
+            else:
+                matrix[i, k] = total / matrix[k, k]
     for i in range(size):
         total = vector[i]
         for k in range(i):
@@ -163,7 +180,9 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 @compiled
 def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-untyped-def]
     """Solve for the velocities of a step under the loads `law_load`; return whether it converged."""
-    size, g, d = velocity.shape[0], work.residual, work.direction
+    size = velocity.shape[0]
+    g = work.residual
+    d = work.direction
     for _ in range(_MAX_ITERATIONS):
         _residual(velocity, body, work, h, slip, g, True)
         for i in range(size):
@@ -173,8 +192,11 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
         if not first < -tolerance:
             return np.isfinite(first)
         # The slope along the direction rises; find where it is nearly 0.
-        low, high, t = 0.0, 0.0, 1.0
-        slope_low, slope_high = first, 0.0
+        low = 0.0
+        high = 0.0
+        t = 1.0
+        slope_low = first
+        slope_high = 0.0
         for _ in range(_MAX_TRIALS):
             for i in range(size):
                 work.trial[i] = velocity[i] + t * d[i]
@@ -183,11 +205,13 @@ def _minimise(velocity, body, work, h, slip, tolerance):  # type: ignore[no-unty
             if abs(slope) <= -_MAX_SLOPE_RATIO * first:
                 break
             if slope < 0.0:
-                low, slope_low = t, slope
+                low = t
+                slope_low = slope
                 if high == 0.0:
                     break  # accept a full step
             else:
-                high, slope_high = t, slope
+                high = t
+                slope_high = slope
             t = low + (high - low) * min(
                 max(slope_low / (slope_low - slope_high), 0.1), 0.9
             )
@@ -230,27 +254,31 @@ def _move_state(velocity, state, body, work, h, turn, old):  # type: ignore[no-u
     segments = work.bend.shape[0]
     for j in range(segments):
         for i in range(3):
-            row, rate, free_rate = (
-                BENDS + 3 * j + i,
-                velocity[6 + 3 * j + i],
-                work.bend_rate[j, i],
-            )
+            row = BENDS + 3 * j + i
+            rate = velocity[6 + 3 * j + i]
+            free_rate = work.bend_rate[j, i]
             state[row] += h * rate
-            k, c = body.stiffness[i], body.damping[i]
+            k = body.stiffness[i]
+            c = body.damping[i]
             torque = k * (work.bend[j, i] - state[row]) + c * (free_rate - rate)
             state[WORK] += h * torque * free_rate
             state[INTERNAL_LOSS] += h * c * (rate - free_rate) ** 2
-    tail, count = BENDS + 3 * segments, body.share.shape[0]
+    tail = BENDS + 3 * segments
+    count = body.share.shape[0]
     for p in range(work.point.shape[0]):
-        used, rows, mass = 9 + 3 * (p // count), work.rows[p], body.mass[p]
+        used = 9 + 3 * (p // count)
+        rows = work.rows[p]
+        mass = body.mass[p]
         along = across = up = roll = 0.0
         for i in range(used):
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
             up += rows[UP, i] * velocity[i]
             roll += rows[ROLL, i] * velocity[i]
-        f_t, f_n = work.force[p, 0], work.force[p, 1]
-        c, s = work.heading[p, 0], work.heading[p, 1]
+        f_t = work.force[p, 0]
+        f_n = work.force[p, 1]
+        c = work.heading[p, 0]
+        s = work.heading[p, 1]
         state[FRICTION_LOSS] -= h * (f_t * along + f_n * across)
         state[DRAG_LOSS] += h * mass / body.drag_time * (up * up + roll * roll)
         state[tail + 3 * p] += h * (c * f_t - s * f_n)
@@ -291,7 +319,8 @@ def _set_bends(free, step, share, duration, work):  # type: ignore[no-untyped-de
     """Set the free bends after a share of a step, and their mean rates over the step of a duration (s)."""
     for j in range(work.bend.shape[0]):
         for i in range(2):
-            before, after = free[step, j, i], free[step + 1, j, i]
+            before = free[step, j, i]
+            after = free[step + 1, j, i]
             work.bend[j, i] = before + share * (after - before)
             work.bend_rate[j, i] = (after - before) / duration
 
@@ -329,17 +358,18 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
         samples: out, states and velocities at the samples.
     """
     state, velocity = now
-    turn, old, start = np.empty((3, 3)), np.empty(9), np.empty_like(velocity)
+    turn = np.empty((3, 3))
+    old = np.empty(9)
+    start = np.empty_like(velocity)
     points = body.mass.shape[0]
-    weight, loads = (
-        body.mass.sum() * GRAVITY,
-        BENDS + 3 * work.bend.shape[0] + 3 * points,
-    )
+    weight = body.mass.sum() * GRAVITY
+    loads = BENDS + 3 * work.bend.shape[0] + 3 * points
     for p in range(points):
         work.law_load[p] = state[loads + p]
     sample = _record(now, sample_steps, 0, 0, samples)
     for step in range(steps.shape[0]):
-        done, h = 0.0, steps[step]
+        done = 0.0
+        h = steps[step]
         while done < steps[step] * (1.0 - 1e-9):
             pose(state, body, work)
             copy(velocity, start)
@@ -349,11 +379,10 @@ def advance(now, steps, free, sample_steps, body, work, samples):  # type: ignor
                     free, step, min(1.0, (done + h) / steps[step]), steps[step], work
                 )
                 converged = _solve_step(velocity, state, body, work, h, weight)
-                fastest = (
-                    _fastest_point(velocity, work, body.share.shape[0])
-                    if converged
-                    else np.inf
-                )
+                if converged:
+                    fastest = _fastest_point(velocity, work, body.share.shape[0])
+                else:
+                    fastest = np.inf
                 if h * fastest <= body.longest_move:
                     break
                 # Rejected: solve a shorter step from the same velocity.

@@ -119,7 +119,9 @@ class Work(NamedTuple):
 
 def work_arrays(segments: int, points: int) -> Work:
     """Return arrays for a body with a number of segments and points per segment."""
-    n, count, velocities = segments + 1, segments * points, 6 + 3 * segments
+    n = segments + 1
+    count = segments * points
+    velocities = 6 + 3 * segments
     shapes = [
         (n, 3),
         (n, 3, 3),
@@ -128,7 +130,8 @@ def work_arrays(segments: int, points: int) -> Work:
         (count, 6, velocities),
         (count, ROWS, velocities),
     ]
-    square, vector = (velocities, velocities), (velocities,)
+    square = (velocities, velocities)
+    vector = (velocities,)
     shapes += [
         (count,),
         (count,),
@@ -151,24 +154,20 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle > 1e-4:
-        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
+        a = math.sin(angle) / angle
+        b = (1.0 - math.cos(angle)) / square
     else:
-        a, b = 1.0 - square / 6.0, 0.5 - square / 24.0
-    out[0, 0], out[0, 1], out[0, 2] = (
-        1.0 - b * (y * y + z * z),
-        b * x * y - a * z,
-        b * x * z + a * y,
-    )
-    out[1, 0], out[1, 1], out[1, 2] = (
-        b * x * y + a * z,
-        1.0 - b * (x * x + z * z),
-        b * y * z - a * x,
-    )
-    out[2, 0], out[2, 1], out[2, 2] = (
-        b * x * z - a * y,
-        b * y * z + a * x,
-        1.0 - b * (x * x + y * y),
-    )
+        a = 1.0 - square / 6.0
+        b = 0.5 - square / 24.0
+    out[0, 0] = 1.0 - b * (y * y + z * z)
+    out[0, 1] = b * x * y - a * z
+    out[0, 2] = b * x * z + a * y
+    out[1, 0] = b * x * y + a * z
+    out[1, 1] = 1.0 - b * (x * x + z * z)
+    out[1, 2] = b * y * z - a * x
+    out[2, 0] = b * x * z - a * y
+    out[2, 1] = b * y * z + a * x
+    out[2, 2] = 1.0 - b * (x * x + y * y)
 
 
 @compiled
@@ -178,14 +177,15 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
     if angle > 1e-3:
-        b, c = (
-            (1.0 - math.cos(angle)) / square,
-            (angle - math.sin(angle)) / (square * angle),
-        )
+        b = (1.0 - math.cos(angle)) / square
+        c = (angle - math.sin(angle)) / (square * angle)
     else:
-        b, c = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
+        b = 0.5 - square / 24.0
+        c = 1.0 / 6.0 - square / 120.0
     part = (x, y, z)[axis]
-    e_x, e_y, e_z = 1.0 * (axis == 0), 1.0 * (axis == 1), 1.0 * (axis == 2)
+    e_x = 1.0 * (axis == 0)
+    e_y = 1.0 * (axis == 1)
+    e_z = 1.0 * (axis == 2)
     # e + b t × e + c t × (t × e), with t × (t × e) = t (t · e) − e t²
     return (
         e_x + b * (y * e_z - z * e_y) + c * (x * part - e_x * square),
@@ -212,26 +212,36 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
     x, y, z = w
     half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
     rotate(half, turn)
-    m_x, m_y, m_z = turn[0, 0], turn[1, 0], turn[2, 0]
+    m_x = turn[0, 0]
+    m_y = turn[1, 0]
+    m_z = turn[2, 0]
     # The chord of an arc with the bend b is sin(b/2)/(b/2) of its length, along the
     # middle of the arc.
     bend = math.sqrt(y * y + z * z)
     a = u * bend / 2
     if a > 1e-3:
-        ratio, slope = math.sin(a) / a, (math.cos(a) - math.sin(a) / a) / a
+        ratio = math.sin(a) / a
+        slope = (math.cos(a) - math.sin(a) / a) / a
     else:
-        ratio, slope = 1.0 - a * a / 6, -a / 3
+        ratio = 1.0 - a * a / 6
+        slope = -a / 3
     chord = length * u
     rotate((2 * half[0], 2 * half[1], 2 * half[2]), turn)
-    t_x, t_y, t_z = turn[0, 0], turn[1, 0], turn[2, 0]
+    t_x = turn[0, 0]
+    t_y = turn[1, 0]
+    t_z = turn[2, 0]
     offset[0] = -front - chord * ratio * m_x - rear * t_x
     offset[1] = -chord * ratio * m_y - rear * t_y
     offset[2] = -chord * ratio * m_z - rear * t_z
     for i in range(3):
         s_x, s_y, s_z = _spin(half, i)
-        h_x, h_y, h_z = -u / 2 * s_x, -u / 2 * s_y, -u / 2 * s_z
+        h_x = -u / 2 * s_x
+        h_y = -u / 2 * s_y
+        h_z = -u / 2 * s_z
         s_x, s_y, s_z = _spin((2 * half[0], 2 * half[1], 2 * half[2]), i)
-        e_x, e_y, e_z = -u * s_x, -u * s_y, -u * s_z
+        e_x = -u * s_x
+        e_y = -u * s_y
+        e_z = -u * s_z
         stretch = 0.0
         if bend > 0.0 and i > 0:
             stretch = slope * u / 2 * w[i] / bend
@@ -241,7 +251,9 @@ def _arc(w, u, lengths, offset, turn, slopes):  # type: ignore[no-untyped-def]
         slopes[0, i] -= rear * (e_y * t_z - e_z * t_y)
         slopes[1, i] -= rear * (e_z * t_x - e_x * t_z)
         slopes[2, i] -= rear * (e_x * t_y - e_y * t_x)
-        slopes[3, i], slopes[4, i], slopes[5, i] = e_x, e_y, e_z
+        slopes[3, i] = e_x
+        slopes[4, i] = e_y
+        slopes[5, i] = e_z
 
 
 @compiled
@@ -265,29 +277,39 @@ def _fill_motion(motion, place, j, work, slopes):  # type: ignore[no-untyped-def
         work: posed body ahead of the place.
         slopes: as in `_arc`.
     """
-    x, y, z = place[0], place[1], place[2]
-    r_x, r_y, r_z = (
-        x - work.position[0, 0],
-        y - work.position[0, 1],
-        z - work.position[0, 2],
-    )
+    x = place[0]
+    y = place[1]
+    z = place[2]
+    r_x = x - work.position[0, 0]
+    r_y = y - work.position[0, 1]
+    r_z = z - work.position[0, 2]
     for i in range(3):
         for row in range(6):
             motion[row, i] = motion[row, 3 + i] = 0.0
         motion[i, i] = motion[3 + i, 3 + i] = 1.0
-    motion[0, 4], motion[0, 5] = r_z, -r_y
-    motion[1, 3], motion[1, 5] = -r_z, r_x
-    motion[2, 3], motion[2, 4] = r_y, -r_x
+    motion[0, 4] = r_z
+    motion[0, 5] = -r_y
+    motion[1, 3] = -r_z
+    motion[1, 5] = r_x
+    motion[2, 3] = r_y
+    motion[2, 4] = -r_x
     for k in range(j):
-        base, rear = work.base[k], work.position[k + 1]
-        r_x, r_y, r_z = x - rear[0], y - rear[1], z - rear[2]
+        base = work.base[k]
+        rear = work.position[k + 1]
+        r_x = x - rear[0]
+        r_y = y - rear[1]
+        r_z = z - rear[2]
         for i in range(3):
             column = 6 + 3 * k + i
-            s_x, s_y, s_z = base[3, i], base[4, i], base[5, i]
+            s_x = base[3, i]
+            s_y = base[4, i]
+            s_z = base[5, i]
             motion[0, column] = base[0, i] + s_y * r_z - s_z * r_y
             motion[1, column] = base[1, i] + s_z * r_x - s_x * r_z
             motion[2, column] = base[2, i] + s_x * r_y - s_y * r_x
-            motion[3, column], motion[4, column], motion[5, column] = s_x, s_y, s_z
+            motion[3, column] = s_x
+            motion[4, column] = s_y
+            motion[5, column] = s_z
     _turn_slopes(slopes, work.frame[j], motion, 6 + 3 * j)
 
 
@@ -298,7 +320,8 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
     These are the components z, −y and x of w.
     """
     for i in range(3):
-        source, sign = 2 - i, -1.0 if i == 1 else 1.0
+        source = 2 - i
+        sign = -1.0 if i == 1 else 1.0
         v = _turned(frame, slopes[0, source], slopes[1, source], slopes[2, source])
         s = _turned(frame, slopes[3, source], slopes[4, source], slopes[5, source])
         for row in range(3):
@@ -309,14 +332,18 @@ def _turn_slopes(slopes, frame, out, column):  # type: ignore[no-untyped-def]
 @allocating
 def pose(state, body, work):  # type: ignore[no-untyped-def]
     """Fill positions, frames, points and their motions in the workspace for a state."""
-    segments, count = work.bend.shape[0], body.share.shape[0]
-    offset, turn, slopes = np.empty(3), np.empty((3, 3)), np.empty((6, 3))
+    segments = work.bend.shape[0]
+    count = body.share.shape[0]
+    offset = np.empty(3)
+    turn = np.empty((3, 3))
+    slopes = np.empty((6, 3))
     for i in range(3):
         work.position[0, i] = state[i]
         for k in range(3):
             work.frame[0, i, k] = state[ROTATION + 3 * i + k]
     for j in range(segments):
-        frame, here = work.frame[j], work.position[j]
+        frame = work.frame[j]
+        here = work.position[j]
         w = (state[BENDS + 3 * j + 2], -state[BENDS + 3 * j + 1], state[BENDS + 3 * j])
         for m in range(count):
             p = j * count + m
@@ -329,31 +356,36 @@ def pose(state, body, work):  # type: ignore[no-untyped-def]
                 slopes,
             )
             x, y, z = _turned(frame, offset[0], offset[1], offset[2])
-            work.point[p, 0], work.point[p, 1], work.point[p, 2] = (
-                here[0] + x,
-                here[1] + y,
-                here[2] + z,
-            )
+            work.point[p, 0] = here[0] + x
+            work.point[p, 1] = here[1] + y
+            work.point[p, 2] = here[2] + z
             t_x, t_y, t_z = _turned(frame, turn[0, 0], turn[1, 0], turn[2, 0])
             flat = max(math.sqrt(t_x * t_x + t_y * t_y), 1e-12)
-            c, s = t_x / flat, t_y / flat
-            work.heading[p, 0], work.heading[p, 1] = c, s
-            motion, rows = work.motion[p], work.rows[p]
+            c = t_x / flat
+            s = t_y / flat
+            work.heading[p, 0] = c
+            work.heading[p, 1] = s
+            motion = work.motion[p]
+            rows = work.rows[p]
             _fill_motion(motion, work.point[p], j, work, slopes)
             for i in range(9 + 3 * j):
                 # Velocity of the material vertically below the axis, and rolling
                 # velocity of the surface.
                 v_x = motion[0, i] - body.radius * motion[4, i]
                 v_y = motion[1, i] + body.radius * motion[3, i]
-                rows[ALONG, i], rows[ACROSS, i] = c * v_x + s * v_y, c * v_y - s * v_x
+                rows[ALONG, i] = c * v_x + s * v_y
+                rows[ACROSS, i] = c * v_y - s * v_x
                 rows[UP, i] = motion[2, i]
                 rows[ROLL, i] = body.radius * (
                     t_x * motion[3, i] + t_y * motion[4, i] + t_z * motion[5, i]
                 )
         _arc(w, 1.0, (body.gap, body.length, body.gap), offset, turn, slopes)
         x, y, z = _turned(frame, offset[0], offset[1], offset[2])
-        there, base = work.position[j + 1], work.base[j]
-        there[0], there[1], there[2] = here[0] + x, here[1] + y, here[2] + z
+        there = work.position[j + 1]
+        base = work.base[j]
+        there[0] = here[0] + x
+        there[1] = here[1] + y
+        there[2] = here[2] + z
         _turn_slopes(slopes, frame, base, 0)
         for i in range(3):
             for row in range(3):

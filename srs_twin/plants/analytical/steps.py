@@ -103,10 +103,8 @@ class Steps:
     def stage_times(self) -> np.ndarray:
         """Start of the schedule and the two stages of each step, shape (1 + 2 · steps,), s."""
         times = np.zeros(1 + 2 * len(self.ends))
-        times[1::2], times[2::2] = (
-            self._starts + GAMMA * self.lengths,
-            self._starts + self.lengths,
-        )
+        times[1::2] = self._starts + GAMMA * self.lengths
+        times[2::2] = self._starts + self.lengths
         return times
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, Steps]]:
@@ -163,16 +161,12 @@ def _cubic(at, span, q0, q1, r0, r1, q, r):  # type: ignore[no-untyped-def]  # n
         r: out, bend rates.
     """
     rest = 1 - at
-    rise, begins, ends = (
-        at * at * (3 - 2 * at),
-        at * rest * rest * span,
-        at * at * rest * span,
-    )
-    rising, beginning, ending = (
-        6 * at * rest / span,
-        rest * (1 - 3 * at),
-        at * (3 * at - 2),
-    )
+    rise = at * at * (3 - 2 * at)
+    begins = at * rest * rest * span
+    ends = at * at * rest * span
+    rising = 6 * at * rest / span
+    beginning = rest * (1 - 3 * at)
+    ending = at * (3 * at - 2)
     for j in range(q.shape[0]):
         change = q1[j] - q0[j]
         q[j] = q0[j] + rise * change + begins * r0[j] - ends * r1[j]
@@ -272,7 +266,8 @@ def advance(
         The number of completed steps, which is smaller than requested after a failure,
         and the number of substeps including repeated ones.
     """
-    bends, work = (trace.bend, trace.bend_rate), StepArrays.of(len(model[0].mass))
+    bends = (trace.bend, trace.bend_rate)
+    work = StepArrays.of(len(model[0].mass))
     done, substeps = _advance(now, steps, bends, marks, model, tolerance, samples, work)
     return done, substeps
 
@@ -282,19 +277,23 @@ def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type:
     """Advance a body, see `advance`; `free` are the bends and bend rates of the trace."""
     (state, slope, u), (states, velocities) = now, samples
     (solid, floor, friction_moment), (bends, rates) = model, free
-    body, k, after, guess = work.body, work.rates, work.after, work.guess
-    drift, pace, mid_bends, mid_rates = (
-        work.drift[0],
-        work.drift[1],
-        work.bends[0],
-        work.bends[1],
-    )
-    reach, n = solid.pitch / 2, solid.mass.shape[0]
+    body = work.body
+    k = work.rates
+    after = work.after
+    guess = work.guess
+    drift = work.drift[0]
+    pace = work.drift[1]
+    mid_bends = work.bends[0]
+    mid_rates = work.bends[1]
+    reach = solid.pitch / 2
+    n = solid.mass.shape[0]
     arm = solid.pitch * math.sqrt((n * n - 1) / 12)
     mark = substeps = 0
     for i in range(steps.shape[0]):
-        step_bends, step_rates = bends[2 * i : 2 * i + 3], rates[2 * i : 2 * i + 3]
-        done, size = 0, MAX_SUBSTEPS
+        step_bends = bends[2 * i : 2 * i + 3]
+        step_rates = rates[2 * i : 2 * i + 3]
+        done = 0
+        size = MAX_SUBSTEPS
         fastest = max(abs(u[0]) + abs(u[1]), reach * abs(u[2]))
         for j in range(n - 1):
             fastest = max(fastest, reach * abs(step_rates[0, j]))
@@ -304,7 +303,8 @@ def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type:
             copy(u, guess)
             copy(drift, pace)
             if size == MAX_SUBSTEPS:
-                stage_bends, stage_rates = step_bends[1:], step_rates[1:]
+                stage_bends = step_bends[1:]
+                stage_rates = step_rates[1:]
             else:
                 for stage in range(2):
                     at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
@@ -316,7 +316,8 @@ def _advance(now, steps, free, marks, model, tolerance, samples, work):  # type:
                         mid_bends[stage],
                         mid_rates[stage],
                     )
-                stage_bends, stage_rates = mid_bends, mid_rates
+                stage_bends = mid_bends
+                stage_rates = mid_rates
             solved = step(
                 state, h, stage_bends, stage_rates, model, guess, pace, k, after, body
             )

@@ -84,11 +84,9 @@ class TwinBatch(Claimable):
             UnknownNameError: the engine is unknown.
         """
         check_choice("engine", engine, ENGINES)
-        return (
-            super().__new__(cls)
-            if engine == "cpu"
-            else on_warp(*arguments, device=device, **settings)
-        )
+        if engine == "cpu":
+            return super().__new__(cls)
+        return on_warp(*arguments, device=device, **settings)
 
     @checked
     def __init__(
@@ -141,7 +139,10 @@ class TwinBatch(Claimable):
         Raises:
             InputError: the number of poses differs from the number of runs.
         """
-        places = [(0.0, 0.0, 0.0)] * len(self) if poses is None else list(poses)
+        if poses is None:
+            places = [(0.0, 0.0, 0.0)] * len(self)
+        else:
+            places = list(poses)
         if len(places) != len(self):
             raise InputError(
                 f"poses: {len(places)} were given for {len(self)} runs; give one"

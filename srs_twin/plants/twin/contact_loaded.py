@@ -99,7 +99,8 @@ _SINKING_TIME = (
 )
 _MIN_DECAY = 1e-9  # of a mode over one step, 1; smaller values are rounding errors of undamped motions
 
-mj_step1, mj_comVel = c_function("mj_step1"), c_function("mj_comVel")
+mj_step1 = c_function("mj_step1")
+mj_comVel = c_function("mj_comVel")
 mj_forwardSkip = c_function("mj_forwardSkip", types.int32, types.int32)
 mj_rne = c_function("mj_rne", types.int32, types.intp)
 mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
@@ -162,9 +163,11 @@ class LoadedStepper(Stateful):
             model,
             data,
         )  # keep references: the kernels hold only addresses
-        self._h, nv = settings.timestep, model.nv
+        self._h = settings.timestep
+        nv = model.nv
         self._sinking_time = _SINKING_TIME * spec.scale.time
-        count, entries = len(self._contacts.body), len(data.M)
+        count = len(self._contacts.body)
+        entries = len(data.M)
         # In the order of the fields of `Workspace`.
         shapes = [
             (count, 4, 6),
@@ -239,8 +242,10 @@ class LoadedStepper(Stateful):
         that sinking causes. Obstacles do not act, so that the snake stays in its place
         until its start is checked.
         """
-        model, data = self._model, self._data
-        contacts, gravity = self._contacts, model.opt.gravity.copy()
+        model = self._model
+        data = self._data
+        contacts = self._contacts
+        gravity = model.opt.gravity.copy()
         solid = model.geom_contype.copy()
         self._contacts = contacts._replace(
             coefficients=(
@@ -255,9 +260,11 @@ class LoadedStepper(Stateful):
         model.geom_contype[:] = 0
         self._reset_contact_state()
         self.run(np.zeros((math.ceil(self._sinking_time / self._h), model.nu)))
-        self._contacts, model.opt.gravity[:] = contacts, gravity
+        self._contacts = contacts
+        model.opt.gravity[:] = gravity
         model.geom_contype[:] = solid
-        data.qvel[:], data.time = 0.0, 0.0
+        data.qvel[:] = 0.0
+        data.time = 0.0
         self._reset_contact_state()
 
     def _reset_contact_state(self) -> None:
@@ -272,7 +279,8 @@ class LoadedStepper(Stateful):
 
     def roll(self) -> None:
         """Set the rim speed of each wheel to rolling without slip at its current velocity."""
-        contacts, velocity = self._contacts, np.empty(6)
+        contacts = self._contacts
+        velocity = np.empty(6)
         for w in range(contacts.wheels):
             body = int(contacts.body[w])
             mujoco.mj_objectVelocity(
@@ -299,16 +307,15 @@ class LoadedStepper(Stateful):
             obstacle_friction: friction of the obstacles, then of each object, on the
                 hulls in the world frame, shape (steps, 1 + objects, hulls, 3), N.
         """
-        model, data, steps, wheels = (
-            self._model,
-            self._data,
-            len(controls),
-            self._contacts.wheels,
-        )
+        model = self._model
+        data = self._data
+        steps = len(controls)
+        wheels = self._contacts.wheels
         states = np.full((steps, 1 + model.nq + model.nv), np.nan)
         sensors = np.zeros((steps, model.nsensordata))
         force = np.zeros((steps, len(self._contacts.static_load), 3))
-        power, pairs = np.zeros(steps), np.zeros((steps, self._objects.pairs, 3))
+        power = np.zeros(steps)
+        pairs = np.zeros((steps, self._objects.pairs, 3))
         out = states, sensors, force, power, pairs
         friction = (
             self._contacts,
@@ -335,9 +342,12 @@ def _constants(
     air: np.ndarray | None,
 ) -> tuple[Contacts, Sparsity]:
     """Return the constants of the contacts and of the mass matrix; arguments as in `LoadedStepper`."""
-    contact, nv, h = settings.contact, model.nv, settings.timestep
+    contact = settings.contact
+    nv = model.nv
+    h = settings.timestep
     assert isinstance(contact, LoadedContact)
-    wheels, hulls = treads(spec, settings), surroundings.hulls(model)
+    wheels = treads(spec, settings)
+    hulls = surroundings.hulls(model)
     geoms = [model.geom(name) for name in wheels + hulls]
     body = np.array([geom.bodyid[0] for geom in geoms])
     mass, jacobian = _reference_dynamics(model, wheels, hulls)
@@ -353,8 +363,12 @@ def _constants(
     # The spin of a rolling solid disc adds half of its mass to the inertia along the
     # heading.
     slides = contact.law in ("ellipse", "cosine")
-    spin_mass = 0.0 if slides else settings.numerics.wheel_spin * spec.mass.wheel / 2
-    zeros, mu = np.zeros(len(hulls)), spec.friction
+    if slides:
+        spin_mass = 0.0
+    else:
+        spin_mass = settings.numerics.wheel_spin * spec.mass.wheel / 2
+    zeros = np.zeros(len(hulls))
+    mu = spec.friction
     floor = mu.mu_t, mu.mu_n, stated(contact.slip_speed), spin_mass
     sensors = [model.sensor(f"floor_force_{wheel}").adr[0] + 2 for wheel in wheels]
     sensors += [model.sensor(f"obstacle_force_{hull}").adr[0] for hull in hulls]
@@ -398,7 +412,8 @@ def _reference_dynamics(
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    mass, jacobian = np.zeros((model.nv, model.nv)), np.zeros((3, model.nv))
+    mass = np.zeros((model.nv, model.nv))
+    jacobian = np.zeros((3, model.nv))
     mujoco.mj_fullM(model, data, mass)
     rows = []
     for k, name in enumerate(wheels + hulls):
@@ -475,12 +490,10 @@ def _begin_step(inputs, engine, contacts, sparsity, state, work, h, control):  #
 def _end_step(inputs, engine, contacts, sparsity, state, work, h, step, out):  # type: ignore[no-untyped-def]
     """Solve for friction, move to the end of the step and record it; return whether the step is finite."""
     states, sensors, force, power, pairs = out
-    model, data, nq, nv = (
-        engine.model,
-        engine.data,
-        engine.qpos.shape[0],
-        engine.qvel.shape[0],
-    )
+    model = engine.model
+    data = engine.data
+    nq = engine.qpos.shape[0]
+    nv = engine.qvel.shape[0]
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(nv):
         work.v_predicted[i] = work.v_start[i] + h * engine.qacc[i]

@@ -109,10 +109,8 @@ def c_function(name: str, *more: Any) -> Any:
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
 
-mj_factorM, mj_solveM = (
-    c_function("mj_factorM"),
-    c_function("mj_solveM", types.intp, types.intp, types.int32),
-)
+mj_factorM = c_function("mj_factorM")
+mj_solveM = c_function("mj_solveM", types.intp, types.intp, types.int32)
 
 
 class EngineData(NamedTuple):
@@ -305,11 +303,10 @@ def solve_friction(engine, contacts, sparsity, state, work, h):  # type: ignore[
     _read_normal_forces(engine, contacts, work)
     locate_objects(engine, sparsity, work, h)
     for w in range(contacts.body.shape[0]):
-        mu = (
-            contacts.coefficients[1]
-            if w < contacts.wheels
-            else contacts.coefficients[5]
-        )
+        if w < contacts.wheels:
+            mu = contacts.coefficients[1]
+        else:
+            mu = contacts.coefficients[5]
         # Friction force per slip speed of the previous step (secant slope), N·s/m. It
         # decides whether the contact slides (θ near 1/2) or sticks (θ near 1).
         grip = (
@@ -343,7 +340,9 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
     """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
-        f_t, f_n, rim = work.response[w, 0], work.response[w, 1], work.response[w, 5]
+        f_t = work.response[w, 0]
+        f_n = work.response[w, 1]
+        rim = work.response[w, 5]
         along, across = _contact_velocity(contacts, work, w, 0.5)
         power -= f_t * along + f_n * across
         slip_along = along - rim if contacts.law == _WHEEL else along
@@ -353,7 +352,8 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
         state.force[w, _STORED_SPIN] = work.response[w, _SPIN_FORCE]
         # The rim speed is known at the fraction θ of the step: extrapolate to its end.
         state.rim_speed[w] += (rim - state.rim_speed[w]) / work.theta[w]
-        c, s = work.heading[w, 0], work.heading[w, 1]
+        c = work.heading[w, 0]
+        s = work.heading[w, 1]
         if w < contacts.wheels:
             force[w, 0] = c * f_t - s * f_n
             force[w, 1] = s * f_t + c * f_n
@@ -363,7 +363,8 @@ def store_friction(contacts, state, work, force):  # type: ignore[no-untyped-def
             force[w, 1] = s * f_t
             force[w, 2] = f_n
             if work.normal_force[w] > 0.0:
-                last, away = contacts.last_dof[w], work.jacobian[w, _NORMAL]
+                last = contacts.last_dof[w]
+                away = work.jacobian[w, _NORMAL]
                 velocity = dot(away, work.mid_motion[last]) + 0.5 * dot(
                     away, work.motion[last]
                 )
@@ -382,10 +383,8 @@ def _clear(array):  # type: ignore[no-untyped-def]
 def _add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
     """Add the product of a symmetric matrix and the vector x to `out`."""
     for i in range(x.shape[0]):
-        row, last = (
-            sparsity.row_start[i],
-            sparsity.row_start[i] + sparsity.row_length[i] - 1,
-        )
+        row = sparsity.row_start[i]
+        last = sparsity.row_start[i] + sparsity.row_length[i] - 1
         for k in range(row, last):
             out[i] += matrix[k] * x[sparsity.column[k]]
             out[sparsity.column[k]] += matrix[k] * x[i]
@@ -397,10 +396,12 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Fill Jacobian and heading of each wheel's contact, vertically below the wheel's centre."""
     com = engine.subtree_com[1]
     for w in range(contacts.wheels):
-        body, centre = contacts.body[w], contacts.centre[w]
+        body = contacts.body[w]
+        centre = contacts.centre[w]
         m = engine.xmat[body]
         norm = 1.0 / np.sqrt(m[0] * m[0] + m[3] * m[3])
-        c, s = m[0] * norm, m[3] * norm
+        c = m[0] * norm
+        s = m[3] * norm
         work.heading[w, 0] = c
         work.heading[w, 1] = s
         x = (
@@ -430,7 +431,8 @@ def _locate_wheels(engine, contacts, work):  # type: ignore[no-untyped-def]
         point_jacobian(work.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
         # The hub is one radius above the contact, so only the moments differ between
         # the two rows.
-        hub, along = work.jacobian[w, _HUB], work.jacobian[w, _ALONG]
+        hub = work.jacobian[w, _HUB]
+        along = work.jacobian[w, _ALONG]
         for k in range(6):
             hub[k] = along[k]
         hub[0] = hub[0] - contacts.wheel_radius * s
@@ -451,22 +453,23 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 @kernel_only
 def _read_normal_forces(engine, contacts, work):  # type: ignore[no-untyped-def]
     """Read the normal forces from the sensors; locate the contacts with the vertical faces of obstacles."""
-    com, sensors = engine.subtree_com[1], engine.sensordata
+    com = engine.subtree_com[1]
+    sensors = engine.sensordata
     for w in range(contacts.body.shape[0]):
         k = contacts.sensor[w]
         if w < contacts.wheels:
             work.normal_force[w] = max(sensors[k], 0.0)
             continue
-        fx, fy = sensors[k], sensors[k + 1]
+        fx = sensors[k]
+        fy = sensors[k + 1]
         normal = np.sqrt(fx * fx + fy * fy)
         work.normal_force[w] = normal
         if normal > 0.0:
-            c, s = -fy / normal, fx / normal
-            x, y, z = (
-                sensors[k + 3] - com[0],
-                sensors[k + 4] - com[1],
-                sensors[k + 5] - com[2],
-            )
+            c = -fy / normal
+            s = fx / normal
+            x = sensors[k + 3] - com[0]
+            y = sensors[k + 4] - com[1]
+            z = sensors[k + 5] - com[2]
             work.heading[w, 0] = c
             work.heading[w, 1] = s
             point_jacobian(work.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
@@ -517,17 +520,13 @@ def _generalised_forces(cdof, contacts, sparsity, force, work, out):  # type: ig
 def _contact_velocity(contacts, work, w, theta):  # type: ignore[no-untyped-def]
     """Return u of a contact along and across at the fraction θ of the step, m/s; `motion` holds δ."""
     last = contacts.last_dof[w]
-    middle, step, change = (
-        work.mid_motion[last],
-        work.step_motion[last],
-        work.motion[last],
-    )
+    middle = work.mid_motion[last]
+    step = work.step_motion[last]
+    change = work.motion[last]
     # v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ
-    along, across, shift = (
-        work.jacobian[w, _ALONG],
-        work.jacobian[w, _ACROSS],
-        theta - 0.5,
-    )
+    along = work.jacobian[w, _ALONG]
+    across = work.jacobian[w, _ACROSS]
+    shift = theta - 0.5
     return (
         dot(along, middle) + shift * dot(along, step) + theta * dot(along, change),
         dot(across, middle) + shift * dot(across, step) + theta * dot(across, change),
@@ -578,13 +577,17 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         speed (m/s).
     """
     law = contacts.coefficients
-    mu_t, mu_n, slip, mass = law[0], law[1], law[2], law[3]
+    mu_t = law[0]
+    mu_n = law[1]
+    slip = law[2]
+    mass = law[3]
     if w >= contacts.wheels:
         f_t, f_n, tt, tn, nn = stick_slip_friction(
             along, across, load, law[5], law[5], slip, force[0], force[1]
         )
         return f_t, f_n, tt, tn, nn, 0.0
-    inertia, drag = mass / h, force[0] - force[2]
+    inertia = mass / h
+    drag = force[0] - force[2]
     if contacts.law == _WHEEL:
         return rolling_friction(
             along, across, load, mu_t, mu_n, slip, force[0], force[1], rim, inertia
@@ -624,7 +627,8 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
 @kernel_only
 def _newton(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Solve r(δ) = 0 by Newton's method with a line search."""
-    change, direction = work.v_change, work.direction
+    change = work.v_change
+    direction = work.direction
     for i in range(change.shape[0]):
         change[i] = 0.0
     _clear(work.response)
@@ -666,12 +670,18 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
     may increase where a contact changes between sticking and sliding: a search that
     requires it to decrease would stall when the robot stops.
     """
-    change, direction = work.v_change, work.direction
+    change = work.v_change
+    direction = work.direction
     slope_start = float(0.0)
     for i in range(direction.shape[0]):
         slope_start += work.residual[i] * direction[i]
-    low, high, scale, applied = float(0.0), float(1.0), float(1.0), float(0.0)
-    slope_low, slope_high, square = slope_start, float(0.0), float(0.0)
+    low = float(0.0)
+    high = float(1.0)
+    scale = float(1.0)
+    applied = float(0.0)
+    slope_low = slope_start
+    slope_high = float(0.0)
+    square = float(0.0)
     for _ in range(_MAX_TRIALS):
         for i in range(direction.shape[0]):
             change[i] -= (scale - applied) * direction[i]
@@ -703,12 +713,10 @@ def _line_search(engine, contacts, sparsity, state, work, h):  # type: ignore[no
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type: ignore[no-untyped-def]
     """Fill r(δ) (kg·m/s or kg·m²/s) and the response of the friction law; return the square of r."""
-    change, motion, jacobian, response = (
-        work.v_change,
-        work.motion,
-        work.jacobian,
-        work.response,
-    )
+    change = work.v_change
+    motion = work.motion
+    jacobian = work.jacobian
+    response = work.response
     _spatial_velocities(engine.cdof, sparsity, change, motion)
     for w in range(contacts.body.shape[0]):
         if w >= contacts.wheels and state.load[w] == 0.0:
@@ -734,18 +742,15 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
             -contacts.coefficients[3] / (h * work.theta[w]) * (rim - state.rim_speed[w])
         )
         upward = dot(jacobian[w, _UP], motion[contacts.last_dof[w]])
-        response[w, _UNLOADING] = (
-            upward / (h * contacts.regularisation[w])
-            if work.normal_force[w] > 0.0
-            else 0.0
-        )
+        if work.normal_force[w] > 0.0:
+            response[w, _UNLOADING] = upward / (h * contacts.regularisation[w])
+        else:
+            response[w, _UNLOADING] = 0.0
     impulse = work.impulse
     _clear(impulse)
     for w in range(contacts.body.shape[0]):
-        f_t, f_n = (
-            h * (response[w, 0] - state.force[w, 0]),
-            h * (response[w, 1] - state.force[w, 1]),
-        )
+        f_t = h * (response[w, 0] - state.force[w, 0])
+        f_n = h * (response[w, 1] - state.force[w, 1])
         spin = h * (response[w, _SPIN_FORCE] - state.force[w, _STORED_SPIN])
         for k in range(6):
             normal = h * response[w, _UNLOADING] * jacobian[w, _UP, k]
@@ -769,12 +774,10 @@ def _evaluate_residual(engine, contacts, sparsity, state, work, h, out):  # type
 @kernel_only
 def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-untyped-def]
     """Fill Newton's matrix: A, the regularised normal forces, and the slopes of friction."""
-    matrix, jacobian, response, slope = (
-        work.newton_matrix,
-        work.jacobian,
-        work.response,
-        work.slope,
-    )
+    matrix = work.newton_matrix
+    jacobian = work.jacobian
+    response = work.response
+    slope = work.slope
     for i in range(slope.shape[0]):
         _clear(slope[i])
     for w in range(contacts.body.shape[0]):
@@ -782,21 +785,20 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
         tt = weight * response[w, _SLOPE_ALONG]
         tn = weight * response[w, _SLOPE_MIXED]
         nn = weight * response[w, _SLOPE_ACROSS]
-        up = 1.0 / contacts.regularisation[w] if work.normal_force[w] > 0.0 else 0.0
+        if work.normal_force[w] > 0.0:
+            up = 1.0 / contacts.regularisation[w]
+        else:
+            up = 0.0
         # While a wheel rolls, the force along spins it, so its slope acts on the
         # connector at the hub.
         ahead = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
-        aside, above, composite = (
-            jacobian[w, _ACROSS],
-            jacobian[w, _UP],
-            slope[contacts.last_dof[w]],
-        )
+        aside = jacobian[w, _ACROSS]
+        above = jacobian[w, _UP]
+        composite = slope[contacts.last_dof[w]]
         for a in range(6):
-            t, n, z = (
-                tt * ahead[a] + tn * aside[a],
-                tn * ahead[a] + nn * aside[a],
-                up * above[a],
-            )
+            t = tt * ahead[a] + tn * aside[a]
+            n = tn * ahead[a] + nn * aside[a]
+            z = up * above[a]
             for b in range(6):
                 composite[a, b] += t * ahead[b] + n * aside[b] + z * above[b]
     add_object_slopes(engine, sparsity, work, h)
@@ -805,12 +807,10 @@ def _assemble(engine, contacts, sparsity, state, work, h):  # type: ignore[no-un
     # From the ends to the root: project the summed slopes beyond each degree of freedom
     # on its ancestors.
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        d, composite, p, row = (
-            engine.cdof[i],
-            slope[i],
-            sparsity.parent[i],
-            sparsity.row_start[i],
-        )
+        d = engine.cdof[i]
+        composite = slope[i]
+        p = sparsity.parent[i]
+        row = sparsity.row_start[i]
         reaction = work.impulse[i]
         for a in range(6):
             reaction[a] = dot(composite[a], d)
@@ -850,13 +850,12 @@ def _factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     # From the ends of the chain to the root: eliminating a row changes only rows of its
     # ancestors.
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
-        row, last = sparsity.row_start[k], sparsity.row_length[k] - 1
+        row = sparsity.row_start[k]
+        last = sparsity.row_length[k] - 1
         inverse_pivot = 1.0 / matrix[row + last]
         for a in range(last - 1, -1, -1):
-            factor, ancestor = (
-                matrix[row + a] * inverse_pivot,
-                sparsity.row_start[sparsity.column[row + a]],
-            )
+            factor = matrix[row + a] * inverse_pivot
+            ancestor = sparsity.row_start[sparsity.column[row + a]]
             for b in range(a + 1):
                 matrix[ancestor + b] -= factor * matrix[row + b]
             matrix[row + a] = factor

@@ -26,7 +26,9 @@ from srs_twin.robot.spec import RobotSpec
 
 def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
     """Return the kinds of joints that bend a segment."""
-    return ("hinge", "tilt") if spec.is_spatial else ("hinge",)
+    if spec.is_spatial:
+        return ("hinge", "tilt")
+    return ("hinge",)
 
 
 class InternalJoints:

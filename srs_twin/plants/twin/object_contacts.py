@@ -118,15 +118,19 @@ def object_contacts(
         slip: slip speed, m/s.
         hull_admittance: change of a hull's velocity per impulse, shape (hulls,), 1/kg.
     """
-    hulls, names = surroundings.hulls(model), object_names(model)
+    hulls = surroundings.hulls(model)
+    names = object_names(model)
     ids = np.array([model.body(name).id for name in names], dtype=int)
     hull_dof = _last_dof(
         model, np.array([model.geom(name).bodyid[0] for name in hulls], dtype=int)
     )
     body = np.concatenate([np.repeat(ids, len(hulls)), np.repeat(ids, 4)])
-    pairs, free = len(hulls) * len(names), 3 * len(names)
-    count, mass = len(body), model.body_mass[body]
-    place, load = np.zeros((count, 2)), np.zeros(count)
+    pairs = len(hulls) * len(names)
+    free = 3 * len(names)
+    count = len(body)
+    mass = model.body_mass[body]
+    place = np.zeros((count, 2))
+    load = np.zeros(count)
     place[pairs:] = np.array([item.supports for item in objects]).reshape(-1, 2)
     load[pairs:] = -model.opt.gravity[2] / 4 * mass[pairs:]
     sensors = [
@@ -188,20 +192,24 @@ def dot(a, b):  # type: ignore[no-untyped-def]
 @kernel_only
 def _fill(row, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
     """Fill the spatial vectors of a point's velocity along the axis (c, s), upward, and along (s, −c)."""
-    row[0, 0], row[0, 1], row[0, 2] = (
-        -sign * z * s,
-        sign * z * c,
-        sign * (x * s - y * c),
-    )
-    row[0, 3], row[0, 4], row[0, 5] = sign * c, sign * s, 0.0
-    row[1, 0], row[1, 1], row[1, 2] = sign * y, -sign * x, 0.0
-    row[1, 3], row[1, 4], row[1, 5] = 0.0, 0.0, sign
-    row[2, 0], row[2, 1], row[2, 2] = (
-        sign * z * c,
-        sign * z * s,
-        -sign * (x * c + y * s),
-    )
-    row[2, 3], row[2, 4], row[2, 5] = sign * s, -sign * c, 0.0
+    row[0, 0] = -sign * z * s
+    row[0, 1] = sign * z * c
+    row[0, 2] = sign * (x * s - y * c)
+    row[0, 3] = sign * c
+    row[0, 4] = sign * s
+    row[0, 5] = 0.0
+    row[1, 0] = sign * y
+    row[1, 1] = -sign * x
+    row[1, 2] = 0.0
+    row[1, 3] = 0.0
+    row[1, 4] = 0.0
+    row[1, 5] = sign
+    row[2, 0] = sign * z * c
+    row[2, 1] = sign * z * s
+    row[2, 2] = -sign * (x * c + y * s)
+    row[2, 3] = sign * s
+    row[2, 4] = -sign * c
+    row[2, 5] = 0.0
 
 
 @compiled_if(has_objects)
@@ -211,7 +219,8 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
     for w in range(o.force.shape[0]):
         for side in range(2):
             i = o.hull_dof[w] if side == 0 else o.object_dof[w]
-            along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
+            along = o.jacobian[w, side, 0]
+            across = o.jacobian[w, side, 1]
             while i >= 0:
                 moment = o.force[w, 0] * dot(along, engine.cdof[i])
                 engine.qfrc_applied[i] += moment + o.force[w, 1] * dot(
@@ -223,60 +232,63 @@ def apply_object_friction(engine, sparsity, work, h):  # type: ignore[no-untyped
 @compiled_if(has_objects)
 def locate_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Locate the contacts and read their normal forces, after those of the wheels are known."""
-    o, com, sensors = engine.objects, engine.subtree_com[1], engine.sensordata
+    o = engine.objects
+    com = engine.subtree_com[1]
+    sensors = engine.sensordata
     for w in range(o.force.shape[0]):
         body = o.object_body[w]
-        own, row = engine.subtree_com[body], o.jacobian[w]
+        own = engine.subtree_com[body]
+        row = o.jacobian[w]
         if w >= o.pairs:
-            m, place = engine.xmat[body], o.place[w]
+            m = engine.xmat[body]
+            place = o.place[w]
             x = engine.xpos[body, 0] + m[0] * place[0] + m[1] * place[1] - own[0]
             y = engine.xpos[body, 1] + m[3] * place[0] + m[4] * place[1] - own[1]
             _fill(row[1], x, y, 0.0, 1.0, 0.0, 1.0)
             # The direction across is also horizontal.
-            row[1, 1, 0], row[1, 1, 1], row[1, 1, 2] = 0.0, 0.0, x
-            row[1, 1, 3], row[1, 1, 4], row[1, 1, 5] = 0.0, 1.0, 0.0
+            row[1, 1, 0] = 0.0
+            row[1, 1, 1] = 0.0
+            row[1, 1, 2] = x
+            row[1, 1, 3] = 0.0
+            row[1, 1, 4] = 1.0
+            row[1, 1, 5] = 0.0
         else:
             k = o.sensor[w]
-            fx, fy = sensors[k], sensors[k + 1]
+            fx = sensors[k]
+            fy = sensors[k + 1]
             normal = np.sqrt(fx * fx + fy * fy)
             o.load[w] = normal
             if normal > 0.0:
-                c, s, x, y, z = (
-                    -fy / normal,
-                    fx / normal,
-                    sensors[k + 3],
-                    sensors[k + 4],
-                    sensors[k + 5],
-                )
+                c = -fy / normal
+                s = fx / normal
+                x = sensors[k + 3]
+                y = sensors[k + 4]
+                z = sensors[k + 5]
                 _fill(row[0], x - com[0], y - com[1], z - com[2], c, s, 1.0)
                 _fill(row[1], x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
         decay = h * grip * o.admittance[w]
         # As `friction_solve._evaluation_fraction`.
-        o.theta[w] = (
-            1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
-            if decay > 0.1
-            else 0.5 + decay / 12.0
-        )
+        if decay > 0.1:
+            o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
+        else:
+            o.theta[w] = 0.5 + decay / 12.0
 
 
 @kernel_only
 def _velocity(o, work, w, theta):  # type: ignore[no-untyped-def]
     """Return the velocity of a contact along and across at the fraction θ of the step, m/s."""
-    u_t, u_n = 0.0, 0.0
+    u_t = 0.0
+    u_n = 0.0
     for side in range(2):
         i = o.hull_dof[w] if side == 0 else o.object_dof[w]
         if i >= 0:
-            middle, step, change = (
-                work.mid_motion[i],
-                work.step_motion[i],
-                work.motion[i],
-            )
-            along, across, shift = (
-                o.jacobian[w, side, 0],
-                o.jacobian[w, side, 1],
-                theta - 0.5,
-            )
+            middle = work.mid_motion[i]
+            step = work.step_motion[i]
+            change = work.motion[i]
+            along = o.jacobian[w, side, 0]
+            across = o.jacobian[w, side, 1]
+            shift = theta - 0.5
             u_t += (
                 dot(along, middle)
                 + shift * dot(along, step)
@@ -296,12 +308,19 @@ def add_object_impulses(engine, sparsity, work, h):  # type: ignore[no-untyped-d
     o = engine.objects
     for w in range(o.force.shape[0]):
         u_t, u_n = _velocity(o, work, w, o.theta[w])
-        mu, force, out = o.friction[w], o.force[w], o.response[w]
+        mu = o.friction[w]
+        force = o.force[w]
+        out = o.response[w]
         f_t, f_n, tt, tn, nn = stick_slip_friction(
             u_t, u_n, o.load[w], mu, mu, o.slip, force[0], force[1]
         )
-        out[0], out[1], out[2], out[3], out[4] = f_t, f_n, tt, tn, nn
-        along, across = h * (f_t - force[0]), h * (f_n - force[1])
+        out[0] = f_t
+        out[1] = f_n
+        out[2] = tt
+        out[3] = tn
+        out[4] = nn
+        along = h * (f_t - force[0])
+        across = h * (f_n - force[1])
         for side in range(2):
             i = o.hull_dof[w] if side == 0 else o.object_dof[w]
             if i >= 0:
@@ -324,26 +343,27 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
         if o.load[w] == 0.0:
             continue
         weight = -o.theta[w] * h
-        tt, tn, nn = (
-            weight * o.response[w, 2],
-            weight * o.response[w, 3],
-            weight * o.response[w, 4],
-        )
+        tt = weight * o.response[w, 2]
+        tn = weight * o.response[w, 3]
+        nn = weight * o.response[w, 4]
         for side in range(2):
             i = o.hull_dof[w] if side == 0 else o.object_dof[w]
             if i >= 0:
-                along, across = o.jacobian[w, side, 0], o.jacobian[w, side, 1]
+                along = o.jacobian[w, side, 0]
+                across = o.jacobian[w, side, 1]
                 for a in range(6):
-                    t, n = (
-                        tt * along[a] + tn * across[a],
-                        tn * along[a] + nn * across[a],
-                    )
+                    t = tt * along[a] + tn * across[a]
+                    n = tn * along[a] + nn * across[a]
                     for b in range(6):
                         work.slope[i, a, b] += t * along[b] + n * across[b]
-        hull, own = o.jacobian[w, 0], o.jacobian[w, 1]
+        hull = o.jacobian[w, 0]
+        own = o.jacobian[w, 1]
         for dof in range(o.object_dof[w] - 2, o.object_dof[w] + 1):
-            s_t, s_n = dot(own[0], engine.cdof[dof]), dot(own[1], engine.cdof[dof])
-            t, n, i = tt * s_t + tn * s_n, tn * s_t + nn * s_n, o.hull_dof[w]
+            s_t = dot(own[0], engine.cdof[dof])
+            s_n = dot(own[1], engine.cdof[dof])
+            t = tt * s_t + tn * s_n
+            n = tn * s_t + nn * s_n
+            i = o.hull_dof[w]
             while i >= 0:
                 cdof = engine.cdof[i]
                 o.coupling[dof - o.first, i] += t * dot(hull[0], cdof) + n * dot(
@@ -355,7 +375,9 @@ def add_object_slopes(engine, sparsity, work, h):  # type: ignore[no-untyped-def
 @compiled_if(has_objects)
 def couple_objects(engine, sparsity, work, h):  # type: ignore[no-untyped-def]
     """Correct Newton's direction, which was solved without B."""
-    o, first, direction = engine.objects, engine.objects.first, work.direction
+    o = engine.objects
+    first = engine.objects.first
+    direction = work.direction
     count = o.coupling.shape[0]
     if count == 0:
         return
@@ -408,16 +430,21 @@ def store_object_friction(engine, sparsity, work, force):  # type: ignore[no-unt
         force: out, friction on the hull of each pair in the world frame, shape (pairs,
             3), N.
     """
-    o, power = engine.objects, 0.0
+    o = engine.objects
+    power = 0.0
     for w in range(o.force.shape[0]):
-        f_t, f_n = o.response[w, 0], o.response[w, 1]
+        f_t = o.response[w, 0]
+        f_n = o.response[w, 1]
         u_t, u_n = _velocity(o, work, w, 0.5)
         power -= f_t * u_t + f_n * u_n
         o.slip_speed[w] = np.sqrt(u_t * u_t + u_n * u_n)
-        o.force[w, 0], o.force[w, 1] = f_t, f_n
+        o.force[w, 0] = f_t
+        o.force[w, 1] = f_n
         if w < o.pairs:
             along = o.jacobian[w, 0, 0]
-            force[w, 0], force[w, 1], force[w, 2] = f_t * along[3], f_t * along[4], f_n
+            force[w, 0] = f_t * along[3]
+            force[w, 1] = f_t * along[4]
+            force[w, 2] = f_n
             for side in range(2):
                 i = o.hull_dof[w] if side == 0 else o.object_dof[w]
                 away = o.jacobian[w, side, 2]

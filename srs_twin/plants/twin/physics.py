@@ -169,7 +169,10 @@ class SnakePhysics(Stateful):
             world: obstacles and floor; None for a level floor without obstacles.
         """
         # Other worlds do not affect the scene: share the compiled model.
-        relevant = world if world and (world.is_solid or world.uneven) else None
+        if world and (world.is_solid or world.uneven):
+            relevant = world
+        else:
+            relevant = None
         # A copy, so that changes of one twin's model do not affect other twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
@@ -183,15 +186,15 @@ class SnakePhysics(Stateful):
         world: World,
     ) -> None:
         """Take over a compiled scene; the arguments are those of `build`."""
-        self.model, self.data = model, mujoco.MjData(model)
+        self.model = model
+        self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
-        self._pneumatics, self._spec, self._settings, self._world = (
-            chambers,
-            spec,
-            settings,
-            world,
-        )
-        self.free, contact = settings.base == "free", settings.contact
+        self._pneumatics = chambers
+        self._spec = spec
+        self._settings = settings
+        self._world = world
+        self.free = settings.base == "free"
+        contact = settings.contact
         self._static_load = static_loads(spec, settings, -model.opt.gravity[2])
         self._preload = np.zeros_like(self._static_load)
         if isinstance(contact, PreloadedContact) and self.free:
@@ -207,16 +210,16 @@ class SnakePhysics(Stateful):
         self._force_addresses = self._addresses(
             [f"floor_force_{foot}" for foot in feet]
         ).reshape(-1, 2, 3)
-        velocities = (
-            []
-            if settings.loaded
-            else [foot.replace("tread", "velocity_foot") for foot in feet]
-        )
+        if settings.loaded:
+            velocities = []
+        else:
+            velocities = [foot.replace("tread", "velocity_foot") for foot in feet]
         self._foot_addresses = self._addresses(velocities).reshape(-1, 2, 3)
         self._energy_address = model.sensor("kinetic_energy").adr[0]
-        count = (
-            spec.geometry.connectors if self.free and spec.friction.drag > 0.0 else 0
-        )
+        if self.free and spec.friction.drag > 0.0:
+            count = spec.geometry.connectors
+        else:
+            count = 0
         drags = [
             [f"drag_{kind}_{i + 1}" for i in range(count)] for kind in ("frc", "vel")
         ]
@@ -230,10 +233,8 @@ class SnakePhysics(Stateful):
         # bends upwards.
         kinds = bend_joints(spec)
         rows = len(kinds) * spec.segments
-        self._angles, self._rates = (
-            np.zeros((rows, model.nq)),
-            np.zeros((rows, model.nv)),
-        )
+        self._angles = np.zeros((rows, model.nq))
+        self._rates = np.zeros((rows, model.nv))
         for row in range(rows):
             component, j = divmod(row, spec.segments)
             for k in range(settings.hinges_per_segment):
@@ -268,7 +269,10 @@ class SnakePhysics(Stateful):
             for name, value in vars(self).items()
             if isinstance(value, kinds)
         }
-        contact = None if self.stepper is None else self.stepper.constants
+        if self.stepper is None:
+            contact = None
+        else:
+            contact = self.stepper.constants
         return type(self), arguments, (self.state_dict(), constants, contact)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -289,13 +293,12 @@ class SnakePhysics(Stateful):
             segment, number = place_of(hull)
             count = sum(name.startswith(f"hull_{segment}_") for name in hulls)
             share = np.clip(count / 2 - number, 0.0, 1.0)
-            self._hull_shares[segment - 1, k], self._hull_shares[segment, k] = (
-                share,
-                1 - share,
-            )
+            self._hull_shares[segment - 1, k] = share
+            self._hull_shares[segment, k] = 1 - share
 
     def _set_up_objects(self) -> None:
-        names, hulls = object_names(self.model), hull_names(self.model)
+        names = object_names(self.model)
+        hulls = hull_names(self.model)
         sensors = [object_force_sensor(name, hull) for name in names for hull in hulls]
         # Address of the force of each object on each hull, shape (objects, hulls, 3);
         # its point follows.
@@ -351,7 +354,8 @@ class SnakePhysics(Stateful):
         mujoco.mj_forward(self.model, self.data)
         self.refresh()
         self._pneumatics.reset()
-        self._floor_force, self._last_force = self._no_force.copy(), self._no_force
+        self._floor_force = self._no_force.copy()
+        self._last_force = self._no_force
         if self.stepper is not None:
             self.stepper.reset()
             self._move_to_pose(pose)  # sinking moved it by some nanometres
@@ -397,7 +401,8 @@ class SnakePhysics(Stateful):
 
     def _roll_wheels(self) -> None:
         """Set the spin of the wheels to rolling without slip along their headings."""
-        model, data = self.model, self.data
+        model = self.model
+        data = self.data
         if self.stepper is not None:
             self.stepper.roll()
         for number in range(1, len(self._preload) + 1):
@@ -407,11 +412,9 @@ class SnakePhysics(Stateful):
                 )
                 if joint < 0:
                     continue
-                wheel, axis, velocity = (
-                    model.jnt_bodyid[joint],
-                    data.xaxis[joint],
-                    np.empty(6),
-                )
+                wheel = model.jnt_bodyid[joint]
+                axis = data.xaxis[joint]
+                velocity = np.empty(6)
                 mujoco.mj_objectVelocity(
                     model, data, mujoco.mjtObj.mjOBJ_BODY, wheel, velocity, 0
                 )
@@ -477,16 +480,13 @@ class SnakePhysics(Stateful):
         controls = self.controls(trace)
         # Positions are those at the beginning of a step, or at its middle under loaded
         # contact.
-        controls = (
-            controls[:-1]
-            if self.stepper is None
-            else (controls[:-1] + controls[1:]) / 2
-        )
-        return (
-            self._run_engine(controls)
-            if self.stepper is None
-            else self.stepper.run(controls)
-        )
+        if self.stepper is None:
+            controls = controls[:-1]
+        else:
+            controls = (controls[:-1] + controls[1:]) / 2
+        if self.stepper is None:
+            return self._run_engine(controls)
+        return self.stepper.run(controls)
 
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
@@ -554,7 +554,8 @@ class SnakePhysics(Stateful):
             [hull_force[:, None], sensors[:, self._object_force]], axis=1
         )
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
-        self._floor_force, self._last_force = floor_force.mean(axis=0), floor_force[-1]
+        self._floor_force = floor_force.mean(axis=0)
+        self._last_force = floor_force[-1]
         # The engine's dampers act with the velocities at the end of a step.
         internal = self.internal_joints.dissipated(
             states[:, 1 + self.model.nq :], free_rate
@@ -566,13 +567,13 @@ class SnakePhysics(Stateful):
         self, chamber_controls: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Run all steps in one call of the engine; return states and sensors as in `evaluate`."""
-        model, data, steps = self.model, self.data, len(chamber_controls)
+        model = self.model
+        data = self.data
+        steps = len(chamber_controls)
         controls = np.zeros((1, steps, model.nu))
         controls[0, :, : chamber_controls.shape[1]] = chamber_controls
-        states, sensors = (
-            np.empty((1, steps, self._start.shape[1])),
-            np.empty((1, steps, model.nsensordata)),
-        )
+        states = np.empty((1, steps, self._start.shape[1]))
+        sensors = np.empty((1, steps, model.nsensordata))
         mujoco.mj_getState(model, data, self._start[0], _ROLLOUT_STATE)
         _ROLLOUT.rollout(
             *([model], [data], self._start, controls),
@@ -586,11 +587,9 @@ class SnakePhysics(Stateful):
 
     def _at_feet(self, sensors: np.ndarray, addresses: np.ndarray) -> np.ndarray:
         """Return sensor values at the feet, shape (steps, axles, 2, 3); 0 without a floor."""
-        return (
-            sensors[:, addresses]
-            if self.free
-            else np.zeros((len(sensors), *self._no_force.shape))
-        )
+        if self.free:
+            return sensors[:, addresses]
+        return np.zeros((len(sensors), *self._no_force.shape))
 
     def refresh(self) -> None:
         """Recompute positions and velocities from the state; contacts stay those of the last step."""
@@ -602,23 +601,25 @@ class SnakePhysics(Stateful):
         Args:
             states: as in `StepBatch`.
         """
-        count, n, nq = len(states), len(self._connectors), self.model.nq
-        qpos, qvel = states[:, 1 : 1 + nq], states[:, 1 + nq :]
-        com, velocity = np.empty((count, 3)), np.empty((count, 3))
-        positions, frames = np.empty((count, n, 3)), np.empty((count, n, 9))
+        count = len(states)
+        n = len(self._connectors)
+        nq = self.model.nq
+        qpos = states[:, 1 : 1 + nq]
+        qvel = states[:, 1 + nq :]
+        com = np.empty((count, 3))
+        velocity = np.empty((count, 3))
+        positions = np.empty((count, n, 3))
+        frames = np.empty((count, n, 9))
         turns = np.empty((count, n, 4))
         probe = self._probe
         for k in range(count):
-            probe.qpos[:], probe.qvel[:] = qpos[k], qvel[k]
+            probe.qpos[:] = qpos[k]
+            probe.qvel[:] = qvel[k]
             self._update_kinematics(probe)
-            com[k], velocity[k] = (
-                probe.subtree_com[_SNAKE],
-                probe.subtree_linvel[_SNAKE],
-            )
-            positions[k], frames[k] = (
-                probe.xpos[self._connectors],
-                probe.xmat[self._connectors],
-            )
+            com[k] = probe.subtree_com[_SNAKE]
+            velocity[k] = probe.subtree_linvel[_SNAKE]
+            positions[k] = probe.xpos[self._connectors]
+            frames[k] = probe.xmat[self._connectors]
             turns[k] = probe.xquat[self._connectors]
         headings = np.arctan2(frames[..., 3], frames[..., 0])
         bends, rates = self.bends_and_rates(qpos, qvel)
@@ -633,7 +634,8 @@ class SnakePhysics(Stateful):
 
     def kinetic_energy(self) -> float:
         """Return the bodies' kinetic energy, J."""
-        model, data = self.model, self.data
+        model = self.model
+        data = self.data
         mujoco.mj_crb(model, data)
         momentum = np.empty(model.nv)
         mujoco.mj_mulM(model, data, momentum, data.qvel)
@@ -698,7 +700,10 @@ def _compile_scene(
     # MuJoCo stops where an iteration improves the cost by less than the tolerance times
     # the mean of the diagonal of M, which holds masses and moments of inertia. Weigh
     # them as at a length unit of 1.
-    masses = 3 * model.body_subtreemass[_SNAKE] if settings.base == "free" else 0.0
+    if settings.base == "free":
+        masses = 3 * model.body_subtreemass[_SNAKE]
+    else:
+        masses = 0.0
     masses += 2 * sum(item.mass for item in (world.objects if world else ()))
     inertias = model.nv * model.stat.meaninertia - masses
     model.opt.tolerance *= (masses + inertias / spec.scale.length**2) / (

@@ -128,23 +128,25 @@ class TwinSnake(PneumaticPlant):
             InputError: the contact or the layout is unknown, the tick is not a multiple
                 of the time step, or the time step is too long for the chambers.
         """
-        contact, unit = as_contact(contact), spec.scale.time
+        contact = as_contact(contact)
+        unit = spec.scale.time
         if deprecated:
             contact, numerics = _apply_deprecated(contact, numerics, deprecated)
         tick = TICK_S * unit if tick is None else tick
-        timestep = divide(tick, TIMESTEP_S * unit) if timestep is None else timestep
+        if timestep is None:
+            timestep = divide(tick, TIMESTEP_S * unit)
+        else:
+            timestep = timestep
         check_choice("base", base, BASES)
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")
         count_steps("tick", tick, "time step", timestep)
         if spec.skin is not None and isinstance(contact, LoadedContact):
             contact = replace(contact, law=spec.skin.law)
-        self.spec, self.tick, self.timestep, self.contact = (
-            spec,
-            tick,
-            timestep,
-            contact,
-        )
+        self.spec = spec
+        self.tick = tick
+        self.timestep = timestep
+        self.contact = contact
         supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         settings = ModelSettings(timestep, hinges_per_segment, contact, base, numerics)
         self._settings = settings.for_robot(spec)
@@ -166,16 +168,14 @@ class TwinSnake(PneumaticPlant):
                 f" depend on the bends; it must be {self.pneumatics.coupling_step_s:g}"
                 " s or less (timestep_s in a scenario)"
             )
-        self.touches, self.uneven = (
-            world is not None and world.is_solid,
-            world is not None and world.uneven,
-        )
-        self.world, self.objects = world, len(world.objects) if world else 0
-        self._first_step_x = (
-            min((step.x for step in world.steps), default=math.inf)
-            if world
-            else math.inf
-        )
+        self.touches = world is not None and world.is_solid
+        self.uneven = world is not None and world.uneven
+        self.world = world
+        self.objects = len(world.objects) if world else 0
+        if world:
+            self._first_step_x = min((step.x for step in world.steps), default=math.inf)
+        else:
+            self._first_step_x = math.inf
         largest = supply * self.pneumatics.max_pressure_ratio
         self._world = short_digest(world)
         self.physics = SnakePhysics.build(
@@ -227,14 +227,14 @@ class TwinSnake(PneumaticPlant):
         """Return the first state of a run."""
         physics = self.physics
         self._start_height_energy = self._potential_energy(physics.center_of_mass())
-        self._ticks, self.seed = 0, seed
+        self._ticks = 0
+        self.seed = seed
         self._energy_loss = self._internal_loss = 0.0
         state = np.concatenate([[0.0], physics.data.qpos, physics.data.qvel])[None]
-        force, obstacles = (
-            np.zeros((1, len(self.physics.wheel_loads()), 2, 3)),
-            np.zeros((1, len(self._theta), 2)),
-        )
-        work, loss = np.array([physics.kinetic_energy()]), np.zeros(1)
+        force = np.zeros((1, len(self.physics.wheel_loads()), 2, 3))
+        obstacles = np.zeros((1, len(self._theta), 2))
+        work = np.array([physics.kinetic_energy()])
+        loss = np.zeros(1)
         self.state = self._observe(
             np.zeros(1), state, trace, force, obstacles, work, loss
         ).at(0)
@@ -254,7 +254,8 @@ class TwinSnake(PneumaticPlant):
         interval = schedule.span / samples
         steps = count_steps("sample interval", interval, "time step", self.timestep)
         chunk_samples = max(1, math.floor(self.max_chunk_s / interval))
-        begun, histories = self._ticks * self.tick, []
+        begun = self._ticks * self.tick
+        histories = []
         for first in range(0, samples, chunk_samples):
             count = min(chunk_samples, samples - first)
             chunk = schedule.slice(first * interval, (first + count) * interval)
@@ -265,7 +266,10 @@ class TwinSnake(PneumaticPlant):
             except DivergedError as error:
                 if error.history is not None:
                     histories.append(error.history)
-                error.history = SnakeState.history(histories) if histories else None
+                if histories:
+                    error.history = SnakeState.history(histories)
+                else:
+                    error.history = None
                 raise
         self._ticks += ticks
         return check_plausible(self.name, SnakeState.history(histories))
@@ -337,7 +341,8 @@ class TwinSnake(PneumaticPlant):
             interval = 1  # closed chambers are stiff springs, stable with the bends of each step
         else:
             interval = max(1, math.floor(coupling_step / self.timestep * (1 + 1e-9)))
-        traces, results = [], []
+        traces = []
+        results = []
         for first in range(0, steps, interval):
             last = min(first + interval, steps)
             piece = schedule.slice(first * self.timestep, last * self.timestep)
@@ -352,7 +357,8 @@ class TwinSnake(PneumaticPlant):
         self, times: np.ndarray, trace: Trace, batch: StepBatch, steps: int
     ) -> SnakeState:
         """Return the history at `times`, each at the end of a number of steps."""
-        count, used = len(times), len(times) * steps
+        count = len(times)
+        used = len(times) * steps
         ends = np.arange(1, count + 1) * steps - 1
         floor_force = batch.floor_force[:used]
         energy_loss = self._energy_loss + self.timestep * np.cumsum(batch.power[:used])
@@ -360,12 +366,11 @@ class TwinSnake(PneumaticPlant):
             batch.internal[:used]
         )
         if used:
-            self._energy_loss, self._internal_loss = (
-                float(energy_loss[-1]),
-                float(internal[-1]),
-            )
+            self._energy_loss = float(energy_loss[-1])
+            self._internal_loss = float(internal[-1])
         # Energy balance: the work of the torques is kinetic energy plus losses.
-        work, loss = batch.energy[ends] + energy_loss[ends], internal[ends]
+        work = batch.energy[ends] + energy_loss[ends]
+        loss = internal[ends]
         force = floor_force.reshape(count, steps, *floor_force.shape[1:]).mean(axis=1)
         contact = batch.obstacle_force[:used, :, :2]
         obstacles = contact.reshape(count, steps, *contact.shape[1:]).mean(axis=1)
@@ -473,7 +478,9 @@ class TwinSnake(PneumaticPlant):
             & np.isfinite(states).all(axis=1)
             & (np.abs(speeds) < _MAX_SPEED).all(axis=1)
         )
-        return int(np.argmin(fine)) if not fine.all() else len(fine)
+        if not fine.all():
+            return int(np.argmin(fine))
+        return len(fine)
 
     def _divergence_error(
         self, time: float, before: np.ndarray, history: SnakeState | None
@@ -482,10 +489,8 @@ class TwinSnake(PneumaticPlant):
         warned = " ".join(" ".join(dict.fromkeys(ENGINE_WARNINGS.last)).split())
         physics = self.physics
         count = physics.model.nq
-        physics.data.qpos[:], physics.data.qvel[:] = (
-            before[1 : 1 + count],
-            before[1 + count :],
-        )
+        physics.data.qpos[:] = before[1 : 1 + count]
+        physics.data.qvel[:] = before[1 + count :]
         physics.refresh()
         x, y, z = physics.center_of_mass()
         bends = ", ".join(f"{bend:.3g}" for bend in physics.bend_angles())
@@ -521,7 +526,8 @@ def _apply_deprecated(
         name: options.pop(name) for name in list(options) if name in vars(numerics)
     }
     if isinstance(contact, LoadedContact):
-        wheels, law = options.pop("wheels", None), options.pop("friction", None)
+        wheels = options.pop("wheels", None)
+        law = options.pop("friction", None)
         if wheels is not None:
             check_choice("wheels", wheels, WHEELS)
             law = law or LAW_OF[wheels]

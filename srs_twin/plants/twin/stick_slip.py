@@ -50,7 +50,9 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
         f_t, f_n (N), and the slopes ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t, ∂f_n/∂v_n
         (N·s/m).
     """
-    limit_t, limit_n, greatest = mu_t * load, mu_n * load, max(mu_t, mu_n)
+    limit_t = mu_t * load
+    limit_n = mu_n * load
+    greatest = max(mu_t, mu_n)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0
     # The contact yields over a slip of ε in the direction of the smaller coefficient,
@@ -58,17 +60,18 @@ def stick_slip_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n):  # type: ig
     stiffness = 1.0 / (slip * max(min(mu_t, mu_n), _MIN_RATIO * greatest))
     # Previous force in units of the friction limits. A smaller load shrinks it onto the
     # friction ellipse.
-    q_t, q_n = p_t / max(limit_t, _MIN_LIMIT), p_n / max(limit_n, _MIN_LIMIT)
+    q_t = p_t / max(limit_t, _MIN_LIMIT)
+    q_n = p_n / max(limit_n, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
-    y_t, y_n = (
-        shrink * q_t - mu_t * stiffness * v_t,
-        shrink * q_n - mu_n * stiffness * v_n,
-    )
+    y_t = shrink * q_t - mu_t * stiffness * v_t
+    y_n = shrink * q_n - mu_n * stiffness * v_n
     size = np.sqrt(y_t * y_t + y_n * y_n)
     sliding = 1.0 if size > 1.0 else 0.0
     r = 1.0 / max(1.0, size)
-    a_t, a_n = y_t * r, y_n * r
-    k_t, k_n = limit_t * r * stiffness, limit_n * r * stiffness
+    a_t = y_t * r
+    a_n = y_n * r
+    k_t = limit_t * r * stiffness
+    k_n = limit_n * r * stiffness
     return (
         limit_t * a_t,
         limit_n * a_n,
@@ -97,18 +100,24 @@ def skin_friction(v_t, v_n, load, mu_ahead, mu_back, mu_n, slip, p_t, p_n, is_co
     # Friction opposes the slip: the force of slip towards the head points to the tail.
     mu_p = mu_ahead if p_t <= 0.0 else mu_back
     mu_v = mu_ahead if v_t >= 0.0 else mu_back
-    q_t, q_n = p_t / max(mu_p * load, _MIN_LIMIT), p_n / max(mu_n * load, _MIN_LIMIT)
+    q_t = p_t / max(mu_p * load, _MIN_LIMIT)
+    q_n = p_n / max(mu_n * load, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_n * q_n))
-    k_t, k_n = 1.0 / slip, 1.0 / slip
+    k_t = 1.0 / slip
+    k_n = 1.0 / slip
     if not is_cosine:
         stiffness = 1.0 / (slip * max(min(mu_v, mu_n), _MIN_RATIO * greatest))
-        k_t, k_n = mu_v * stiffness, mu_n * stiffness
-    y_t, y_n = shrink * q_t - k_t * v_t, shrink * q_n - k_n * v_n
+        k_t = mu_v * stiffness
+        k_n = mu_n * stiffness
+    y_t = shrink * q_t - k_t * v_t
+    y_n = shrink * q_n - k_n * v_n
     size = np.sqrt(y_t * y_t + y_n * y_n)
     sliding = 1.0 if size > 1.0 else 0.0
     r = 1.0 / max(1.0, size)
-    a_t, a_n = y_t * r, y_n * r
-    limit_t, limit_n = (mu_ahead if y_t <= 0.0 else mu_back) * load, mu_n * load
+    a_t = y_t * r
+    a_n = y_n * r
+    limit_t = (mu_ahead if y_t <= 0.0 else mu_back) * load
+    limit_n = mu_n * load
     return (
         limit_t * a_t,
         limit_n * a_n,
@@ -141,7 +150,8 @@ def rolling_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n, rim, inertia): 
         f_t, f_n (N), the slopes ∂f_t/∂v_t, ∂f_t/∂v_n = ∂f_n/∂v_t, ∂f_n/∂v_n (N·s/m),
         and w (m/s).
     """
-    drag, w = mu_t * load, float(0.0)
+    drag = mu_t * load
+    w = float(0.0)
     f_t, f_n, tt, tn, nn = stick_slip_friction(
         v_t, v_n, load, mu_n, mu_n, slip, p_t, p_n
     )
@@ -151,7 +161,8 @@ def rolling_friction(v_t, v_n, load, mu_t, mu_n, slip, p_t, p_n, rim, inertia): 
     # The excess of the driving force decreases in w and is positive at 0: a bracketed
     # Newton iteration.
     side = 1.0 if demand > 0.0 else -1.0
-    low, high = float(0.0), (abs(demand) - drag) / inertia
+    low = float(0.0)
+    high = (abs(demand) - drag) / inertia
     w = min(max(side * v_t, low), high)
     for _ in range(60):
         f_t, f_n, tt, tn, nn = stick_slip_friction(

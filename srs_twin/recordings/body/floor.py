@@ -284,7 +284,9 @@ def _body_extent(place: np.ndarray) -> float:
     """Return the median distance of a marker from the one farthest away on the same frame, m."""
     distance = pairwise_distances(place, _EXTENT_FRAMES)
     seen = np.isfinite(distance).any(axis=2)
-    return float(np.median(np.nanmax(distance[seen], axis=-1))) if seen.any() else 0.0
+    if seen.any():
+        return float(np.median(np.nanmax(distance[seen], axis=-1)))
+    return 0.0
 
 
 def _displacements(points: np.ndarray) -> np.ndarray:
@@ -310,7 +312,8 @@ def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)
     distance = np.abs(moved[:: len(moved) // 2000 + 1] @ normals.T)
-    normal, inliers = normals[np.argmin(np.median(distance, axis=0))], moved
+    normal = normals[np.argmin(np.median(distance, axis=0))]
+    inliers = moved
     for _ in range(4):
         distance = np.abs(moved @ normal)
         inliers = moved[distance <= 5 * np.median(distance) + 1e-3]

@@ -111,7 +111,8 @@ class MarkerPlacement:
             for ends in ([1, 0], [0, 1])
         )
         theta = state[:, 2:3] - np.pad(np.cumsum(turn, axis=1), ((0, 0), (1, 0)))
-        direction, rotation = np.exp(1j * theta), np.exp(-1j * turn)
+        direction = np.exp(1j * theta)
+        rotation = np.exp(-1j * turn)
         front_direction = direction[:, :-1]
         arc, arc_slope = _mean_direction(turn)
         span = front_direction * (before + length * arc + after * rotation)
@@ -122,11 +123,9 @@ class MarkerPlacement:
         )
         marker = station[:, self.station] + self.offset * direction[:, self.station]
         jacobian = np.empty((*marker.shape, state.shape[1]), dtype=complex)
-        jacobian[..., 0], jacobian[..., 1], jacobian[..., 2] = (
-            1,
-            1j,
-            1j * (marker - station[:, :1]),
-        )
+        jacobian[..., 0] = 1
+        jacobian[..., 1] = 1j
+        jacobian[..., 2] = 1j * (marker - station[:, :1])
         # A half segment moves all stations behind it: its bend rotates them about its
         # rear end and changes its chord, and its length displaces them.
         moved = self.station[:, None] > np.arange(2 * count)
@@ -173,7 +172,8 @@ def marker_offsets(
         InputError: a station has more than two markers or two on the same side, or a
             pair is oblique to the body.
     """
-    offsets, position = np.zeros(len(places), dtype=complex), points @ [1, 1j]
+    offsets = np.zeros(len(places), dtype=complex)
+    position = points @ [1, 1j]
     station = np.array([place for place, _ in places])
     members = [
         np.flatnonzero(station == value).tolist() for value in np.unique(station)
@@ -313,8 +313,10 @@ def fit_frames(
             are then kept close to those of the initial states, q̂. None if all markers
             are visible.
     """
-    count, width = len(prior.length_mean), state.shape[1]
-    information, prior_mean = prior.information(), np.zeros_like(state)
+    count = len(prior.length_mean)
+    width = state.shape[1]
+    information = prior.information()
+    prior_mean = np.zeros_like(state)
     prior_mean[:, prior.lengths] = prior.length_mean
     weight = np.full(measured.shape, prior.noise**-2)
     if missing is not None:
@@ -351,7 +353,8 @@ def fit_frames(
     cost = squares.sum(axis=1) + np.einsum(
         "fu,uv,fv->f", deviation, information, deviation
     )
-    chi2, freedom = float(squares.sum()), float(2 * squares.size - parameters)
+    chi2 = float(squares.sum())
+    freedom = float(2 * squares.size - parameters)
     return FrameFit(state, covariance, np.abs(residual), cost, chi2, freedom)
 
 
@@ -403,14 +406,13 @@ def initial_states(
 
     if prior.alternating_std is not None:
         return _fixed_length_states(measured, placement, prior)
-    stations, directions = (
-        np.unique(placement.station),
-        list[tuple[float, np.ndarray]](),
-    )
+    stations = np.unique(placement.station)
+    directions = list[tuple[float, np.ndarray]]()
     centre = np.empty((len(measured), len(stations)), dtype=complex)
     for k, station in enumerate(stations):
         members = np.flatnonzero(placement.station == station)
-        offset, direction = placement.offset[members], np.zeros(len(measured))
+        offset = placement.offset[members]
+        direction = np.zeros(len(measured))
         if len(members) == 2:
             line = (measured[:, members[0]] - measured[:, members[1]]) / (
                 offset[0] - offset[1]
@@ -430,7 +432,8 @@ def initial_states(
     )
     state = np.column_stack([origin, theta[:, 0], -np.diff(theta), length])
     shift = (measured - placement.kinematics(state).marker).mean(axis=1)
-    state[:, 0], state[:, 1] = shift.real, shift.imag
+    state[:, 0] = shift.real
+    state[:, 1] = shift.imag
     return state
 
 
@@ -443,8 +446,10 @@ def _fixed_length_states(
     the next is the mean of their headings, so each heading is the mirror image of the
     previous one: θ_{j+1} = 2α_j − θ_j.
     """
-    count, order = len(prior.length_mean), np.argsort(placement.station)
-    sign, span = (-1.0) ** np.arange(count + 1), -np.diff(measured[:, order], axis=1)
+    count = len(prior.length_mean)
+    order = np.argsort(placement.station)
+    sign = (-1.0) ** np.arange(count + 1)
+    span = -np.diff(measured[:, order], axis=1)
     assert span.shape[1] == count and prior.alternating_std is not None, (
         "one marker at each connector"
     )
@@ -465,10 +470,8 @@ def _fixed_length_states(
         cost = error.sum(axis=1) / (2 * prior.noise**2 + prior.length_std**2)
         costs.append(cost + (epsilon / prior.alternating_std) ** 2)
     best = np.argmin(costs, axis=0)
-    first, heading = (
-        measured[:, order[0]],
-        alpha[:, 0] - mean[:, 0] / 2 + _ALTERNATING_STARTS[best],
-    )
+    first = measured[:, order[0]]
+    heading = alpha[:, 0] - mean[:, 0] / 2 + _ALTERNATING_STARTS[best]
     bend = np.stack(bends)[best, np.arange(len(measured))]
     length = np.tile(prior.length_mean, (len(measured), 1))
     return np.column_stack([first.real, first.imag, heading, bend, length])

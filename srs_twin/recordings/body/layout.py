@@ -82,11 +82,10 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
         tracks: in floor coordinates, shape (frames, tracks, 3), m.
     """
     visible = np.isfinite(tracks[..., 0])
-    usual = (
-        np.quantile(tracks[visible][:, 2], 0.5, method="lower")
-        if visible.any()
-        else 0.0
-    )
+    if visible.any():
+        usual = np.quantile(tracks[visible][:, 2], 0.5, method="lower")
+    else:
+        usual = 0.0
     heights = [tracks[visible[:, k], k, 2] for k in range(tracks.shape[1])]
     different = [
         k
@@ -109,11 +108,10 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     reasons = {}
     for k in (k for k in different if k not in robot):
         varies = f"its height varies by {1e3 * height_range[k]:.0f} mm"
-        reason = (
-            varies
-            if height_range[k] > _CONSTANT_HEIGHT
-            else "does not move with the other markers"
-        )
+        if height_range[k] > _CONSTANT_HEIGHT:
+            reason = varies
+        else:
+            reason = "does not move with the other markers"
         reasons[k] = f"{1e3 * np.median(heights[k]):.0f} mm high, {reason}"
     return reasons
 
@@ -178,17 +176,17 @@ def robot_markers(
         for name, size in LAYOUT_SIZES.items()
     }
     if named:
-        layout, counts = "named", {"named": named}
+        layout = "named"
+        counts = {"named": named}
     possible = [layout]
     if layout == "auto":
         # Count the markers on the same frame: a marker that was hidden for long may
         # have become two tracks.
         jobs_option = visible[:, candidates].sum(axis=1)
-        count = (
-            int(np.quantile(jobs_option, 0.95, method="lower"))
-            if candidates.size
-            else 0
-        )
+        if candidates.size:
+            count = int(np.quantile(jobs_option, 0.95, method="lower"))
+        else:
+            count = 0
         possible = [name for name, required in counts.items() if required == count]
     required = counts[possible[0]] if possible else -1
     if required < 0 or len(candidates) < required:
@@ -251,7 +249,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     free = set(range(points.shape[1]))
     rows, columns = np.triu_indices(len(score), k=1)
     for k in np.argsort(score[rows, columns], kind="stable"):
-        a, b = int(rows[k]), int(columns[k])
+        a = int(rows[k])
+        b = int(columns[k])
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
@@ -299,7 +298,8 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
         InputError: the two nearest markers are farther apart than neighbours can be, or
             all are too close together.
     """
-    pitch, straight = spec.geometry.pitch, spec.segments * spec.geometry.pitch
+    pitch = spec.geometry.pitch
+    straight = spec.segments * spec.geometry.pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     distance = distance[np.isfinite(distance).any(axis=(1, 2))]
     if not len(distance):
@@ -335,8 +335,12 @@ def forward_distance(period: float, points: np.ndarray) -> float:
         points: in order along the body, shape (frames, N, 2), m.
     """
     stride = max(1, round(0.25 / period))
-    sampled = points[::stride] if len(points) > stride else points[[0, -1]]
-    centre, axis = sampled.mean(axis=1), sampled[:, 0] - sampled[:, -1]
+    if len(points) > stride:
+        sampled = points[::stride]
+    else:
+        sampled = points[[0, -1]]
+    centre = sampled.mean(axis=1)
+    axis = sampled[:, 0] - sampled[:, -1]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)
     return float(
         sum(

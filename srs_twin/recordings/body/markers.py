@@ -156,9 +156,10 @@ def tracked_body(
             if len(markers.layouts) == 1 or isinstance(error, UnknownNameError):
                 raise
             refused.append(f"{layout}: {error}")
-    chosen = (
-        options[0] if len(options) == 1 else _best_fit(markers, spec, options, refused)
-    )
+    if len(options) == 1:
+        chosen = options[0]
+    else:
+        chosen = _best_fit(markers, spec, options, refused)
     shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
     # A hidden marker at the middle of a segment makes both connectors of the segment
@@ -176,8 +177,10 @@ def _fit_body(
     markers: CapturedMarkers, spec: RobotSpec, places: Places
 ) -> tuple[BodyShape, np.ndarray, list[str]]:
     """Return the shape that fits markers at given places, their stations, and notes."""
-    geometry, order = spec.geometry, list(places)
-    points, missing = markers.points[:, order], markers.missing[:, order]
+    geometry = spec.geometry
+    order = list(places)
+    points = markers.points[:, order]
+    missing = markers.missing[:, order]
     station = np.array([places[marker][0] for marker in order])
     names = [markers.name(marker) for marker in order]
     offset = marker_offsets(points, missing, list(places.values()), names)
@@ -202,14 +205,13 @@ def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
     listed = ", ".join(
         f"{count} at {_station_name(number)}" for number, count in counts
     )
-    remedy = (
-        "put a second marker on the head"
-        if set(range(0, 2 * spec.segments + 1, 2)) <= set(station.tolist())
-        else (
+    if set(range(0, 2 * spec.segments + 1, 2)) <= set(station.tolist()):
+        remedy = "put a second marker on the head"
+    else:
+        remedy = (
             "use a marker at each connector and a second one on the head, or two at"
             " each connector"
         )
-    )
     return (
         f"markers ({listed}) do not determine the bends of {spec.segments} segments;"
         f" {remedy}"
@@ -227,7 +229,8 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
         InputError: the lengths do not fit the robot, or they vary although the bends
             depend on constant lengths.
     """
-    geometry, notes = spec.geometry, []
+    geometry = spec.geometry
+    notes = []
     low, median, high = (
         np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
     )
@@ -237,7 +240,8 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
         | (high < _MIN_LENGTH_RATIO * geometry.pitch)
     )
     if wrong.size:
-        k, ratio = int(wrong[0]), float(np.median(median)) / geometry.pitch
+        k = int(wrong[0])
+        ratio = float(np.median(median)) / geometry.pitch
         raise InputError(
             f"markers {k + 1} and {k + 2} from the head are {1e3 * median[k]:.4g} mm"
             f" apart along the body, the connectors of {spec.name}"
@@ -297,7 +301,8 @@ def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:
     """Return station and side of each marker of groups, head first."""
     places: Places = {}
     if "head" in layout:
-        places[groups[0][0]], groups = (0, "ahead"), groups[1:]
+        places[groups[0][0]] = (0, "ahead")
+        groups = groups[1:]
     step = 1 if "middles" in layout else 2
     return places | {
         marker: (step * k, "") for k, group in enumerate(groups) for marker in group
@@ -312,7 +317,8 @@ def _assignments(
         return [
             _Assignment(layout, _named_places(markers, spec), "connector 1 of the file")
         ]
-    groups, labels = _groups_along_body(markers, layout, spec), markers.table.labels
+    groups = _groups_along_body(markers, layout, spec)
+    labels = markers.table.labels
     options = [_stations(layout, order) for order in (groups, groups[::-1])]
     if head is not None:
         if head not in labels:
@@ -362,7 +368,9 @@ def _best_fit(
     Raises:
         InputError: none fits, or several fit about equally well.
     """
-    thinned, noises, notes = markers.thinned(), list[float](), [*refused]
+    thinned = markers.thinned()
+    noises = list[float]()
+    notes = [*refused]
     for option in options:
         try:
             noises.append(_fit_body(thinned, spec, option.places)[0].noise)
@@ -385,7 +393,8 @@ def _best_fit(
 
 def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
     """Return the places of markers by the names of their most frequent columns."""
-    places, main = markers.table.places, markers.main_columns
+    places = markers.table.places
+    main = markers.main_columns
     if sorted(main) != list(range(len(places))):
         raise InputError(
             "the markers change their columns too often to be identified by them"

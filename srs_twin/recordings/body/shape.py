@@ -136,14 +136,10 @@ def length_model(
         offset: offset from the station, shape (markers,), complex, m.
         geometry: geometry of the robot.
     """
-    placement, count = (
-        MarkerPlacement(station, offset, geometry),
-        geometry.connectors - 1,
-    )
-    bends, lengths = (
-        0.8 * np.cos(np.pi / 2 * np.arange(count) + 0.4),
-        np.full(count, geometry.segment_length),
-    )
+    placement = MarkerPlacement(station, offset, geometry)
+    count = geometry.connectors - 1
+    bends = 0.8 * np.cos(np.pi / 2 * np.arange(count) + 0.4)
+    lengths = np.full(count, geometry.segment_length)
     state = np.concatenate([np.zeros(3), bends, lengths])[None]
     jacobian = placement.kinematics(state).jacobian[0]
     data = (jacobian.conj().T @ jacobian).real / _TEST_NOISE**2
@@ -207,14 +203,16 @@ def fit_shape(
         placement: positions of the markers on the body.
         model: assumption on the segment lengths, see `length_model`.
     """
-    measured, missing = points @ [1, 1j], missing.copy()
+    measured = points @ [1, 1j]
+    missing = missing.copy()
     first = slice(0, _NOISE_FRAMES)
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
         # A spline needs complete frames: use the interpolated positions of hidden
         # markers on all frames.
-        complete, missing = np.arange(len(time)), np.zeros_like(missing)
+        complete = np.arange(len(time))
+        missing = np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]
     prior = _estimated_prior(measured[sampled], placement, model, noise)
     fits = _RecordingFits(len(time), measured.shape[1], prior)
@@ -228,11 +226,10 @@ def fit_shape(
         )
 
     chi2, freedom = fits.update(complete, fit_complete)
-    scale = (
-        float(np.sqrt(chi2 / freedom))
-        if freedom > _MIN_REDUNDANCY * len(complete)
-        else 1.0
-    )
+    if freedom > _MIN_REDUNDANCY * len(complete):
+        scale = float(np.sqrt(chi2 / freedom))
+    else:
+        scale = 1.0
     if prior.alternating_std is not None:
         # With fixed lengths the fit has little redundancy: its residual may only
         # increase the errors.
@@ -282,11 +279,9 @@ def _body_shape(
     residual = np.sqrt(
         np.ma.masked_array(fits.distance**2, missing).mean(axis=1).filled(0.0)
     )
-    error, length, noise = (
-        fits.bend_error * scale,
-        fits.state[:, prior.lengths],
-        prior.noise * scale,
-    )
+    error = fits.bend_error * scale
+    length = fits.state[:, prior.lengths]
+    noise = prior.noise * scale
     return BodyShape(
         body.connector,
         body.heading,
@@ -311,7 +306,8 @@ class _RecordingFits:
     """
 
     def __init__(self, frames: int, markers: int, prior: StatePrior) -> None:
-        segments, self._bends = len(prior.length_mean), prior.bends
+        segments = len(prior.length_mean)
+        self._bends = prior.bends
         self.state = np.empty((frames, 3 + 2 * segments))
         self.bend_error = np.empty((frames, segments))
         self.distance = np.empty((frames, markers))
@@ -327,7 +323,8 @@ class _RecordingFits:
 
         def work(rows: np.ndarray) -> tuple[float, float]:
             fitted = fit(rows)
-            self.state[rows], self.distance[rows] = fitted.state, fitted.distance
+            self.state[rows] = fitted.state
+            self.distance[rows] = fitted.distance
             self.bend_error[rows] = fitted.error(self._bends)
             return fitted.chi2, fitted.freedom
 
@@ -347,10 +344,8 @@ def _estimated_prior(
         model: assumption on the segment lengths.
         noise: first estimate of the noise, m.
     """
-    straight, segments = (
-        placement.geometry.segment_length,
-        placement.geometry.connectors - 1,
-    )
+    straight = placement.geometry.segment_length
+    segments = placement.geometry.connectors - 1
     fixed = model is LengthModel.FIXED
     alternating_std = _INITIAL_ALTERNATING_STD if fixed else None
     prior = StatePrior(
@@ -363,8 +358,12 @@ def _estimated_prior(
     start = initial_states(measured, placement, prior)
     for iteration in range(_EM_ITERATIONS):
         fit = fit_frames(start, measured, placement, prior)
-        length, variance = fit.state[:, prior.lengths], fit.error(prior.lengths) ** 2
-        prior.length_mean = np.median(length, axis=0) if fixed else length.mean(axis=0)
+        length = fit.state[:, prior.lengths]
+        variance = fit.error(prior.lengths) ** 2
+        if fixed:
+            prior.length_mean = np.median(length, axis=0)
+        else:
+            prior.length_mean = length.mean(axis=0)
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )
@@ -389,5 +388,8 @@ def _estimated_prior(
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
         # With fixed lengths a new prior may change which ε fits best, so start again
         # from the coarse grid.
-        start = initial_states(measured, placement, prior) if fixed else fit.state
+        if fixed:
+            start = initial_states(measured, placement, prior)
+        else:
+            start = fit.state
     return prior

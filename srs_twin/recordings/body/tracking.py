@@ -178,19 +178,17 @@ def track_markers(
     nearest = nearest[np.isfinite(nearest)]
     # The quantile replaces the minimum, because a few frames may have reflections close
     # to markers.
-    gate = (
-        min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach)
-        if nearest.size
-        else reach
-    )
-    visible, certain = np.isfinite(points[..., 0]), _certain_links(points, gate)
+    if nearest.size:
+        gate = min(GATE_RATIO * float(np.quantile(nearest, 0.05)), reach)
+    else:
+        gate = reach
+    visible = np.isfinite(points[..., 0])
+    certain = _certain_links(points, gate)
     ends = visible & ~np.append(certain[1:], np.zeros_like(certain[:1]), axis=0)
     slot, first = np.nonzero((visible & ~certain).T)
     last = np.nonzero(ends.T)[1]
-    tracker, order = (
-        _Tracker(points, gate, longest, reach),
-        np.argsort(first, kind="stable"),
-    )
+    tracker = _Tracker(points, gate, longest, reach)
+    order = np.argsort(first, kind="stable")
     length = last - first + 1
     if length[length < _MIN_SAMPLES].sum() < _MAX_SHORT * visible.sum():
         tracker.shortest = _MIN_SAMPLES
@@ -199,7 +197,8 @@ def track_markers(
     slots = tracker.slots[:, tracker.samples >= _MIN_SAMPLES].astype(int)
     if not slots.shape[1]:
         slots = np.full((len(points), 1), -1)
-    hidden, index = slots < 0, np.maximum(slots, 0)
+    hidden = slots < 0
+    index = np.maximum(slots, 0)
     tracks = np.where(
         hidden[..., None], np.nan, np.take_along_axis(points, index[..., None], axis=1)
     )
@@ -220,14 +219,13 @@ class _Tracker:
     def __init__(
         self, points: np.ndarray, gate: float, longest: int, reach: float
     ) -> None:
-        self._points, self._gate, self._longest, self._reach = (
-            points,
-            gate,
-            longest,
-            reach,
-        )
+        self._points = points
+        self._gate = gate
+        self._longest = longest
+        self._reach = reach
         self.slots = np.full((len(points), MAX_MARKERS), -1, dtype=np.int8)
-        self.samples, self.shortest = np.zeros(MAX_MARKERS, dtype=int), 1
+        self.samples = np.zeros(MAX_MARKERS, dtype=int)
+        self.shortest = 1
         self._end = np.full(MAX_MARKERS, -1)
         self._last, self._velocity = np.zeros((2, MAX_MARKERS, points.shape[-1]))
 
@@ -262,7 +260,8 @@ class _Tracker:
             remaining = np.setdiff1d(
                 np.flatnonzero(last - first >= self.shortest - 1), rows[allowed]
             )
-            slots, last = slots[remaining], last[remaining]
+            slots = slots[remaining]
+            last = last[remaining]
         unused = np.flatnonzero(self.samples == 0)
         if len(slots) > len(unused):
             raise InputError(
@@ -276,15 +275,20 @@ class _Tracker:
 
     def _extend(self, track: int, slot: int, first: int, last: int) -> None:
         """Continue a track in a slot; its velocity is that of the last step, unless this is a jump."""
-        before = self._points[last - 1, slot] if last > first else self._last[track]
+        if last > first:
+            before = self._points[last - 1, slot]
+        else:
+            before = self._last[track]
         continuous = last > first or (
             self.samples[track] > 0 and self._end[track] == first - 1
         )
         step = self._points[last, slot] - before
-        self._velocity[track] = (
-            step if continuous and np.linalg.norm(step) < 2 * self._gate else 0.0
-        )
-        self._end[track], self._last[track] = last, self._points[last, slot]
+        if continuous and np.linalg.norm(step) < 2 * self._gate:
+            self._velocity[track] = step
+        else:
+            self._velocity[track] = 0.0
+        self._last[track] = self._points[last, slot]
+        self._end[track] = last
         self.slots[first : last + 1, track] = slot
         self.samples[track] += last + 1 - first
 
@@ -342,7 +346,8 @@ class _Tracker:
         distance = np.linalg.norm(
             positions - self._points[past, self.slots[past, track]], axis=-1
         )
-        smallest, largest = np.fmin.reduce(distance), np.fmax.reduce(distance)
+        smallest = np.fmin.reduce(distance)
+        largest = np.fmax.reduce(distance)
         current = self._points[frame, self.slots[frame, others]]
         now = np.linalg.norm(starts[:, None] - current, axis=-1)
         excess = np.maximum(now - largest, 0.0) + np.maximum(smallest - now, 0.0)
@@ -358,7 +363,8 @@ def _move_rigidly(
     """
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
-    centre, target = weight @ before, weight @ after
+    centre = weight @ before
+    target = weight @ after
     a = (before - centre)[:, :2] @ [1, 1j]
     b = (after - target)[:, :2] @ [1, 1j]
     turn = (weight * np.conj(a) * b).sum()

@@ -209,7 +209,8 @@ def moving_slope(
     Returns:
         Rates per second, with the shape of `values`.
     """
-    n, frames = half_width, len(time)
+    n = half_width
+    frames = len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
     # Sums over the windows, relative to the time and value of the middle sample, so
     # that large times lose no digits.
@@ -220,7 +221,9 @@ def moving_slope(
         t = (time[shifted] - time[middle])[:, None]
         y = flat[shifted] - flat[middle]
         sums[middle] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
-    count, t, tt = sums[:, :1], sums[:, 1:2], sums[:, 2:3]
+    count = sums[:, :1]
+    t = sums[:, 1:2]
+    tt = sums[:, 2:3]
     y, ty = np.split(sums[:, 3:], 2, axis=1)
     return np.asarray((ty - t * y / count) / (tt - t * t / count)).reshape(
         np.shape(values)
@@ -248,7 +251,8 @@ def body_trajectory(
     gait_frequency_hz: float | None,
 ) -> Trajectory:
     """Return the trajectory of a tracked body; the masses of the robot give the centre of mass."""
-    shape, mass_fraction = body.shape, spec.mass.array() / spec.mass.total
+    shape = body.shape
+    mass_fraction = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", mass_fraction, shape.position)
     heading = shape.theta.mean(axis=1)
     rates = moving_slope(markers.time, np.column_stack([com, heading, shape.bend]))

@@ -123,7 +123,8 @@ def _formats() -> Iterator[Format]:
 
 def _format(path: StrPath, dialect: Dialect) -> Format:
     start = start_of(path, dialect)
-    name, raw = start.name, start.data
+    name = start.name
+    raw = start.data
     if not raw.removeprefix(b"\xef\xbb\xbf").strip():
         raise InputError(
             f"{name}: the file is empty; a recording has a header and rows of numbers"
@@ -169,4 +170,6 @@ def read_topics(path: StrPath) -> RecordedTopics | None:
         if isinstance(format, Bag) and format.recognizes(start)
     )
     bag = next(bags, None)
-    return None if bag is None else bag.read_topics(read_bytes(path))
+    if bag is None:
+        return None
+    return bag.read_topics(read_bytes(path))

@@ -100,7 +100,8 @@ def _mcap_records(data: memoryview) -> Iterator[tuple[int, memoryview]]:
             raise CutError("the file ends in a record")
         kind, length = _RECORD_HEAD.unpack_from(data)
         end = _RECORD_HEAD.size + length
-        content, data = data[_RECORD_HEAD.size : end], data[end:]
+        content = data[_RECORD_HEAD.size : end]
+        data = data[end:]
         if len(content) < length:
             raise CutError("the file ends in a record")
         yield kind, content
@@ -152,10 +153,8 @@ class Ros1Bag(Bag):
             InputError: the unpacked chunks are larger than allowed.
             ChunkError: the bag is damaged; a `CutError` if it ends in a record.
         """
-        data, connections = (
-            memoryview(file.data)[len(_ROS1_MAGIC) :],
-            dict[str, Topic](),
-        )
+        data = memoryview(file.data)[len(_ROS1_MAGIC) :]
+        connections = dict[str, Topic]()
         sizes = (
             _number(fields["size"])
             for fields, _ in _ros1_records(data)
@@ -171,10 +170,8 @@ class Ros1Bag(Bag):
                 )
             for fields, content in inside:
                 if fields["op"] == _ROS1_CONNECTION:
-                    name, kind = (
-                        fields["topic"].decode("utf-8", "replace"),
-                        _fields(content)["type"].decode(),
-                    )
+                    name = fields["topic"].decode("utf-8", "replace")
+                    kind = _fields(content)["type"].decode()
                     connections[fields["conn"].hex()] = Topic(name, kind, "ros1")
                 elif fields["op"] == _ROS1_MESSAGE:
                     time = _number(fields["time"][:4]) * 10**9 + _number(
@@ -264,10 +261,8 @@ class Ros2Bag(Bag):
             rows = base.execute(
                 "SELECT id, name, type, serialization_format FROM topics LIMIT 20000"
             )
-            known, remaining = (
-                {number: Topic(*map(str, row)) for number, *row in rows},
-                len(data),
-            )
+            known = {number: Topic(*map(str, row)) for number, *row in rows}
+            remaining = len(data)
             for number, time, content in base.execute(
                 "SELECT topic_id, timestamp, data FROM messages"
             ):

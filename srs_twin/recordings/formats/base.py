@@ -104,7 +104,9 @@ class MarkerTable:
     @property
     def usual_up(self) -> str:
         """Axis that is usually vertical in such files."""
-        return "y" if self.kind.startswith(("Motive", "TRC")) else "z"
+        if self.kind.startswith(("Motive", "TRC")):
+            return "y"
+        return "z"
 
 
 class Format(ABC):
@@ -157,10 +159,8 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
         if match and not _NOT_A_POSITION & {
             word.lower() for word in re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"])
         }:
-            axis, unit = (
-                match["axis"].lower(),
-                unit or symbol(match["unit"] or "", LENGTHS),
-            )
+            axis = match["axis"].lower()
+            unit = unit or symbol(match["unit"] or "", LENGTHS)
             markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
                 axis, CsvColumn(index, axis, 0, unit, LENGTHS.get(unit, 1.0), cell)
             )
@@ -177,7 +177,9 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
     if not np.isfinite(frame).all():
         return time
     counted = time[0] + (frame - frame[0]) / rate
-    return np.asarray(counted) if np.abs(counted - time).max() < 0.5 / rate else time
+    if np.abs(counted - time).max() < 0.5 / rate:
+        return np.asarray(counted)
+    return time
 
 
 def length_unit(
@@ -189,7 +191,8 @@ def length_unit(
         InputError: the unit is unknown.
     """
     if not (found := symbol(text, LENGTHS)):
-        hint, allowed = did_you_mean(text, LENGTHS), ", ".join(LENGTHS)
+        hint = did_you_mean(text, LENGTHS)
+        allowed = ", ".join(LENGTHS)
         problem = escape_unprintable(f"unit of length '{text[:20]}' is not known")
         raise file.error(f"{problem}{hint}; allowed: {allowed}", line, column)
     return found
@@ -254,14 +257,24 @@ def marker_rows(
     """
     columns = [*clock, *(k + axis for k in first for axis in range(3)), *others]
     values, notes = file.rows(header_lines, columns, width, section=section)
-    count, end = len(clock), len(clock) + 3 * len(first)
-    time = values[:, count - 1] if clock else np.arange(len(values)) + 0.0
+    count = len(clock)
+    end = len(clock) + 3 * len(first)
+    if clock:
+        time = values[:, count - 1]
+    else:
+        time = np.arange(len(values)) + 0.0
     if (missing := np.isnan(time)).any():
-        missing_name = "time" if rate is None or count > 1 else "frame number"
+        if rate is None or count > 1:
+            missing_name = "time"
+        else:
+            missing_name = "frame number"
         line = header_lines + 1 + int(missing.argmax())
         raise file.error(f"the row has no {missing_name}", line, clock[-1] + 1)
     if rate is not None:
-        time = counted_times(values[:, 0], time, rate) if count > 1 else time / rate
+        if count > 1:
+            time = counted_times(values[:, 0], time, rate)
+        else:
+            time = time / rate
     return Rows(
         time, values[:, count:end].reshape(len(values), -1, 3), values[:, end:], notes
     )
@@ -269,7 +282,9 @@ def marker_rows(
 
 def announced(text: str) -> int | None:
     """Return the number of frames that a header states; None if it is not a number."""
-    return int(text) if text.isdecimal() and len(text) < 10 else None
+    if text.isdecimal() and len(text) < 10:
+        return int(text)
+    return None
 
 
 def marker_table(
@@ -385,7 +400,10 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         ) from error
     except Exception as error:  # a damaged file may raise any exception in a library
         message = escape_unprintable(" ".join(str(error).split()))[:120]
-        reason = f" ({message})" if isinstance(error, ValueError) else ""
+        if isinstance(error, ValueError):
+            reason = f" ({message})"
+        else:
+            reason = ""
         raise file.error(
             f"the {kind} file is damaged{reason}; record or export it again"
         ) from error

@@ -77,7 +77,9 @@ class _Contents:
     @property
     def order(self) -> str:
         """Byte order of integers, as in NumPy."""
-        return ">" if self.processor == _BIG_ENDIAN else "<"
+        if self.processor == _BIG_ENDIAN:
+            return ">"
+        return "<"
 
     def header_word(self, byte: int) -> int:
         """Return an unsigned word of the header."""
@@ -104,7 +106,9 @@ class _Contents:
             return 0
         if parameter.kind == 4:
             value = float(self.floats(parameter.data[:4])[0])
-            return int(value) if 0 < value < 1e9 else 0
+            if 0 < value < 1e9:
+                return int(value)
+            return 0
         words = np.frombuffer(parameter.data[:4], f"{self.order}u2").tolist()
         return sum(word << (16 * k) for k, word in enumerate(words))
 
@@ -284,7 +288,8 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     count = contents.integer("POINT:USED") or contents.header_word(2)
     block = contents.header_word(16) or contents.integer("POINT:DATA_START")
     data = file.data[max(block - 1, 1) * _BLOCK :]
-    first, last = contents.header_word(6), contents.header_word(8)
+    first = contents.header_word(6)
+    last = contents.header_word(8)
     by_header = last - first + 1
     start = contents.integer("TRIAL:ACTUAL_START_FIELD")
     end = contents.integer("TRIAL:ACTUAL_END_FIELD")
@@ -309,11 +314,10 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
             " (record or export it again)"
         )
     data = data[: frames * width]
-    numbers = (
-        contents.floats(data)
-        if is_float
-        else np.frombuffer(data, f"{contents.order}i2")
-    )
+    if is_float:
+        numbers = contents.floats(data)
+    else:
+        numbers = np.frombuffer(data, f"{contents.order}i2")
     samples = (
         numbers.reshape(frames, -1)[:, : 4 * count]
         .reshape(frames, count, 4)
@@ -351,7 +355,10 @@ def _analog_values(
     by_parameters = contents.integer("ANALOG:USED") * contents.header_word(18)
     if by_parameters == by_header:
         return by_header
-    bytes_per_value = 4 if contents.number("POINT:SCALE", 12) < 0 else 2
+    if contents.number("POINT:SCALE", 12) < 0:
+        bytes_per_value = 4
+    else:
+        bytes_per_value = 2
 
     def fills(analog: int) -> bool:
         width = (4 * count + analog) * bytes_per_value

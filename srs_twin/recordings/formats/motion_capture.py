@@ -93,7 +93,8 @@ class Motive(Format):
             for k in rotated
             for axis in range(4)
         ]
-        first, width = [column.place for column in markers], len(lines[top - 1])
+        first = [column.place for column in markers]
+        width = len(lines[top - 1])
         rows = marker_rows(
             file, top, width, first, clock=(0, 1), rate=rate, others=others
         )
@@ -102,7 +103,8 @@ class Motive(Format):
             rotations = np.full((len(rows.time), len(markers), 4), np.nan)
             rotations[:, rotated] = rows.others.reshape(len(rows.time), -1, 4)
         frames = announced(header.get("Total Exported Frames", ""))
-        names, notes = [column.name for column in markers], rows.notes + notes
+        names = [column.name for column in markers]
+        notes = rows.notes + notes
         return marker_table(
             file,
             f"{self.name} {version}",
@@ -155,7 +157,8 @@ def _columns(
         raise file.error(
             "the header is cut: no line 'Frame,Time (Seconds),X,Y,Z,…' in it", count + 1
         )
-    axes, width = lines[last], len(lines[last])
+    axes = lines[last]
+    width = len(lines[last])
     if width < 2 or not axes[1].startswith("Time"):
         raise file.error("'Time (Seconds)' is missing after 'Frame'", last + 1, 2)
     rows = [
@@ -223,7 +226,8 @@ class Vicon(Format):
             required = "must be followed by rate, names, 'Frame,Sub Frame,…' and units"
             raise file.error(f"the header is cut: '{section}' {required}", above + 1)
         rate = frame_rate(file, "".join(lines[0][:1]), above + 1)
-        axes, width = lines[2], len(lines[2])
+        axes = lines[2]
+        width = len(lines[2])
         names, units = ((line + [""] * width)[:width] for line in (lines[1], lines[3]))
         positions = [k for k in range(2, width - 2) if axes[k : k + 3] == position_axes]
         if not positions:
@@ -242,14 +246,17 @@ class Vicon(Format):
         rows = marker_rows(
             file, above + 4, width, positions, rate=1.0, others=others, section=True
         )
-        rotations, notes = None, rows.notes + notes
+        rotations = None
+        notes = rows.notes + notes
         if rotation_starts:
             notes.append(
                 "RX, RY, RZ read as a rotation vector, or with RW as a quaternion"
             )
-            rotations, end = np.full((*rows.points.shape[:2], 4), np.nan), 0
+            rotations = np.full((*rows.points.shape[:2], 4), np.nan)
+            end = 0
             for k, begin in rotation_starts.items():
-                rotation, end = rows.others[:, end : end + k - begin], end + k - begin
+                rotation = rows.others[:, end : end + k - begin]
+                end = end + k - begin
                 rotations[:, positions.index(k)] = _quaternions(rotation, units[begin])
         labels = [
             names[rotation_starts.get(k, k)].removeprefix("Global Angle ")
@@ -354,7 +361,8 @@ class Qualisys(Format):
                 "the header is cut: MARKER_NAMES and rows of numbers are missing",
                 header + 1,
             )
-        width, count = len(row), 3 * len(names)
+        width = len(row)
+        count = 3 * len(names)
         # A row may end in a tab, and begin with the frame and the time.
         first = {0: 0, 1: 0, 2: 2, 3: 2}.get(width - count)
         if first is None:
@@ -367,8 +375,12 @@ class Qualisys(Format):
         given = fields.get("FREQUENCY", [""])[0]
         if given in ("EXT", "") and unstated.rate_hz:
             given = str(unstated.rate_hz)
-        rate = None if first and given == "EXT" else frame_rate(file, given)
-        places, clock = range(first, first + count, 3), range(first)
+        if first and given == "EXT":
+            rate = None
+        else:
+            rate = frame_rate(file, given)
+        places = range(first, first + count, 3)
+        clock = range(first)
         time, points, _, notes = marker_rows(
             file, header, width, places, clock=clock, rate=rate
         )

@@ -74,9 +74,10 @@ class Trc(Format):
                 " cells",
                 header + 1,
             )
-        rate = (
-            frame_rate(file, fields["DataRate"], 3) if fields.get("DataRate") else None
-        )
+        if fields.get("DataRate"):
+            rate = frame_rate(file, fields["DataRate"], 3)
+        else:
+            rate = None
         unit = length_unit(file, fields.get("Units") or unstated.unit or "", 3)
         time, points, _, notes = marker_rows(
             file, header, width, range(2, required, 3), clock=(0, 1), rate=rate
@@ -123,7 +124,8 @@ class Tum(Format):
                 "eight numbers per line are read as time, x, y, z and a quaternion, but"
                 " its norm is not 1"
             )
-        rotations, names = quaternions[:, None], [Path(file.name).stem]
+        rotations = quaternions[:, None]
+        names = [Path(file.name).stem]
         return marker_table(
             file,
             self.name,
@@ -162,7 +164,10 @@ class DeepLabCut(Format):
             InputError: rate or scale are not given, or the file is damaged.
         """
         rate_hz, unit, scale_m, _ = unstated
-        missing = [] if rate_hz else ["`rate_hz` (frames per second of the video)"]
+        if rate_hz:
+            missing = []
+        else:
+            missing = ["`rate_hz` (frames per second of the video)"]
         pixels = unit in (None, "px")
         if pixels and not scale_m:
             missing.append(
@@ -174,9 +179,10 @@ class DeepLabCut(Format):
                 f" {' and '.join(missing)}"
             )
         rate = frame_rate(file, str(rate_hz))
-        factor = (
-            float(scale_m or 0.0) if pixels else LENGTHS[length_unit(file, unit or "")]
-        )
+        if pixels:
+            factor = float(scale_m or 0.0)
+        else:
+            factor = LENGTHS[length_unit(file, unit or "")]
         lines = {cells[0]: cells for cells in file.head(4) if cells}
         if not {"bodyparts", "coords"} <= lines.keys():
             raise file.error(
@@ -184,7 +190,8 @@ class DeepLabCut(Format):
                 " and coords",
                 2,
             )
-        top, coords = 4 if "individuals" in lines else 3, lines["coords"]
+        top = 4 if "individuals" in lines else 3
+        coords = lines["coords"]
         width = len(coords)
         if width < 4 or coords[1:] != ["x", "y", "likelihood"] * (width // 3):
             raise file.error("each body part must have the columns x,y,likelihood", top)
@@ -204,7 +211,8 @@ class DeepLabCut(Format):
             "y reversed, because it points down in images",
             f"coordinates multiplied by {factor:g} to m",
         ]
-        parts, animals = lines["bodyparts"], lines.get("individuals")
+        parts = lines["bodyparts"]
+        animals = lines.get("individuals")
         if len(parts) != width or (animals and len(animals) != width):
             raise file.error(f"the rows of the header must have {width} cells", top)
         names = [
@@ -242,7 +250,8 @@ class PlainCsv(Format):
             InputError: the file is damaged, has no positions, or its units contradict
                 each other; the message names line and column.
         """
-        rate_hz, unit = unstated.rate_hz, unstated.unit
+        rate_hz = unstated.rate_hz
+        unit = unstated.unit
         file = laid_out(file, unstated.dialect)
         numbered = any(map(_NUMBERED.match, file.names))
         table = read_table(file, CLOCK)
@@ -256,7 +265,10 @@ class PlainCsv(Format):
             )
         if unit == "px" and not unstated.scale_m:
             raise file.error("units px need scale_m, the size of a pixel in m")
-        scale = unstated.scale_m if unit == "px" else LENGTHS.get(unit or "m")
+        if unit == "px":
+            scale = unstated.scale_m
+        else:
+            scale = LENGTHS.get(unit or "m")
         chosen = []
         for column in (column for columns in markers.values() for column in columns):
             if unit and column.unit not in ("", unit):
@@ -312,7 +324,8 @@ def _place(marker: str) -> tuple[int, str]:
 
 def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
     """Return the columns x, y and, if they exist, z of each marker; numbered markers head first."""
-    file, line = table.file, table.file.header_lines or 1
+    file = table.file
+    line = table.file.header_lines or 1
     names = [
         name if not numbered or _NUMBERED.match(name) else "" for name in file.names
     ]
@@ -340,7 +353,10 @@ def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn
             f"x_{min(missing)} is missing; connectors are numbered from 1 at the head"
         )
         raise file.error(problem, line)
-    letters = "xyz" if any("z" in axes for axes in markers.values()) else "xy"
+    if any("z" in axes for axes in markers.values()):
+        letters = "xyz"
+    else:
+        letters = "xy"
     for name, axes in markers.items():
         if letters[-1] not in axes:
             raise file.error(

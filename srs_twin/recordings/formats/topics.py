@@ -54,7 +54,10 @@ _MAX_RATIO = 32
 """Largest ratio of unpacked to packed size of larger files; repetitive valve states in JSON reach 20."""
 _MAX_MESSAGES = 1 << 23
 """Largest number of messages: an hour of twenty topics at 100 Hz."""
-_ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
+if sys.version_info >= (3, 14):
+    _ZSTD = "compression.zstd"
+else:
+    _ZSTD = "backports.zstd"
 _UNPACKERS = {
     "lz4": ("lz4.frame", "LZ4Frame"),
     "zstd": (_ZSTD, "Zstd"),
@@ -93,7 +96,8 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
     Raises:
         InputError: their sum exceeds the limit.
     """
-    allowed, total = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data)), 0
+    allowed = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data))
+    total = 0
     with suppress(CutError):  # chunks after a cut are not read
         for size in sizes:
             total += size
@@ -295,11 +299,10 @@ class _Topics:
         values: _Numbers,
     ) -> None:
         """Add a row at the header stamp of a message, or else at its log time."""
-        stamp, time = (
-            getattr(getattr(content, "header", None), "stamp", None),
-            message.log_time,
-        )
-        whole, part = getattr(stamp, "sec", None), getattr(stamp, "nanosec", None)
+        stamp = getattr(getattr(content, "header", None), "stamp", None)
+        time = message.log_time
+        whole = getattr(stamp, "sec", None)
+        part = getattr(stamp, "nanosec", None)
         if isinstance(whole, int) and isinstance(part, int) and (whole or part):
             time = whole * 10**9 + part
             difference = abs(time - message.log_time) / 1e9
@@ -348,7 +351,10 @@ class _Topics:
         }
         main = max(series, key=lambda key: len(series[key]))
         time = np.unique(series[main][:, 0])
-        half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+        if len(time) > 1:
+            half = 0.5 * float(np.median(np.diff(time)))
+        else:
+            half = 0.0
         # Frames on which the body with most messages is missing are added if other
         # bodies of its topic have messages.
         all_times = np.unique(
@@ -374,11 +380,10 @@ class _Topics:
             for topic, label in series
         ]
         composed = _compose(poses, names, self.parents)
-        notes = (
-            [f"{len(composed)} transforms relative to another body: composed"]
-            if composed
-            else []
-        )
+        if composed:
+            notes = [f"{len(composed)} transforms relative to another body: composed"]
+        else:
+            notes = []
         roots = sorted(set(self.parents.values()) - set(names))
         notes += (
             [f"bodies are in different frames: {', '.join(roots[:5])}"]
@@ -389,7 +394,8 @@ class _Topics:
         rotations = None if np.isnan(quaternions).all() else quaternions
         epoch: int | None = self.origin if self.origin > _MIN_EPOCH_NS else None
         if abs(time[0]) > _OTHER_CLOCK_S:
-            time, epoch = time - time[0], None
+            time = time - time[0]
+            epoch = None
         notes = [*self.notes, *map(escape_unprintable, notes)]
         return marker_table(
             self.file,
@@ -432,7 +438,8 @@ def _compose(
     """Convert transforms relative to another body to its parent frame; return the converted names."""
     from scipy.spatial.transform import Rotation
 
-    index, composed = {name: k for k, name in enumerate(names)}, dict[str, None]()
+    index = {name: k for k, name in enumerate(names)}
+    composed = dict[str, None]()
     for name in names:
         chain = [name]
         while (
@@ -445,7 +452,8 @@ def _compose(
         # root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
             composed[inner] = None
-            child, base = poses[:, index[inner]], poses[:, index[outer]]
+            child = poses[:, index[inner]]
+            base = poses[:, index[outer]]
             known = _has_rotation(child) & _has_rotation(base)
             rotation = Rotation.from_quat(base[known, 3:])
             child[known, :3] = base[known, :3] + rotation.apply(child[known, :3])
@@ -505,9 +513,10 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Any] | None]:
         kind in _BODIES or _SIGNALS.fullmatch(kind)
     ):
         store = _definitions(topic.encoding)
-        deserialize = (
-            store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
-        )
+        if topic.encoding == "cdr":
+            deserialize = store.deserialize_cdr
+        else:
+            deserialize = store.deserialize_ros1
         decode = partial(deserialize, typename=kind.replace("/", "/msg/"))
     return escape_unprintable(topic.name[:200]), kind, decode
 
@@ -529,11 +538,10 @@ def _numbers(pose: Any) -> _Numbers:
     """Return position and quaternion (x, y, z, w) of a pose, transform or point; NaN without a quaternion."""
     position = getattr(pose, "position", None) or getattr(pose, "translation", pose)
     rotation = getattr(pose, "orientation", None) or getattr(pose, "rotation", None)
-    quaternion = (
-        (np.nan,) * 4
-        if rotation is None
-        else (rotation.x, rotation.y, rotation.z, rotation.w)
-    )
+    if rotation is None:
+        quaternion = (np.nan,) * 4
+    else:
+        quaternion = (rotation.x, rotation.y, rotation.z, rotation.w)
     return (position.x, position.y, position.z, *quaternion)
 
 

@@ -105,10 +105,14 @@ def estimate_offset(
             " log of this run, and of this robot? Give --offset"
         )
     _check_unambiguous(loss, lags * step + start_difference, best)
-    error, shift = float("inf"), 0.0
+    error = float("inf")
+    shift = 0.0
     # Minimum of the parabola through the smallest S and its neighbours.
     left, middle, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
-    curvature = float(left - 2 * middle + right) if np.isfinite(left + right) else 0.0
+    if np.isfinite(left + right):
+        curvature = float(left - 2 * middle + right)
+    else:
+        curvature = 0.0
     if curvature > 0:
         shift = float(np.clip((left - right) / (2 * curvature), -0.5, 0.5))
         fraction = _independent_fraction(bends, model, int(lags[best]))
@@ -133,14 +137,17 @@ def _losses(
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         return np.asarray(fftconvolve(a, b[::-1], axes=0))
 
-    bends, model = bends - bends.mean(axis=0), model - model.mean(axis=0)
-    ones, other_ones = np.ones((len(bends), 1)), np.ones((len(model), 1))
+    bends = bends - bends.mean(axis=0)
+    model = model - model.mean(axis=0)
+    ones = np.ones((len(bends), 1))
+    other_ones = np.ones((len(model), 1))
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
     # Sums, and sums of squares and products about the means, over the common samples of
     # each delay.
-    sb, sm = correlate(bends, other_ones), correlate(ones, model)
+    sb = correlate(bends, other_ones)
+    sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
     bm = correlate(bends, model) - sb * sm / n
@@ -190,9 +197,12 @@ def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> flo
         model: modelled, shape (rows, segments), rad.
         lag: delay of the model, steps.
     """
-    first, last = max(0, lag), min(len(bends), lag + len(model))
-    b, m = bends[first:last], model[first - lag : last - lag]
-    b, m = b - b.mean(axis=0), m - m.mean(axis=0)
+    first = max(0, lag)
+    last = min(len(bends), lag + len(model))
+    b = bends[first:last]
+    m = model[first - lag : last - lag]
+    b = b - b.mean(axis=0)
+    m = m - m.mean(axis=0)
     residual = b - (b * m).sum(axis=0) / np.maximum((m * m).sum(axis=0), 1e-30) * m
     power = float((residual**2).sum())
     if power == 0:

@@ -43,11 +43,10 @@ class FrameGrid:
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the order of rows by time, and notes."""
     backward = int((np.diff(time) < 0).sum())
-    notes = (
-        [f"rows were not in the order of time ({backward} steps back): sorted"]
-        if backward
-        else []
-    )
+    if backward:
+        notes = [f"rows were not in the order of time ({backward} steps back): sorted"]
+    else:
+        notes = []
     return np.argsort(time, kind="stable"), notes
 
 
@@ -65,14 +64,18 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     order, notes = time_order(time)
     ordered = time[order]
     step = np.diff(ordered)
-    period = float(np.median(step[step > 0])) if (step > 0).any() else 0.0
+    if (step > 0).any():
+        period = float(np.median(step[step > 0]))
+    else:
+        period = 0.0
     kept = np.concatenate([[True], step > 1e-3 * period])
     if not kept.all():
         notes.append(
             f"{int((~kept).sum())} rows repeat the time of another row: the first one"
             " is kept"
         )
-    rows, ordered = order[kept], ordered[kept]
+    rows = order[kept]
+    ordered = ordered[kept]
     if len(rows) < MIN_FRAMES:
         raise InputError(f"{len(rows)} frames; a recording has {MIN_FRAMES} or more")
     return FrameGrid(*_on_grid(ordered, rows, period, notes), period, tuple(notes))
@@ -102,7 +105,8 @@ def _on_grid(
         )
         every = np.full(count, -1)
         every[indices] = rows
-        time, rows = np.interp(np.arange(count), indices, time), every
+        time = np.interp(np.arange(count), indices, time)
+        rows = every
     return time, rows
 
 
@@ -174,7 +178,10 @@ def _track_outliers(
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
-    usual = np.median(score[score > 0]) if (score > 0).any() else 0.0
+    if (score > 0).any():
+        usual = np.median(score[score > 0])
+    else:
+        usual = 0.0
     padded = np.pad(score, 4)
     peak = np.max(
         [padded[shift : len(padded) - 8 + shift] for shift in range(9)], axis=0

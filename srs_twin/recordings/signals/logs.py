@@ -148,7 +148,8 @@ def read_bends(
         raise table.file.error(
             f"no {MIN_FRAMES} successive rows have all bends; give --longest-gap"
         )
-    kept_time, unknown = frames.time[kept], int(np.isnan(bend[kept]).sum())
+    kept_time = frames.time[kept]
+    unknown = int(np.isnan(bend[kept]).sum())
     notes += frames.corrections
     if not any(column.unit for column in chosen):
         notes.append("bends without a unit are assumed to be in rad")
@@ -246,7 +247,8 @@ def read_valves(path: StrPath, spec: RobotSpec, map: RecordingMap = NO_MAP) -> V
         [f"{kind}_{side}" for side in SIDES], spec.name, spec.segments
     )
     time, values, notes, epoch_ns = table.read_timed(clock, chosen)
-    units, unused = [column.unit for column in chosen], not_used(table.unused)
+    units = [column.unit for column in chosen]
+    unused = not_used(table.unused)
 
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)
@@ -339,14 +341,13 @@ def _log(
         if not all(units):
             notes.append("pressures without a unit are assumed to be in Pa")
         values = values - map.ambient
-    allowed, words, unit = (
-        np.isin(values, (-1, 0, 1)),
-        "it must be -1 (vent), 0 (hold) or 1 (fill)",
-        "",
-    )
+    allowed = np.isin(values, (-1, 0, 1))
+    words = "it must be -1 (vent), 0 (hold) or 1 (fill)"
+    unit = ""
     if kind in AIR:
         allowed = (values >= _MIN_PRESSURE) & (values <= _MAX_PRESSURE)
-        words, unit = _ALLOWED, " Pa"
+        words = _ALLOWED
+        unit = " Pa"
     wrong = np.argwhere(~allowed)
     if wrong.size and kind != "duty":
         row, k = (int(index) for index in wrong[0])
@@ -370,7 +371,8 @@ def _log(
             )
         if kept.sum() < 2:
             raise InputError("a log has 2 rows or more")
-        time, values = time[order][kept], values[order][kept].reshape(kept.sum(), -1, 2)
+        time = time[order][kept]
+        values = values[order][kept].reshape(kept.sum(), -1, 2)
         if kind == "setpoint":
             notes.append("set points are assumed to be the chamber pressures")
         elif kind == "duty":
@@ -424,9 +426,11 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
         InputError: the head moves, so it is not clamped.
     """
     trajectory = recording.trajectory
-    head, head_heading = trajectory.position[:, 0], trajectory["theta_1"]
+    head = trajectory.position[:, 0]
+    head_heading = trajectory["theta_1"]
     # Medians, because a few frames may be wrong.
-    clamp, heading = np.median(head, axis=0), float(np.median(head_heading))
+    clamp = np.median(head, axis=0)
+    heading = float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))
     turn = float(np.quantile(np.abs(head_heading - heading), 0.95))
     pitch = spec.geometry.pitch
@@ -439,7 +443,8 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     mass = spec.mass.array()
     # Rotated by −heading about the clamp, which is then on the positive x axis.
     distance = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
-    rotation, origin = np.exp(-1j * heading), clamp @ [1, 1j]
+    rotation = np.exp(-1j * heading)
+    origin = clamp @ [1, 1j]
     com = (trajectory.com @ [1, 1j] - origin) * rotation + distance
     connector = (trajectory.position @ [1, 1j] - origin) * rotation + distance
     theta = trajectory.stack("theta") - heading

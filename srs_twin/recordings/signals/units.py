@@ -68,13 +68,17 @@ def symbol(text: str, units: Mapping[str, float]) -> str:
         return ""
     named = _SYMBOLS.get(folded) or _SYMBOLS.get(folded.removesuffix("s")) or folded
     matches = [unit for unit in units if named in (unit, unit.lower())]
-    return matches[0] if len(matches) == 1 else ""
+    if len(matches) == 1:
+        return matches[0]
+    return ""
 
 
 def bracketed(name: str) -> tuple[str, str]:
     """Return a name without the brackets at its end, and their contents: P1 (bar), t[us]."""
     match = _BRACKETS.fullmatch(name.strip())
-    return (match[1], match[2].strip(" -")) if match else (name, "")
+    if match:
+        return (match[1], match[2].strip(" -"))
+    return (name, "")
 
 
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
@@ -91,7 +95,9 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     if [word.lower() for word in words] == ["pa"]:
         return ""  # the name of a chamber or port, next to pb
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
-    return None if len(stated) > 1 or None in stated else next(iter(stated), "")
+    if len(stated) > 1 or None in stated:
+        return None
+    return next(iter(stated), "")
 
 
 def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
@@ -138,11 +144,9 @@ def unit_of(
             raise InputError(
                 f"unit '{unit}' of column '{column}' is not known; {allowed}"
             )
-    stated, default, given = (
-        stated_unit(column, units),
-        symbol(default, units),
-        symbol(given, units),
-    )
+    stated = stated_unit(column, units)
+    default = symbol(default, units)
+    given = symbol(given, units)
     if stated is None and not given:
         remedy = f"give it in the map: {{column: '{column}', unit: …}}"
         raise InputError(

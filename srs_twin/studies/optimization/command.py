@@ -76,7 +76,8 @@ class _BestSoFar:
     """Best feasible value of the first objective so far at each fidelity, for the progress line."""
 
     def __init__(self, study: OptimizationStudy) -> None:
-        self._study, self._values = study, dict[str, float]()
+        self._study = study
+        self._values = dict[str, float]()
 
     def add(self, part: str, row: Row) -> None:
         """Update with a finished run."""
@@ -85,11 +86,10 @@ class _BestSoFar:
         from srs_twin.studies.optimization.runs import Run
         from srs_twin.studies.optimization.search import excesses
 
-        run, objective = Run(part, np.zeros(0), row), self._study.file.objectives[0]
-        value, best = (
-            run.metric(objective.metric),
-            max if objective.goal == "maximize" else min,
-        )
+        run = Run(part, np.zeros(0), row)
+        objective = self._study.file.objectives[0]
+        value = run.metric(objective.metric)
+        best = max if objective.goal == "maximize" else min
         if value == value and not (excesses(self._study, [run]) > 0).any():
             self._values[part] = best(value, self._values.get(part, value))
 
@@ -104,7 +104,8 @@ def _print_result(result: StudyResult) -> None:
     from srs_twin.studies.optimization.report import bound_lines, mark_bound, percentage
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
-    study, document = result.study, result.document()
+    study = result.study
+    document = result.document()
     shown = document["best"][:_MAX_COLUMNS]
     lines = []
     for name in study.space.variables:
@@ -138,11 +139,10 @@ def _print_result(result: StudyResult) -> None:
             )
         for metric, gain in design["gains"].items():
             ends = gain["interval_95"]
-            interval = (
-                ""
-                if ends is None
-                else f" (95 %: {percentage(ends[0])} to {percentage(ends[1])})"
-            )
+            if ends is None:
+                interval = ""
+            else:
+                interval = f" (95 %: {percentage(ends[0])} to {percentage(ends[1])})"
             print(
                 f"best/{k + 1}: {metric_label(metric)}"
                 f" {percentage(gain['share'])}{interval}"

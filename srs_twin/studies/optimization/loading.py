@@ -73,7 +73,8 @@ class VariableFile(Section):
 
     def share_of(self, value: float) -> float:
         """Return a value as a fraction of the range."""
-        low, high = self.low, self.high
+        low = self.low
+        high = self.high
         if self.scale == "log":
             return float(np.log(value / low) / np.log(high / low))
         return (value - low) / (high - low)
@@ -235,14 +236,13 @@ class DesignSpace:
 
     def _segment_changes(self, count: int, hold: Sequence[str]) -> Changes:
         """Return the changes that give the robot another number of segments."""
-        geometry, mass = self.robot["geometry"], self.robot["mass"]
+        geometry = self.robot["geometry"]
+        mass = self.robot["mass"]
         before = geometry["connectors"]["value"]
         changes: dict[str, Value] = {"robot.geometry.connectors": count + 1}
         if "total_length" in hold:
-            length, gap = (
-                geometry["segment_length_m"]["value"],
-                geometry["rigid_gap_m"]["value"],
-            )
+            length = geometry["segment_length_m"]["value"]
+            gap = geometry["rigid_gap_m"]["value"]
             changes["robot.geometry.segment_length_m"] = (before - 1) * (
                 length + gap
             ) / count - gap
@@ -302,7 +302,8 @@ def load_study(
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)
         return study
-    path, overrides = find_file("study", study), Override.list_of(set)
+    path = find_file("study", study)
+    overrides = Override.list_of(set)
     document = load_yaml(path)
     written = copy.deepcopy(document.data)
     for change in overrides:

@@ -128,12 +128,16 @@ def draw_parallel(
         bounds: for each variable, the bound ("low", "high" or None) of each best
             design.
     """
-    count, places = len(shares), np.arange(shares.shape[1])
+    count = len(shares)
+    places = np.arange(shares.shape[1])
     figure = Figure(figsize=(max(6.5, 1.1 * len(places)), 3.6), layout="constrained")
     axes = figure.subplots()
     for k in np.argsort(-ranks):
         good = 1 - ranks[k] / max(count - 1, 1)
-        color = "#1f6f8b" if ranks[k] < max(count // 10, 1) else "#9aa5b1"
+        if ranks[k] < max(count // 10, 1):
+            color = "#1f6f8b"
+        else:
+            color = "#9aa5b1"
         axes.plot(
             places,
             shares[k],
@@ -196,7 +200,8 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
     }
     write_table(folder / EVALUATIONS, pa.table(columns))
     written = [EVALUATIONS]
-    study, scenario = result.study, result.study.scenario.document
+    study = result.study
+    scenario = result.study.scenario.document
     for k, design in enumerate(result.designs, start=1):
         document = study.experiments["twin"].document(
             study.space.changes(design.run.shares)
@@ -225,16 +230,16 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
         InputError: a file cannot be written.
     """
     study = result.study
-    goals, initial = study.file.objectives, result.document()["begun"]
-    twin, best = (
-        [run for run in result.runs if run.part == "twin"],
-        [entry.run for entry in result.designs],
-    )
+    goals = study.file.objectives
+    initial = result.document()["begun"]
+    twin = [run for run in result.runs if run.part == "twin"]
+    best = [entry.run for entry in result.designs]
     values = np.array([[run.metric(goal.metric) for goal in goals] for run in twin])
     labels = [metric_label(goal.metric) for goal in goals]
     start = [initial[goal.metric] for goal in goals]
     violation = np.maximum(excesses(study, twin), 0.0).sum(axis=1)
-    feasible, figures = violation <= violation.min(), {}
+    feasible = violation <= violation.min()
+    figures = {}
     if len(goals) == 1:
         maximize = goals[0].goal == "maximize"
         figures["convergence"] = draw_convergence(
@@ -282,7 +287,8 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
 
 def _best_table(result: StudyResult) -> Table:
     """Return a row per best design, after one for the initial scenario."""
-    study, document = result.study, result.document()
+    study = result.study
+    document = result.document()
     headings = [
         "",
         *map(field_label, study.space.variables),
@@ -306,13 +312,17 @@ def _best_table(result: StudyResult) -> Table:
         ]
         for name in result.metrics:
             ends = (design["intervals"] or {}).get(name)
-            interval = f" ({cell(ends[0])} to {cell(ends[1])})" if ends else ""
+            if ends:
+                interval = f" ({cell(ends[0])} to {cell(ends[1])})"
+            else:
+                interval = ""
             row.append(cell(design["metrics"][name]) + interval)
         for gain in design["gains"].values():
             ends = gain["interval_95"]
-            interval = (
-                f" ({percentage(ends[0])} to {percentage(ends[1])})" if ends else ""
-            )
+            if ends:
+                interval = f" ({percentage(ends[0])} to {percentage(ends[1])})"
+            else:
+                interval = ""
             row.append(percentage(gain["share"]) + interval)
         row.append(
             "changes by"
@@ -343,11 +353,9 @@ def bound_lines(result: StudyResult) -> list[str]:
         f" {bound}{sources[name, bound]}."
         for (name, bound), designs in designs_on_bound.items()
     ]
-    return (
-        [*lines, "With a wider range the optimum may be beyond such a bound."]
-        if lines
-        else []
-    )
+    if lines:
+        return [*lines, "With a wider range the optimum may be beyond such a bound."]
+    return []
 
 
 def mark_bound(value: float, on_bound: bool) -> str:
@@ -360,7 +368,8 @@ def _fidelity_text(result: StudyResult) -> str:
     for name, correlation in result.document()["fidelities"].items():
         if correlation is not None:
             label = metric_label(name)
-            total, near = cell(correlation["all"]), cell(correlation["near"])
+            total = cell(correlation["all"])
+            near = cell(correlation["near"])
             texts.append(
                 f"{label}: {total} over all designs, {near} over the better half"
             )
@@ -369,4 +378,6 @@ def _fidelity_text(result: StudyResult) -> str:
 
 def percentage(value: float | None) -> str:
     """Return a fraction in per cent, with its sign."""
-    return "–" if value is None else f"{100 * value:+.1f} %"
+    if value is None:
+        return "–"
+    return f"{100 * value:+.1f} %"

@@ -128,19 +128,15 @@ class StudyResult:
             designs_found,
             improvement=optimum.improvement,
         )
-        return (
-            result
-            if study.file.objectives[0].quantile is None
-            else result.ranked_by_quantile()
-        )
+        if study.file.objectives[0].quantile is None:
+            return result
+        return result.ranked_by_quantile()
 
     def ranked_by_quantile(self) -> StudyResult:
         """Return the result with the best designs ranked by the objective's quantile over the samples."""
         objective = self.study.file.objectives[0]
-        sign, share = (
-            -1.0 if objective.goal == "maximize" else 1.0,
-            objective.quantile or 0.5,
-        )
+        sign = -1.0 if objective.goal == "maximize" else 1.0
+        share = objective.quantile or 0.5
         order = np.argsort(
             [
                 sign * np.nanquantile(d.sampled(objective.metric), share)
@@ -151,7 +147,8 @@ class StudyResult:
 
     def document(self) -> dict[str, Any]:
         """Return the result as JSON values, as `--json` prints it."""
-        study, objectives = self.study, self.study.file.objectives
+        study = self.study
+        objectives = self.study.file.objectives
         return {
             "study": study.name,
             "title": study.title,
@@ -185,7 +182,9 @@ class StudyResult:
 
     def _design_document(self, k: int) -> dict[str, object]:
         """Return a best design as JSON values."""
-        study, names, design = self.study, self.metrics, self.designs[k]
+        study = self.study
+        names = self.metrics
+        design = self.designs[k]
         objectives = [objective.metric for objective in study.file.objectives]
         changes = {name: design.refinement_change(name) for name in names}
         known = [changes[name] for name in objectives]
@@ -290,7 +289,8 @@ class StudyResult:
     @cached_property
     def table(self) -> Mapping[str, list[Any]]:
         """All runs in order, as columns: part, variables, status, reason, metrics."""
-        study, runs = self.study, self.runs
+        study = self.study
+        runs = self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
         values = [study.space.values(run.shares) for run in runs]
         columns |= {
@@ -343,4 +343,6 @@ def _interval_95(values: np.ndarray) -> list[float | None]:
 
 
 def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    if math.isfinite(value):
+        return float(value)
+    return None

@@ -54,7 +54,9 @@ class Run:
 def metric_of(row: Row, part: str, name: str) -> float:
     """Return a metric of a row at a fidelity; NaN without a value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
-    return float("nan") if value is None or row.status != DONE else value
+    if value is None or row.status != DONE:
+        return float("nan")
+    return value
 
 
 class StudyRuns(AbstractContextManager["StudyRuns"]):
@@ -87,7 +89,9 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             InputError: the folder cannot be written, is locked, or belongs to another
                 study.
         """
-        self._study, self._engine, self._on_row = study, engine, on_row
+        self._study = study
+        self._engine = engine
+        self._on_row = on_row
         self.requested: list[Run] = []
         self._rows: dict[str, Row] = {}
         self._requested_by_key: dict[str, Run] = {}
@@ -123,7 +127,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         Raises:
             InputError: a row cannot be written.
         """
-        experiment, plant = self._study.experiments[part], PLANTS[part]
+        experiment = self._study.experiments[part]
+        plant = PLANTS[part]
         points = [
             Point(run_key(experiment.document(change), (plant,), RUNNER), change)
             for change in changes
@@ -143,16 +148,15 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
 
     def reset(self) -> None:
         """Start another search: clear the list of requested runs, but keep their results."""
-        self.requested, self._requested_by_key = [], {}
+        self.requested = []
+        self._requested_by_key = {}
 
     def _check_identity(
         self, folder: Path, part: str, store: RowStore, *, changed: bool
     ) -> None:
         """Refuse the folder of another study unless `changed`; store the identity of this one."""
-        experiment, names = (
-            self._study.experiments[part],
-            list(self._study.space.variables),
-        )
+        experiment = self._study.experiments[part]
+        names = list(self._study.space.variables)
         rest: tuple[Mapping[str, object], ...] = (
             versions(),
             run_sources(experiment.base, RUNNER),

@@ -194,9 +194,11 @@ class _Search:
     """State of a search; `iterate` runs one round."""
 
     def __init__(self, study: OptimizationStudy, runs: StudyRuns) -> None:
-        self._study, self._runs = study, runs
+        self._study = study
+        self._runs = runs
         self._rng = np.random.default_rng((study.file.seed, 0x0F))
-        self._size, self._objectives = study.space.size, len(study.file.objectives)
+        self._size = study.space.size
+        self._objectives = len(study.file.objectives)
         self._compliant_runs: list[Run] = []
         self._twin_runs: list[Run] = []
         self._round = 0
@@ -264,7 +266,9 @@ class _Search:
         """Objective that this round improves; None: the area of the whole front."""
         if self._objectives == 1:
             return 0
-        return self._round // 2 % 2 if self._round % 2 else None
+        if self._round % 2:
+            return self._round // 2 % 2
+        return None
 
     def budget_left(self) -> int:
         """Return the number of runs left in the twin's budget."""
@@ -279,9 +283,10 @@ class _Search:
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
             # With two objectives, the first run of a round always maximises the area.
-            objective = (
-                self._improved_objective if k_batch or self._objectives == 1 else None
-            )
+            if k_batch or self._objectives == 1:
+                objective = self._improved_objective
+            else:
+                objective = None
             if k_batch == 0 or self._objectives == 2:
                 mean, sd = self._predict(candidates, objective)
             score = self._improvement(mean, sd, assumed_costs, objective)
@@ -343,7 +348,8 @@ class _Search:
 
     def _distinct_optima(self, objective: int) -> tuple[Run, ...]:
         """Return the best runs of the twin by one objective, at a minimum distance from each other."""
-        feasible, chosen = self._most_feasible(), list[Run]()
+        feasible = self._most_feasible()
+        chosen = list[Run]()
         for k in np.argsort(costs(self._study, feasible)[:, objective]):
             is_far = _is_far(
                 feasible[k].shares, [run.shares for run in chosen], _OPTIMUM_DISTANCE
@@ -354,7 +360,10 @@ class _Search:
 
     def _run(self, part: str, designs: np.ndarray) -> list[Run]:
         runs = self._runs.run(part, designs)
-        known = self._compliant_runs if part == "compliant" else self._twin_runs
+        if part == "compliant":
+            known = self._compliant_runs
+        else:
+            known = self._twin_runs
         known_ids = {id(run) for run in known}
         known += [
             run
@@ -393,20 +402,17 @@ class _Search:
     ) -> np.ndarray:
         """Return the Tchebycheff scalarisation of runs, to be minimised, with penalties, shape (runs,)."""
         reference = runs if relative_to is None else relative_to
-        run_costs, reference_costs = (
-            costs(self._study, runs),
-            costs(self._study, reference),
-        )
+        run_costs = costs(self._study, runs)
+        reference_costs = costs(self._study, reference)
         known = reference_costs[~np.isnan(reference_costs).any(axis=1)]
         if not len(known):
             return np.zeros(len(runs))
-        low, std = known.min(axis=0), np.maximum(known.std(axis=0), 1e-12)
+        low = known.min(axis=0)
+        std = np.maximum(known.std(axis=0), 1e-12)
         scaled = (run_costs - low) / std
         value = (weight * scaled).max(axis=1) + 0.05 * (weight * scaled).sum(axis=1)
-        violations, reference_violations = (
-            excesses(self._study, runs),
-            excesses(self._study, reference),
-        )
+        violations = excesses(self._study, runs)
+        reference_violations = excesses(self._study, reference)
         if violations.size:
             scale = np.maximum(np.nanstd(reference_violations, axis=0), 1e-12)
             value = value + _FAILURE_PENALTY_SD * np.maximum(
@@ -455,7 +461,10 @@ class _Search:
     def _neighbours(self, count: int) -> np.ndarray:
         """Return new designs near the best ones, shape (count, d)."""
         objective = self._improved_objective
-        optima = self.best() if objective is None else self._distinct_optima(objective)
+        if objective is None:
+            optima = self.best()
+        else:
+            optima = self._distinct_optima(objective)
         best = optima[:1] if self._objectives == 1 else self.best()
         if self._study.file.constraints and self._objectives == 1:
             # The best designs with a penalty: some of them just miss the constraints.
@@ -508,14 +517,13 @@ class _Search:
                 is run if necessary.
         """
         known = self._twin_runs
-        outputs, scaled = (
-            self._outputs(known),
-            self._compliant_outputs(candidates, low_fidelity),
-        )
+        outputs = self._outputs(known)
+        scaled = self._compliant_outputs(candidates, low_fidelity)
         shares = 2 * np.array([run.shares for run in (*known, *candidates)]) - 1
         predictions = []
         for column in range(outputs.shape[1]):
-            y, x = outputs[:, column], shares
+            y = outputs[:, column]
+            x = shares
             if scaled is not None:
                 x = np.column_stack([shares, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
@@ -544,7 +552,10 @@ class _Search:
         """Return the scaled low-fidelity outputs of the twin's runs and the candidates, (runs, outputs)."""
         if not self._compliant_runs:
             return None
-        runs = self._twin_runs if given is not None else [*self._twin_runs, *candidates]
+        if given is not None:
+            runs = self._twin_runs
+        else:
+            runs = [*self._twin_runs, *candidates]
         known = {run.shares.tobytes(): run for run in self._compliant_runs}
         missing = [run.shares for run in runs if run.shares.tobytes() not in known]
         if missing:
@@ -631,7 +642,8 @@ def _predict_with_process(
             for noise. A simulation has no noise, so the remainder is structure that a
             further run may find.
     """
-    scale, mean = max(float(y.std()), 1e-12), float(y.mean())
+    scale = max(float(y.std()), 1e-12)
+    mean = float(y.mean())
     process = GaussianProcess(x, (y - mean) / scale)
     variance = np.diag(process.covariance(at))
     if with_remainder:

@@ -243,10 +243,8 @@ def sweep(
         InputError: the sweep is not valid, the engine is not available, or the folder
             cannot be used.
     """
-    runner, loaded = (
-        make_engine(engine, workers),
-        load_sweep(sweep, set=set, plants=plants),
-    )
+    runner = make_engine(engine, workers)
+    loaded = load_sweep(sweep, set=set, plants=plants)
     selected = select_points(loaded, without)
     with (
         folder_or_temporary(out) as folder,
@@ -315,7 +313,9 @@ class OpenSweep:
     def __init__(
         self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool
     ) -> None:
-        self.sweep, self.folder, self._store = sweep, folder, store
+        self.sweep = sweep
+        self.folder = folder
+        self._store = store
         self._check_identity(changed=changed)
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
@@ -433,7 +433,8 @@ class OpenSweep:
         rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
         sources = run_sources(self.sweep.experiment.base, RUNNER)
         rest = json.loads(json.dumps((*rest, sources, self._input_files())))
-        now, before = SweepIdentity(keys, *rest), self._store.identity()
+        now = SweepIdentity(keys, *rest)
+        before = self._store.identity()
         if before is not None and before.keys != now.keys:
             if not changed:
                 raise InputError(

@@ -79,9 +79,10 @@ def check_published(document: Document, file: SweepFile, published: Published) -
                 ("beside", "at", field), _not_varied(field, file), at_key=True
             )
     units = metric_units()
-    columns = (
-        list(units) if file.metrics is None else [m for m in file.metrics if m in units]
-    )
+    if file.metrics is None:
+        columns = list(units)
+    else:
+        columns = [m for m in file.metrics if m in units]
     for metric in published.metrics:
         loc = ("beside", "metrics", metric)
         if metric not in units:
@@ -126,15 +127,17 @@ def _check_published_fields(
     has_numbers = isinstance(varied, RangeFile) or any(
         is_number(value) for value in varied
     )
-    texts = (
-        []
-        if isinstance(varied, RangeFile)
-        else [value for value in varied if not is_number(value)]
-    )
+    if isinstance(varied, RangeFile):
+        texts = []
+    else:
+        texts = [value for value in varied if not is_number(value)]
     for i, value in enumerate(values):
         is_known = has_numbers if is_number(value) else value in texts
         if not is_known:
-            allowed = ", ".join(map(str, texts[:10])) if texts else "numbers"
+            if texts:
+                allowed = ", ".join(map(str, texts[:10]))
+            else:
+                allowed = "numbers"
             document.report(
                 ("beside", "at", field, i),
                 f"{field} never is {value!r}; it is varied over {allowed}",
@@ -156,7 +159,10 @@ def unmatched_values(sweep: Sweep) -> tuple[str, ...]:
         ]
         if missing:
             named = ", ".join(f"{value:g}" for value in missing[:5])
-            more = f" and {len(missing) - 5} more" if len(missing) > 5 else ""
+            if len(missing) > 5:
+                more = f" and {len(missing) - 5} more"
+            else:
+                more = ""
             warnings.append(f"beside: no run has {field} {named}{more}")
     return tuple(warnings)
 
@@ -183,8 +189,10 @@ def load_sweep(
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
         return sweep
-    path, overrides = find_file("sweep", sweep), Override.list_of(set)
-    document, name = load_yaml(path), results_name(path)
+    path = find_file("sweep", sweep)
+    overrides = Override.list_of(set)
+    document = load_yaml(path)
+    name = results_name(path)
     written = copy.deepcopy(document.data)
     for change in overrides:
         document.apply(replace(change, loc=("fixed", format_path(change.loc))))
@@ -219,15 +227,16 @@ def _with_changes(
         locs: paths of the changed fields of the scenario.
     """
     changed = changed_base(sweep.experiment, scenario, written, locs)
-    plants = (
-        written["plants"]
-        if written.get("plants") is not None
-        else list(scenario.plants)
-    )
+    if written.get("plants") is not None:
+        plants = written["plants"]
+    else:
+        plants = list(scenario.plants)
     changes = with_plants(changed, plants, sweep.experiment.plants)
     if not changes:
         return sweep
-    title, beside, warnings = marked(sweep.title, changes), sweep.beside, sweep.warnings
+    title = marked(sweep.title, changes)
+    beside = sweep.beside
+    warnings = sweep.warnings
     if beside is not None:
         affecting = {
             metric: _affecting_fields(changes, metric) for metric in beside.metrics
@@ -247,7 +256,10 @@ def _with_changes(
                 f"published values of {', '.join(left_out)} are left out, because"
                 f" {fields} was changed"
             )
-            beside = beside.model_copy(update={"metrics": kept}) if kept else None
+            if kept:
+                beside = beside.model_copy(update={"metrics": kept})
+            else:
+                beside = None
             warnings = (*warnings, f"beside: {text}")
     # The document becomes sweep.yaml, which must be loadable.
     document = {key: value for key, value in sweep.document.items() if key != "beside"}
@@ -371,7 +383,8 @@ class _Loader:
     """Validation of a sweep against its scenario."""
 
     def __init__(self, document: Document, file: SweepFile, scenario: Scenario) -> None:
-        self._document, self._file = document, file
+        self._document = document
+        self._file = file
         plants = scenario.plants if file.plants is None else file.plants
         self._plants = tuple(p for p in PLANTS if p in plants)
         self._scenario = dict(scenario.document)
@@ -385,13 +398,15 @@ class _Loader:
 
     def sweep(self, name: str) -> Sweep | None:
         """Return the sweep, or None after reporting problems."""
-        file, before = self._file, len(self._document.problems)
+        file = self._file
+        before = len(self._document.problems)
         self._check_names()
         self._check_planning()
         self._check_metrics()
         if file.beside is not None:
             check_published(self._document, file, file.beside)
-        values, robots = None, self._robots()
+        values = None
+        robots = self._robots()
         with self._document.report_errors("vary"):
             values = sample(file.vary, file.sampling)
         if values is None or len(self._document.problems) > before:
@@ -422,7 +437,9 @@ class _Loader:
         )
         sweep = replace(sweep, warnings=(*sweep.warnings, *unmatched_values(sweep)))
         self._check_values(sweep)
-        return None if len(self._document.problems) > before else sweep
+        if len(self._document.problems) > before:
+            return None
+        return sweep
 
     def _check_names(self) -> None:
         idle = set(PLANTS) - set(self._plants)
@@ -473,7 +490,10 @@ class _Loader:
         for i, metric in enumerate(self._file.metrics or ()):
             self._check_metric(("metrics", i), metric, known)
         for i, plot in enumerate(self._file.plots):
-            plotted = known if self._file.metrics is None else list(self._file.metrics)
+            if self._file.metrics is None:
+                plotted = known
+            else:
+                plotted = list(self._file.metrics)
             self._check_metric(("plots", i, "metric"), plot.metric, plotted)
             for key in ("x", "y", "by"):
                 field = getattr(plot, key)
@@ -551,7 +571,10 @@ class _Loader:
         for section in ("vary", "fixed"):
             for field in getattr(self._file, section):
                 if path == field or path.startswith((f"{field}.", f"{field}[")):
-                    field_loc = loc if loc[:2] == (section, field) else (section, field)
+                    if loc[:2] == (section, field):
+                        field_loc = loc
+                    else:
+                        field_loc = (section, field)
                     message = with_suggestion(
                         message, field, leaf_names(self._scenario)
                     )

@@ -124,7 +124,9 @@ def _title(plot: Plot, results: SweepTable, owners: list[str]) -> str:
     against = "against" if plot.kind == "scatter" else "over"
     title = f"{metric[:1].upper()}{metric[1:]} {against} {' and '.join(names)}"
     notes = _notes(plot, results, owners)
-    return f"{title}\n({'; '.join(notes)})" if notes else title
+    if notes:
+        return f"{title}\n({'; '.join(notes)})"
+    return title
 
 
 def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
@@ -140,15 +142,12 @@ def _notes(plot: Plot, results: SweepTable, owners: list[str]) -> list[str]:
             f"each value the mean over {', '.join(map(field_label, results.repeats))}"
         )
     if separate := _separate_fields(plot, results):
-        fields, count = (
-            ", ".join(map(field_label, separate)),
-            len(results.groups(separate)),
-        )
-        shown = (
-            f", {_MAX_ROWS} of {count} shown"
-            if plot.kind == "contour" and count > _MAX_ROWS
-            else ""
-        )
+        fields = ", ".join(map(field_label, separate))
+        count = len(results.groups(separate))
+        if plot.kind == "contour" and count > _MAX_ROWS:
+            shown = f", {_MAX_ROWS} of {count} shown"
+        else:
+            shown = ""
         notes.append(
             f"one {'row' if plot.kind == 'contour' else 'line'} for each"
             f" {fields}{shown}"
@@ -240,7 +239,10 @@ def mark_rows(
         relative: whether y is a fraction of the height of the axes.
     """
     if len(x):
-        transform = axes.get_xaxis_transform() if relative else axes.transData
+        if relative:
+            transform = axes.get_xaxis_transform()
+        else:
+            transform = axes.transData
         marker, color = _MARKS[label]
         style = {"marker": marker, "color": color, "markeredgewidth": 1.1, **_MARK}
         axes.plot(x, y, **style, transform=transform, clip_on=not relative, label=label)
@@ -248,11 +250,15 @@ def mark_rows(
 
 def write_empty_note(axes: Axes, failed: np.ndarray) -> None:
     """Write into empty axes the reason why there is nothing to draw."""
-    rows, failures = len(failed), int(failed.sum())
+    rows = len(failed)
+    failures = int(failed.sum())
     if not rows:
         text = "there are no runs"
     elif failures == rows:
-        text = "the run failed" if rows == 1 else f"all {rows} runs failed"
+        if rows == 1:
+            text = "the run failed"
+        else:
+            text = f"all {rows} runs failed"
     else:
         text = f"no value in {rows - failures} runs" + (
             f", {failures} failed" if failures else ""
@@ -273,7 +279,8 @@ def value_range(columns: Sequence[ColumnValues]) -> tuple[float, float]:
     numbers = np.concatenate([*known, np.zeros(0)])
     if not len(numbers):
         return 0.0, 1.0
-    low, high = float(numbers.min()), float(numbers.max())
+    low = float(numbers.min())
+    high = float(numbers.max())
     if high - low > 1e-9 * max(abs(low), abs(high)):
         return low, high
     margin = 0.5 * abs(low) or 0.5
@@ -336,7 +343,8 @@ class Points:
     @property
     def grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
         """x, y and values (y, x) of a complete grid of at least 2 by 2 points; None for other points."""
-        columns, rows = np.unique(self.x), np.unique(self.y)
+        columns = np.unique(self.x)
+        rows = np.unique(self.y)
         if min(len(columns), len(rows)) < 2 or len(columns) * len(rows) != len(self.z):
             return None
         return (
@@ -351,7 +359,8 @@ def _draw_contours(plot: Plot, results: SweepTable, owners: list[str]) -> Figure
     separate = _separate_fields(plot, results)
     groups = results.groups(separate)[:_MAX_ROWS]
     figure, panels = _panels(len(owners), len(groups), key=True)
-    x, y = results.values(plot.x, owners[0]), results.values(str(plot.y), owners[0])
+    x = results.values(plot.x, owners[0])
+    y = results.values(str(plot.y), owners[0])
     values = [results.metric(plot.metric, owner) for owner in owners]
     points = [
         [
@@ -404,7 +413,8 @@ def _with_margin(ends: tuple[float, float]) -> tuple[float, float]:
 
 def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
     """Draw filled contours between points; if the points span no area, colour the points themselves."""
-    grid, known = points.grid, points.known
+    grid = points.grid
+    known = points.known
     style: dict[str, Any] = {"levels": levels, "cmap": cmap}
     thin: dict[str, Any] = {
         "levels": levels,
@@ -412,7 +422,10 @@ def _fill(axes: Axes, points: Points, levels: np.ndarray, cmap: str) -> None:
         "linewidths": 0.3,
         "alpha": 0.5,
     }
-    mesh = None if grid else _triangulate(points.x[known], points.y[known])
+    if grid:
+        mesh = None
+    else:
+        mesh = _triangulate(points.x[known], points.y[known])
     dots: dict[str, Any] = {"s": 3.0, "color": "0.25", "linewidths": 0.0}
     if grid is not None and _has_complete_cell(grid[2]):
         axes.contourf(*grid, **style)
@@ -454,7 +467,9 @@ def _triangulate(x: np.ndarray, y: np.ndarray) -> Triangulation | None:
     with np.errstate(invalid="ignore"):  # triangles without an area
         ratios = np.ma.filled(TriAnalyzer(scaled).circle_ratios(rescale=False), 0.0)
     flat = ~(ratios >= _MIN_CIRCLE_RATIO)
-    return None if flat.all() else Triangulation(x, y, scaled.triangles, mask=flat)
+    if flat.all():
+        return None
+    return Triangulation(x, y, scaled.triangles, mask=flat)
 
 
 def _levels_and_colors(values: Sequence[np.ndarray]) -> tuple[np.ndarray, str]:
@@ -480,18 +495,19 @@ class _Colors:
 
     def __init__(self, columns: Sequence[ColumnValues], *, used: bool) -> None:
         numbers = np.concatenate([column.numbers for column in columns])
-        self.column, self.groups = columns[0], np.unique(numbers[np.isfinite(numbers)])
+        self.column = columns[0]
+        self.groups = np.unique(numbers[np.isfinite(numbers)])
         self.few = len(self.groups) <= _MAX_LINES
         self.norm = Normalize(*value_range(columns))
-        positions = (
-            np.linspace(0.0, 0.92, len(self.groups))
-            if self.few
-            else self.norm(self.groups)
-        )
+        if self.few:
+            positions = np.linspace(0.0, 0.92, len(self.groups))
+        else:
+            positions = self.norm(self.groups)
         colors = map(to_hex, colormaps["viridis"](positions))
-        self.by_group = (
-            dict(zip(self.groups.tolist(), colors, strict=True)) if used else {}
-        )
+        if used:
+            self.by_group = dict(zip(self.groups.tolist(), colors, strict=True))
+        else:
+            self.by_group = {}
 
     def draw_key(self, figure: Figure, axes: Axes) -> None:
         """Draw the legend or the colour bar."""
@@ -518,15 +534,14 @@ def _draw_line_or_scatter(
     plot: Plot, results: SweepTable, owners: list[str], published: Published | None
 ) -> Figure:
     """Draw lines or dots, coloured by the column `by`, and marks of failed runs at the lower edge."""
-    is_line, is_colored = plot.kind == "line", plot.by is not None
+    is_line = plot.kind == "line"
+    is_colored = plot.by is not None
     figure, ((axes,),) = _panels(1, key=is_colored)
     constant = ColumnValues("", np.zeros(len(results.failed)))
     by = [results.values(plot.by, owner) if plot.by else constant for owner in owners]
     colors = _Colors(by, used=is_colored)
-    x, values = (
-        results.values(plot.x, owners[0]),
-        results.metric(plot.metric, owners[0]),
-    )
+    x = results.values(plot.x, owners[0])
+    values = results.metric(plot.metric, owners[0])
     drawn = 0
     for owner, column in zip(owners, by, strict=True):
         points = [
@@ -577,7 +592,10 @@ def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) ->
     for i, group in enumerate(colors.groups):
         # Markers become smaller from line to line, so that coinciding lines stay
         # visible.
-        steps = len(colors.groups) - 1 - i if colors.column.names and colors.few else 0
+        if colors.column.names and colors.few:
+            steps = len(colors.groups) - 1 - i
+        else:
+            steps = 0
         rows = (by == group) & np.isfinite(x)
         positions, which = np.unique(x[rows], return_inverse=True)
         means = group_means(which.reshape(-1), len(positions), y[rows])
@@ -593,7 +611,8 @@ def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) ->
 def _draw_dots(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
     """Draw a dot per run, independent of the order of rows; return the number of dots, see `_draw_lines`."""
     x, y, by = columns[:, np.isfinite(columns).all(axis=0)]
-    order, style = np.lexsort((y, x, by)), style_of(owner)
+    order = np.lexsort((y, x, by))
+    style = style_of(owner)
     color: dict[str, Any] = {"color": style.color}
     if colors.by_group and colors.few:
         color = {"c": [colors.by_group[level] for level in by[order]]}
@@ -624,10 +643,16 @@ def _draw_published(
         "markersize": 10,
         "markeredgecolor": "white",
     }
-    groups = published.at.get(plot.by, ()) if plot.by and colors.few else ()
+    if plot.by and colors.few:
+        groups = published.at.get(plot.by, ())
+    else:
+        groups = ()
     points = zip(published.at[plot.x], published.metrics[plot.metric], strict=True)
     for i, (position, value) in enumerate(points):
-        color = colors.by_group.get(by.number(groups[i])) if groups else None
+        if groups:
+            color = colors.by_group.get(by.number(groups[i]))
+        else:
+            color = None
         if value is not None:
             color = color or PUBLISHED_COLOR
             axes.plot(

@@ -124,7 +124,9 @@ class RangeFile(Section):
 
 
 def _values_or_range(value: object) -> str:
-    return "range" if isinstance(value, dict | RangeFile) else "values"
+    if isinstance(value, dict | RangeFile):
+        return "range"
+    return "values"
 
 
 _OneOf = Annotated[FieldValues, Tag("values")] | Annotated[RangeFile, Tag("range")]
@@ -355,7 +357,8 @@ def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
         ):
             return replace_value(data, value, None, BY_A_SWEEP)
         return value
-    first, rest = loc[0], loc[1:]
+    first = loc[0]
+    rest = loc[1:]
     if isinstance(data, list) and isinstance(first, int) and first < len(data):
         return [*data[:first], with_value(data[first], rest, value), *data[first + 1 :]]
     inner = data if isinstance(data, Mapping) else {}
@@ -448,7 +451,10 @@ def _space_filling_points(
     from scipy.stats import qmc
 
     assert sampling.count is not None, "checked by the file's model"
-    engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
+    if sampling.kind == "sobol":
+        engine = qmc.Sobol
+    else:
+        engine = qmc.LatinHypercube
     unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
     columns = [
         _values_at(values, shares)
@@ -466,4 +472,6 @@ def _values_at(values: Sequence[Value] | RangeFile, shares: np.ndarray) -> list[
 
 def value_at(share: Any, low: float, high: float, scale: str) -> Any:
     """Return the values at fractions (0 to 1) of a range, whose scale is "linear" or "log"."""
-    return low * (high / low) ** share if scale == "log" else low + (high - low) * share
+    if scale == "log":
+        return low * (high / low) ** share
+    return low + (high - low) * share

@@ -72,7 +72,9 @@ class _Column:
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         number = self.numbers[run]
-        return f"{number:z.{max(places, 0)}f}" if np.isfinite(number) else cell(None)
+        if np.isfinite(number):
+            return f"{number:z.{max(places, 0)}f}"
+        return cell(None)
 
     def mean_text(self, runs: np.ndarray) -> str:
         """Return mean ± standard deviation of runs, and their number if some have no value."""
@@ -103,10 +105,8 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
                 note=f"{len(results.failed)} runs; their rows are in results.parquet.",
             )
         ]
-    fields, failed = (
-        [results.values(name, "") for name in results.fields],
-        results.failed,
-    )
+    fields = [results.values(name, "") for name in results.fields]
+    failed = results.failed
     order = np.lexsort([field.numbers for field in reversed(fields)])
     columns, note = _metric_columns(results, metrics)
     headings = (
@@ -159,11 +159,10 @@ def _metric_columns(
     for metric in dict.fromkeys(metrics):
         for owner in results.owners_if_any(metric):
             values = results.metric(metric, owner)
-            heading = (
-                values.label
-                if owner in (COMPARISON, PLAN)
-                else f"{values.label}, {owner}"
-            )
+            if owner in (COMPARISON, PLAN):
+                heading = values.label
+            else:
+                heading = f"{values.label}, {owner}"
             columns.append(_Column(heading, values.numbers))
     if len(columns) <= _MAX_COLUMNS:
         return columns, ""
@@ -189,7 +188,8 @@ def _split_tables(
         text: function that returns a metric's text for these runs.
         note: note below each table.
     """
-    tables, lines = [], list(lines)
+    tables = []
+    lines = list(lines)
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):
         chunk = columns[first : first + _COLUMNS_PER_TABLE]
         rows = tuple(
@@ -254,7 +254,9 @@ def write_report(
 def _counts(summary: Summary) -> str:
     missing = summary.points - summary.done - summary.failed
     text = f"{summary.done} of {summary.points} runs done, {summary.failed} failed"
-    return f"{text}, {missing} not run yet" if missing else text
+    if missing:
+        return f"{text}, {missing} not run yet"
+    return text
 
 
 def _failures(summary: Summary) -> Table:
@@ -263,7 +265,10 @@ def _failures(summary: Summary) -> Table:
         for reason, count in list(summary.reasons.items())[:_MAX_REASONS]
     ]
     more = len(summary.reasons) - len(rows)
-    note = f"And {more} other reasons: see results.parquet." if more else ""
+    if more:
+        note = f"And {more} other reasons: see results.parquet."
+    else:
+        note = ""
     return Table(["reason", "runs"], rows, numbers=[1], note=note)
 
 
@@ -299,4 +304,6 @@ def _values_text(values: list[Any]) -> str:
 
 
 def _value_text(value: Any) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)

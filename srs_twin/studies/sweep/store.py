@@ -148,7 +148,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             InputError: the stored identity is damaged.
         """
         rows = self._read("SELECT value FROM about WHERE name = 'sweep'")
-        return self._parse(_IDENTITY, rows[0][0]) if rows else None
+        if rows:
+            return self._parse(_IDENTITY, rows[0][0])
+        return None
 
     def set_identity(self, identity: SweepIdentity) -> None:
         """Store the identity of the sweep to which the rows belong."""

@@ -80,7 +80,8 @@ def run_point(
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
     values: dict[str, float | None] = {}
-    reason, exit_code = None, 0
+    reason = None
+    exit_code = 0
     try:
         scenario = parse_scenario(experiment.document(point.changes))
         if not experiment.plants:
@@ -110,7 +111,9 @@ def run_point(
             values |= flat_metrics("comparison", comparison.metrics)
     except SrsError as error:
         trajectories |= _partial_trajectory(error, experiment.plants, trajectories)
-        reason, exit_code, values = " ".join(str(error).split()), error.exit_code, {}
+        reason = " ".join(str(error).split())
+        exit_code = error.exit_code
+        values = {}
     stored = trajectories if experiment.trajectories else {}
     files = {plant: _parquet(trajectory) for plant, trajectory in stored.items()}
     wall = time.perf_counter() - start

@@ -112,17 +112,24 @@ def _parse_choices(options: Sequence[str]) -> dict[str, tuple[Any, ...]]:
 
 
 def _short(value: float) -> str:
-    return "0" if abs(value) < _NOTHING else f"{value:.3g}"
+    if abs(value) < _NOTHING:
+        return "0"
+    return f"{value:.3g}"
 
 
 def _error_text(error: float) -> str:
     """Return a standard error with two digits."""
-    return "0" if abs(error) < _NOTHING / 10 else f"{error:.2g}"
+    if abs(error) < _NOTHING / 10:
+        return "0"
+    return f"{error:.2g}"
 
 
 def _count_text(uncertainty: MetricUncertainty) -> str:
     """Return the number of samples, and of runs if a surrogate was used."""
-    runs = f", {uncertainty.runs} runs" if uncertainty.runs < uncertainty.count else ""
+    if uncertainty.runs < uncertainty.count:
+        runs = f", {uncertainty.runs} runs"
+    else:
+        runs = ""
     return f"{uncertainty.count} samples{runs}"
 
 
@@ -179,9 +186,14 @@ def _print_plant(result: Propagation, plant: str) -> str:
     from srs_twin.studies.uncertainty.remarks import outside_marks
     from srs_twin.viewing.plots.labels import metric_label
 
-    uncertainties, marks, rows = result.plants[plant], "", []
+    uncertainties = result.plants[plant]
+    marks = ""
+    rows = []
     target = result.target[1]
-    usual_count = _count_text(uncertainties[target]) if target in uncertainties else ""
+    if target in uncertainties:
+        usual_count = _count_text(uncertainties[target])
+    else:
+        usual_count = ""
     for metric, uncertainty in uncertainties.items():
         if metric not in metric_units():
             continue
@@ -189,12 +201,17 @@ def _print_plant(result: Propagation, plant: str) -> str:
         value = _short(uncertainty.value)
         # Do not mark a value as outside if it is printed with the same digits as the
         # end of its interval.
-        mark = "" if value in map(_short, ends[0]) else outside_marks(uncertainty)
+        if value in map(_short, ends[0]):
+            mark = ""
+        else:
+            mark = outside_marks(uncertainty)
         marks += mark
-        count, verdict = _count_text(uncertainty), uncertainty.verdict
-        published = (
-            "" if uncertainty.published is None else _short(uncertainty.published)
-        )
+        count = _count_text(uncertainty)
+        verdict = uncertainty.verdict
+        if uncertainty.published is None:
+            published = ""
+        else:
+            published = _short(uncertainty.published)
         published += "" if verdict is None else f" {verdict.value}"
         rows.append(
             (

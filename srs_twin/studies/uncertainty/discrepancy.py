@@ -54,22 +54,21 @@ class Discrepancy:
 
     def _cases(self) -> list[tuple[float, float, np.ndarray, np.ndarray]]:
         """Return s, ℓ, the posterior weights of the θ grid and the inverse covariance, for each s and ℓ."""
-        cases, log_posteriors = [], []
-        log_prior = (
-            np.zeros(len(self.predicted))
-            if self.prior is None
-            else np.log(np.maximum(self.prior, 1e-300))
-        )
+        cases = []
+        log_posteriors = []
+        if self.prior is None:
+            log_prior = np.zeros(len(self.predicted))
+        else:
+            log_prior = np.log(np.maximum(self.prior, 1e-300))
         for (a, wa), (b, wb) in product(zip(_FACTORS, _WEIGHTS, strict=True), repeat=2):
-            size, length = self.size * a, self.length * b
+            size = self.size * a
+            length = self.length * b
             covariance = _kernel(self.settings, self.settings, size, length)
             covariance += (self.noise**2 + 1e-12 * self.size**2) * np.eye(
                 len(self.measured)
             )
-            residual, inverse = (
-                self.measured - self.predicted,
-                np.linalg.inv(covariance),
-            )
+            residual = self.measured - self.predicted
+            inverse = np.linalg.inv(covariance)
             misfit = np.einsum("ti,ij,tj->t", residual, inverse, residual) / 2
             negative_log_likelihood = misfit + np.linalg.slogdet(covariance)[1] / 2
             log_posteriors.append(log_prior - negative_log_likelihood + np.log(wa * wb))
@@ -100,7 +99,8 @@ class Discrepancy:
         Returns:
             Draws, shape (draws, m).
         """
-        rng, draws = np.random.default_rng(seed), []
+        rng = np.random.default_rng(seed)
+        draws = []
         for size, length, weights, inverse in self._cases():
             count = rng.poisson(_DRAWS * weights.sum())
             if not count:

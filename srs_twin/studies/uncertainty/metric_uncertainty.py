@@ -160,20 +160,23 @@ class MetricUncertainty:
             "interval_95_error": self.errors[2:].tolist(),
         }
         row |= {"median": self.median}
-        row["value_at_medians"] = (
-            self.at_medians if math.isfinite(self.at_medians) else None
-        )
+        if math.isfinite(self.at_medians):
+            row["value_at_medians"] = self.at_medians
+        else:
+            row["value_at_medians"] = None
         row |= {
             "samples": self.count,
             "runs": self.runs,
             "u_input": float(np.nanstd(self.samples)),
         }
-        row["u_num"] = (
-            self.numerical_error if math.isfinite(self.half_timestep) else None
-        )
-        row["sensitivity"] = (
-            None if self.indices is None else self.indices.document(names)
-        )
+        if math.isfinite(self.half_timestep):
+            row["u_num"] = self.numerical_error
+        else:
+            row["u_num"] = None
+        if self.indices is None:
+            row["sensitivity"] = None
+        else:
+            row["sensitivity"] = self.indices.document(names)
         verdict = self.verdict
         return row | {
             "published": self.published,
@@ -203,9 +206,12 @@ def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
         low: low-fidelity metric, shape (samples,); NaN if unknown.
         high: twin's metric at the first samples, shape (fewer,).
     """
-    count, is_known = len(high), np.isfinite(low)
+    count = len(high)
+    is_known = np.isfinite(low)
     is_known[:count] &= np.isfinite(high)
-    x, y, runs = shares[is_known], low[is_known], high[is_known[:count]]
+    x = shares[is_known]
+    y = low[is_known]
+    runs = high[is_known[:count]]
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
@@ -216,7 +222,8 @@ def predict_twin(shares: Array, low: Array, high: Array) -> tuple[Array, Array]:
     predicted = np.arange(len(runs), len(y))
     ends = []
     for g in range(_GROUPS):
-        stay, leave = np.flatnonzero(group != g), np.flatnonzero(group == g)
+        stay = np.flatnonzero(group != g)
+        leave = np.flatnonzero(group == g)
         order = np.concatenate([stay, leave, predicted])
         prediction, _ = predict_high_fidelity(
             x[order], y[order], runs[stay], hyperparameters

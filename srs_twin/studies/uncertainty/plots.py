@@ -58,7 +58,8 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
         title: title of the scenario.
         document: result, see `Propagation.document`.
     """
-    plant, metric = document["target"]["plant"], document["target"]["metric"]
+    plant = document["target"]["plant"]
+    metric = document["target"]["metric"]
     rows = {
         name: metrics[metric]
         for name, metrics in document["plants"].items()
@@ -71,7 +72,8 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     height = _TOP + sum(heights) + _BETWEEN + below
     figure = Figure(figsize=(_WIDTH, height))
     bottoms = [below + heights[1] + _BETWEEN, below]
-    left, width = _LEFT / _WIDTH, 1 - (_LEFT + 0.15) / _WIDTH
+    left = _LEFT / _WIDTH
+    width = 1 - (_LEFT + 0.15) / _WIDTH
     upper, lower = (
         figure.add_axes((left, bottom / height, width, panel / height))
         for bottom, panel in zip(bottoms, heights, strict=True)
@@ -108,7 +110,8 @@ def _draw_intervals(
 ) -> None:
     """Draw the 50 and 95 % intervals, the ends of the latter with two standard errors."""
     for y, (name, row) in enumerate(rows.items()):
-        color, wide = style_of(name).color, row["interval_95"]
+        color = style_of(name).color
+        wide = row["interval_95"]
         axes.plot(wide, [y, y], color=color, linewidth=1.5)
         axes.plot(
             row["interval_50"], [y, y], color=color, linewidth=7, solid_capstyle="butt"
@@ -144,7 +147,8 @@ def _draw_swings(
     metric: str,
 ) -> None:
     """Draw the effect of each quantity alone; hatched if its rank among the causes is not resolved."""
-    style, labels = style_of(plant), []
+    style = style_of(plant)
+    labels = []
     for y, swing in enumerate(reversed(swings)):
         index = row["sensitivity"][swing["parameter"]]
         low, high = sorted((swing["low"], swing["high"]))
@@ -182,7 +186,8 @@ def _draw_swings(
 
 def _count_text(row: Mapping[str, Any]) -> str:
     """Return the number of samples, and of runs if a surrogate was used."""
-    samples, runs = row["samples"], row["runs"]
+    samples = row["samples"]
+    runs = row["runs"]
     return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
 
 

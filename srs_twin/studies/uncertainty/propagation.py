@@ -132,12 +132,16 @@ class Propagation:
         return {plant: self._uncertainties(plant) for plant in self.study.plants}
 
     def _uncertainties(self, plant: str) -> dict[str, MetricUncertainty]:
-        low_fidelity = self.rows.get(COMPLIANT) if plant == "twin" else None
+        if plant == "twin":
+            low_fidelity = self.rows.get(COMPLIANT)
+        else:
+            low_fidelity = None
         stated = [e for e in self.study.scenario.expect if e.stated is not None]
         published = {(e.subject, e.metric): e.stated for e in stated}
         uncertainties = {}
         for metric, column in self.rows[plant].items():
-            runs, surrogate = column[:-REFERENCE_ROWS], np.zeros(2 * len(RANGES))
+            runs = column[:-REFERENCE_ROWS]
+            surrogate = np.zeros(2 * len(RANGES))
             low = runs
             if low_fidelity is not None:
                 low = low_fidelity.get(metric, np.full(1, np.nan))[: self.study.samples]
@@ -203,7 +207,9 @@ class Propagation:
 
     def measure_next(self) -> list[dict[str, Any]]:
         """Return the interval of the target after measuring each parameter to ±10 %, the narrowest first."""
-        priors, uncertainty, chaos = self.study.priors, self._target, self._chaos
+        priors = self.study.priors
+        uncertainty = self._target
+        chaos = self._chaos
         width_now = np.ptp(uncertainty.interval("interval_95"))
         if not width_now > 0 or uncertainty.indices is None:
             return []
@@ -214,7 +220,8 @@ class Propagation:
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
         entries = []
         for i, prior in enumerate(priors.parameters):
-            lows, highs = [], []
+            lows = []
+            highs = []
             for centre in prior.quantile(np.array(_CENTRES)):
                 std = _MEASUREMENT_ERROR / 1.96 * abs(float(centre))
                 measured = prior.with_measurement(float(centre), std)
@@ -224,7 +231,8 @@ class Propagation:
                 low, high = np.quantile(values, RANGES["interval_95"])
                 lows.append(low)
                 highs.append(high)
-            width, middle = float(np.mean(np.subtract(highs, lows))), len(lows) // 2
+            width = float(np.mean(np.subtract(highs, lows)))
+            middle = len(lows) // 2
             if width < width_now:
                 ends = [float(lows[middle]), float(highs[middle])]
                 entries.append(
@@ -244,7 +252,9 @@ class Propagation:
         of its 95 % interval and all others at their medians, and the `error` of both:
         two standard deviations of left-out samples.
         """
-        names, chaos, indices = self.study.names, self._chaos, self._target.indices
+        names = self.study.names
+        chaos = self._chaos
+        indices = self._target.indices
         if indices is None:
             return []
         count = len(names)
@@ -428,7 +438,9 @@ def _rounded(data: Any) -> Any:
         return {key: _rounded(value) for key, value in data.items()}
     if isinstance(data, list):
         return [_rounded(value) for value in data]
-    return float(f"{data:.6g}") if isinstance(data, float) else data
+    if isinstance(data, float):
+        return float(f"{data:.6g}")
+    return data
 
 
 def _known_share(samples: np.ndarray) -> float:

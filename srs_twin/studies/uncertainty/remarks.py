@@ -94,7 +94,8 @@ class Remarks:
         return [shortfall for shortfall in shortfalls if shortfall]
 
     def _bounding_shortfall(self) -> Shortfall | None:
-        count, tail = self.uncertainty.count, RANGES["interval_95"][0]
+        count = self.uncertainty.count
+        tail = RANGES["interval_95"][0]
         if count >= MIN_BOUNDING_SAMPLES:
             return None
         words = (
@@ -108,7 +109,8 @@ class Remarks:
         return self._sample_shortfall(words, 2 * MIN_BOUNDING_SAMPLES)
 
     def _end_shortfall(self, width: float) -> Shortfall | None:
-        errors, limit = self.uncertainty.errors[2:], MAX_END_ERROR * width
+        errors = self.uncertainty.errors[2:]
+        limit = MAX_END_ERROR * width
         if errors.max() <= limit:
             return None
         shares = " and ".join(f"{100 * error / width:.0f} %" for error in errors)
@@ -141,10 +143,8 @@ class Remarks:
             f" above ±{100 * MAX_INDEX_ERROR:.0f} % causes that differ by less than"
             f" {100 * math.sqrt(2) * MAX_INDEX_ERROR:.0f} % cannot be distinguished"
         )
-        count, smallest = (
-            self.uncertainty.count,
-            quadratic_samples(len(self.study.names)),
-        )
+        count = self.uncertainty.count
+        smallest = quadratic_samples(len(self.study.names))
         growth = (error / MAX_INDEX_ERROR) ** 2
         if self._is_predicted and count >= smallest:
             return Shortfall(
@@ -158,7 +158,8 @@ class Remarks:
 
     def _sample_shortfall(self, words: str, needed: float) -> Shortfall:
         """Return a shortfall of samples that the plant itself must run."""
-        count, requested = _next_power_of_two(needed), self.study.samples
+        count = _next_power_of_two(needed)
+        requested = self.study.samples
         if self.plant != "twin" or self.study.surrogate_scenario is None:
             return Shortfall(words, count)
         if self.uncertainty.count < requested:
@@ -171,7 +172,8 @@ class Remarks:
         indices = self.uncertainty.indices
         if indices is None or len(self.study.names) < 2:
             return ""
-        ranks, total = indices.ranks(), indices.total
+        ranks = indices.ranks()
+        total = indices.total
         order = np.argsort(-total, kind="stable")
         first = [self.study.names[i] for i in order if ranks[i][0] == 1]
         tied = sum(best < worst for best, worst in ranks)
@@ -192,7 +194,10 @@ class Remarks:
 
     @property
     def _samples_text(self) -> str:
-        runs = f" ({self.uncertainty.runs} runs)" if self._is_predicted else ""
+        if self._is_predicted:
+            runs = f" ({self.uncertainty.runs} runs)"
+        else:
+            runs = ""
         return f"{self.uncertainty.count} samples{runs}"
 
     def outside_text(self) -> str:
@@ -226,7 +231,10 @@ class Remarks:
     def _skewed_parameters(self) -> str:
         """Return the parameters whose values in the file are far from their medians, largest cause first."""
         indices = self.uncertainty.indices
-        weights = np.ones(len(self.study.names)) if indices is None else indices.total
+        if indices is None:
+            weights = np.ones(len(self.study.names))
+        else:
+            weights = indices.total
         order = np.argsort(-weights[: len(self.study.priors.parameters)], kind="stable")
         texts = []
         for prior in (self.study.priors.parameters[i] for i in order):
@@ -235,7 +243,9 @@ class Remarks:
                 median = float(prior.quantile(np.array([0.5]))[0])
                 texts.append(f"{prior.path} {prior.value:.3g} instead of {median:.3g}")
         more = ", …" if len(texts) > _MAX_LISTED else ""
-        return f" ({', '.join(texts[:_MAX_LISTED])}{more})" if texts else ""
+        if texts:
+            return f" ({', '.join(texts[:_MAX_LISTED])}{more})"
+        return ""
 
 
 def outside_marks(uncertainty: MetricUncertainty) -> str:
@@ -278,6 +288,9 @@ def _percent(share: float, error: float) -> str:
 
 
 def _alternatives(names: Sequence[str]) -> str:
-    more = [f"{len(names) - _MAX_LISTED} others"] if len(names) > _MAX_LISTED else []
+    if len(names) > _MAX_LISTED:
+        more = [f"{len(names) - _MAX_LISTED} others"]
+    else:
+        more = []
     listed = [*names[:_MAX_LISTED], *more]
     return f"{', '.join(listed[:-1])} or {listed[-1]}"

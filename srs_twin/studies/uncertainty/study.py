@@ -81,7 +81,10 @@ class UncertaintyStudy:
     @property
     def runs(self) -> dict[str, int]:
         """Fidelity ("analytical", "compliant" or "twin") → number of its samples."""
-        runs = {"analytical": self.samples} if "analytical" in self.plants else {}
+        if "analytical" in self.plants:
+            runs = {"analytical": self.samples}
+        else:
+            runs = {}
         if "twin" in self.plants:
             runs |= (
                 {"twin": self.samples}
@@ -119,10 +122,8 @@ class UncertaintyStudy:
             step,
         )
         h = float(document["plants"][plant]["timestep_s"])
-        shares, count = (
-            self.shares[: self.runs.get(part, 0)],
-            len(self.priors.parameters),
-        )
+        shares = self.shares[: self.runs.get(part, 0)]
+        count = len(self.priors.parameters)
         columns: list[list[Value]] = self.priors.quantile(shares[:, :count]).T.tolist()
         for share, values in zip(
             shares[:, count:].T, self.discrete_choices.values(), strict=True

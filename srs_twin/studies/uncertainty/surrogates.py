@@ -56,7 +56,10 @@ def _terms(variables: int, degree: int) -> np.ndarray:
     """Return the exponents of all terms up to a degree, shape (terms, variables)."""
     rows = [[0] * variables]
     for order in range(1, min(variables, degree, 3) + 1):
-        max_degree = degree if order <= _MAX_INTERACTION else min(degree, 3)
+        if order <= _MAX_INTERACTION:
+            max_degree = degree
+        else:
+            max_degree = min(degree, 3)
         for which in combinations(range(variables), order):
             for powers in product(range(1, degree + 1), repeat=order):
                 if sum(powers) <= max_degree:
@@ -110,11 +113,9 @@ class PolynomialChaos:
         assert best is not None
         _, terms, coefficients, residuals = best
         ridge = 1e-9 * count * np.eye(len(terms))
-        rng, design, indices = (
-            np.random.default_rng(seed),
-            _design_matrix(shares, terms),
-            [],
-        )
+        rng = np.random.default_rng(seed)
+        design = _design_matrix(shares, terms)
+        indices = []
         for _ in range(_RESAMPLINGS):
             rows = rng.integers(count, size=count)
             # Normal equations are accurate enough here, as the columns are nearly
@@ -161,7 +162,8 @@ def _cross_validate(design: Array, results: Array) -> tuple[Array, Array]:
 
 
 def _indices(terms: np.ndarray, coefficients: Array) -> Array:
-    power, has_one_variable = coefficients**2, (terms > 0).sum(axis=1) == 1
+    power = coefficients**2
+    has_one_variable = (terms > 0).sum(axis=1) == 1
     variance = np.maximum(power[1:].sum(axis=0), 1e-300)
     first = [
         power[has_one_variable & (terms[:, i] > 0)].sum(axis=0)
@@ -195,11 +197,13 @@ class GaussianProcess:
             y: values of order 1, shape (samples,).
             log_hyperparameters: given values, instead of the most probable ones.
         """
-        self._x, self._y = x, y
+        self._x = x
+        self._y = y
         centre = np.log([*_TYPICAL, *np.full(x.shape[1], _TYPICAL_LENGTH)])
-        self.log_hyperparameters = (
-            centre if log_hyperparameters is None else log_hyperparameters
-        )
+        if log_hyperparameters is None:
+            self.log_hyperparameters = centre
+        else:
+            self.log_hyperparameters = log_hyperparameters
         if log_hyperparameters is None:
             result = scipy.optimize.minimize(
                 self._negative_log_posterior,
@@ -253,7 +257,8 @@ class GaussianProcess:
 
 
 def _kernel(log_hyperparameters: Array, x: Array, y: Array) -> Array:
-    size, slope = np.exp(2 * log_hyperparameters[0]), np.exp(2 * log_hyperparameters[1])
+    size = np.exp(2 * log_hyperparameters[0])
+    slope = np.exp(2 * log_hyperparameters[1])
     lengths = np.exp(log_hyperparameters[3:])
     distance = (((x[:, None] - y[None]) / lengths) ** 2).sum(axis=-1)
     return np.asarray(size * np.exp(-distance / 2) + slope * (1 + x @ y.T))
@@ -278,8 +283,10 @@ def predict_high_fidelity(
         explains less than half of the variance of left-out samples.
     """
     count = len(high)
-    scale, mean = max(float(high.std()), 1e-300), float(high.mean())
-    low_scale, low_mean = max(float(low.std()), 1e-300), float(low.mean())
+    scale = max(float(high.std()), 1e-300)
+    mean = float(high.mean())
+    low_scale = max(float(low.std()), 1e-300)
+    low_mean = float(low.mean())
     x = np.column_stack([2 * shares - 1, (low - low_mean) / low_scale])
     y = (high - mean) / scale
     process = GaussianProcess(x[:count], y, log_hyperparameters=log_hyperparameters)

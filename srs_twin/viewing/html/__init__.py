@@ -86,11 +86,9 @@ def _environment() -> Environment:
 def _clean(value: object) -> object:
     # HTML does not allow control characters, and a terminal that prints the file would
     # execute them.
-    return (
-        value
-        if isinstance(value, Markup)
-        else escape_unprintable(str(value), keep="\t\n")
-    )
+    if isinstance(value, Markup):
+        return value
+    return escape_unprintable(str(value), keep="\t\n")
 
 
 def colored(text: str, color: str) -> Markup:

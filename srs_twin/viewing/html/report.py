@@ -78,7 +78,8 @@ def write_report(
         metrics: content of `metrics.json`.
         attribution: adds the attribution of the differences.
     """
-    trajectories, spec = content.trajectories, content.spec
+    trajectories = content.trajectories
+    spec = content.spec
     duration = max(float(run.time[-1]) for run in trajectories.values())
     expectations = metrics.get("expectations") or ()
     verdicts = [verdict(row) for row in expectations]
@@ -148,10 +149,8 @@ def page_of_comparison(comparison: Comparison) -> str:
 
 def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
     """Return a table of metrics: one column per plant, differences, and the published value."""
-    plants, published_values = (
-        metrics["plants"],
-        published(metrics.get("expectations") or ()),
-    )
+    plants = metrics["plants"]
+    published_values = published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
     headings = ["metric", "unit", *plants, *["difference", "%"] * both]
     headings += ["published"] * bool(published_values)
@@ -185,16 +184,19 @@ def _expectations(
     keys += ["reason"] * ("not_judged" in verdicts)
     rows = []
     for state, row in zip(verdicts, expectations, strict=True):
-        color = "missed" if state == "missed" else "met" if row["met"] else "sub"
+        if state == "missed":
+            color = "missed"
+        elif row["met"]:
+            color = "met"
+        else:
+            color = "sub"
         texts = [
             row["of"],
             allowed_text(row),
             *(row.get(key) or "" for key in keys[1:]),
         ]
-        title, value = (
-            metric_title(row["metric"]),
-            cell(tidy(row["metric"], row.get("value"))),
-        )
+        title = metric_title(row["metric"])
+        value = cell(tidy(row["metric"], row.get("value")))
         rows.append(
             [
                 colored(state.replace("_", " "), color),
@@ -257,14 +259,21 @@ def _contribution(value: float, low: float, high: float) -> str:
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.3g}" if abs(value) >= _ZERO else "0"
+    if abs(value) >= _ZERO:
+        return f"{value:+.3g}"
+    return "0"
 
 
 def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
     """Return the available plots, beginning with those of the kind of experiment."""
-    runs, spec, comparison = content.trajectories, content.spec, content.comparison
+    runs = content.trajectories
+    spec = content.spec
+    comparison = content.comparison
     is_learning_run = all(map(is_learning, runs.values()))
-    compared = comparison if comparison is not None and len(comparison.time) else None
+    if comparison is not None and len(comparison.time):
+        compared = comparison
+    else:
+        compared = None
     added = next(filter(None, map(added_to, runs.values())), None)
     learning = "Learning: amplitudes and duties of each module per period."
     figures: dict[str, Figure | None] = {

@@ -59,7 +59,8 @@ class Canvas:
         Raises:
             InputError: no backend works.
         """
-        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        model.vis.global_.offwidth = width
+        model.vis.global_.offheight = height
         model.vis.quality.shadowsize = min(
             model.vis.quality.shadowsize, _SHADOW_FACTOR * max(width, height)
         )
@@ -109,7 +110,10 @@ class Canvas:
         self._opengl.make_current()
         pixels = np.empty((self._frame.height, self._frame.width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._frame, self._scene, self._context)
-        drawn = labels if self._frame.width >= _MIN_LABELS_WIDTH else labels[:1]
+        if self._frame.width >= _MIN_LABELS_WIDTH:
+            drawn = labels
+        else:
+            drawn = labels[:1]
         for k, (text, color) in enumerate(drawn):
             left, right = (
                 self._frame.width * index // len(labels) for index in (k, k + 1)

@@ -95,7 +95,9 @@ class LiveSnake:
         Raises:
             InputError: the twin or its controller cannot be built.
         """
-        self.scenario, self._modified, self._controller = scenario, modified, None
+        self.scenario = scenario
+        self._modified = modified
+        self._controller = None
         if scenario is not None:
             self.twin: Any = scenario.build_plant("twin")
             limits = GaitLimits.for_robot(self.twin.spec)
@@ -110,12 +112,13 @@ class LiveSnake:
         else:
             assert spec is not None, "a robot or a scenario"
             limits = GaitLimits.for_robot(spec)
-            self.twin, self._steerable = (
-                TwinSnake(spec, supply_pa=limits.pressure[1]),
-                True,
-            )
+            self.twin = TwinSnake(spec, supply_pa=limits.pressure[1])
+            self._steerable = True
         self.limits = limits
-        pressure = sum(limits.pressure) / 2 if scenario is None else limits.pressure[1]
+        if scenario is None:
+            pressure = sum(limits.pressure) / 2
+        else:
+            pressure = limits.pressure[1]
         self._initial_command = GaitCommand(0.0, sum(limits.frequency) / 2, pressure)
         self._keys: deque[int] = deque()
         self._reset()
@@ -155,22 +158,29 @@ class LiveSnake:
 
     def status_lines(self) -> list[tuple[str, str]]:
         """Return label and value of each line in the window."""
-        command, speed = self.command, self.state.com_velocity
+        command = self.command
+        speed = self.state.com_velocity
         by_keys = [
             ("offset (left, right)", f"{command.offset:+.2f}"),
             ("frequency (up, down)", f"{command.frequency:.2f} Hz"),
             ("pressure (page up, page down)", f"{command.pressure / 1e3:.1f} kPa"),
         ]
         if self._controller is not None:
-            keys = (
-                "arrows, page up, page down: steer by keys" if self._steerable else ""
-            )
+            if self._steerable:
+                keys = "arrows, page up, page down: steer by keys"
+            else:
+                keys = ""
             by_keys = [
                 ("controller", self._controller.kind),
                 *([(keys, "")] if keys else []),
             ]
         drawn = [line.name.rpartition("/")[-1] for line in self.floor_lines]
-        note = ", paused" if self.paused else ", finished" if self.finished else ""
+        if self.paused:
+            note = ", paused"
+        elif self.finished:
+            note = ", finished"
+        else:
+            note = ""
         return [
             *by_keys,
             ("speed", f"{float((speed**2).sum()) ** 0.5:.3f} m/s"),
@@ -182,23 +192,23 @@ class LiveSnake:
         ]
 
     def _reset(self) -> None:
-        self.command, self.paused, scenario = (
-            self._initial_command,
-            False,
-            self.scenario,
-        )
+        self.command = self._initial_command
+        self.paused = False
+        scenario = self.scenario
         self.floor_lines = []
         if scenario is None:
             self.state = self.twin.reset()
             self._take_over()
             return
-        begin, seed, twin = scenario.begin, scenario.seed, self.twin
-        self.state = (
-            twin.reset(pose=scenario.pose, seed=seed)
-            if begin is None
-            else begin(twin, seed)
-        )
-        self._gait, self._controller = None, scenario.build_controller()
+        begin = scenario.begin
+        seed = scenario.seed
+        twin = self.twin
+        if begin is None:
+            self.state = twin.reset(pose=scenario.pose, seed=seed)
+        else:
+            self.state = begin(twin, seed)
+        self._gait = None
+        self._controller = scenario.build_controller()
         self._controller.reset(twin.spec, twin.tick, seed=seed)
         self._find_floor_lines()
 
@@ -262,7 +272,8 @@ def steer(
     Raises:
         DivergedError: as `LiveSnake.advance`.
     """
-    tick, due = snake.twin.tick, clock()
+    tick = snake.twin.tick
+    due = clock()
     undrawn = 0.0  # simulated time since the last drawing, s
     while window.is_open():
         snake.advance()
@@ -302,7 +313,8 @@ class MujocoWindow:
         from srs_twin.viewing.mujoco.stage import Skins, make_obstacles_translucent
 
         physics = snake.twin.physics
-        model, data = physics.model, physics.data
+        model = physics.model
+        data = physics.data
         try:
             self._viewer = mujoco.viewer.launch_passive(
                 model,
@@ -320,7 +332,8 @@ class MujocoWindow:
         camera.type = mujoco.mjtCamera.mjCAMERA_TRACKING
         camera.trackbodyid = model.body("connector_1").rootid[0]
         camera.distance = _DISTANCE_LENGTHS * snake.twin.spec.geometry.body_length
-        camera.azimuth, camera.elevation = _AZIMUTH_DEG, _ELEVATION_DEG
+        camera.azimuth = _AZIMUTH_DEG
+        camera.elevation = _ELEVATION_DEG
 
     def __enter__(self) -> MujocoWindow:
         return self
@@ -350,7 +363,8 @@ class MujocoWindow:
         if lines is self._drawn or scene is None:
             return
         with self._viewer.lock():
-            scene.ngeom, self._drawn = 0, lines
+            scene.ngeom = 0
+            self._drawn = lines
             for line in lines:
                 for strip in line.strips:
                     add_line(scene, strip, line.color, line.radius)
@@ -376,7 +390,10 @@ def require_display() -> None:
         warnings.simplefilter("always")
         usable = glfw.init()
     if not usable:
-        reason = str(caught[-1].message) if caught else "GLFW cannot be used"
+        if caught:
+            reason = str(caught[-1].message)
+        else:
+            reason = "GLFW cannot be used"
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         raise InputError(
             f"the display {display} does not respond ({reason}); set DISPLAY to one"

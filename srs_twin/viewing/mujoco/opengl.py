@@ -61,11 +61,10 @@ def usable_opengl() -> str:
             install.
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
-    candidates = (
-        _CANDIDATES.get(sys.platform, ("glfw",))
-        if selected in _UNSPECIFIED
-        else (selected,)
-    )
+    if selected in _UNSPECIFIED:
+        candidates = _CANDIDATES.get(sys.platform, ("glfw",))
+    else:
+        candidates = (selected,)
     failures = {}
     for name in candidates:
         failure = _test(name)
@@ -137,18 +136,17 @@ def draw_box(name: str) -> None:
         " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
         " 1 1 1'/></worldbody></mujoco>"
     )
-    data, camera, scene = (
-        mujoco.MjData(model),
-        mujoco.MjvCamera(),
-        mujoco.MjvScene(model, maxgeom=10),
-    )
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    scene = mujoco.MjvScene(model, maxgeom=10)
     mujoco.mj_forward(model, data)
     mujoco.mjv_defaultFreeCamera(model, camera)
     all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
         model, data, mujoco.MjvOption(), None, camera, all_kinds, scene
     )
-    size, pixels = mujoco.MjrRect(0, 0, 16, 16), np.empty((16, 16, 3), dtype=np.uint8)
+    size = mujoco.MjrRect(0, 0, 16, 16)
+    pixels = np.empty((16, 16, 3), dtype=np.uint8)
     context = new_context(name, 16, 16)
     context.make_current()
     renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)

@@ -73,7 +73,9 @@ def video_writer(
                 stream = container.add_stream(
                     "libx264", rate=fps, options={"crf": "20", "preset": "veryfast"}
                 )
-                stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+                stream.width = width
+                stream.height = height
+                stream.pix_fmt = "yuv420p"
 
                 def add(pixels: np.ndarray) -> None:
                     frame = av.VideoFrame.from_ndarray(
@@ -127,11 +129,10 @@ class FollowCamera:
             ghost: trajectory of another plant.
         """
         setup = "bench" if bench else "floor"
-        self._target = (
-            np.tile(run.position[0].mean(axis=0), (len(run), 1))
-            if bench
-            else _smooth_path(run)
-        )
+        if bench:
+            self._target = np.tile(run.position[0].mean(axis=0), (len(run), 1))
+        else:
+            self._target = _smooth_path(run)
         distance = _DISTANCE_LENGTHS[setup] * body_length
         if ghost is not None and not bench:
             path = _smooth_path(ghost)
@@ -146,7 +147,8 @@ class FollowCamera:
         self._camera.azimuth = (
             math.degrees(float(run["heading"][0])) + 90.0 - _FORWARD_DEG
         )
-        self._camera.elevation, self._camera.distance = _ELEVATION_DEG[setup], distance
+        self._camera.elevation = _ELEVATION_DEG[setup]
+        self._camera.distance = distance
 
     def at(self, row: int) -> mujoco.MjvCamera:
         """Return the camera at a sample."""
@@ -157,7 +159,8 @@ class FollowCamera:
 def _smooth_path(run: Trajectory) -> np.ndarray:
     """Return the centre of mass averaged over a gait period around each sample, shape (samples, 2), m."""
     window = gait_period(run) or _SMOOTHING_S
-    time, duration = run.time, float(run.time[-1] - run.time[0])
+    time = run.time
+    duration = float(run.time[-1] - run.time[0])
     half = min(window, duration) / 2
     if half <= 0:
         return run.com
@@ -165,10 +168,8 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
     # spaced.
     steps = np.diff(time)[:, None] * (run.com[1:] + run.com[:-1]) / 2
     integral = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    begin, end = (
-        np.clip(time - half, time[0], None),
-        np.clip(time + half, None, time[-1]),
-    )
+    begin = np.clip(time - half, time[0], None)
+    end = np.clip(time + half, None, time[-1])
     mean = [np.interp(end, time, a) - np.interp(begin, time, a) for a in integral.T]
     return np.column_stack(mean) / (end - begin)[:, None]
 
@@ -246,7 +247,8 @@ def write_image(
         InputError: the time is outside the run, or as in `write_video`.
     """
     stage, camera = _scene(scenario, run, ghost)
-    first, last = float(run.time[0]), float(run.time[-1])
+    first = float(run.time[0])
+    last = float(run.time[-1])
     if not first - 1e-9 <= time <= last + 1e-9:
         raise InputError(
             f"t = {time:g} s is outside the run, which lasts from {first:g} to"
@@ -377,10 +379,13 @@ def _floor_corners(
             np.array([[circle.x, circle.y]]) + side * circle.radius for side in (-1, 1)
         ]
     corners = np.concatenate(points)
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     margin = _MARGIN_LENGTHS * scenario.robot.geometry.body_length
-    low, high = low - margin, high + margin
-    size, centre = high - low, (low + high) / 2
+    low = low - margin
+    high = high + margin
+    size = high - low
+    centre = (low + high) / 2
     size = np.array(
         [max(size[0], _MIN_ASPECT * size[1]), max(size[1], size[0] / _MAX_ASPECT)]
     )
@@ -405,12 +410,17 @@ def _render_from_above(
     """
     camera = mujoco.MjvCamera()
     camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, 2.0
-    camera.lookat, camera.orthographic = [*centre, 0.0], 1
+    camera.azimuth = 90.0
+    camera.elevation = -90.0
+    camera.distance = 2.0
+    camera.lookat = [*centre, 0.0]
+    camera.orthographic = 1
     view = stage.model.vis.global_
-    view.orthographic, view.fovy = 1, height
+    view.orthographic = 1
+    view.fovy = height
     *earlier, last = rows
-    option, moving = mujoco.MjvOption(), mujoco.mjtCatBit.mjCAT_DYNAMIC.value
+    option = mujoco.MjvOption()
+    moving = mujoco.mjtCatBit.mjCAT_DYNAMIC.value
 
     def add(scene: mujoco.MjvScene) -> None:
         stage.add_lines(scene, last, _LINE_PIXELS / 2 * height / pixels[1])

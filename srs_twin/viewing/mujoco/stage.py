@@ -81,7 +81,8 @@ class Stage:
                 "nothing to draw: the run has no positions of the twin (columns"
                 " qpos_1…)"
             )
-        self.run, self.bench = run, scenario.file.bench
+        self.run = run
+        self.bench = scenario.file.bench
         self.ghost = ghost
         self._labels = _legend(run, ghost, bench=self.bench)
         if ghost is not None:
@@ -116,7 +117,9 @@ class Stage:
     def legend(self) -> Mapping[str, str]:
         """Name of a line on the floor → colour."""
         pictures = added_to(self.run)
-        return pictures.legend if pictures else {}
+        if pictures:
+            return pictures.legend
+        return {}
 
     def row_at(self, time: float) -> int:
         """Return the sample nearest to a time, s."""
@@ -158,10 +161,8 @@ class Stage:
     def _add_marks(self, scene: mujoco.MjvScene, row: int) -> None:
         """Add the places where connectors of a spatial snake pressed on the floor up to a sample."""
         rows, points = self._marks
-        disc, rgba = (
-            mujoco.mjtGeom.mjGEOM_CYLINDER,
-            np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32),
-        )
+        disc = mujoco.mjtGeom.mjGEOM_CYLINDER
+        rgba = np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32)
         size = [self._mark_radius, self._mark_radius, _LINE_M / 2]
         for x, y in points[rows <= row]:
             if scene.ngeom == scene.maxgeom:
@@ -208,7 +209,8 @@ class Stage:
         for begin, end in zip(points, points[1:], strict=False):
             if scene.ngeom == scene.maxgeom:
                 return
-            geom, capsule = scene.geoms[scene.ngeom], mujoco.mjtGeom.mjGEOM_CAPSULE
+            geom = scene.geoms[scene.ngeom]
+            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
             mujoco.mjv_initGeom(
                 geom, capsule, np.zeros(3), np.zeros(3), np.zeros(9), color
             )
@@ -254,17 +256,16 @@ def add_line(
         half_width: half of the line width, m.
         level: layer; lines of higher layers cover those of lower ones.
     """
-    box, rgba = mujoco.mjtGeom.mjGEOM_BOX, np.array(unit_rgba(color), dtype=np.float32)
+    box = mujoco.mjtGeom.mjGEOM_BOX
+    rgba = np.array(unit_rgba(color), dtype=np.float32)
     heights = _LINE_M * np.linspace(level, level + 1, len(points))
     for begin, end, height in zip(points, points[1:], heights, strict=False):
         if scene.ngeom == scene.maxgeom:
             return
         (x, y), length = end - begin, math.hypot(*(end - begin))
         c, s = (x / length, y / length) if length else (1.0, 0.0)
-        size, position = (
-            [length / 2 + half_width, half_width, _LINE_M / 2],
-            [*(begin + end) / 2, height],
-        )
+        size = [length / 2 + half_width, half_width, _LINE_M / 2]
+        position = [*(begin + end) / 2, height]
         mujoco.mjv_initGeom(
             scene.geoms[scene.ngeom],
             box,
@@ -305,8 +306,10 @@ class Skins:
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
         """Find the geoms, and limit the lights so that colours are not overexposed."""
-        model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.2] * 3
-        model.light_diffuse[:], model.light_specular[:] = 0.45, 0.0
+        model.vis.headlight.ambient = [0.45] * 3
+        model.vis.headlight.diffuse = [0.2] * 3
+        model.light_diffuse[:] = 0.45
+        model.light_specular[:] = 0.0
         model.mat_reflectance[:] = 0.0
         self._model = model
         self.geoms: list[list[int]] = [[] for _ in range(segments)]

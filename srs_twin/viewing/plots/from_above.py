@@ -55,10 +55,8 @@ def plan_view(
     ]
     if objects:
         points = np.concatenate(objects)
-        low, high = (
-            np.minimum(low, points.min(axis=0)),
-            np.maximum(high, points.max(axis=0)),
-        )
+        low = np.minimum(low, points.min(axis=0))
+        high = np.maximum(high, points.max(axis=0))
     height = float(
         np.clip(8.0 * (high[1] - low[1]) / (high[0] - low[0]) + 1.2, 2.4, 7.0)
     )

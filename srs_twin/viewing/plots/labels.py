@@ -62,9 +62,15 @@ def field_label(path: str) -> str:
     name, unit = split_unit(keys[-1])
     title = re.split(r" \(|[,:]", _title(path))[0]
     if not 0 < len(title) <= _MAX_TITLE or title.startswith(_SENTENCE_STARTS):
-        group = keys[-2] if len(keys) > 1 and keys[0] != "plants" else ""
+        if len(keys) > 1 and keys[0] != "plants":
+            group = keys[-2]
+        else:
+            group = ""
         title = f"{group} {_spaced(name)}".strip()
-    title = title if title[:2].isupper() else title[:1].lower() + title[1:]
+    if title[:2].isupper():
+        title = title
+    else:
+        title = title[:1].lower() + title[1:]
     if keys[0] == "plants" and len(keys) > 2:
         title = f"{title}, {keys[1]}"
     return _with_unit(title, unit)
@@ -89,17 +95,18 @@ def metric_title(metric: str) -> str:
     name, _ = split_metric(metric)
     for suffix, text in _SUFFIXES.items():
         if name.endswith(suffix):
-            text = (
-                ", relative"
-                if suffix == "_rel" and metric not in COMPARISON_UNITS
-                else text
-            )
+            if suffix == "_rel" and metric not in COMPARISON_UNITS:
+                text = ", relative"
+            else:
+                text = text
             name = name.removesuffix(suffix) + text
     return _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
 
 
 def _with_unit(title: str, unit: str) -> str:
-    return title if unit == "1" else f"{title} ({unit.replace('*', '·')})"
+    if unit == "1":
+        return title
+    return f"{title} ({unit.replace('*', '·')})"
 
 
 def _spaced(name: str) -> str:

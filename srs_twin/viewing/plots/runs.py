@@ -166,9 +166,10 @@ def _by_segment(
                 run.time[window], values[window, j], **style.line, zorder=style.zorder
             )
         finish(axes, label.format(j + 1))
-    selection = (
-        "" if len(plotted) == segments else f", {len(plotted)} of {segments} segments"
-    )
+    if len(plotted) == segments:
+        selection = ""
+    else:
+        selection = f", {len(plotted)} of {segments} segments"
     set_title(rows[0], f"{title}, head first{selection}{remark}", "left")
     _finish_time(figure, rows, first, last)
     return figure
@@ -288,7 +289,8 @@ def tracking_plot(trajectories: Runs) -> Figure:
         2.9 + 0.75 * count, 1 + count, heights=[2.6, *[0.75] * count]
     )
     run = next(iter(trajectories.values()))
-    first, last = float(run.time[0]), float(run.time[-1])
+    first = float(run.time[0])
+    last = float(run.time[-1])
     if (period := reference_period(run)) is not None:
         first = max(first, last - _PERIODS_SHOWN * period)
     window = _in_window(run, first, last)
@@ -335,7 +337,10 @@ def reading_plot(trajectories: Runs) -> Figure | None:
         return None
     figure, (readings, errors) = panels(4.6, 2)
     bends = np.concatenate([curve.bend for _, _, curve in curves])
-    ends = np.degrees([bends.min(), bends.max()]) if len(bends) else np.zeros(2)
+    if len(bends):
+        ends = np.degrees([bends.min(), bends.max()])
+    else:
+        ends = np.zeros(2)
     readings.plot(ends, ends, **REFERENCE.line | {"label": "bend"})
     for style, run, curve in curves:
         subset = slice(None, None, math.ceil(len(run) / _MAX_DOTS))
@@ -438,10 +443,8 @@ def attribution_plot(attribution: Attribution) -> Figure:
         zip(grid.flat, MEASURES.values(), strict=True)
     ):
         totals = [attribution.remainder[m], attribution.gap[m]]
-        bars, ends = (
-            np.array([*value[m, order], *totals]),
-            np.array([low[m, order], high[m, order]]),
-        )
+        bars = np.array([*value[m, order], *totals])
+        ends = np.array([low[m, order], high[m, order]])
         scale, prefix = (1e3, "m") if np.abs(bars).max() < 0.1 else (1.0, "")
         colors = [
             *np.where(bars[:-2] < 0, _NEGATIVE_COLOR, _POSITIVE_COLOR),
@@ -469,12 +472,16 @@ def _write_values(axes: Axes, bars: np.ndarray, ends: np.ndarray) -> None:
         bars: values, shape (bars,).
         ends: minimum and maximum of each value, shape (2, bars).
     """
-    low, high = np.minimum(ends[0], 0.0), np.maximum(ends[1], 0.0)
+    low = np.minimum(ends[0], 0.0)
+    high = np.maximum(ends[1], 0.0)
     span = max(float(high.max() - low.min()), 1e-12)
     digits = max(0, 1 - math.floor(math.log10(span)))
     axes.set_xlim(low.min() - 0.24 * span, high.max() + 0.24 * span)
     for row, bar in enumerate(bars):
-        text = f"{bar:+.{digits}f}".replace("-", "−") if round(bar, digits) else "0"
+        if round(bar, digits):
+            text = f"{bar:+.{digits}f}".replace("-", "−")
+        else:
+            text = "0"
         x, alignment = (
             (low[row] - 0.02 * span, "right")
             if bar < 0

@@ -40,7 +40,8 @@ def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
     """Return the rotation of each wheel without slip, shape (samples, N, 2), rad, forward positive."""
-    centres, theta = wheel_centres(trajectory, geometry), trajectory.stack("theta")
+    centres = wheel_centres(trajectory, geometry)
+    theta = trajectory.stack("theta")
     mean_theta = (theta[1:] + theta[:-1]) / 2
     forward = np.stack([np.cos(mean_theta), np.sin(mean_theta)], axis=-1)[:, :, None]
     increments = (np.diff(centres, axis=0) * forward).sum(
@@ -81,7 +82,8 @@ def reference_period(trajectory: Trajectory) -> float | None:
     """Return the period of the first segment's reference, s, if it is a sine or a square wave, else None."""
     if not trajectory.has("reference_1"):
         return None
-    time, reference = trajectory.time, trajectory["reference_1"]
+    time = trajectory.time
+    reference = trajectory["reference_1"]
     changes = time[1:][np.diff(reference) != 0]
     if len(changes) < 3:
         return None
@@ -108,10 +110,13 @@ def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     exclude the first and last half period. Both arrays are empty if the run is shorter
     than a period.
     """
-    time, heading = trajectory.time, trajectory["heading"]
-    first, last = time[0] + period / 2, time[-1] - period / 2
+    time = trajectory.time
+    heading = trajectory["heading"]
+    first = time[0] + period / 2
+    last = time[-1] - period / 2
     centres = time[(time >= first - 1e-9) & (time <= last + 1e-9)]
-    begin, end = centres - period / 2, centres + period / 2
+    begin = centres - period / 2
+    end = centres + period / 2
     displacement = [
         np.interp(end, time, c) - np.interp(begin, time, c) for c in trajectory.com.T
     ]

@@ -90,7 +90,9 @@ class Style:
     @property
     def zorder(self) -> float:
         """Drawing order: dashed lines above solid ones, so that both of two coincident lines are visible."""
-        return 2.0 if self.dash == "-" else 2.1
+        if self.dash == "-":
+            return 2.0
+        return 2.1
 
 
 STYLES = {
@@ -127,9 +129,10 @@ def pressure_colors(
             one.
     """
     finite = np.nan_to_num(difference)
-    full_scale = (
-        float(np.max(np.abs(finite), initial=0.0)) if full_scale is None else full_scale
-    )
+    if full_scale is None:
+        full_scale = float(np.max(np.abs(finite), initial=0.0))
+    else:
+        full_scale = full_scale
     fraction = np.clip(finite / max(full_scale, 1e-12), -1.0, 1.0)[..., None]
     full = np.where(fraction > 0, PLUS_RGB, MINUS_RGB)
     rgb = np.rint(_NO_PRESSURE + np.abs(fraction) * (full - np.array(_NO_PRESSURE)))
@@ -290,6 +293,9 @@ def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
         raise InputError(
             f"{target.name}: the name of an image must end in {' or '.join(FORMATS)}"
         )
-    metadata = {"Software": None} if target.suffix == ".png" else {"Date": None}
+    if target.suffix == ".png":
+        metadata = {"Software": None}
+    else:
+        metadata = {"Date": None}
     with atomic_write(target) as temporary:
         figure.savefig(temporary, format=target.suffix[1:], dpi=dpi, metadata=metadata)

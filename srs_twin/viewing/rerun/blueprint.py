@@ -64,7 +64,9 @@ class Layout:
     @property
     def world(self) -> str:
         """Entity of the scene."""
-        return f"{self.root}/world" if self.root else "world"
+        if self.root:
+            return f"{self.root}/world"
+        return "world"
 
 
 def run_blueprint(layout: Layout) -> rrb.Blueprint:
@@ -133,16 +135,20 @@ def _plots(layout: Layout) -> Rows:
     pressures = "Pressure {} (kPa)"
     # Differences from the measured robot; on a bench, often only bends are measured.
     distances = [f"+ /measured/{name}/**" for name in layout.measured if name != "bend"]
-    measured = (
-        [_plot("/", "Distance from the measured robot (mm)", contents=distances)]
-        if distances
-        else []
-    )
+    if distances:
+        measured = [
+            _plot("/", "Distance from the measured robot (mm)", contents=distances)
+        ]
+    else:
+        measured = []
     if "bend" in layout.measured:
         measured.append(
             _plot("measured/bend", "Bends from the measured robot, RMS (rad)")
         )
-    speed_axis = None if layout.speeds is None else rrb.ScalarAxis(range=layout.speeds)
+    if layout.speeds is None:
+        speed_axis = None
+    else:
+        speed_axis = rrb.ScalarAxis(range=layout.speeds)
     body = [
         _plot("body/speed", "Speed (m/s)", axis_y=speed_axis),
         _plot("body/heading", "Heading (rad)"),

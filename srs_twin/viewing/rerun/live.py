@@ -105,7 +105,9 @@ class LiveView:
             spec: robot.
             log: stream of the viewer.
         """
-        self._log, self._spec, self._start = log, spec, float("nan")
+        self._log = log
+        self._spec = spec
+        self._start = float("nan")
         self._trail: list[list[float]] = []
         self._logged_faults: tuple[tuple[str, str, float], ...] | None = None
         scene = rrb.Spatial3DView(
@@ -136,7 +138,8 @@ class LiveView:
         if np.isnan(self._start):
             self._start = estimate.time
         log.set_time(TIMELINE, duration=estimate.time - self._start)
-        width, poses = self._spec.geometry.width, estimate.connectors
+        width = self._spec.geometry.width
+        poses = estimate.connectors
         names = [
             f"{column}_{i}"
             for i in range(1, len(poses) + 1)

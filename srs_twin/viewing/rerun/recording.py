@@ -94,12 +94,11 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
         content: content of the run.
         title: name of the recording in the viewer; default: title of the robot.
     """
-    spec, trajectories, comparison = (
-        content.spec,
-        content.trajectories,
-        content.comparison,
-    )
-    world, measured = content.world, content.measured
+    spec = content.spec
+    trajectories = content.trajectories
+    comparison = content.comparison
+    world = content.world
+    measured = content.measured
     residuals = {
         plant: _residuals(difference) for plant, difference in measured.items()
     }
@@ -224,9 +223,10 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
 def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     """Return every n-th sample, so that the sample rate is about `rate_hz`."""
     steps = np.diff(trajectory.time[:2])
-    stride = (
-        max(1, round(1 / (rate_hz * steps[0]))) if len(steps) and steps[0] > 0 else 1
-    )
+    if len(steps) and steps[0] > 0:
+        stride = max(1, round(1 / (rate_hz * steps[0])))
+    else:
+        stride = 1
     columns = {name: column[::stride] for name, column in trajectory.columns.items()}
     return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
 
@@ -293,10 +293,8 @@ def _send_camera_target(
 ) -> None:
     """Log the target of the camera: the mean position of all plants, as an invisible point."""
     time, coms = _coms(trajectories)
-    to, positions = (
-        Entities(log, time, "world/"),
-        np.pad(coms.mean(axis=0), ((0, 0), (0, 1))),
-    )
+    to = Entities(log, time, "world/")
+    positions = np.pad(coms.mean(axis=0), ((0, 0), (0, 1)))
     to.static(_CAMERA_TARGET, rr.Points3D.from_fields(radii=[1e-5]))
     to.send(_CAMERA_TARGET, rr.Points3D.columns(positions=positions))
 
@@ -308,7 +306,8 @@ def _send_floor(
         [run.position.reshape(-1, 2) for run in trajectories.values()]
     )
     margin = spec.geometry.half_track + spec.geometry.pitch
-    low, high = np.min(points, axis=0) - margin, np.max(points, axis=0) + margin
+    low = np.min(points, axis=0) - margin
+    high = np.max(points, axis=0) + margin
     border = 0.25 * float(np.hypot(*(high - low)))
     (x0, y0), (x1, y1) = low - border, high + border
     corners = [[x0, y0, -0.001], [x1, y0, -0.001], [x1, y1, -0.001], [x0, y1, -0.001]]
@@ -340,7 +339,8 @@ def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> No
         for j, value in enumerate(values.T, start=1):
             to.line(f"module/{j}/{signal}/{name}", value, style, steps=steps)
 
-    bends, pressures = run.stack("bend"), pressure_difference(run)
+    bends = run.stack("bend")
+    pressures = pressure_difference(run)
     send("bend", bends, style)
     if np.isfinite(pressures).any():
         send("pressure", 1e-3 * pressures, style)
@@ -386,9 +386,9 @@ def _send_motion(to: Entities, plant: str, run: Trajectory, style: Style) -> Non
 def _speed(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return times, s, and forward speeds, m/s; averaged over a gait period if there is a gait."""
     period = gait_period(run)
-    return (
-        (run.time, forward_speed(run)) if period is None else period_speed(run, period)
-    )
+    if period is None:
+        return (run.time, forward_speed(run))
+    return period_speed(run, period)
 
 
 def _send_events(

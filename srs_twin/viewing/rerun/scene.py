@@ -71,9 +71,15 @@ class Entities:
             )
             # The value of a sample has been valid since the previous sample.
             begins = np.append(np.maximum(changes[:-1] - 1, 0), changes[-1])
-            entities, values = replace(self, time=self.time[begins]), values[changes]
-        mode = rr.components.InterpolationMode.StepAfter if steps else None
-        colors, names, widths = [style.rgb], [style.label], [style.width]
+            entities = replace(self, time=self.time[begins])
+            values = values[changes]
+        if steps:
+            mode = rr.components.InterpolationMode.StepAfter
+        else:
+            mode = None
+        colors = [style.rgb]
+        names = [style.label]
+        widths = [style.width]
         line = rr.SeriesLines(
             colors=colors, names=names, widths=widths, interpolation_mode=mode
         )
@@ -104,7 +110,9 @@ def send_obstacles(to: Entities, world: World) -> None:
 def send_objects(to: Entities, run: Trajectory, world: World) -> None:
     """Log the movable objects of a run as `object_1` and so on."""
     for k, item in enumerate(world.objects if run.has("object_x") else (), start=1):
-        half, x, y = _OBSTACLE_HEIGHT_M / 2, run[f"object_x_{k}"], run[f"object_y_{k}"]
+        half = _OBSTACLE_HEIGHT_M / 2
+        x = run[f"object_x_{k}"]
+        y = run[f"object_y_{k}"]
         turn = run[f"object_heading_{k}"] / 2
         rotation = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=-1)
         shape: object = rr.Boxes3D if item.is_box else rr.Cylinders3D
@@ -178,7 +186,8 @@ def send_snake(
     to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *, ghost: bool
 ) -> None:
     """Log a snake: a ghost is translucent in the colour of its plant; otherwise, colours show pressures."""
-    geometry, wheeled = spec.geometry, spec.skin is None
+    geometry = spec.geometry
+    wheeled = spec.skin is None
     ghost_color = (*style.rgb, _GHOST_ALPHA)
     if ghost:
         _send_hull(to, snake, geometry, ghost_color)
@@ -214,11 +223,9 @@ def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
 def _heights(snake: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the heights of the drawn connectors, shape (samples, N), m."""
     raised = line_height(geometry) - geometry.com_height
-    return (
-        snake.stack("z") + raised
-        if snake.has("z")
-        else np.full_like(snake.stack("x"), line_height(geometry))
-    )
+    if snake.has("z"):
+        return snake.stack("z") + raised
+    return np.full_like(snake.stack("x"), line_height(geometry))
 
 
 def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
@@ -240,7 +247,8 @@ def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
         [1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1
     )
     t = np.linspace(0.0, 1.0, CHORDS + 3)[:, None]
-    front, rear = place[:, :-1, None], place[:, 1:, None]
+    front = place[:, :-1, None]
+    rear = place[:, 1:, None]
     tangents = -geometry.pitch * axis
     blend = t**2 * (3 - 2 * t)
     curve = (
@@ -265,7 +273,8 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     lines = _lines(snake, geometry)
     colors = pressure_colors(pressure_difference(snake))
     for j in range(geometry.segments):
-        name, line = f"body/segment_{j + 1}", lines[:, j]
+        name = f"body/segment_{j + 1}"
+        line = lines[:, j]
         step = np.diff(line, axis=1)
         # The chord lengths change by only 0.3 % up to a bend of 90°, so they are
         # static.
@@ -289,7 +298,10 @@ def _send_hull(
     lines = _lines(snake, geometry)
     # Segments share their ends, and without a rigid gap the ends of an arc coincide
     # with the connectors.
-    unique = slice(0, -1) if geometry.rigid_gap or snake.has("z") else slice(1, -2)
+    if geometry.rigid_gap or snake.has("z"):
+        unique = slice(0, -1)
+    else:
+        unique = slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 3)
     line = np.concatenate([inner, lines[:, -1, -1:]], axis=1)
     tangent = np.gradient(line, axis=1)
@@ -298,7 +310,8 @@ def _send_hull(
     left /= np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     up = np.cross(tangent, left)
     # Slightly thinner than the other body, so that coincident surfaces do not flicker.
-    radius, angle = 0.46 * geometry.width, np.arange(6)[:, None] * np.pi / 3
+    radius = 0.46 * geometry.width
+    angle = np.arange(6)[:, None] * np.pi / 3
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
     vertices = (line[:, :, None] + radius * around).astype(np.float32)
     triangles = _tube_triangles(line.shape[1])
@@ -316,7 +329,8 @@ def _send_hull(
 def _tube_triangles(rings: int) -> np.ndarray:
     """Return the triangles between rings of six vertices, shape (n, 3), counter-clockwise from outside."""
     ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(6), indexing="ij")
-    first, second = 6 * ring + corner, 6 * ring + (corner + 1) % 6
+    first = 6 * ring + corner
+    second = 6 * ring + (corner + 1) % 6
     quads = np.stack([first, first + 6, second, second, first + 6, second + 6], axis=-1)
     return quads.reshape(-1, 3)
 
@@ -324,11 +338,9 @@ def _tube_triangles(rings: int) -> np.ndarray:
 def _send_connectors(
     to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]
 ) -> None:
-    track, radius, width = (
-        geometry.half_track,
-        geometry.wheel_radius,
-        0.35 * geometry.width,
-    )
+    track = geometry.half_track
+    radius = geometry.wheel_radius
+    width = 0.35 * geometry.width
     half = [
         max(geometry.rigid_gap / 4, 0.1 * track),
         max(track - 0.2 * radius, width),
@@ -353,10 +365,8 @@ def _send_connectors(
 def _send_wheels(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
-    radius, axle = (
-        geometry.wheel_radius,
-        np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1),
-    )
+    radius = geometry.wheel_radius
+    axle = np.repeat(snake.stack("theta") + np.pi / 2, 2, axis=1)
     centres = _at_height(wheel_centres(snake, geometry), radius)
     size: dict[str, object] = {"lengths": [0.4 * radius], "radii": [radius]}
     _send_solids(
@@ -374,8 +384,10 @@ def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     """Log a bar on each wheel, slightly wider than the wheel, which makes its rotation visible."""
     radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
-    yaw, turn = snake.stack("theta")[:, :, None] / 2, wheel_turns(snake, geometry) / 2
-    c, s = np.cos(yaw), np.sin(yaw)
+    yaw = snake.stack("theta")[:, :, None] / 2
+    turn = wheel_turns(snake, geometry) / 2
+    c = np.cos(yaw)
+    s = np.sin(yaw)
     rotation = np.stack(
         [-s * np.sin(turn), c * np.sin(turn), s * np.cos(turn), c * np.cos(turn)],
         axis=-1,
@@ -463,7 +475,8 @@ def _along(steps: np.ndarray) -> np.ndarray:
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
     """Return quaternions (n, 4), xyzw, that rotate +z (the axis of capsules) to a yaw angle."""
-    s, c = np.sin(yaw / 2), np.cos(yaw / 2)
+    s = np.sin(yaw / 2)
+    c = np.cos(yaw / 2)
     turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)
     return turns.reshape(-1, 4).astype(np.float32)
 

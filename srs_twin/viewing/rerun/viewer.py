@@ -204,7 +204,8 @@ def serve_recordings(
     Raises:
         InputError: the port is in use, or Rerun does not start.
     """
-    data_port, viewer_port = data_port or free_port(), free_port()
+    data_port = data_port or free_port()
+    viewer_port = free_port()
     ports = ("--port", str(data_port), "--web-viewer-port", str(viewer_port))
     recording = quote(f"rerun+http://{HOST}:{data_port}/proxy", safe="")
     upstream = f"http://{HOST}:{viewer_port}"
@@ -238,7 +239,8 @@ class _ProxyHandler(BaseHTTPRequestHandler):
             query: query that selects the recording in the viewer.
             request: arguments of `BaseHTTPRequestHandler`.
         """
-        self.source, self.query = source, query
+        self.source = source
+        self.query = query
         super().__init__(*request)
 
     def do_GET(self) -> None:
@@ -253,7 +255,8 @@ class _ProxyHandler(BaseHTTPRequestHandler):
             with _opener().open(
                 self.source + quote(url.path), timeout=_FETCH_TIMEOUT_S
             ) as response:
-                kind, content = response.headers.get_content_type(), response.read()
+                kind = response.headers.get_content_type()
+                content = response.read()
         except (urllib.error.URLError, OSError) as error:
             self.send_error(getattr(error, "code", 502))
             return

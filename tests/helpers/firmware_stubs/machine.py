@@ -14,11 +14,13 @@ def _write(kind, *values):
 class Pin:
     """Output that logs every change."""
 
-    IN, OUT = 0, 1
+    IN = 0
+    OUT = 1
 
     def __init__(self, number, mode=IN, value=None):
         """Log the first state, as a pin of the microcontroller takes it."""
-        self._number, self._value = number, None
+        self._number = number
+        self._value = None
         if value is not None:
             self.value(value)
 

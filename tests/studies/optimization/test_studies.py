@@ -73,7 +73,10 @@ class Engine:
     """Engine with speed and cost by formula; it records the keys of its points."""
 
     def __init__(self, breaks_after=math.inf, speed=speed, cost=cost):
-        self.keys, self._left, self._speed, self._cost = [], breaks_after, speed, cost
+        self.keys = []
+        self._left = breaks_after
+        self._speed = speed
+        self._cost = cost
 
     def __call__(self, experiment, points):
         (plant,) = experiment.plants
@@ -106,8 +109,10 @@ def run_search(question, folder, engine=None):
 
 
 def test_the_function_gives_the_result_of_the_search(tmp_path):
-    question, folder = study(tmp_path, twin=8, compliant=40), tmp_path / "out"
-    seen, engine = [], Engine()
+    question = study(tmp_path, twin=8, compliant=40)
+    folder = tmp_path / "out"
+    seen = []
+    engine = Engine()
     found = srs.optimize(
         question, engine=engine, progress=lambda *each: seen.append(each)
     )
@@ -123,7 +128,8 @@ def test_the_function_gives_the_result_of_the_search(tmp_path):
 
 
 def test_an_interrupted_function_keeps_its_runs(tmp_path):
-    question, folder = study(tmp_path, twin=8, compliant=40), tmp_path / "out"
+    question = study(tmp_path, twin=8, compliant=40)
+    folder = tmp_path / "out"
     with pytest.raises(KeyboardInterrupt):
         srs.optimize(question, out=folder, engine=Engine(breaks_after=30))
     rest = Engine()
@@ -320,11 +326,9 @@ def test_expected_improvement_is_the_mean_of_the_feasible_gains(tmp_path):
     question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
     with StudyRuns(question, tmp_path / "out", Engine()) as runs:
         state = _Search(question, runs)
-        mean, sd, known = (
-            np.array([[-0.30, -0.02]]),
-            np.array([[0.05, 0.03]]),
-            np.array([[-0.31, -0.1]]),
-        )
+        mean = np.array([[-0.30, -0.02]])
+        sd = np.array([[0.05, 0.03]])
+        known = np.array([[-0.31, -0.1]])
         found = state._improvement(mean, sd, known, 0)[0]
     draws = mean + sd * np.random.default_rng(1).normal(size=(400_000, 2))
     gains = np.maximum(-0.31 - draws[:, 0], 0.0) * (draws[:, 1] <= 0)
@@ -340,7 +344,8 @@ def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
         question = study(tmp_path, constraints=limit, twin=twin)
         with StudyRuns(question, tmp_path / f"out_{twin}", Engine()) as runs:
             results[twin] = StudyResult.evaluate(question, search(question, runs), runs)
-    early, late = results[6], results[30]
+    early = results[6]
+    late = results[30]
     assert early.improvement > 0.005 > late.improvement
     reached = [
         result.designs[0].run.metric("com_speed_m_s") for result in (early, late)

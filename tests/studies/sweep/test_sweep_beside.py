@@ -15,7 +15,9 @@ from srs_twin.studies.sweep.plots import draw as draw_results
 from srs_twin.studies.sweep.points import Plot, Published
 from srs_twin.studies.sweep.table import published_table
 
-P, F, SPEED = "supply.pressure_kpa", "controller.frequency_hz", "com_speed_m_s"
+P = "supply.pressure_kpa"
+F = "controller.frequency_hz"
+SPEED = "com_speed_m_s"
 GIVEN = (
     "beside: {source: Table 10, at: {supply.pressure_kpa: [41, 55]}, metrics:"
     " {com_speed_m_s: [0.2, null]}}\n"
@@ -66,7 +68,8 @@ def test_settings_without_a_run_give_a_warning(tmp_path):
 @pytest.mark.slow
 def test_published_values_do_not_change_the_rows(tmp_path):
     """Values are added, edited and removed; the rows stay the same, and no run is repeated."""
-    plain, edited = SMALL + LINE, SMALL + LINE + GIVEN.replace("0.2", "0.3")
+    plain = SMALL + LINE
+    edited = SMALL + LINE + GIVEN.replace("0.2", "0.3")
     keys = None
     for ran, text in ((8, plain), (0, plain + GIVEN), (0, edited), (0, plain)):
         sweep = load_sweep(write(tmp_path, text))

@@ -159,7 +159,8 @@ def keys(sweep):
 def test_a_changed_byte_of_any_input_changes_the_keys(
     project, tmp_path, case, name, old, new
 ):
-    before, path = keys(project(case)), tmp_path / name
+    before = keys(project(case))
+    path = tmp_path / name
     content = path.read_bytes()
     if old is None:
         earlier_run(0.011).to_parquet(path)

@@ -171,7 +171,8 @@ def test_all_files_and_sources_of_a_run_are_in_its_key(name):
     }
     plants = () if name.startswith("plan") else ("analytical", "twin")
     package = Path(srs_twin.__file__).parent
-    opened, called = set(), set()
+    opened = set()
+    called = set()
     watching = [True]
 
     def note(event, arguments):

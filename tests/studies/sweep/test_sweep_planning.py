@@ -42,12 +42,11 @@ def table(text, folder):
 def test_rows_equal_direct_calls_of_the_planners(tmp_path):
     rows = table(WORLDS + PICTURE, tmp_path)
     assert len(rows) == 12 and {row["status"] for row in rows} == {"done"}
-    body, arcs = load_footprint("gen2_section52"), Primitives(21, math.pi / 3, 0.2)
+    body = load_footprint("gen2_section52")
+    arcs = Primitives(21, math.pi / 3, 0.2)
     for row in rows:
-        kind, world = (
-            row["planner.kind"],
-            fig54_world(row["world.random.count"], row["seed"]),
-        )
+        kind = row["planner.kind"]
+        world = fig54_world(row["world.random.count"], row["seed"])
         study_ = Problem(
             FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None
         )

@@ -24,8 +24,12 @@ from srs_twin.studies.sweep.points import Plot
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import save
 
-F, P, OFFSET = "controller.frequency_hz", "supply.pressure_kpa", "controller.offset"
-SPEED, A, B = "com_speed_m_s", "analytical.com_speed_m_s", "twin.com_speed_m_s"
+F = "controller.frequency_hz"
+P = "supply.pressure_kpa"
+OFFSET = "controller.offset"
+SPEED = "com_speed_m_s"
+A = "analytical.com_speed_m_s"
+B = "twin.com_speed_m_s"
 
 
 def draw(plot, columns):
@@ -113,7 +117,8 @@ def test_a_contour_has_the_points_colours_and_labels_of_the_grid():
         left.get_xlabel() == "gait frequency (Hz)"
         and left.get_ylabel() == "supply pressure (kPa)"
     )
-    first, second = filled(left)[0], filled(right)[0]
+    first = filled(left)[0]
+    second = filled(right)[0]
     assert (
         np.array_equal(first.levels, second.levels)
         and first.cmap.name == second.cmap.name
@@ -143,7 +148,8 @@ def test_contour_lines_of_a_plane_are_exact():
 
 def test_scattered_points_are_triangulated():
     rng = np.random.default_rng(3)
-    f, p = rng.uniform(0.5, 2, 40), rng.uniform(20, 40, 40)
+    f = rng.uniform(0.5, 2, 40)
+    p = rng.uniform(20, 40, 40)
     axes, _ = planes(draw(CONTOUR, table(f, p, failed=(4,))))
     lines = next(
         c for c in axes.collections if isinstance(c, ContourSet) and not c.filled
@@ -251,7 +257,8 @@ def test_lines_show_the_table_by_value_and_plant():
     drawn = curves(axes)
     assert len(drawn) == 2 * 3
     for k, line in enumerate(drawn):
-        pressure, share = (20.0, 30.0, 40.0)[k % 3], (1.0, 0.8)[k // 3]
+        pressure = (20.0, 30.0, 40.0)[k % 3]
+        share = (1.0, 0.8)[k // 3]
         x, y = line.get_data()
         assert np.array_equal(x, [0.5, 1.0, 1.5, 2.0])
         expected = share * law(x, pressure)

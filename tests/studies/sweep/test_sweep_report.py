@@ -34,7 +34,10 @@ class Page(HTMLParser):
 
     def __init__(self, text: str) -> None:
         super().__init__()
-        self.tables, self.texts, self.images, self.tags = [], {}, [], set()
+        self.tables = []
+        self.texts = {}
+        self.images = []
+        self.tags = set()
         self._open = []
         self.feed(text)
         self.close()
@@ -269,10 +272,8 @@ def test_the_command_prints_the_report_path_and_published_values(srs_twin, tmp_p
 
 
 def test_the_command_does_not_print_long_tables(srs_twin, tmp_path):
-    places, values = (
-        ", ".join(str(41 + 0.1 * i) for i in range(31)),
-        ", ".join(["0.2"] * 31),
-    )
+    places = ", ".join(str(41 + 0.1 * i) for i in range(31))
+    values = ", ".join(["0.2"] * 31)
     text = BESIDE.replace("[41]", f"[{places}]").replace("[0.2]", f"[{values}]")
     write(tmp_path, SMALL.replace("count: 4", "count: 2") + text)
     run = srs_twin("sweep", "small.yaml", cwd=tmp_path)

@@ -11,7 +11,8 @@ from srs_twin.studies.sweep.points import RangeFile, SamplingFile, sample
 
 pytestmark = pytest.mark.fast
 
-GRID, LIST = SamplingFile(), SamplingFile(kind="list")
+GRID = SamplingFile()
+LIST = SamplingFile(kind="list")
 
 
 def spread(low, high, count=None, scale="linear"):

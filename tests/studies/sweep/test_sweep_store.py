@@ -294,7 +294,8 @@ def killed_at_rename(number, call):
 
             return move
 
-        Path.rename, Path.replace = counted(Path.rename), counted(Path.replace)
+        Path.rename = counted(Path.rename)
+        Path.replace = counted(Path.replace)
         try:
             call()
             os._exit(0)

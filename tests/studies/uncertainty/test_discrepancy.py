@@ -17,7 +17,8 @@ from srs_twin.studies.uncertainty.discrepancy import Discrepancy
 GRID = np.linspace(0.02, 0.14, 49)
 SETTINGS = np.array([(f, p) for f in (1.0, 1.5, 2.0) for p in (41.0, 48.0, 55.0)])
 SCALED = (SETTINGS - [1.5, 48.0]) / [0.5, 7.0]
-MU_T, NOISE = 0.045, 0.002
+MU_T = 0.045
+NOISE = 0.002
 
 
 @cache
@@ -67,7 +68,9 @@ def test_a_missing_effect_biases_a_fit_unless_a_discrepancy_is_included():
 
 def test_predictions_with_a_discrepancy_cover_settings_between_the_data():
     stored = np.arange(len(SETTINGS)) % 3 != 1
-    truth, held, bare = speeds(MU_T, "compliant")[~stored], [], []
+    truth = speeds(MU_T, "compliant")[~stored]
+    held = []
+    bare = []
     for seed in range(10):
         for size, to in ((0.03, held), (1e-6, bare)):
             drawn = fit("compliant", size, seed, stored).draw(
@@ -89,17 +92,16 @@ def test_explained_data_give_a_fit_without_a_discrepancy():
 @pytest.mark.slow
 def test_ranks_of_true_parameters_in_their_posteriors_are_uniform():
     """Simulation-based calibration (Talts et al. 2018) with parameters drawn from the priors."""
-    rng, ranks = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    ranks = []
     prior = np.exp(-((np.log(GRID / 0.06) / 0.3) ** 2) / 2) / GRID
     for _ in range(200):
         mu_t = float(
             rng.choice(GRID, p=prior / prior.sum())
             + (GRID[1] - GRID[0]) * (rng.random() - 0.5)
         )
-        size, length = (
-            0.02 * 2 ** rng.standard_normal(),
-            1.5 * 2 ** rng.standard_normal(),
-        )
+        size = 0.02 * 2 ** rng.standard_normal()
+        length = 1.5 * 2 ** rng.standard_normal()
         far = ((SCALED[:, None] - SCALED[None]) ** 2).sum(axis=-1)
         drift = np.linalg.cholesky(
             size**2 * np.exp(-far / (2 * length**2)) + 1e-10 * np.eye(len(far))

@@ -80,7 +80,8 @@ def test_errors_of_both_ends_agree_with_order_statistics(power):
     end (Hall and Martin 1988): 31 %, or 11 % in the mean of eight. Three such
     deviations are allowed.
     """
-    rng, ends = np.random.default_rng(0), np.array([0.25, 0.75, 0.025, 0.975])
+    rng = np.random.default_rng(0)
+    ends = np.array([0.25, 0.75, 0.025, 0.975])
     result = [sampling_errors((0.1 + rng.random(4096)) ** power) for _ in range(8)]
     slope = np.abs(power * (0.1 + (ends if power > 0 else 1 - ends)) ** (power - 1.0))
     expected = np.sqrt(ends * (1 - ends) / 4096) * slope
@@ -89,7 +90,8 @@ def test_errors_of_both_ends_agree_with_order_statistics(power):
 
 def test_the_time_step_error_is_the_distance_to_the_limit():
     """Euler's method is applied to y' = −y up to t = 1."""
-    coarse, fine = (1 - 1 / 200) ** 200, (1 - 1 / 400) ** 400
+    coarse = (1 - 1 / 200) ** 200
+    fine = (1 - 1 / 400) ** 400
     spread = replace(
         spread_of(study_of(1, 16), weighted(np.ones(1))),
         value=coarse,
@@ -99,7 +101,8 @@ def test_the_time_step_error_is_the_distance_to_the_limit():
 
 
 def test_stated_errors_cover_the_ends_of_independent_samples():
-    rng, truth = np.random.default_rng(0), np.log([0.025, 0.975]) / -1.0
+    rng = np.random.default_rng(0)
+    truth = np.log([0.025, 0.975]) / -1.0
     held = []
     for _ in range(100):
         samples = rng.exponential(size=256)
@@ -124,7 +127,10 @@ def test_stated_errors_cover_the_ends_predicted_by_a_surrogate():
             + 0.5 * (u[:, 4] - 0.5) * u[:, 0] ** 2
         )
 
-    shares, result, stated, of_surrogate = study_of(5, 512).shares, [], [], []
+    shares = study_of(5, 512).shares
+    result = []
+    stated = []
+    of_surrogate = []
     for seed in range(12):
         x = shares[np.random.default_rng(seed).permutation(512)]
         samples, surrogate = predict_twin(x, cheap(x), costly(x[:32]))
@@ -176,7 +182,8 @@ def test_the_surrogate_error_of_a_mean_shift_is_that_of_a_mean(monkeypatch):
         "srs_twin.studies.uncertainty.metric_uncertainty.predict_high_fidelity", shifted
     )
     rng = np.random.default_rng(4)
-    cheap, difference = rng.normal(size=64), rng.normal(size=8)
+    cheap = rng.normal(size=64)
+    difference = rng.normal(size=8)
     _, surrogate = predict_twin(rng.random((64, 2)), cheap, cheap[:8] + difference)
     assert surrogate == pytest.approx(
         np.full(4, np.std(difference, ddof=1) / np.sqrt(8)), rel=1e-9
@@ -230,7 +237,8 @@ def test_stated_ranges_of_ranks_contain_the_true_rank():
     """The range narrows with the number of samples."""
     wide = []
     for samples in (16, 256):
-        held, widths = [], []
+        held = []
+        widths = []
         for seed in range(8):
             noise = np.random.default_rng(seed).normal(scale=0.1, size=samples + 3)
             spread = spread_of(

@@ -216,7 +216,8 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         samples=512,
     )
     spread = propagate(study, tmp_path, local(2)).plants["analytical"]["com_speed_m_s"]
-    rng, priors = np.random.default_rng(0), study.priors
+    rng = np.random.default_rng(0)
+    priors = study.priors
     a, b = rng.random((2, 1000, 3))
     mixed = [np.where(np.arange(3) == i, b, a) for i in range(3)]
 
@@ -226,7 +227,8 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
         from srs_twin import AnalyticalSnake, Gait, rollout
         from srs_twin.comparison.metrics import plant_metrics
 
-        out, spec = [], study.scenario.robot
+        out = []
+        spec = study.scenario.robot
         for row in priors.quantile(shares):
             at = dict(zip(priors.paths, row, strict=True))
             one = replace(
@@ -241,11 +243,15 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
             out.append(plant_metrics(rollout(plant, Gait(2.0), 3.0))["com_speed_m_s"])
         return np.array(out)
 
-    of_a, of_b, of_mixed = speeds(a), speeds(b), [speeds(item) for item in mixed]
+    of_a = speeds(a)
+    of_b = speeds(b)
+    of_mixed = [speeds(item) for item in mixed]
     for i, item in enumerate(of_mixed):
 
         def indices(rows: np.ndarray, item: np.ndarray = item) -> np.ndarray:
-            one, other, both = of_a[rows], of_b[rows], item[rows]
+            one = of_a[rows]
+            other = of_b[rows]
+            both = item[rows]
             apart = np.array([((other - both) ** 2).mean(), ((one - both) ** 2).mean()])
             return np.array([1, 0]) + np.array([-1, 1]) * apart / (
                 2 * np.concatenate([one, other]).var()
@@ -264,8 +270,11 @@ def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
 def test_a_gaussian_process_without_a_smooth_part_is_ridge_regression():
     """The posterior of the weights of 1 and h is known for a prior variance b² and a noise variance n²."""
     rng = np.random.default_rng(5)
-    x, y, new = rng.normal(size=(7, 2)), 3 + rng.normal(size=7), rng.normal(size=(4, 2))
-    b, n = 0.7, 0.9
+    x = rng.normal(size=(7, 2))
+    y = 3 + rng.normal(size=7)
+    new = rng.normal(size=(4, 2))
+    b = 0.7
+    n = 0.9
     process = GaussianProcess(x, y, log_hyperparameters=np.log([1e-9, b, n, 1.0, 1.0]))
     known, study_ = (np.column_stack([np.ones(len(item)), item]) for item in (x, new))
     precision = known.T @ known / n**2 + np.eye(3) / b**2
@@ -411,7 +420,8 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(
 @pytest.mark.slow
 def test_stored_range_over_the_segments_is_that_of_other_robots():
     scenario = load_scenario("gen2_straight")
-    spec, speeds = scenario.robot, []
+    spec = scenario.robot
+    speeds = []
     # The 95 % intervals: uniform from 0.22 to 0.88 N·m/rad; lognormal with median 1.22
     # ms and factor 1.6.
     for stiffness in (0.44, 0.22 + 0.025 * 0.66, 0.22 + 0.975 * 0.66):
@@ -459,7 +469,9 @@ def test_a_result_is_invalidated_before_its_rows_change(short, tmp_path, monkeyp
     """A process killed in between leaves no intervals.json next to tables of other samples."""
     result = load_scenario(short())
     priors = Priors.from_robot(RobotFile.model_validate(result.document["robot"]))
-    folder, marked, finish = tmp_path / "out", [], OpenSweep.finish
+    folder = tmp_path / "out"
+    marked = []
+    finish = OpenSweep.finish
 
     def watched(opened):
         marked.append((folder / "intervals.json").exists())

@@ -40,7 +40,8 @@ class Rod(NamedTuple):
 
 def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
     """Return the rods of a robot, head first."""
-    g, n = spec.geometry, settings.hinges_per_segment
+    g = spec.geometry
+    n = settings.hinges_per_segment
     root = root_connector(spec) if settings.base == "free" else 1
     local = hinge_stations(n, g.segment_length, g.rigid_gap)
     hinges = (np.arange(spec.segments)[:, None] * g.pitch + local).ravel()
@@ -78,10 +79,12 @@ def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
     """Return the patches of a robot with skin, head first; equally long ones on each part of a rod."""
     assert spec.skin is not None, "wheels have no patches"
     assert spec.mass.segments is not None, "a robot with skin has masses of segments"
-    pitch, parts = spec.geometry.pitch, []
+    pitch = spec.geometry.pitch
+    parts = []
     for rod in rods(spec, settings):
         for j, mass in enumerate(spec.mass.segments):
-            front, back = max(j * pitch, rod.front), min((j + 1) * pitch, rod.back)
+            front = max(j * pitch, rod.front)
+            back = min((j + 1) * pitch, rod.back)
             if back - front <= _MIN_LENGTH * pitch:
                 continue
             count = max(1, round(spec.skin.points * (back - front) / pitch))
@@ -117,18 +120,15 @@ def add_belly(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
 def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> None:
     """Set mass, centre of mass and moments of inertia of a rod with given patches."""
     place, length, mass = np.array([patch[1:] for patch in parts]).T
-    total, centre = mass.sum(), (mass @ place) / mass.sum()
+    total = mass.sum()
+    centre = (mass @ place) / mass.sum()
     along = mass @ (length**2 / 12 + (place - centre) ** 2)
-    across, height = (
-        spec.geometry.width**2 / 12,
-        (2 * spec.geometry.com_height) ** 2 / 12,
-    )
+    across = spec.geometry.width**2 / 12
+    height = (2 * spec.geometry.com_height) ** 2 / 12
     body = mj.body(rod.name)
-    body.mass, body.ipos, body.explicitinertial = (
-        total,
-        [rod.origin - centre, 0, 0],
-        True,
-    )
+    body.mass = total
+    body.ipos = [rod.origin - centre, 0, 0]
+    body.explicitinertial = True
     body.inertia = [
         total * (across + height),
         along + total * height,

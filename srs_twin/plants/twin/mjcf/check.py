@@ -151,7 +151,9 @@ def _allowed_folder(main: Path) -> Path:
     """
     folder = main.parent
     at_home = folder == Path(os.path.realpath(os.path.expanduser("~")))
-    return folder if at_home or folder.parent == Path(folder.anchor) else folder.parent
+    if at_home or folder.parent == Path(folder.anchor):
+        return folder
+    return folder.parent
 
 
 def scan_mjcf(path: Path) -> list[str]:
@@ -179,7 +181,10 @@ class _Reader:
     def __init__(
         self, scan: _Scan, path: Path, count: Counter[str], depth: int
     ) -> None:
-        self._scan, self._path, self._count, self._depth = scan, path, count, depth
+        self._scan = scan
+        self._path = path
+        self._count = count
+        self._depth = depth
         self._times = [1]
         self._models: list[Counter[str]] = []
         self._parser = expat.ParserCreate()
@@ -216,7 +221,8 @@ class _Reader:
         self._check_count()
 
     def _start(self, tag: str, attributes: Mapping[str, str]) -> None:
-        times, count = self._times[-1], self._count
+        times = self._times[-1]
+        count = self._count
         if tag in ("replicate", "composite", "flexcomp"):
             copies = times * _product(attributes.get("count", "1"))
             count["elements"] += copies
@@ -259,7 +265,8 @@ class _Reader:
         return f"{self._location()}: <{tag}> names '{path}'"
 
     def _read_file_attribute(self, tag: str, path: str) -> None:
-        reference, folder = self._reference(tag, path), self._path.parent
+        reference = self._reference(tag, path)
+        folder = self._path.parent
         if tag not in ("include", "model"):
             self._scan.assets.append(_Asset(reference, path, folder))
             return
@@ -283,7 +290,8 @@ class _Reader:
 
     def _count_model(self, reference: str, target: Path) -> Counter[str]:
         """Return the number of elements and bodies of an attached model, which is read once."""
-        scan, models = self._scan, self._scan.models
+        scan = self._scan
+        models = self._scan.models
         if target not in models:
             models[target] = None
             count: Counter[str] = Counter()
@@ -309,7 +317,9 @@ class _Reader:
     def _location(self, line: int | None = None) -> str:
         number = line or self._parser.CurrentLineNumber
         main = self._path == self._scan.main
-        return f"line {number}" if main else f"{self._path.name}:{number}"
+        if main:
+            return f"line {number}"
+        return f"{self._path.name}:{number}"
 
 
 def _check_assets(scan: _Scan) -> None:
@@ -346,11 +356,9 @@ def _png_pixels(path: Path) -> int:
     with path.open("rb") as stream:
         head = stream.read(24)
     # Width and height are the first two numbers of the header chunk.
-    return (
-        int.from_bytes(head[16:20]) * int.from_bytes(head[20:24])
-        if head.startswith(_PNG_SIGNATURE)
-        else 0
-    )
+    if head.startswith(_PNG_SIGNATURE):
+        return int.from_bytes(head[16:20]) * int.from_bytes(head[20:24])
+    return 0
 
 
 def _numbers(text: str) -> list[float]:
@@ -436,7 +444,10 @@ def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
         InputError: there is no such file.
     """
     remedy = "; give an MJCF or URDF file, or the name of a shipped robot"
-    suffix = path.suffix if path.suffix in MODEL_SUFFIXES else ".xml"
+    if path.suffix in MODEL_SUFFIXES:
+        suffix = path.suffix
+    else:
+        suffix = ".xml"
     model = require_file(path, suffix=suffix, remedy=remedy).resolve()
     faults = scan_mjcf(model)
     if faults:
@@ -470,7 +481,10 @@ def check_mjcf(path: Path, *, time_limit_s: int = TIME_LIMIT_S) -> ModelReport:
         except subprocess.TimeoutExpired:
             return ModelReport((f"did not finish within {time_limit_s} s",))
     messages = child.stderr.strip().splitlines()
-    ending = messages[-1] if messages else f"exit status {child.returncode}"
+    if messages:
+        ending = messages[-1]
+    else:
+        ending = f"exit status {child.returncode}"
     return parse_report(child.stdout, ending, time_limit_s)
 
 
@@ -493,7 +507,8 @@ def parse_report(output: str, ending: str, time_limit_s: int) -> ModelReport:
 def _bad_numbers(model: Any) -> list[str]:
     """Return a fault for each number that MuJoCo accepts although it is physically impossible."""
     faults = []
-    low, high = MIN_TIMESTEP_S, MAX_TIMESTEP_S
+    low = MIN_TIMESTEP_S
+    high = MAX_TIMESTEP_S
     if not low <= model.opt.timestep <= high:
         faults.append(
             f"timestep {model.opt.timestep:g} s is not allowed; it must be {low:g} to"
@@ -613,7 +628,9 @@ def _package_remedy(fault: str) -> str:
         f"; MuJoCo resolves no package:// or other URI; add {compiler} to <robot> with"
         " the meshes' folder"
     )
-    return remedy if re.search("'(package|model|file):", fault) else ""
+    if re.search("'(package|model|file):", fault):
+        return remedy
+    return ""
 
 
 def _welded_links(path: Path) -> list[str]:

@@ -62,7 +62,8 @@ def add_classes(
     _add_joints(mj, root, spec, settings)
     _add_geoms(mj, root, spec, settings)
     muscle = mj.add_default("muscle", root).actuator
-    muscle.ctrllimited, muscle.ctrlrange = True, [0, limit_pa]
+    muscle.ctrllimited = True
+    muscle.ctrlrange = [0, limit_pa]
     if spec.is_spatial:  # the controls are free bends, which the chambers limit
         muscle.ctrlrange = [-_MAX_FREE_BEND, _MAX_FREE_BEND]
     muscle.gainprm[0] = spec.bending.stiffness * spec.actuator.gain
@@ -70,17 +71,21 @@ def add_classes(
     press.gear = [0, 0, 1, 0, 0, 0]
     press.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     press.gainprm[0] = 0.0
-    press.ctrllimited, press.ctrlrange = True, [0, 1]
+    press.ctrllimited = True
+    press.ctrlrange = [0, 1]
     if spec.friction.drag > 0.0:
         limit = spec.friction.drag / spec.geometry.connectors
         drag = mj.add_default("drag", root).actuator
         drag.gear = [1, 0, 0, 0, 0, 0]
-        drag.biastype, drag.gainprm[0] = mujoco.mjtBias.mjBIAS_AFFINE, 0.0
+        drag.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        drag.gainprm[0] = 0.0
         # Proportional to the speed up to the slip speed, which the integrator takes
         # implicitly; then constant.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
-        drag.forcelimited, drag.forcerange = True, [-limit, limit]
-        drag.ctrllimited, drag.ctrlrange = True, [0, 1]
+        drag.forcelimited = True
+        drag.forcerange = [-limit, limit]
+        drag.ctrllimited = True
+        drag.ctrlrange = [0, 1]
 
 
 def foot_radius(spec: RobotSpec, contact: Contact) -> float:
@@ -113,7 +118,8 @@ def _add_joints(
     k. The dampers are smaller by that much, so that spring and damper together have the
     nominal damping.
     """
-    bending, n = spec.bending, settings.hinges_per_segment
+    bending = spec.bending
+    n = settings.hinges_per_segment
     joints: list[tuple[str, list[float], float, float]] = [
         ("hinge", [0, 0, -1], n * bending.stiffness, bending.damping_time),
         (
@@ -154,13 +160,19 @@ def _add_geoms(
 ) -> None:
     _add_feet(mj, root, spec, settings)
     upright = [math.sqrt(0.5), 0, math.sqrt(0.5), 0]
-    skin, plate = mj.add_default("skin", root).geom, mj.add_default("plate", root).geom
-    skin.type, skin.size = mujoco.mjtGeom.mjGEOM_CAPSULE, [drawn_radius(spec), 0, 0]
-    plate.type, plate.size = (
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-        [_FLANGE_RATIO * drawn_radius(spec), _PLATE_HALF_HEIGHT * spec.scale.length, 0],
-    )
-    skin.rgba, plate.rgba, plate.quat = _SILICONE, _PLASTIC, upright
+    skin = mj.add_default("skin", root).geom
+    plate = mj.add_default("plate", root).geom
+    skin.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+    skin.size = [drawn_radius(spec), 0, 0]
+    plate.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+    plate.size = [
+        _FLANGE_RATIO * drawn_radius(spec),
+        _PLATE_HALF_HEIGHT * spec.scale.length,
+        0,
+    ]
+    skin.rgba = _SILICONE
+    plate.rgba = _PLASTIC
+    plate.quat = upright
     skin.group = plate.group = _VISUAL_GROUP
 
 
@@ -171,18 +183,17 @@ def _add_feet(
     tread = mj.add_default("tread", root).geom
     tread.size = [foot_radius(spec, settings.contact), 0, 0]
     if not settings.contact.rolling:
-        tread.type, tread.group, tread.rgba = (
-            mujoco.mjtGeom.mjGEOM_CAPSULE,
-            _VISUAL_GROUP,
-            _RUBBER,
-        )
+        tread.type = mujoco.mjtGeom.mjGEOM_CAPSULE
+        tread.group = _VISUAL_GROUP
+        tread.rgba = _RUBBER
         return
-    tread.type, tread.group = mujoco.mjtGeom.mjGEOM_SPHERE, _COLLISION_GROUP
-    radius, across = spec.geometry.wheel_radius, [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
+    tread.type = mujoco.mjtGeom.mjGEOM_SPHERE
+    tread.group = _COLLISION_GROUP
+    radius = spec.geometry.wheel_radius
+    across = [math.sqrt(0.5), math.sqrt(0.5), 0, 0]
     rim = mj.add_default("rim", root).geom
-    rim.type, rim.size, rim.quat = (
-        mujoco.mjtGeom.mjGEOM_CYLINDER,
-        [radius, 0.2 * radius, 0],
-        across,
-    )
-    rim.rgba, rim.group = _RUBBER, _VISUAL_GROUP
+    rim.type = mujoco.mjtGeom.mjGEOM_CYLINDER
+    rim.size = [radius, 0.2 * radius, 0]
+    rim.quat = across
+    rim.rgba = _RUBBER
+    rim.group = _VISUAL_GROUP

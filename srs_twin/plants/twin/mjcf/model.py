@@ -185,9 +185,10 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     # A dense Jacobian is slow with friction rows. Normal forces alone are few: the
     # engine selects by size.
     loaded = settings.loaded
-    option.jacobian = (
-        mujoco.mjtJacobian.mjJAC_AUTO if loaded else mujoco.mjtJacobian.mjJAC_SPARSE
-    )
+    if loaded:
+        option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
+    else:
+        option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
     option.impratio = 1
     option.iterations = 50
     # Under loaded contact, errors of 1e-7 in the loads push stopping wheels sideways,
@@ -223,11 +224,10 @@ def _set_link_inertia(
 
 def _check_inertia(spec: RobotSpec, settings: ModelSettings) -> None:
     """Refuse a robot whose lightest body MuJoCo would take as massless."""
-    lightest = (
-        _link_mass(spec, settings)
-        if settings.hinges_per_segment > 1
-        else min(spec.mass.connectors)
-    )
+    if settings.hinges_per_segment > 1:
+        lightest = _link_mass(spec, settings)
+    else:
+        lightest = min(spec.mass.connectors)
     moments = [spec.connector_gyration**2 * lightest]
     if isinstance(settings.contact, PreloadedContact) and settings.contact.rolling:
         moments.append(spec.mass.wheel * spec.geometry.wheel_radius**2 / 4)
@@ -243,13 +243,16 @@ def _link_mass(spec: RobotSpec, settings: ModelSettings) -> float:
     """Return the mass of one link between two hinges, kg; it is subtracted from the connectors."""
     links = settings.hinges_per_segment - 1
     share = settings.numerics.link_share * min(spec.mass.connectors)
-    return share / links if links else 0.0
+    if links:
+        return share / links
+    return 0.0
 
 
 def _add_connector(
     mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, settings: ModelSettings
 ) -> None:
-    g, mass = spec.geometry, spec.mass.connectors[i - 1]
+    g = spec.geometry
+    mass = spec.mass.connectors[i - 1]
     body.add_geom(
         mj.find_default("plate"), name=f"plate_{i}", pos=[0, 0, drawn_height(spec)]
     )
@@ -260,11 +263,10 @@ def _add_connector(
         neighbours / 2 * (settings.hinges_per_segment - 1) * _link_mass(spec, settings)
     )
     if spec.tail is not None and i == g.connectors:
-        body.mass, body.inertia = mass - links, np.full(3, mass * spec.tail.gyration**2)
-        body.ipos, body.explicitinertial = (
-            [-spec.tail.com, 0, spec.tail.com_height - g.com_height],
-            True,
-        )
+        body.mass = mass - links
+        body.inertia = np.full(3, mass * spec.tail.gyration**2)
+        body.ipos = [-spec.tail.com, 0, spec.tail.com_height - g.com_height]
+        body.explicitinertial = True
     else:
         _set_link_inertia(
             body,
@@ -298,7 +300,9 @@ def _add_segment(
         far: number of the far connector.
         settings: discretisation.
     """
-    g, n, j = spec.geometry, settings.hinges_per_segment, min(near, far)
+    g = spec.geometry
+    n = settings.hinges_per_segment
+    j = min(near, far)
     ahead = near - far  # direction along x, ±1
     names = [f"{j}_{k}" for k in range(n + 1)][
         ::-ahead
@@ -320,11 +324,10 @@ def _add_segment(
         ):  # first, along the link in front of it
             _add_joint(mj, body, "stretch", f"stretch_{j}", anchor, ahead)
         number = k + 1 if ahead < 0 else n - k
-        kinds = (
-            ["hinge", "tilt"][:: 1 if k % 2 == 0 else -1]
-            if spec.is_spatial
-            else ["hinge"]
-        )
+        if spec.is_spatial:
+            kinds = ["hinge", "tilt"][:: 1 if k % 2 == 0 else -1]
+        else:
+            kinds = ["hinge"]
         for kind in kinds:
             hinge = _add_joint(mj, body, kind, f"{kind}_{j}_{number}", anchor, ahead)
             if kind == "hinge":
@@ -384,20 +387,17 @@ def _add_actuators(
                 mj.find_default("muscle"), name=f"air_{axis}_{j}", target=tendon.name
             )
             actuator.trntype = mujoco.mjtTrn.mjTRN_TENDON
-            stiffness = (
-                spec.bending.stiffness
-                if name == "bend"
-                else spec.bending.pitch_stiffness
-            )
+            if name == "bend":
+                stiffness = spec.bending.stiffness
+            else:
+                stiffness = spec.bending.pitch_stiffness
             actuator.gainprm[0] = stiffness
         if spec.actuator.extension:
             actuator = mj.add_actuator(
                 mj.find_default("muscle"), name=f"air_along_{j}", target=f"stretch_{j}"
             )
-            actuator.trntype, actuator.gainprm[0] = (
-                mujoco.mjtTrn.mjTRN_JOINT,
-                spec.axial_stiffness,
-            )
+            actuator.trntype = mujoco.mjtTrn.mjTRN_JOINT
+            actuator.gainprm[0] = spec.axial_stiffness
         return
     tendon = mj.add_tendon(name=f"bend_{j}")
     for k in range(1, settings.hinges_per_segment + 1):
@@ -416,11 +416,10 @@ def _constrain_curvature(mj: MjSpec, j: int, settings: ModelSettings) -> None:
     """Constrain all hinges of segment j to the angle of the first one."""
     for k in range(2, settings.hinges_per_segment + 1):
         arc = mj.add_equality(name=f"arc_{j}_{k}", type=mujoco.mjtEq.mjEQ_JOINT)
-        arc.name1, arc.name2 = f"hinge_{j}_{k}", f"hinge_{j}_1"
-        arc.solref, arc.solimp = (
-            [2 * settings.timestep, 1],
-            [0.999, 0.999, 0.001, 0.5, 2],
-        )
+        arc.name1 = f"hinge_{j}_{k}"
+        arc.name2 = f"hinge_{j}_1"
+        arc.solref = [2 * settings.timestep, 1]
+        arc.solimp = [0.999, 0.999, 0.001, 0.5, 2]
         arc.data[:5] = [0, 1, 0, 0, 0]
 
 

@@ -139,7 +139,9 @@ class PreloadedContact:
     @property
     def preload_ratio(self) -> float:
         """κ, with the default of `PRELOAD`, 1."""
-        return PRELOAD[self.wheels] if self.preload is None else self.preload
+        if self.preload is None:
+            return PRELOAD[self.wheels]
+        return self.preload
 
     @property
     def pressed(self) -> float:
@@ -163,7 +165,9 @@ def _check_positive(contact: LoadedContact | PreloadedContact, *names: str) -> N
 
 def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
     """Return a time or speed, by default that of the robot's time unit."""
-    return default * spec.scale.time if value is None else value
+    if value is None:
+        return default * spec.scale.time
+    return value
 
 
 def stated(setting: float | None) -> float:
@@ -247,11 +251,9 @@ class ModelSettings:
         Under a preload it is a fraction of the damping time of pitch and roll, which
         distribute the load.
         """
-        return (
-            2 * self.timestep
-            if self.loaded
-            else spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
-        )
+        if self.loaded:
+            return 2 * self.timestep
+        return spec.bending.out_of_plane_damping_time / _CONTACT_RATIO
 
 
 _CONTACT_RATIO = (

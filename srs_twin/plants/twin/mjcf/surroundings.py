@@ -48,10 +48,8 @@ _IMPEDANCE = 0.99, 0.999
 _TRANSITION_DEPTH = 0.0005  # depth over which a contact reaches its full stiffness, at a length unit of 1, m
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA
 _HULL_GROUP = 4  # geom group; viewers do not show it
-_GRADIENT, _CHECKER = (
-    mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-    mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
-)
+_GRADIENT = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
+_CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
 
 def add_hull_class(
@@ -60,14 +58,16 @@ def add_hull_class(
     """Add the class ``hull`` of the geoms that touch obstacles with a coefficient of friction."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     hull = mj.add_default("hull", mj.find_default(ROOT)).geom
-    hull.type, hull.size = mjtGeom.mjGEOM_CAPSULE, [spec.geometry.width / 2, 0, 0]
-    hull.conaffinity, hull.group, hull.priority = CONTACT_BIT, _HULL_GROUP, 1
+    hull.type = mjtGeom.mjGEOM_CAPSULE
+    hull.size = [spec.geometry.width / 2, 0, 0]
+    hull.conaffinity = CONTACT_BIT
+    hull.group = _HULL_GROUP
+    hull.priority = 1
     # Under loaded contact MuJoCo computes normal forces only.
-    hull.condim, hull.friction = 1 if settings.loaded else 3, [friction, 0.005, 0.0001]
-    hull.solref, hull.solimp = (
-        [_MIN_CONTACT_STEPS * settings.timestep, 1],
-        [*_IMPEDANCE, depth, 0.5, 2],
-    )
+    hull.condim = 1 if settings.loaded else 3
+    hull.friction = [friction, 0.005, 0.0001]
+    hull.solref = [_MIN_CONTACT_STEPS * settings.timestep, 1]
+    hull.solimp = [*_IMPEDANCE, depth, 0.5, 2]
 
 
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
@@ -77,15 +77,16 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     point of application (m), and the velocity of the hull's centre (world frame, m/s).
     """
     solid = mj.add_default("obstacle", mj.default).geom
-    solid.type, solid.contype, solid.conaffinity = (
-        mjtGeom.mjGEOM_CAPSULE,
-        CONTACT_BIT,
-        0,
-    )
-    solid.condim, solid.friction, solid.rgba = 3, [world.friction, 0.005, 0.0001], _GREY
+    solid.type = mjtGeom.mjGEOM_CAPSULE
+    solid.contype = CONTACT_BIT
+    solid.conaffinity = 0
+    solid.condim = 3
+    solid.friction = [world.friction, 0.005, 0.0001]
+    solid.rgba = _GREY
     height = HEIGHT_RATIO * spec.geometry.width
     for k, circle in enumerate(world.obstacles, start=1):
-        foot, top = [circle.x, circle.y, -height], [circle.x, circle.y, height]
+        foot = [circle.x, circle.y, -height]
+        top = [circle.x, circle.y, height]
         _add_capsule(mj, f"obstacle_{k}", circle.radius, foot, top)
     z = spec.geometry.com_height
     for k, polygon in enumerate(world.polygons, start=1):
@@ -118,7 +119,8 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> li
     """
     if not steps:
         return []
-    mj.stat.extent, mj.stat.center = spec.geometry.body_length, [0, 0, 0]
+    mj.stat.extent = spec.geometry.body_length
+    mj.stat.center = [0, 0, 0]
     ordered = sorted(steps, key=lambda step: step.x)
     far = _LEVEL_EXTENT * spec.scale.length + max(abs(step.x) for step in ordered)
     edges = [-far, *(step.x for step in ordered), far]
@@ -136,7 +138,9 @@ def add_steps(mj: mujoco.MjSpec, steps: tuple[Step, ...], spec: RobotSpec) -> li
             box = mj.worldbody.add_geom(
                 name=names[-1], type=mjtGeom.mjGEOM_BOX, size=size, pos=centre
             )
-            box.contype, box.conaffinity, box.material = 0, 0, "floor"
+            box.contype = 0
+            box.conaffinity = 0
+            box.material = "floor"
     return names
 
 
@@ -151,18 +155,19 @@ def _add_capsule(
 
 def hulls(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
     """Return the names of the geoms of the body that touch obstacles."""
-    geoms = (
-        mj.geoms
-        if isinstance(mj, mujoco.MjSpec)
-        else [mj.geom(k) for k in range(mj.ngeom)]
-    )
+    if isinstance(mj, mujoco.MjSpec):
+        geoms = mj.geoms
+    else:
+        geoms = [mj.geom(k) for k in range(mj.ngeom)]
     return [geom.name for geom in geoms if geom.name.startswith("hull_")]
 
 
 def friction_of(model: mujoco.MjModel) -> float:
     """Return the coefficient of friction between the body and obstacles; 0 without hulls."""
     names = hulls(model)
-    return float(model.geom(names[0]).friction[0]) if names else 0.0
+    if names:
+        return float(model.geom(names[0]).friction[0])
+    return 0.0
 
 
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
@@ -179,20 +184,22 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     visual.headlight.diffuse = [0.45, 0.45, 0.45]
     visual.headlight.specular = [0, 0, 0]
     visual.rgba.haze = [0.62, 0.7, 0.78, 1]
-    visual.global_.azimuth, visual.global_.elevation = 120, -25
+    visual.global_.azimuth = 120
+    visual.global_.elevation = -25
     sky = mj.add_texture(
         name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=256, height=1536
     )
-    sky.builtin, sky.rgb1, sky.rgb2 = _GRADIENT, [0.72, 0.82, 0.92], [0.3, 0.42, 0.55]
+    sky.builtin = _GRADIENT
+    sky.rgb1 = [0.72, 0.82, 0.92]
+    sky.rgb2 = [0.3, 0.42, 0.55]
     tiles = mj.add_texture(
         name="floor", type=mujoco.mjtTexture.mjTEXTURE_2D, width=300, height=300
     )
-    tiles.builtin, tiles.rgb1, tiles.rgb2 = (
-        _CHECKER,
-        [0.58, 0.62, 0.67],
-        [0.52, 0.56, 0.62],
-    )
-    tiles.mark, tiles.markrgb = mujoco.mjtMark.mjMARK_EDGE, [0.7, 0.73, 0.77]
+    tiles.builtin = _CHECKER
+    tiles.rgb1 = [0.58, 0.62, 0.67]
+    tiles.rgb2 = [0.52, 0.56, 0.62]
+    tiles.mark = mujoco.mjtMark.mjMARK_EDGE
+    tiles.markrgb = [0.7, 0.73, 0.77]
     material = mj.add_material(
         name="floor", texuniform=True, texrepeat=[10, 10], reflectance=0.05
     )
@@ -200,7 +207,9 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     floor = mj.worldbody.add_geom(
         name="floor", type=mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.05]
     )
-    floor.contype, floor.conaffinity, floor.material = 0, 0, "floor"
+    floor.contype = 0
+    floor.conaffinity = 0
+    floor.material = "floor"
     follow = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
     # From directly above: an oblique directional light draws shadow artefacts on an
     # infinite floor.
@@ -235,16 +244,16 @@ def add_objects(
             "objects need a plane floor; remove the steps of the floor or the objects"
         )
     default = mj.add_default("object", mj.default)
-    hull, solid = mj.find_default("hull").geom, default.geom
+    hull = mj.find_default("hull").geom
+    solid = default.geom
     # Hulls have a higher priority, so that their contacts with objects have normal
     # forces only.
     solid.contype = solid.conaffinity = CONTACT_BIT
-    solid.condim, solid.friction, solid.rgba = (
-        3,
-        [world.friction, 0.005, 0.0001],
-        _COLOR,
-    )
-    solid.solref, solid.solimp = hull.solref, hull.solimp
+    solid.condim = 3
+    solid.friction = [world.friction, 0.005, 0.0001]
+    solid.rgba = _COLOR
+    solid.solref = hull.solref
+    solid.solimp = hull.solimp
     poses: list[float] = []
     for name, item in zip(_names(len(world.objects)), world.objects, strict=True):
         _add_object(mj, default, spec, name, item)
@@ -262,11 +271,9 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Add frictionless contacts between hulls whose segments are more than a body width apart."""
     hull = mj.find_default("hull").geom
     default = mj.add_default("self_contact", mj.default)
-    default.pair.condim, default.pair.solref, default.pair.solimp = (
-        1,
-        hull.solref,
-        hull.solimp,
-    )
+    default.pair.condim = 1
+    default.pair.solref = hull.solref
+    default.pair.solimp = hull.solimp
     for first, second in combinations(hulls(mj), 2):
         between = abs(place_of(first)[0] - place_of(second)[0]) - 1
         if between * spec.geometry.pitch > spec.geometry.width:
@@ -292,7 +299,8 @@ def _add_object(
     body = mj.worldbody.add_body(
         name=name, pos=[item.x, item.y, 0], mass=item.mass, explicitinertial=True
     )
-    body.ipos, body.inertia = [0, 0, 0], np.full(3, item.mass * item.gyration**2)
+    body.ipos = [0, 0, 0]
+    body.inertia = np.full(3, item.mass * item.gyration**2)
     for axis, start in zip("xy", (item.x, item.y), strict=True):
         slide = body.add_joint(
             name=f"{name}_{axis}", type=mujoco.mjtJoint.mjJNT_SLIDE, ref=start

@@ -109,18 +109,19 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of a contact pair of floor and wheel or skid; friction is along, then across."""
-    mu_t, mu_n, contact = (
-        spec.friction.mu_t,
-        spec.friction.mu_n,
-        settings.contact.for_robot(spec),
-    )
+    mu_t = spec.friction.mu_t
+    mu_n = spec.friction.mu_n
+    contact = settings.contact.for_robot(spec)
     low, high, depth, middle, power = _SOLIMP
     solimp = [low, high, depth * spec.scale.length, middle, power]
     normal = {"solref": [settings.contact_time(spec), 1], "solimp": solimp}
     if isinstance(contact, LoadedContact):
         return {"condim": 1} | normal
     across = mu_n / (1 + contact.preload_ratio)
-    along = across if contact.rolling else mu_t / (1 + contact.preload_ratio)
+    if contact.rolling:
+        along = across
+    else:
+        along = mu_t / (1 + contact.preload_ratio)
     return {
         "condim": 3,
         "friction": [along, across, 0.005, 0.0001, 0.0001],
@@ -143,7 +144,10 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> tuple[float, np.n
         * spec.mass.wheel
         * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
     )
-    spin = 0.0 if rolling else spec.mass.wheel * spec.geometry.wheel_radius**2
+    if rolling:
+        spin = 0.0
+    else:
+        spin = spec.mass.wheel * spec.geometry.wheel_radius**2
     return 2 * spec.mass.wheel, np.array([across, spin, across])
 
 
@@ -161,7 +165,8 @@ def add_wheels(
         if settings.contact.rolling:
             _add_wheel(mj, body, spec, i, side, settings.numerics.wheel_spin)
         else:
-            reach, y = spec.geometry.wheel_radius, sign * spec.geometry.half_track
+            reach = spec.geometry.wheel_radius
+            y = sign * spec.geometry.half_track
             z = (
                 foot_radius(spec, settings.contact)
                 - spec.geometry.com_height
@@ -189,15 +194,14 @@ def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
 def _add_wheel(
     mj: MjSpec, body: MjsBody, spec: RobotSpec, i: int, side: str, scale: float
 ) -> None:
-    g, mass = spec.geometry, spec.mass.connectors[i - 1]
+    g = spec.geometry
+    mass = spec.mass.connectors[i - 1]
     spin = spec.mass.wheel * g.wheel_radius**2 / 2
     wheel = body.add_body(
         name=f"wheel_{side}_{i}", mass=spec.mass.wheel, explicitinertial=True
     )
-    wheel.pos, wheel.ipos = (
-        [0, _SIDES[side] * g.half_track, g.wheel_radius - g.com_height],
-        [0, 0, 0],
-    )
+    wheel.pos = [0, _SIDES[side] * g.half_track, g.wheel_radius - g.com_height]
+    wheel.ipos = [0, 0, 0]
     wheel.inertia = [spin / 2, scale * spin, spin / 2]
     axle = wheel.add_joint(mj.find_default("axle"), name=f"axle_{side}_{i}")
     axle.frictionloss = spec.friction.mu_t * mass * GRAVITY / 2 * g.wheel_radius
@@ -221,7 +225,8 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
         actuator = mj.add_actuator(
             mj.find_default("press"), name=f"press_{i}", target=site
         )
-        actuator.trntype, actuator.refsite = mujoco.mjtTrn.mjTRN_SITE, "origin"
+        actuator.trntype = mujoco.mjtTrn.mjTRN_SITE
+        actuator.refsite = "origin"
         actuator.biasprm[0] = -force
 
 
@@ -238,7 +243,8 @@ def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
                 name=f"drag_{kind}_{i}",
                 type=getattr(mjtSensor, f"mjSENS_ACTUATOR{kind.upper()}"),
             )
-            sensor.objtype, sensor.objname = mjtObj.mjOBJ_ACTUATOR, f"drag_{i}"
+            sensor.objtype = mjtObj.mjOBJ_ACTUATOR
+            sensor.objname = f"drag_{i}"
 
 
 def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
@@ -265,7 +271,10 @@ def add_contacts(
         settings: contact and time step.
         levels: names of raised levels of the floor.
     """
-    name = "wheel_on_floor" if settings.contact.rolling else "skid_on_floor"
+    if settings.contact.rolling:
+        name = "wheel_on_floor"
+    else:
+        name = "skid_on_floor"
     name = name if spec.skin is None else "skin_on_floor"
     default = mj.add_default(name, mj.default)
     for attribute, value in pair_attributes(spec, settings).items():
@@ -289,9 +298,10 @@ def add_contacts(
         # rounding.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec, settings):
-        source = (
-            (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
-        )
+        if levels:
+            source = (mjtObj.mjOBJ_BODY, "world")
+        else:
+            source = (mjtObj.mjOBJ_GEOM, "floor")
         add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
     if settings.loaded:
         return  # the friction law gives its power without velocity sensors
@@ -323,7 +333,8 @@ def add_force_sensor(
     sensor = mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source
     )
-    sensor.reftype, sensor.refname = mjtObj.mjOBJ_GEOM, on
+    sensor.reftype = mjtObj.mjOBJ_GEOM
+    sensor.refname = on
     fields = 1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE)
     fields |= (1 << int(mujoco.mjtConDataField.mjCONDATA_POS)) * position
     sensor.intprm[:3] = [fields, _NET_FORCE, 1]
