@@ -194,9 +194,7 @@ def inspect(
             print(escape_unprintable(in_words(facts), keep="\n"))
         if picture is not None and scene is not None:
             place = Path(picture)
-            if len(files) == 1:
-                place = place
-            else:
+            if len(files) != 1:
                 place = place.with_name(f"{Path(path).stem}_{place.name}")
             _save_picture(scene, place)
     if as_json:

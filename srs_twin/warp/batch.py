@@ -314,9 +314,7 @@ class WarpBatch(Claimable):
                 raise InputError(
                     f"valves on a device must be int32, not {commands.dtype.__name__}"
                 )
-        if commands.ndim == 4:
-            commands = commands
-        else:
+        if commands.ndim != 4:
             commands = commands.reshape((len(self), 1, segments, 2))
         most = self._engine.slots * self._engine.steps
         if commands.shape[1] > most:

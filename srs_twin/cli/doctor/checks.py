@@ -386,8 +386,6 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
     )
     if free is None:
         free = shutil.disk_usage(existing).free
-    else:
-        free = free
     remedy = (
         f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use"
         " another disk with --out"

@@ -241,16 +241,10 @@ class AnalyticalSnake(PneumaticPlant):
         tick = TICK_S * unit if tick is None else tick
         if timestep is None:
             timestep = default_timestep(tick, spec.scale)
-        else:
-            timestep = timestep
         if tolerance is None:
             tolerance = TOLERANCE_M_S * unit
-        else:
-            tolerance = tolerance
         if slip_speed is None:
             slip_speed = SLIP_SPEED_M_S * unit
-        else:
-            slip_speed = slip_speed
         friction = spec.skin.law if spec.skin else friction
         _check_options(
             spec, world, model, friction, load, friction_torque, inertia, base

@@ -135,8 +135,6 @@ class TwinSnake(PneumaticPlant):
         tick = TICK_S * unit if tick is None else tick
         if timestep is None:
             timestep = divide(tick, TIMESTEP_S * unit)
-        else:
-            timestep = timestep
         check_choice("base", base, BASES)
         if world is not None and world.uneven and isinstance(contact, PreloadedContact):
             raise InputError("a floor that slopes or has steps needs contact 'loaded'")

@@ -67,9 +67,7 @@ def field_label(path: str) -> str:
         else:
             group = ""
         title = f"{group} {_spaced(name)}".strip()
-    if title[:2].isupper():
-        title = title
-    else:
+    if not title[:2].isupper():
         title = title[:1].lower() + title[1:]
     if keys[0] == "plants" and len(keys) > 2:
         title = f"{title}, {keys[1]}"
@@ -97,8 +95,6 @@ def metric_title(metric: str) -> str:
         if name.endswith(suffix):
             if suffix == "_rel" and metric not in COMPARISON_UNITS:
                 text = ", relative"
-            else:
-                text = text
             name = name.removesuffix(suffix) + text
     return _spaced(name.replace("com_", "CoM ").replace("_rms", " RMS"))
 

@@ -131,8 +131,6 @@ def pressure_colors(
     finite = np.nan_to_num(difference)
     if full_scale is None:
         full_scale = float(np.max(np.abs(finite), initial=0.0))
-    else:
-        full_scale = full_scale
     fraction = np.clip(finite / max(full_scale, 1e-12), -1.0, 1.0)[..., None]
     full = np.where(fraction > 0, PLUS_RGB, MINUS_RGB)
     rgb = np.rint(_NO_PRESSURE + np.abs(fraction) * (full - np.array(_NO_PRESSURE)))
