@@ -102,6 +102,7 @@ def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None
         capture_output=True,
         text=True,
         preexec_fn=limit,
+        check=False,
     )
     if done.returncode == 0:
         return None

@@ -109,12 +109,12 @@ def report(result: Mapping[str, Columns]) -> str:
     rows = []
     for controller, columns in result.items():
         for plant in PLANTS:
-            for metric in SHOWN:
+            for metric, label in SHOWN.items():
                 _, mean, deviation = response(columns, plant, metric)
                 cells = [
                     f"{m:.3f} ± {d:.3f}" for m, d in zip(mean, deviation, strict=True)
                 ]
-                rows.append([controller, plant, SHOWN[metric], *cells])
+                rows.append([controller, plant, label, *cells])
     return table(["SMC", "bench", "", *(f"{item:g} Hz" for item in frequencies)], rows)
 
 

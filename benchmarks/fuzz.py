@@ -178,7 +178,12 @@ def start(parser: Parser, malformed: Malformed) -> tuple[float, str]:
         begun = time.perf_counter()
         try:
             done = subprocess.run(
-                words, cwd=room, capture_output=True, text=True, timeout=HANGS_S
+                words,
+                cwd=room,
+                capture_output=True,
+                text=True,
+                timeout=HANGS_S,
+                check=False,
             )
         except subprocess.TimeoutExpired:
             return HANGS_S, f"did not end within {HANGS_S:g} s"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import random
 import shutil
@@ -156,7 +157,9 @@ def contents(folder: Path, case: Case) -> dict[tuple[str, str], Any]:
         else:
             leaves = {"": path.read_text("utf-8")}
         result |= {
-            (name, place): value if value == value else "NaN"
+            (name, place): "NaN"
+            if isinstance(value, float) and math.isnan(value)
+            else value
             for place, value in leaves.items()
             if place.rpartition(".")[2].partition("[")[0] not in _TIMES
         }

@@ -208,9 +208,10 @@ def test_files(mutant: Mutant) -> list[str]:
 def scopes(mutant: Mutant) -> Iterator[str]:
     """Yield the names of the classes and functions around a mutation."""
     for node in ast.walk(ast.parse(text_of(mutant.file))):
-        if isinstance(node, ast.ClassDef | ast.FunctionDef):
-            if node.lineno <= mutant.mutation.line <= (node.end_lineno or node.lineno):
-                yield node.name
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef):
+            continue
+        if node.lineno <= mutant.mutation.line <= (node.end_lineno or node.lineno):
+            yield node.name
 
 
 if __name__ == "__main__":

@@ -31,10 +31,15 @@ from srs_twin.scenario.loading import load_scenario
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from preset_errors import FINE_S, METRICS, Settings, errors, measured
 
-SCENARIOS = (
-    "gen1_straight gen2_straight gen2_turn gen3_straight gen3_turn gen4_straight"
-    " gen4_turn".split()
-)
+SCENARIOS = [
+    "gen1_straight",
+    "gen2_straight",
+    "gen2_turn",
+    "gen3_straight",
+    "gen3_turn",
+    "gen4_straight",
+    "gen4_turn",
+]
 STEPS_S = {
     "loaded": (0.001, 0.00025, 0.0005, 0.00125, 0.002),
     "preloaded": (0.001, 0.002),

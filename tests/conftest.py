@@ -61,6 +61,7 @@ def srs_twin_process() -> Command:
             capture_output=True,
             text=True,
             timeout=300,
+            check=False,
         )
 
     return start
@@ -76,9 +77,14 @@ def srs_twin() -> Command:
             io.TextIOWrapper(io.BytesIO(), "utf-8", write_through=True)
             for _ in range(2)
         )
-        with as_in_a_process(), chdir(cwd), redirect_stdout(out), redirect_stderr(err):
-            with pytest.raises(SystemExit) as exit_:
-                main(list(arguments))
+        with (
+            as_in_a_process(),
+            chdir(cwd),
+            redirect_stdout(out),
+            redirect_stderr(err),
+            pytest.raises(SystemExit) as exit_,
+        ):
+            main(list(arguments))
         texts = (stream.buffer.getvalue().decode() for stream in (out, err))
         return subprocess.CompletedProcess(arguments, exit_.value.code or 0, *texts)
 

@@ -39,7 +39,7 @@ def robot() -> str:
     prior = tables.root["$defs"]["Uncertain"]
     # The key `uncertain` belongs to records, which have no separate section.
     return "\n\n".join(
-        [tables.markdown("robot"), *tables._section("robot", "uncertain", prior)]
+        [tables.markdown("robot"), *tables.section("robot", "uncertain", prior)]
     )
 
 
@@ -64,9 +64,9 @@ class KeyTables:
 
     def markdown(self, name: str) -> str:
         """Return one section per block in the order of the file; `name` is the prefix of the anchors."""
-        return "\n\n".join(self._section(name, "", self.root))
+        return "\n\n".join(self.section(name, "", self.root))
 
-    def _section(self, name: str, path: str, block: Schema) -> Iterator[str]:
+    def section(self, name: str, path: str, block: Schema) -> Iterator[str]:
         title = f"## {path}" if path else "## At the top level"
         rows: list[str] = []
         inner: list[tuple[str, Schema]] = []
@@ -92,7 +92,7 @@ class KeyTables:
             + "\n".join(rows)
         )
         for title, subblock in inner:
-            yield from self._section(name, title, subblock)
+            yield from self.section(name, title, subblock)
 
     def _allowed(
         self, name: str, key_path: str, schema: Schema, inner: list[tuple[str, Schema]]

@@ -101,7 +101,7 @@ def bends():
 
 def pressures():
     """Return the gauge pressures of the + and of the - chambers, kPa, or None without sensors."""
-    return None
+    return
 
 
 class Network:

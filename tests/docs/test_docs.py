@@ -375,9 +375,21 @@ def test_known_misses_name_an_existing_section():
 
 @pytest.mark.slow
 def test_pages_count_the_shipped_scenarios_and_their_known_misses():
-    numbers = (
-        "no one two three four five six seven eight nine ten eleven twelve".split()
-    )
+    numbers = [
+        "no",
+        "one",
+        "two",
+        "three",
+        "four",
+        "five",
+        "six",
+        "seven",
+        "eight",
+        "nine",
+        "ten",
+        "eleven",
+        "twelve",
+    ]
     text = " ".join((ROOT / "docs/ci.md").read_text("utf-8").split())
     pattern = (
         r"Of the (\d+) shipped scenarios, (\w+) miss a published value and (\w+) miss a"

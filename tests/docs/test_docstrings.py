@@ -26,11 +26,11 @@ def own_methods(owner):
             inspect.isfunction(value)
             and written
             and (name == "__init__" or not name.startswith("_"))
+        ) and (
+            name == "__init__"
+            or not any(hasattr(base, name) for base in owner.__mro__[1:-1])
         ):
-            if name == "__init__" or not any(
-                hasattr(base, name) for base in owner.__mro__[1:-1]
-            ):
-                yield value
+            yield value
 
 
 CALLABLE = [each for each in PUBLIC if inspect.isfunction(each)]

@@ -140,6 +140,7 @@ def extended(tmp_path_factory):
             env=os.environ | {"PYTHONPATH": str(folder)},
             capture_output=True,
             text=True,
+            check=False,
         )
         assert done.returncode == code, done.stderr
         return done.stdout or done.stderr

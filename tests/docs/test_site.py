@@ -40,7 +40,9 @@ def build(target, *, source=ROOT, pages=()):
         str(target),
         *pages,
     ]
-    return subprocess.run(words, capture_output=True, text=True, timeout=600)
+    return subprocess.run(
+        words, capture_output=True, text=True, timeout=600, check=False
+    )
 
 
 @pytest.fixture(scope="module")

@@ -118,7 +118,13 @@ class Page:
         words = [sys.executable, "example.py"]
         paths = os.environ | {"PYTHONPATH": str(ROOT / "tests/helpers")}
         done = subprocess.run(
-            words, cwd=folder, env=paths, capture_output=True, text=True, timeout=600
+            words,
+            cwd=folder,
+            env=paths,
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
         )
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
         return done.stdout

@@ -290,18 +290,19 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     return start.finished(pieces, [], walls)
 
 
-def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
-    body = start.body
-    columns = 3
-    rows = 2
-    cell = 2.2 / min(body.tightest) + 2 * _settled(body)
-    entry = start.run_up + _settled(body) + body.ahead + start.room
-    # Random spanning tree and the path through it.
+_Cell = tuple[int, int]
+"""Column and row of a cell of the maze."""
+
+
+def _random_spanning_tree(
+    rng: np.random.Generator, columns: int, rows: int
+) -> tuple[dict[_Cell, _Cell], set[frozenset[_Cell]]]:
+    """Return the predecessor of each cell, and the pairs of cells without a wall."""
     at = (0, 0)
     seen = {(0, 0)}
-    opened = set()
+    opened: set[frozenset[_Cell]] = set()
     trail = [at]
-    before: dict[tuple[int, int], tuple[int, int]] = {}
+    before: dict[_Cell, _Cell] = {}
     while trail:
         at = trail[-1]
         near = [(at[0] + i, at[1] + j) for i, j in ((1, 0), (-1, 0), (0, 1), (0, -1))]
@@ -318,6 +319,24 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
         seen = seen | {after}
         opened.add(frozenset((at, after)))
         trail.append(after)
+    return before, opened
+
+
+def _maze_wall(near: tuple[float, float], far: tuple[float, float]) -> Polygon:
+    """Return a wall 40 mm thick between two corners of the grid (m)."""
+    thick = 0.02
+    low = (near[0] - thick, near[1] - thick)
+    high = (far[0] + thick, far[1] + thick)
+    return Polygon((low, (high[0], low[1]), high, (low[0], high[1])))
+
+
+def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
+    body = start.body
+    columns = 3
+    rows = 2
+    cell = 2.2 / min(body.tightest) + 2 * _settled(body)
+    entry = start.run_up + _settled(body) + body.ahead + start.room
+    before, opened = _random_spanning_tree(rng, columns, rows)
     cells = [(columns - 1, int(rng.integers(rows)))]
     while cells[0] in before:
         cells.insert(0, before[cells[0]])
@@ -340,32 +359,24 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
         )
         pieces += [(0.0, settle), *bend, (0.0, settle)]
     pieces.append((0.0, body.behind + 0.05))
-    walls, (x0, y0), thick = [], (entry, -cell / 2), 0.02
-
-    def wall(ax: float, ay: float, bx: float, by: float) -> None:
-        low = (min(ax, bx) - thick, min(ay, by) - thick)
-        high = (max(ax, bx) + thick, max(ay, by) + thick)
-        walls.append(
-            Polygon(
-                (
-                    (low[0], low[1]),
-                    (high[0], low[1]),
-                    (high[0], high[1]),
-                    (low[0], high[1]),
-                )
-            )
-        )
+    walls = []
+    x0 = entry
+    y0 = -cell / 2
 
     ends = {((-1, 0), (0, 0)), (cells[-1], (columns, cells[-1][1]))}
     for i in range(columns + 1):
         for j in range(rows):
             sides = (i - 1, j), (i, j)
             if frozenset(sides) not in opened and sides not in ends:
-                wall(x0 + i * cell, y0 + j * cell, x0 + i * cell, y0 + (j + 1) * cell)
+                near = (x0 + i * cell, y0 + j * cell)
+                far = (x0 + i * cell, y0 + (j + 1) * cell)
+                walls.append(_maze_wall(near, far))
     for i in range(columns):
         for j in range(rows + 1):
             if frozenset(((i, j - 1), (i, j))) not in opened:
-                wall(x0 + i * cell, y0 + j * cell, x0 + (i + 1) * cell, y0 + j * cell)
+                near = (x0 + i * cell, y0 + j * cell)
+                far = (x0 + (i + 1) * cell, y0 + j * cell)
+                walls.append(_maze_wall(near, far))
     return start.finished(pieces, [], walls)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -388,7 +389,11 @@ def trajectories(draw: st.DrawFn) -> Trajectory:
     events = draw(st.lists(st.builds(Event, st.floats(0, 1e6), text, text), max_size=3))
     metadata = draw(
         st.dictionaries(
-            text, json_values.filter(lambda value: value == value), max_size=3
+            text,
+            json_values.filter(
+                lambda value: not (isinstance(value, float) and math.isnan(value))
+            ),
+            max_size=3,
         )
     )
     return Trajectory(columns, units, tuple(events), metadata)
