@@ -6,6 +6,8 @@ import ast
 import os
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from functools import cache
 
@@ -112,7 +114,28 @@ def test_makefile_targets_run_the_documented_commands():
     assert recipes()["test"] == ["uv run --group dev pytest"]
     checks = ["ruff check", "ruff format --check", "mypy"]
     assert recipes()["check"] == [f"uv run --group dev {check}" for check in checks]
-    assert set(hooks()) == set(recipes()["check"])
+    assert set(hooks()) == {*recipes()["check"], ".ci/check-title"}
+
+
+@pytest.mark.parametrize(
+    ("title", "problem"),
+    [
+        ("Compile the infeasibility proof before the planner's clock starts", "65"),
+        ("Slow laws are slow tests", "verb in the imperative"),
+        ("Compile the proof before the clock starts", None),
+    ],
+)
+def test_titles_of_commits_are_checked(tmp_path, title, problem):
+    message = tmp_path / "COMMIT_EDITMSG"
+    message.write_text(f"{title}\n\nThe reason.\n")
+    done = subprocess.run(
+        [sys.executable, ROOT / ".ci/check-title", message],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == (problem is not None)
+    assert (problem or "") in done.stderr
 
 
 def test_ci_runs_the_slow_tests():
