@@ -116,8 +116,7 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
         )
     # A proof does not depend on the resolution.
     tested = None if best is None and result.final else cell
-    kept = tuple(trees) if settings.keep else ()
-    return Plan(outcome, reason, best or (), expanded, tested, trees=kept)
+    return Plan(outcome, reason, best or (), expanded, tested)
 
 
 @dataclass

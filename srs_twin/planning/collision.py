@@ -248,31 +248,6 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
     ]
 
 
-def nearest_obstacles(world: World, points: np.ndarray) -> list[str]:
-    """Return the nearest obstacle of each point: "bounds", "obstacle 2", "polygon 1".
-
-    Args:
-        world: obstacles and bounds.
-        points: shape (k, 2), m.
-
-    Returns:
-        Names; empty strings in an empty world.
-    """
-    import shapely
-
-    x, y = points.T
-    names = [""]
-    distances = [np.full(len(points), np.inf)]
-    if world.bounds is not None:
-        (west, east), (south, north) = world.bounds.x, world.bounds.y
-        names.append("bounds")
-        distances.append(np.min([x - west, east - x, y - south, north - y], axis=0))
-    for name, core, radius in obstacle_shapes(world):
-        names.append(name)
-        distances.append(shapely.distance(shapely.points(points), core) - radius)
-    return [names[k] for k in np.argmin(distances, axis=0)]
-
-
 def obstacle_at(world: World, x: float, y: float) -> str:
     """Return a description of the obstacle that contains a point, or of the bounds if it is outside.
 

@@ -73,6 +73,9 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
     """
     right, left = footprint.tightest
     both = min(right, left)
+    # The footprint refuses curvatures beyond its range.
+    for tightest in primitives.curvatures[[0, -1]]:
+        footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
     # Rounding merges equal curvatures; clipping keeps them within the footprint.

@@ -217,10 +217,9 @@ def scenario(**changes: object) -> dict:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "greedy"}, "kind: greedy cannot lean on obstacles"),
         (
             {"kind": "given", "turns_rad": [0], "step_m": 1},
-            "kind: given cannot lean on obstacles",
+            "planner.touch: unknown key",
         ),
         (
             {"clearance_weight": 1},
@@ -245,9 +244,7 @@ def test_a_plant_without_contact_is_refused():
         parse_scenario(scenario() | {"plants": {"analytical": {}, "twin": {}}})
 
 
-def test_other_planners_refuse_touch_in_python():
-    with pytest.raises(InputError, match="best_first can plan with touch"):
-        plan(across(0.3), LEANING, planner="greedy")
+def test_touch_excludes_a_cost_of_clearance_in_python():
     with pytest.raises(InputError, match="clearance_weight must be 0"):
         replace(LEANING, clearance_weight=1.0)
 
