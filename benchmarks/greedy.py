@@ -83,14 +83,14 @@ def greedy(problem: Problem, settings: Settings) -> Plan:
                 f"every arc is blocked {where}, and greedy does not go back; try"
                 " best_first"
             )
-            return Plan(Outcome.BUDGET_SPENT, reason, (), turn)
+            return Plan(Outcome.NOT_FOUND, reason, (), turn)
         curvature, end = child
         branches[side].append((tips[side], curvature))
         tips[side] = end
     reason = (
         f"the branches did not meet within {_MAX_BRANCH_ARCS} arcs each; try best_first"
     )
-    return Plan(Outcome.BUDGET_SPENT, reason, (), 2 * _MAX_BRANCH_ARCS)
+    return Plan(Outcome.NOT_FOUND, reason, (), 2 * _MAX_BRANCH_ARCS)
 
 
 def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, obstacle_at
 from srs_twin.planning.footprint import Footprint, validate_footprint
-from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.free_space import min_path_length
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
@@ -217,14 +217,13 @@ class Outcome(StrEnum):
     """Outcome of planning; `Plan.reason` explains it.
 
     - FOUND: a collision-free path.
-    - UNREACHABLE: no path; the reason states whether this is proven or holds for the
-      tested poses only.
-    - BUDGET_SPENT: neither a path nor a proof within the budget.
+    - NOT_FOUND: neither a path nor a proof, within the budget or at the tested poses.
+    - PROVEN_IMPOSSIBLE: no path exists, because obstacles separate start and goal.
     """
 
     FOUND = "found"
-    UNREACHABLE = "unreachable"
-    BUDGET_SPENT = "budget_spent"
+    NOT_FOUND = "not_found"
+    PROVEN_IMPOSSIBLE = "proven_impossible"
 
 
 @dataclass(frozen=True)
@@ -236,8 +235,6 @@ class Plan(HtmlResult):
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path; empty unless found.
         expanded: number of expanded nodes.
-        cell: side (m) and heading width (rad) of the finest cells that were searched;
-            None for proofs of infeasibility.
         touches: parts of the path that lean on obstacles; None unless
             `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
@@ -250,7 +247,6 @@ class Plan(HtmlResult):
     reason: str
     segments: tuple[Segment, ...] = ()
     expanded: int = 0
-    cell: tuple[float, float] | None = None
     touches: tuple[Touch, ...] | None = None
     seconds: float = field(default=0.0, compare=False)
     problem: Problem | None = field(default=None, compare=False, repr=False)
@@ -268,11 +264,6 @@ class Plan(HtmlResult):
     def found(self) -> bool:
         """Whether a path was found."""
         return self.outcome is Outcome.FOUND
-
-    @property
-    def proven(self) -> bool:
-        """Whether it is proven that no path exists at any resolution."""
-        return self.outcome is Outcome.UNREACHABLE and self.cell is None
 
     @property
     def length(self) -> float:

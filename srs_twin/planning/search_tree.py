@@ -69,12 +69,22 @@ class SearchTree:
             add_root(self.frontier, *root, spec)
 
     @property
+    def way(self) -> str:
+        """Direction of the tree in words."""
+        if self.backward:
+            return "back from the goal"
+        return "on from the start"
+
+    @property
     def expanded(self) -> int:
         """Number of expanded nodes."""
         return int(self.frontier.counts[EXPANDED])
 
     def grow(self, count: int, best: float) -> ArcSequence | None:
-        """Expand up to `count` nodes; return the arcs of a plan shorter than `best` (m), or None."""
+        """Expand up to `count` nodes; return the arcs of a plan shorter than `best` (m), or None.
+
+        The arcs lead from the start to the goal, whatever the direction of the tree.
+        """
         until = self.expanded + count
         while True:
             event, node = expand(self.frontier, self.spec, best, until - self.expanded)
@@ -82,9 +92,13 @@ class SearchTree:
                 break
             self.frontier = enlarged(self.frontier)
         self.exhausted = event == EXHAUSTED
-        if event in (CONNECTED, ARRIVED):
-            return self._path(int(node), connected=event == CONNECTED)
-        return None
+        if event not in (CONNECTED, ARRIVED):
+            return None
+        arcs = self._path(int(node), connected=event == CONNECTED)
+        if self.backward:
+            # Left turns of the reversed path are right turns.
+            return [(-curvature, length) for curvature, length in reversed(arcs)]
+        return arcs
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
         """Return the arcs from the root to a node, if connected followed by the Dubins path to the goal."""

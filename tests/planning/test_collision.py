@@ -14,8 +14,8 @@ from srs_twin.planning.collision import (
     obstacle_grid,
 )
 from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.free_space import min_path_length
 from srs_twin.planning.guidance import find_passages
-from srs_twin.planning.infeasibility import min_path_length
 from srs_twin.planning.moves import follow_arc, initial_state, make_move_set
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World

@@ -15,7 +15,7 @@ from snakes import robot
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Plan, Problem, Settings
+from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
 from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 from srs_twin.rollout import rollout
@@ -66,7 +66,7 @@ def test_gaps_narrower_than_the_hard_edges_have_no_plan():
     narrow = 2 * LIMITS.hard.narrowest
     assert plan(across(narrow + 0.002), LEANING).found
     result = plan(across(narrow - 0.002), LEANING)
-    assert result.proven and result.touches == ()
+    assert result.outcome is Outcome.PROVEN_IMPOSSIBLE and result.touches == ()
     assert not plan(across(narrow + 0.002)).found
 
 
