@@ -19,18 +19,20 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from greedy import greedy
 from grid import table
 from timing import machine
 
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint_file import load_footprint
-from srs_twin.planning.planner import PLANNERS, plan
+from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.robot.world import (
     FIG54_BOUNDS,
@@ -75,14 +77,36 @@ def narrow_problem(count: int, seed: int, *, arcs: bool) -> Problem:
     )
 
 
-def planners() -> dict[str, Settings]:
-    """Return the installed planners with their settings."""
-    result = {"greedy": Settings(), "best_first": Settings()}
+class Baseline(NamedTuple):
+    """Planner with its settings.
+
+    Attributes:
+        search: function that plans.
+        settings: budget and options.
+        arcs: whether the planner needs the motion primitives of the dissertation.
+    """
+
+    search: Callable[[Problem, Settings], Plan]
+    settings: Settings
+    arcs: bool = False
+
+    def timed(self, problem: Problem) -> Plan:
+        """Return the plan of a problem with its wall time."""
+        begun = time.perf_counter()
+        answer = self.search(problem, self.settings)
+        return replace(answer, seconds=time.perf_counter() - begun)
+
+
+def planners() -> dict[str, Baseline]:
+    """Return the installed planners by name."""
+    result = {
+        "greedy": Baseline(greedy, Settings(), arcs=True),
+        "best_first": Baseline(plan, Settings()),
+    }
     if find_spec("ompl"):
         from rrt_connect import rrt_connect
 
-        PLANNERS["ompl"] = rrt_connect
-        result["ompl"] = Settings(seconds=OMPL_S)
+        result["ompl"] = Baseline(rrt_connect, Settings(seconds=OMPL_S))
     return result
 
 
@@ -93,14 +117,12 @@ def study(
 ) -> dict[str, dict[int, list[Plan]]]:
     """Return all plans by planner and number of obstacles."""
     answers: dict[str, dict[int, list[Plan]]] = {}
-    for name, settings in planners().items():
+    for name, planner in planners().items():
         # The first call compiles and imports; it is not timed.
-        plan(problem(max(counts), 0, arcs=name == "greedy"), settings, planner=name)
+        planner.timed(problem(max(counts), 0, arcs=planner.arcs))
         answers[name] = {
             count: [
-                plan(
-                    problem(count, seed, arcs=name == "greedy"), settings, planner=name
-                )
+                planner.timed(problem(count, seed, arcs=planner.arcs))
                 for seed in range(draws)
             ]
             for count in counts
@@ -125,6 +147,9 @@ def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
         plans = [p for item in by.values() for p in item]
         ms = [1e3 * p.seconds for p in plans]
         lengths = [p.length for p in plans if p.found]
+        success = {
+            count: sum(p.found for p in item) / len(item) for count, item in by.items()
+        }
         result[name] = {
             "solved": len(solved[name]),
             "drivable": sum(p.found and p.kink < DRIVABLE for p in plans),
@@ -135,12 +160,22 @@ def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
             "most_ms": max(ms),
             "mean_length_m": float(np.mean(lengths)) if lengths else None,
             "outcomes": dict(Counter(p.outcome.value for p in plans)),
-            "success": {
-                count: sum(p.found for p in item) / len(item)
-                for count, item in by.items()
-            },
+            "success": success,
+            "trend": trend(success),
         }
     return result
+
+
+def trend(success: dict[int, float]) -> float | None:
+    """Return the rank correlation of the success rate with the number of obstacles.
+
+    It is −1 if the rate decreases at every step, and None if the rate is constant.
+    """
+    from scipy.stats import spearmanr
+
+    if len(set(success.values())) == 1:
+        return None
+    return float(spearmanr(list(success), list(success.values())).statistic)
 
 
 def safety(worlds: int) -> dict[str, Any]:
@@ -152,7 +187,7 @@ def safety(worlds: int) -> dict[str, Any]:
     for seed in range(worlds):
         problem = drawn_problem(seed)
         answer = plan(problem)
-        outcomes["proven" if answer.proven else answer.outcome.value] += 1
+        outcomes[answer.outcome.value] += 1
         seconds.append(answer.seconds)
         if answer.found:
             depth = deepest(answer, problem)
@@ -266,11 +301,14 @@ def tables(result: dict[str, Any]) -> str:
         "max, ms",
         "mean length, m",
     ]
-    by_count = [
-        [name, *(f"{100 * share:.0f}" for share in success[name].values())]
-        for name in names
-    ]
-    return f"{table(head, rows)}\n\n{table(['success %', *map(str, success[names[0]])], by_count)}"
+    by_count = []
+    for name in names:
+        shares = [f"{100 * share:.0f}" for share in success[name].values()]
+        correlation = result[name]["trend"]
+        said = "–" if correlation is None else f"{correlation:.2f}"
+        by_count.append([name, *shares, said])
+    counts = ["success %", *map(str, success[names[0]]), "rank correlation"]
+    return f"{table(head, rows)}\n\n{table(counts, by_count)}"
 
 
 def draw(result: dict[str, Any], path: Path) -> None:

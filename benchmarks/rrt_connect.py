@@ -75,7 +75,7 @@ def rrt_connect(problem: Problem, settings: Settings) -> Plan:
     setup.solve(seconds)
     if not setup.haveExactSolutionPath():
         return Plan(
-            Outcome.BUDGET_SPENT, f"no path after {seconds:g} s; give more seconds"
+            Outcome.NOT_FOUND, f"no path after {seconds:g} s; give more seconds"
         )
     poses = [_pose(state) for state in setup.getSolutionPath().getStates()]
     path: ArcSequence = []

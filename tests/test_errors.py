@@ -120,7 +120,7 @@ TYPOS = [
     ("gate", ("gait", "ilc", "following"), ["gait"]),
     ("gen22", ("gen1", "gen2", "gen3", "gen4"), ["gen2"]),
     ("rai", ("local", "ray"), ["ray"]),
-    ("gredy", ("best_first", "greedy"), ["greedy"]),
+    ("best_fist", ("best_first", "given"), ["best_first"]),
     ("analytic", ("analytical", "twin"), ["analytical"]),
     ("tau_fil_s", FITS, ["actuator.tau_fill_s"]),
     ("modules.gan_plus_1", FITS, ["modules.gain_plus_N"]),

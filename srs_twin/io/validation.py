@@ -44,6 +44,7 @@ RETIRED_KINDS = {
         "it was retired, because none of its reactions helps"
         " (docs/contact.md#yielding-gaits)"
     ),
+    "greedy": "it was retired (`benchmarks/greedy.py` keeps it); use best_first",
     "ompl": "it was retired (`benchmarks/rrt_connect.py` keeps it); use best_first",
 }
 """Kind of a block in earlier versions → why it was removed, or what to use instead."""

@@ -3,7 +3,7 @@
 `plan(problem)` returns a `Plan`. The planner searches over arcs and Dubins paths
 (`moves`, `dubins`) with exact collision checks of the footprint (`arcs`, `collision`).
 Trees (`search_kernels`, `search_tree`) grow from start and goal (`best_first`). If that
-does not succeed at once, `infeasibility` tries to prove that no path exists, and
+does not succeed at once, `free_space` tries to prove that no path exists, and
 `guidance` leads a tree around obstacles and through narrow passages. `follower` and
 `steering` follow a plan by the offset of a gait.
 """

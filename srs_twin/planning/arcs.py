@@ -1,4 +1,4 @@
-r"""Arcs of constant curvature: poses along them, and exact collision checks of the area that the body sweeps.
+r"""Arcs of constant curvature: poses along them, and exact checks of the area that the body sweeps.
 
 Path coordinates relative to the middle of an arc of curvature κ: for a point at
 distance u ahead of the middle and w to its left,
@@ -31,6 +31,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -53,11 +54,85 @@ def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
     """Return the pose after a length (m) along an arc: corrected Eq. 33 (E7) by chord and half turn."""
     half = curvature * length / 2
     # Chord and half turn avoid the cancellation of Eq. 33 for small curvatures.
-    chord = length * (np.sin(half) / half if abs(half) > _STRAIGHT else 1.0)
+    chord = length
+    if abs(half) > _STRAIGHT:
+        chord = length * (np.sin(half) / half)
     return (
         x + chord * np.cos(heading + half),
         y + chord * np.sin(heading + half),
         heading + 2 * half,
+    )
+
+
+class Extent(NamedTuple):
+    """Extent of the body about its centre of mass.
+
+    Attributes:
+        ahead: distance of the head ahead of the centre of mass along the arc, m.
+        behind: distance of the tail behind the centre of mass along the arc, m.
+        left: distance of the footprint's left edge from the path, m.
+        right: distance of the footprint's right edge from the path, m.
+    """
+
+    ahead: float
+    behind: float
+    left: float
+    right: float
+
+
+class Frame(NamedTuple):
+    """Place and direction of a point of an arc.
+
+    Attributes:
+        x: m.
+        y: m.
+        heading: rad.
+        cosine: cosine of the heading.
+        sine: sine of the heading.
+    """
+
+    x: float
+    y: float
+    heading: float
+    cosine: float
+    sine: float
+
+
+class Region(NamedTuple):
+    """Swept region of an arc, relative to the middle of the arc.
+
+    Attributes:
+        curvature: curvature of the arc, 1/m.
+        half: half the length h of the region along the arc, m.
+        left: distance of the left edge from the arc, m.
+        right: distance of the right edge from the arc, m.
+        reach: distance of the middle within which the region lies, m.
+        end: end of the arc, with u and w as its x and y.
+    """
+
+    curvature: float
+    half: float
+    left: float
+    right: float
+    reach: float
+    end: Frame
+
+
+@kernel_only
+def _frame(x, y, heading, curvature, s):  # type: ignore[no-untyped-def]
+    """Return the frame at a distance s along an arc from its start."""
+    x, y, heading = arc_end(x, y, heading, curvature, s)
+    return Frame(x, y, heading, np.cos(heading), np.sin(heading))
+
+
+@kernel_only
+def _local(frame, x, y):  # type: ignore[no-untyped-def]
+    """Return the distances of a point ahead of a frame and to its left, m."""
+    dx = x - frame.x
+    dy = y - frame.y
+    return (
+        frame.cosine * dx + frame.sine * dy,
+        frame.cosine * dy - frame.sine * dx,
     )
 
 
@@ -69,102 +144,53 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
         pose: x, y and heading of the centre of mass at the start, m and rad.
         curvature: curvature of the arc, 1/m.
         length: length of the arc, m.
-        extent: extent of the body ahead of and behind the centre of mass along the arc,
-            and distances of the footprint's left and right edge from the path, m.
+        extent: extent of the body, see `Extent`.
         grid: obstacles and bounds, see `collision.ObstacleGrid`.
     """
-    ahead, behind, left, right = extent
-    bounds = grid[2]
-    origin = grid[3]
-    h = (length + ahead + behind) / 2 + ROUNDING_MARGIN
+    h = (length + extent.ahead + extent.behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(
-        pose[0], pose[1], pose[2], curvature, (length + ahead - behind) / 2
-    )
-    left = left + ROUNDING_MARGIN
-    right = right + ROUNDING_MARGIN
-    # Test a bounding square first: most regions are far from the bounds.
-    reach = h + max(left, right)
-    if (
-        x - reach < bounds[0]
-        or x + reach > bounds[1]
-        or y - reach < bounds[2]
-        or y + reach > bounds[3]
-    ):
-        if _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):
-            return True
-    # A long region is divided, so that each piece overlaps few cells of the grid.
-    count = max(1, int(np.ceil(h / max(origin[2], left + right))))
-    half_length = h / count
-    end = arc_end(0.0, 0.0, 0.0, curvature, half_length)
-    region = (
+        pose[0],
+        pose[1],
+        pose[2],
         curvature,
-        half_length,
-        left,
-        right,
-        end[0],
-        end[1],
-        np.cos(end[2]),
-        np.sin(end[2]),
+        (length + extent.ahead - extent.behind) / 2,
     )
+    left = extent.left + ROUNDING_MARGIN
+    right = extent.right + ROUNDING_MARGIN
+    # A long region is divided, so that each piece overlaps few cells of the grid.
+    count = max(1, int(np.ceil(h / max(grid.cell, left + right))))
+    half = h / count
+    end = _frame(0.0, 0.0, 0.0, curvature, half)
+    region = Region(curvature, half, left, right, half + max(left, right), end)
     for k in range(count):
-        mid_x, mid_y, mid_heading = arc_end(
-            x, y, heading, curvature, (2 * k + 1) * half_length - h
-        )
-        if _region_collides(
-            (mid_x, mid_y, np.cos(mid_heading), np.sin(mid_heading)), region, grid
-        ):
+        middle = _frame(x, y, heading, curvature, (2 * k + 1) * half - h)
+        if _leaves_bounds(middle, region, grid.bounds):
+            return True
+        if _touches_obstacle(middle, region, grid):
             return True
     return False
 
 
 @kernel_only
-def _region_collides(middle, region, grid):  # type: ignore[no-untyped-def]
-    """Return whether a region touches a circle or a polygon side.
-
-    Args:
-        middle: x and y of the middle of the arc, m, and cosine and sine of its heading
-            there.
-        region: curvature, h, left and right edge, u and w of the end, cosine and sine
-            of the heading there.
-        grid: see `arc_collides`.
-    """
-    circles, sides, _, origin, cell_ranges, cell_items = grid
-    reach = region[1] + max(region[2], region[3]) + ROUNDING_MARGIN
-    columns = _cell_range(middle[0] - origin[0], reach, origin[2], cell_ranges.shape[0])
-    rows = _cell_range(middle[1] - origin[1], reach, origin[2], cell_ranges.shape[1])
-    for column in range(columns[0], columns[1]):
-        for row in range(rows[0], rows[1]):
-            for item in range(cell_ranges[column, row, 0], cell_ranges[column, row, 1]):
-                if _item_collides(cell_items[item], circles, sides, middle, region):
+def _touches_obstacle(middle, region, grid):  # type: ignore[no-untyped-def]
+    """Return whether a region with its middle at a frame touches a circle or a polygon side."""
+    reach = region.reach + ROUNDING_MARGIN
+    columns, rows = grid.cell_ranges.shape[:2]
+    first, last = _cell_range(middle.x - grid.west, reach, grid.cell, columns)
+    low, high = _cell_range(middle.y - grid.south, reach, grid.cell, rows)
+    circles = len(grid.circles)
+    for column in range(first, last):
+        for row in range(low, high):
+            begin, end = grid.cell_ranges[column, row]
+            for item in grid.cell_items[begin:end]:
+                if item < circles:
+                    touches = _touches_circle(middle, region, grid.circles[item])
+                else:
+                    side = grid.sides[item - circles]
+                    touches = _touches_side(middle, region, side)
+                if touches:
                     return True
     return False
-
-
-@kernel_only
-def _item_collides(k, circles, sides, middle, region):  # type: ignore[no-untyped-def]
-    """Return whether item k touches a region; the items are first all circles, then all polygon sides."""
-    x, y, c, s = middle
-    reach = region[1] + max(region[2], region[3])
-    if k < circles.shape[0]:
-        dx = circles[k, 0] - x
-        dy = circles[k, 1] - y
-        radius = circles[k, 2] + ROUNDING_MARGIN
-        # Test bounding circles first: they are cheap and exclude most items.
-        if dx * dx + dy * dy >= (reach + radius) * (reach + radius):
-            return False
-        # The region is symmetric about the line across its middle, so u can be taken as
-        # positive.
-        return _region_distance(abs(c * dx + s * dy), c * dy - s * dx, region) < radius
-    k -= circles.shape[0]
-    ax = sides[k, 0] - x
-    ay = sides[k, 1] - y
-    bx = sides[k, 2] - x
-    by = sides[k, 3] - y
-    if _distance_from_origin(ax, ay, bx, by) >= reach:
-        return False
-    return _side_crosses(
-        c * ax + s * ay, c * ay - s * ax, c * bx + s * by, c * by - s * bx, region
-    )
 
 
 @kernel_only
@@ -176,25 +202,53 @@ def _cell_range(position, reach, cell, count):  # type: ignore[no-untyped-def]
 
 
 @kernel_only
+def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
+    """Return whether a region touches a circle, given by x, y and radius."""
+    radius = circle[2] + ROUNDING_MARGIN
+    dx = circle[0] - middle.x
+    dy = circle[1] - middle.y
+    # Test bounding circles first: they are cheap and exclude most obstacles.
+    if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
+        return False
+    u, w = _local(middle, circle[0], circle[1])
+    # The region is symmetric about the line across its middle, so u can be taken as
+    # positive.
+    return _region_distance(abs(u), w, region) < radius
+
+
+@kernel_only
+def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
+    """Return whether a region touches a line segment, given by x and y of both ends."""
+    ax, ay, bx, by = side
+    distance = _distance_from_origin(
+        ax - middle.x, ay - middle.y, bx - middle.x, by - middle.y
+    )
+    if distance >= region.reach:
+        return False
+    au, aw = _local(middle, ax, ay)
+    bu, bw = _local(middle, bx, by)
+    return _side_crosses(au, aw, bu, bw, region)
+
+
+@kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
     """Return n and s of a point u ahead and w to the left of a point on an arc, m (module docstring)."""
     ku = curvature * u
     kw = 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
-    return n, np.arctan2(ku, kw) / curvature if abs(curvature) > _STRAIGHT else u
+    if abs(curvature) > _STRAIGHT:
+        return n, np.arctan2(ku, kw) / curvature
+    return n, u
 
 
 @kernel_only
 def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
     """Return the distance of a point (u ≥ 0) from the region, m; 0 inside."""
-    curvature, h, left, right, end_u, end_w, ec, es = region
-    n, s = path_coordinates(u, w, curvature)
-    if abs(s) <= h:
-        return max(n - left, -right - n, 0.0)
-    # Coordinates relative to the end line, along and across the heading there.
-    beyond = ec * (u - end_u) + es * (w - end_w)
-    across = ec * (w - end_w) - es * (u - end_u)
-    outside = max(across - left, -right - across, 0.0)
+    n, s = path_coordinates(u, w, region.curvature)
+    if abs(s) <= region.half:
+        return max(n - region.left, -region.right - n, 0.0)
+    beyond, across = _local(region.end, u, w)
+    outside = max(across - region.left, -region.right - across, 0.0)
     return np.sqrt(beyond * beyond + outside * outside)
 
 
@@ -213,18 +267,25 @@ def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 @kernel_only
 def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
     """Return whether a line segment from (au, aw) to (bu, bw) enters the region."""
-    curvature, h, left, right, end_u, end_w, ec, es = region
+    curvature = region.curvature
+    end = region.end
     du = bu - au
     dw = bw - aw
     # n = e where κ(u² + w²) - 2w + 2e - κe² = 0, with u and w linear in t.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
     c = curvature * (au * au + aw * aw) - 2 * aw
-    front = _fraction(ec * (end_u - au) + es * (end_w - aw), ec * du + es * dw)
-    back = _fraction(-ec * (end_u + au) - es * (end_w - aw), ec * du - es * dw)
-    on_left = _roots(a, b, c + 2 * left - curvature * left * left)
-    on_right = _roots(a, b, c - 2 * right - curvature * right * right)
-    cuts = 0.0, front, back, on_left[0], on_left[1], on_right[0], on_right[1]
+    left = _roots(a, b, c + 2 * region.left - curvature * region.left * region.left)
+    right = _roots(a, b, c - 2 * region.right - curvature * region.right * region.right)
+    front = _fraction(
+        end.cosine * (end.x - au) + end.sine * (end.y - aw),
+        end.cosine * du + end.sine * dw,
+    )
+    back = _fraction(
+        -end.cosine * (end.x + au) - end.sine * (end.y - aw),
+        end.cosine * du - end.sine * dw,
+    )
+    cuts = (0.0, front, back, left[0], left[1], right[0], right[1])
     # Test the midpoint of each piece between neighbouring cuts.
     for first in cuts:
         last = 1.0
@@ -233,7 +294,7 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
                 last = cut
         t = (first + last) / 2
         n, s = path_coordinates(au + t * du, aw + t * dw, curvature)
-        if abs(s) <= h and -right <= n <= left:
+        if abs(s) <= region.half and -region.right <= n <= region.left:
             return True
     return False
 
@@ -241,7 +302,9 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
 @kernel_only
 def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
     """Return a quotient if it is between 0 and 1, otherwise 0."""
-    t = numerator / denominator if denominator != 0 else 0.0
+    if denominator == 0:
+        return 0.0
+    t = numerator / denominator
     if 0 < t < 1:
         return t
     return 0.0
@@ -255,28 +318,50 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
         return 0.0, 0.0
     # Add terms of equal sign, which avoids cancellation, and get the other root from
     # the product of both.
-    q = -(b + np.sqrt(square)) if b >= 0 else -(b - np.sqrt(square))
+    if b >= 0:
+        q = -(b + np.sqrt(square))
+    else:
+        q = -(b - np.sqrt(square))
     return _fraction(q, a), _fraction(c, q)
 
 
 @kernel_only
-def _leaves_bounds(x, y, heading, curvature, h, left, right, bounds):  # type: ignore[no-untyped-def]
-    """Return whether the region leaves the bounds, at a corner or where an edge is parallel to an axis."""
-    for k in range(6):
-        s = h if k == 0 else -h
-        if k >= 2:
-            turn = (k - 2) * np.pi / 2 - heading
-            if curvature != 0:
-                s = (turn - 2 * np.pi * np.round(turn / (2 * np.pi))) / curvature
-            else:
-                s = 2 * h + 1
-        if abs(s) <= h:
-            px, py, direction = arc_end(x, y, heading, curvature, s)
-            for n in (left, -right):
-                ex = px - n * np.sin(direction)
-                ey = py + n * np.cos(direction)
-                if ex < bounds[0] or ex > bounds[1] or ey < bounds[2] or ey > bounds[3]:
-                    return True
+def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
+    """Return whether a region leaves the bounds.
+
+    It does so at a corner, or where an edge is parallel to an axis.
+    """
+    # Test a bounding square first: most regions are far from the bounds.
+    if (
+        bounds.west <= middle.x - region.reach
+        and middle.x + region.reach <= bounds.east
+        and bounds.south <= middle.y - region.reach
+        and middle.y + region.reach <= bounds.north
+    ):
+        return False
+    for s in (-region.half, region.half):
+        if _edge_is_outside(middle, region, s, bounds):
+            return True
+    if region.curvature == 0:
+        return False
+    for quarter in range(4):
+        turn = quarter * np.pi / 2 - middle.heading
+        turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
+        s = turn / region.curvature
+        if abs(s) <= region.half and _edge_is_outside(middle, region, s, bounds):
+            return True
+    return False
+
+
+@kernel_only
+def _edge_is_outside(middle, region, s, bounds):  # type: ignore[no-untyped-def]
+    """Return whether the left or the right edge is outside the bounds at s."""
+    at = _frame(middle.x, middle.y, middle.heading, region.curvature, s)
+    for n in (region.left, -region.right):
+        x = at.x - n * at.sine
+        y = at.y + n * at.cosine
+        if not (bounds.west <= x <= bounds.east and bounds.south <= y <= bounds.north):
+            return True
     return False
 
 

@@ -1,8 +1,8 @@
 """Default planner: best-first search from both ends at increasing resolution, then shortening of the path.
 
 Cheap searches come first: a tree from the start and, without transients, one from the
-goal. Proofs of infeasibility and a tree with guidance (`guidance`) follow only if these
-do not succeed at once. The path found is shortened by Dubins paths between its poses.
+goal. A proof that no path exists and a tree with guidance (`guidance`) follow only if
+these do not succeed at once. The path found is shortened by Dubins paths between its poses.
 """
 
 from __future__ import annotations
@@ -12,24 +12,19 @@ import time
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 
 from srs_twin.planning.arcs import ArcSequence, Primitives
 from srs_twin.planning.collision import Checker
+from srs_twin.planning.free_space import is_disconnected
 from srs_twin.planning.guidance import (
     NO_HEURISTIC,
     NO_PASSAGES,
     GridHeuristic,
     find_passages,
     grid_heuristic,
-)
-from srs_twin.planning.infeasibility import (
-    COARSE,
-    FINE,
-    Resolution,
-    is_disconnected,
-    prove_unreachable,
 )
 from srs_twin.planning.moves import MoveSet, make_move_set, shorten_path
 from srs_twin.planning.path import Segment, path_from_arcs
@@ -62,19 +57,18 @@ _MAX_TURN_NODES = 16_000
 """Largest number of nodes in a turn, so that time limits are checked often enough."""
 
 
-@dataclass(frozen=True)
-class _LevelResult:
+class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
     Attributes:
         path: collision-free path, if found.
         reason: reason why there is no path; empty if the budget is spent.
-        final: whether no finer resolution can find a path.
+        proven: whether no path exists at any resolution.
     """
 
     path: ArcSequence | None = None
     reason: str = ""
-    final: bool = False
+    proven: bool = False
 
 
 def best_first(problem: Problem, settings: Settings) -> Plan:
@@ -83,41 +77,33 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     best: tuple[Segment, ...] | None = None
     for level in range(settings.levels):
         trees = search.start_trees(level)
+        spec = trees[0].spec
         result = search.search_level(trees, _path_length(best), prove=level == 0)
         if result.path is not None:
-            best = search.finish(result.path, trees[0].spec.moves)
-        if (
-            result.final
-            or search.is_spent
-            or (best is not None and not settings.improve)
-        ):
+            best = search.finish(result.path, spec.moves)
+        if result.proven or search.is_spent:
             break
-    spec = trees[0].spec
+        if best is not None and not settings.improve:
+            break
     expanded = settings.nodes - search.nodes
-    outcome = Outcome.UNREACHABLE
-    reason = result.reason
-    cell = (spec.cell, spec.sector)
+    if best is not None:
+        return Plan(Outcome.FOUND, "a free path", best, expanded)
+    if result.proven:
+        return Plan(Outcome.PROVEN_IMPOSSIBLE, result.reason, (), expanded)
     resolution = (
         f"at cells of {1000 * spec.cell:.3g} mm and {math.degrees(spec.sector):.3g}"
         " degrees"
     )
-    if best is not None:
-        outcome = Outcome.FOUND
-        reason = "a free path"
-    elif result.reason and not result.final:
+    if result.reason:
         reason = (
             f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
         )
-    elif not result.final:
-        outcome = Outcome.BUDGET_SPENT
+    else:
         reason = (
             f"neither a path nor a proof after {expanded} nodes, {resolution}; give"
             " more nodes or seconds"
         )
-    # A proof does not depend on the resolution.
-    tested = None if best is None and result.final else cell
-    kept = tuple(trees) if settings.keep else ()
-    return Plan(outcome, reason, best or (), expanded, tested, trees=kept)
+    return Plan(Outcome.NOT_FOUND, reason, (), expanded)
 
 
 @dataclass
@@ -222,63 +208,43 @@ class _Search:
         Args:
             trees: trees of the level; the guided tree is appended.
             best: length of the best path so far, m.
-            prove: whether to try proofs of infeasibility.
+            prove: whether to try to prove that no path exists.
         """
-        proofs = (COARSE, FINE) if prove else ()
         for turn in count():
             if self.is_spent:
                 break
-            # Proofs take longer than an easy search, so they are tried only after the
-            # first and second turn.
             nodes = min(_FIRST_TURN_NODES * 2 ** max(turn - 1, 0), _MAX_TURN_NODES)
+            reason = ""
             for tree in trees:
                 before = tree.expanded
                 arcs = tree.grow(max(1, min(nodes, self.nodes)), best)
                 self.nodes -= tree.expanded - before
                 if arcs is not None:
-                    # A backward path is reversed; its left turns become right turns.
-                    return _LevelResult(
-                        [(-c, length) for c, length in reversed(arcs)]
-                        if tree.backward
-                        else arcs
-                    )
-                if tree.exhausted and turn >= len(proofs):
-                    if tree.backward:
-                        end = "back from the goal"
-                    else:
-                        end = "on from the start"
-                    return _LevelResult(
-                        reason=f"no free arc leads {end} to an untested pose"
-                    )
+                    return _LevelResult(arcs)
+                if tree.exhausted:
+                    reason = f"no free arc leads {tree.way} to an untested pose"
                 if tree.exhausted or self.is_spent:
                     break
-            if turn < len(proofs) and (reason := self.infeasible(proofs[turn])):
-                return _LevelResult(reason=reason, final=True)
+            # The proof takes longer than an easy search, so it comes second.
+            if turn == 0 and prove and (why := self.proof()):
+                return _LevelResult(reason=why, proven=True)
+            if reason:
+                return _LevelResult(reason=reason)
             if turn == 0:
                 trees.append(self.guided_tree(trees[0].spec))
         return _LevelResult()
 
-    def infeasible(self, resolution: Resolution) -> str:
-        """Return the reason why no path exists; empty without a proof at this resolution."""
-        start = self.problem.start
-        goal = self.problem.goal
-        body = self.problem.footprint
-        if resolution is COARSE and is_disconnected(
-            start, goal, self.problem.world, body.narrowest
-        ):
+    def proof(self) -> str:
+        """Return the reason why no path of any shape exists; empty without a proof."""
+        problem = self.problem
+        clearance = problem.footprint.narrowest
+        if is_disconnected(problem.start, problem.goal, problem.world, clearance):
             return (
                 "no path of any shape: all passages between start and goal are"
-                f" narrower than {2 * body.narrowest:g} m, the smallest width of the"
+                f" narrower than {2 * clearance:g} m, the smallest width of the"
                 " footprint; move obstacles, or plan with a narrower footprint"
             )
-        end = prove_unreachable(start, goal, body, self.checker.grid, resolution)
-        if not end:
-            return ""
-        return (
-            f"no path with turns of radius {1 / max(body.tightest):.3g} m or more: the"
-            f" {end} has too little room to turn; reverse the heading of the {end}, or"
-            " plan with tighter turns"
-        )
+        return ""
 
     def finish(self, arcs: ArcSequence, moves: MoveSet) -> tuple[Segment, ...]:
         """Return the path as segments, shortened if the settings ask for it."""

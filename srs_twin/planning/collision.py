@@ -6,15 +6,15 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from srs_twin.planning.arcs import arc_collides
+from srs_twin.planning.arcs import Extent, arc_collides
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.path import Segment
-from srs_twin.robot.world import Bounds, Pose, World
+from srs_twin.robot.world import Pose, World
 
 if TYPE_CHECKING:
     import shapely
@@ -27,19 +27,29 @@ CLEARANCE_ERROR_M = 1e-4
 _MAX_GRID_CELLS = 256
 """Largest number of grid cells along a side: 256² cells of two integers take 1 MB."""
 
-_UNBOUNDED = Bounds((-math.inf, math.inf), (-math.inf, math.inf))
+_MIN_CELL_M = 1e-9
+"""Smallest side of a cell, m, for obstacles without extent."""
+
+
+class Box(NamedTuple):
+    """Bounds of a world, m; infinite where there are none."""
+
+    west: float = -math.inf
+    east: float = math.inf
+    south: float = -math.inf
+    north: float = math.inf
 
 
 class ObstacleGrid(NamedTuple):
-    """Obstacles and bounds as arrays, with a uniform grid for fast lookup.
+    """Obstacles and bounds, with a uniform grid for fast lookup.
 
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
         sides: x, y of both ends of the polygon sides, m, shape (m, 4).
-        bounds: minimum x, maximum x, minimum y, maximum y, m, shape (4,); infinite
-            without bounds.
-        origin: x and y of the grid's lower left corner and the side of its cells, m,
-            shape (3,).
+        bounds: bounds of the world.
+        west: x of the grid's left edge, m.
+        south: y of the grid's lower edge, m.
+        cell: side of a cell of the grid, m.
         cell_ranges: start and end of the items of each cell in `cell_items`, shape
             (columns, rows, 2).
         cell_items: numbers of the items that overlap each cell; circles first, then
@@ -48,63 +58,49 @@ class ObstacleGrid(NamedTuple):
 
     circles: np.ndarray
     sides: np.ndarray
-    bounds: np.ndarray
-    origin: np.ndarray
+    bounds: Box
+    west: float
+    south: float
+    cell: float
     cell_ranges: np.ndarray
     cell_items: np.ndarray
 
 
 def obstacle_grid(world: World) -> ObstacleGrid:
-    """Return the arrays of a world."""
-    circles = np.array(
-        [(c.x, c.y, c.radius) for c in world.obstacles], dtype=float
-    ).reshape(-1, 3)
+    """Return the obstacles and bounds of a world for the kernels."""
+    circles = [(c.x, c.y, c.radius) for c in world.obstacles]
     # The last side closes the polygon.
     rings = [(*p.corners, p.corners[0]) for p in world.polygons]
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
-    bounds = world.bounds or _UNBOUNDED
-    limits = np.array([*bounds.x, *bounds.y], dtype=float)
-    lines = np.array(sides, dtype=float).reshape(-1, 4)
-    return ObstacleGrid(circles, lines, limits, *build_grid(circles, lines))
-
-
-def build_grid(
-    circles: np.ndarray, sides: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return `origin`, `cell_ranges` and `cell_items` of an `ObstacleGrid`.
-
-    Args:
-        circles: as in `ObstacleGrid`.
-        sides: as in `ObstacleGrid`.
-    """
-    x, y, radius = circles.T
-    low = np.vstack(
-        [
-            np.column_stack([x - radius, y - radius]),
-            np.minimum(sides[:, :2], sides[:, 2:]),
-        ]
+    bounds = Box()
+    if world.bounds:
+        bounds = Box(*map(float, (*world.bounds.x, *world.bounds.y)))
+    return build_grid(
+        np.array(circles, dtype=float).reshape(-1, 3),
+        np.array(sides, dtype=float).reshape(-1, 4),
+        bounds,
     )
-    high = np.vstack(
-        [
-            np.column_stack([x + radius, y + radius]),
-            np.maximum(sides[:, :2], sides[:, 2:]),
-        ]
-    )
+
+
+def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleGrid:
+    """Return obstacles and bounds with the grid that holds them; see `ObstacleGrid`."""
+    radius = circles[:, 2:]
+    ends = sides.reshape(-1, 2, 2)
+    low = np.vstack([circles[:, :2] - radius, ends.min(axis=1)])
+    high = np.vstack([circles[:, :2] + radius, ends.max(axis=1)])
     count = len(low)
     if count == 0:
-        return (
-            np.array([0.0, 0.0, 1.0]),
-            np.zeros((0, 0, 2), dtype=np.int64),
-            np.zeros(0, dtype=np.int64),
-        )
-    origin = low.min(axis=0)
+        no_cells = np.zeros((0, 0, 2), dtype=np.int64)
+        no_items = np.zeros(0, dtype=np.int64)
+        return ObstacleGrid(circles, sides, bounds, 0.0, 0.0, 1.0, no_cells, no_items)
+    corner = low.min(axis=0)
     extent = np.ptp(np.vstack([low, high]), axis=0)
     # About four items per cell keep both the lists and the grid small.
-    cell = max(
-        float(extent.max()) / min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS), 1e-9
-    )
+    divisions = min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS)
+    cell = max(float(extent.max()) / divisions, _MIN_CELL_M)
     columns, rows = (int(side / cell) + 1 for side in extent)
-    begin, end = ((corner - origin) // cell for corner in (low, high))
+    begin = (low - corner) // cell
+    end = (high - corner) // cell
     items: list[list[int]] = [[] for _ in range(columns * rows)]
     for k, (west, south, east, north) in enumerate(
         np.hstack([begin, end]).astype(int).tolist()
@@ -112,14 +108,17 @@ def build_grid(
         for column in range(west, east + 1):
             for row in range(south, north + 1):
                 items[column * rows + row].append(k)
-    ends = np.cumsum([len(cell_list) for cell_list in items])
-    cell_ranges = np.stack([np.r_[0, ends[:-1]], ends], axis=-1).reshape(
-        columns, rows, 2
-    )
-    return (
-        np.array([*origin, cell]),
-        cell_ranges,
-        np.array([k for cell_list in items for k in cell_list], dtype=np.int64),
+    ends_of_cells = np.cumsum([len(cell_list) for cell_list in items])
+    ranges = np.stack([np.r_[0, ends_of_cells[:-1]], ends_of_cells], axis=-1)
+    return ObstacleGrid(
+        circles,
+        sides,
+        bounds,
+        float(corner[0]),
+        float(corner[1]),
+        cell,
+        ranges.reshape(columns, rows, 2),
+        np.array(list(chain.from_iterable(items)), dtype=np.int64),
     )
 
 
@@ -159,7 +158,7 @@ class Checker:
         motion = self.footprint.at(curvature)
         left = motion.left + wider[0]
         right = motion.right + wider[1]
-        extent = body.ahead, body.behind, left, right
+        extent = Extent(body.ahead, body.behind, left, right)
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
@@ -246,31 +245,6 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
     return shapes + [
         (f"polygon {k}", polygon, 0.0) for k, polygon in enumerate(polygons, start=1)
     ]
-
-
-def nearest_obstacles(world: World, points: np.ndarray) -> list[str]:
-    """Return the nearest obstacle of each point: "bounds", "obstacle 2", "polygon 1".
-
-    Args:
-        world: obstacles and bounds.
-        points: shape (k, 2), m.
-
-    Returns:
-        Names; empty strings in an empty world.
-    """
-    import shapely
-
-    x, y = points.T
-    names = [""]
-    distances = [np.full(len(points), np.inf)]
-    if world.bounds is not None:
-        (west, east), (south, north) = world.bounds.x, world.bounds.y
-        names.append("bounds")
-        distances.append(np.min([x - west, east - x, y - south, north - y], axis=0))
-    for name, core, radius in obstacle_shapes(world):
-        names.append(name)
-        distances.append(shapely.distance(shapely.points(points), core) - radius)
-    return [names[k] for k in np.argmin(distances, axis=0)]
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:

@@ -30,7 +30,6 @@ def plan(
     scenario: ScenarioArgument,
     out: OneOutOption = None,
     check: bool = False,
-    search: bool = False,
     changed: ChangeOptions = NO_CHANGES,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -39,8 +38,6 @@ def plan(
 
     Options:
         --check: Exit with 1 if an expectation of the plan fails or no plan is found.
-        --search: Also write a picture and a recording of the explored and rejected
-            arcs.
     """
     from srs_twin.cli.table import STATE_LABELS
     from srs_twin.planning.planned import PLAN, plan_scenario
@@ -50,7 +47,7 @@ def plan(
 
     loaded = load_scenario(scenario, set=changed.changes())
     folder = Path(out) if out else RUNS_FOLDER / loaded.name
-    planned = plan_scenario(loaded, out=folder, search=search)
+    planned = plan_scenario(loaded, out=folder)
     result = planned.plan
     metrics = planned.metrics
     checked = _check_expectations(loaded, metrics)

@@ -127,7 +127,7 @@ class FollowFile(ControllerSection):
             body=problem.footprint,
             world=problem.world,
             replan=None if planner.file.kind == "given" else planner.plan_from,
-            leans=planner.file.touch is not None,
+            leans=planner.touch_limits is not None,
         )
 
     def conditions(

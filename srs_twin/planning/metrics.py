@@ -175,7 +175,7 @@ def plan_metrics(
     """Return the metrics of a plan without a run."""
     from srs_twin.planning.problem import Outcome, Plan
 
-    plan = Plan(Outcome.FOUND if found else Outcome.STUCK, "", segments)
+    plan = Plan(Outcome.FOUND, "", segments)
     return {
         "plan_found": int(found),
         "plan_length_m": plan.length if found else None,

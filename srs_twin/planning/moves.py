@@ -13,7 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled, kernel_only
-from srs_twin.planning.arcs import ArcSequence, Primitives, arc_collides, arc_end
+from srs_twin.planning.arcs import (
+    ArcSequence,
+    Extent,
+    Primitives,
+    arc_collides,
+    arc_end,
+)
 from srs_twin.planning.collision import ObstacleGrid
 from srs_twin.planning.dubins import dubins_path
 from srs_twin.planning.footprint import Footprint
@@ -73,6 +79,9 @@ def make_move_set(primitives: Primitives, footprint: Footprint) -> MoveSet:
     """
     right, left = footprint.tightest
     both = min(right, left)
+    # The footprint refuses curvatures beyond its range.
+    for tightest in primitives.curvatures[[0, -1]]:
+        footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
     # Rounding merges equal curvatures; clipping keeps them within the footprint.
@@ -142,22 +151,19 @@ def follow_arc(state, move, length, moves, grid):  # type: ignore[no-untyped-def
     right = max(right, change[1])
     lasting = max(lasting, change[2])
     curvature = moves.curvatures[move]
-    ahead = moves.ahead
-    behind = moves.behind
+    steady = Extent(moves.ahead, moves.behind, moves.left[move], moves.right[move])
     # The first part of the arc has the wider edges, the rest the steady ones.
     first = min(lasting, length)
     free = True
     if first > 0:
-        wide = moves.left[move] + left, moves.right[move] + right
-        free = not arc_collides(
-            (x, y, heading), curvature, first, (ahead, behind, *wide), grid
+        wide = Extent(
+            steady.ahead, steady.behind, steady.left + left, steady.right + right
         )
+        free = not arc_collides((x, y, heading), curvature, first, wide, grid)
         x, y, heading = arc_end(x, y, heading, curvature, first)
     if free and first < length:
-        edges = moves.left[move], moves.right[move]
-        free = not arc_collides(
-            (x, y, heading), curvature, length - first, (ahead, behind, *edges), grid
-        )
+        rest = length - first
+        free = not arc_collides((x, y, heading), curvature, rest, steady, grid)
     x, y, heading = arc_end(x, y, heading, curvature, length - first)
     return free, (x, y, heading, move, left, right, lasting - first)
 

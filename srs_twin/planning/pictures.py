@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
@@ -35,12 +33,9 @@ from srs_twin.viewing.plots.style import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from srs_twin.planning.footprint import Footprint
     from srs_twin.planning.path import Segment
     from srs_twin.planning.problem import Plan, Problem
-    from srs_twin.planning.search_tree import SearchTrace
 
 _SPACING_M = 0.01
 """Distance between drawn points of a path, m."""
@@ -48,9 +43,6 @@ _SPACING_M = 0.01
 _FOOTPRINT_COLOUR = "#c9dcec"
 _PATH_COLOUR = STYLES["plan"].color
 _EDGE_COLOUR = "#78a5cd"
-_EXPLORED_COLOUR = "0.72"
-_REJECTED_COLOUR = "#d8746a"
-_PASSAGE_COLOUR = "#3a7d44"
 
 
 def segment_points(
@@ -122,35 +114,6 @@ def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figu
     """
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
-    return figure
-
-
-@drawing
-def search_plot(
-    problem: Problem, segments: Sequence[Segment], trace: SearchTrace
-) -> Figure:
-    """Return a plot of a plan with the arcs of its search; other arguments as for `plan_plot`."""
-    figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
-    counts = Counter(trace.reasons).most_common(3)
-    text = ", ".join(f"{count} at {name}" for name, count in counts)
-    rejected = f"{len(trace.rejected)} rejected arcs" + (f": {text}" if text else "")
-    for lines, color, zorder, label in (
-        (trace.arcs, _EXPLORED_COLOUR, 0.5, f"arcs to {trace.nodes} nodes"),
-        (trace.rejected, _REJECTED_COLOUR, 0.6, rejected),
-        (
-            trace.passages,
-            _PASSAGE_COLOUR,
-            0.7,
-            f"{len(trace.passages)} narrow passages",
-        ),
-    ):
-        # One collection per kind: a search has too many arcs for separate lines.
-        drawn = LineCollection(
-            list(lines), colors=color, linewidths=0.5, zorder=zorder, label=label
-        )
-        axes.add_collection(drawn, autolim=False)
-    axes.legend(loc="best", fontsize=8, frameon=False)
-    axes.set_title("Search: explored and rejected arcs, and the plan", fontsize=10)
     return figure
 
 
@@ -242,34 +205,6 @@ def plan_page(plan: Plan) -> str:
         Table(["", "unit", "value"], rows, [2]),
         path,
     )
-
-
-def write_search(path: Path, plan: Plan, trace: SearchTrace, title: str) -> None:
-    """Write a Rerun recording of a search: world, plan, explored and rejected arcs.
-
-    Args:
-        path: path of the file; an existing file is replaced.
-        plan: plan of the search.
-        trace: arcs of its trees.
-        title: name of the recording in the viewer.
-    """
-    from srs_twin.viewing.rerun.recording import write_floor
-    from srs_twin.viewing.rerun.scene import FORCE_COLOR
-
-    problem = plan.problem
-    assert problem is not None, "set by plan()"
-    lines = plan_lines(plan.segments, problem.footprint, asdict(problem.goal))
-    lines.append(FloorLine("search/explored", tuple(trace.arcs), "#aaaaaa", 0.0005))
-    lines.append(FloorLine("search/gates", tuple(trace.passages), GOAL_COLOR, 0.0015))
-    for reason in sorted(set(trace.reasons)):
-        pairs = zip(trace.rejected, trace.reasons, strict=True)
-        arcs = tuple(arc for arc, why in pairs if why == reason)
-        lines.append(
-            FloorLine(
-                f"search/rejected/{reason.replace(' ', '_')}", arcs, FORCE_COLOR, 0.0005
-            )
-        )
-    write_floor(path, title, problem.world, lines)
 
 
 def plan_lines(

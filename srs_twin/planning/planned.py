@@ -25,10 +25,7 @@ PLAN = "plan.json"
 """File of the plan."""
 PICTURE = "plan.png"
 """Picture of the plan."""
-SEARCH = "search.png"
-"""Picture of the search."""
-RECORDING = "search.rrd"
-"""Rerun recording of the search."""
+_FILES = (PLAN, PICTURE)
 
 
 @dataclass(frozen=True)
@@ -108,7 +105,6 @@ def plan_scenario(
     *,
     out: StrPath | None = None,
     set: Overrides = (),
-    search: bool = False,
 ) -> ScenarioPlan:
     """Plan the path of a scenario without simulating it, as `srs-twin plan`.
 
@@ -118,8 +114,6 @@ def plan_scenario(
         scenario: name or path of a scenario with a planner, or a loaded scenario.
         out: output folder; None: nothing is written.
         set: values that override fields of the scenario, see `load_scenario`.
-        search: whether the plan keeps its search trees, of which a picture and a
-            recording are written.
 
     Raises:
         InputError: the scenario is not valid or has no planner, or start or goal is not
@@ -131,21 +125,15 @@ def plan_scenario(
             f"{loaded.name}: there is no planner section; add planner, and"
             " controller.kind: follow"
         )
-    files = (PLAN, PICTURE, *((SEARCH, RECORDING) if search else ()))
     if out is not None:
-        check_output_folder(Path(out), files)
+        check_output_folder(Path(out), _FILES)
     with loaded.named_in_errors():
-        if search:
-            result = loaded.planner.plan_uncached(keep=True)
-        else:
-            result = loaded.planner.plan()
+        result = loaded.planner.plan()
     if out is None:
         return ScenarioPlan(loaded, result)
-    planned = ScenarioPlan(loaded, result, files)
-    with replace_files(Path(out), (PLAN, PICTURE, SEARCH, RECORDING)) as fresh:
+    planned = ScenarioPlan(loaded, result, _FILES)
+    with replace_files(Path(out), _FILES) as fresh:
         _write(fresh, planned)
-        if search:
-            _write_search(fresh, loaded.title, result)
     return planned
 
 
@@ -159,16 +147,3 @@ def _write(folder: Path, planned: ScenarioPlan) -> None:
     document = json.dumps(planned.document(), indent=2, allow_nan=False)
     (folder / PLAN).write_text(document + "\n", "utf-8")
     save(figure, folder / PICTURE, dpi=150)
-
-
-def _write_search(folder: Path, title: str, result: Plan) -> None:
-    """Write a picture and a Rerun recording of the search."""
-    from srs_twin.planning.pictures import search_plot, write_search
-    from srs_twin.planning.search_tree import trace_search
-    from srs_twin.viewing.plots.style import save
-
-    assert result.problem is not None, "set by plan()"
-    trace = trace_search(result.trees, result.problem.world)
-    figure = search_plot(result.problem, result.segments, trace)
-    save(figure, folder / SEARCH, dpi=150)
-    write_search(folder / RECORDING, result, trace, title)

@@ -24,23 +24,14 @@ from itertools import product
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.arguments import checked
 from srs_twin.planning.best_first import best_first
 from srs_twin.planning.collision import Checker, obstacle_shapes
 from srs_twin.planning.footprint import Footprint, Transient
-from srs_twin.planning.greedy import greedy
-from srs_twin.planning.infeasibility import COARSE, prove_unreachable
 from srs_twin.planning.path import Segment, path_from_arcs, path_steps
 from srs_twin.planning.problem import Plan, Problem, Settings, check_problem
 from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
-
-PLANNERS: dict[str, Callable[[Problem, Settings], Plan]] = {
-    "best_first": best_first,
-    "greedy": lambda problem, _: greedy(problem),
-}
-"""Planners by name."""
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
 """Widths added to both edges to find paths with more clearance, in widths of the straight body."""
@@ -57,39 +48,27 @@ _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
 
 
 @checked
-def plan(
-    problem: Problem, settings: Settings | None = None, *, planner: str = "best_first"
-) -> Plan:
+def plan(problem: Problem, settings: Settings | None = None) -> Plan:
     """Find a collision-free path.
 
     Args:
         problem: start, goal, world and body.
-        settings: budget and options of the search; ignored by `greedy`.
-        planner: `best_first`, or `greedy`, the planner of the dissertation.
+        settings: budget and options of the search.
 
     Raises:
         InputError: start or goal is in an obstacle or outside the bounds, or a number
             is not allowed.
-        UnknownNameError: the planner is unknown.
     """
-    if planner not in PLANNERS:
-        raise UnknownNameError("planner", planner, PLANNERS)
     settings = settings or Settings()
     touch = settings.touch_limits
-    if touch and planner != "best_first":
-        raise InputError(
-            f"planner '{planner}' keeps clear of obstacles; best_first can plan with"
-            " touch"
-        )
     firm = narrowed(problem, touch, 1.0) if touch else problem
     check_problem(firm)
     _compile()
     begun = time.perf_counter()
-    search = PLANNERS[planner]
     if touch:
-        result = plan_with_touch(search, problem, settings)
+        result = plan_with_touch(best_first, problem, settings)
     else:
-        result = search(problem, settings)
+        result = best_first(problem, settings)
     if result.found and settings.clearance_weight > 0:
         result = _lowest_cost(result, problem, settings)
     return replace(result, seconds=time.perf_counter() - begun, problem=firm)
@@ -139,8 +118,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 def _compile() -> None:
     """Compile the kernels or load them from the cache, so that neither counts against a time limit."""
     # A problem with obstacles in the way and a transient, because a straight path would
-    # not compile all kernels. It is solved without a proof that the goal is
-    # unreachable, so begin one.
+    # not compile all kernels.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -151,9 +129,6 @@ def _compile() -> None:
     start = Pose(0.0, 0.0, 0.0)
     goal = Goal(2.3, 0.0, 0.3, radius=0.05)
     best_first(Problem(start, goal, world, body), Settings())
-    prove_unreachable(
-        start, goal, body, Checker(world, body).grid, COARSE._replace(max_cells=1)
-    )
 
 
 def with_transitions(

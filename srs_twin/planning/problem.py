@@ -14,9 +14,8 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, obstacle_at
 from srs_twin.planning.footprint import Footprint, validate_footprint
-from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.free_space import min_path_length
 from srs_twin.planning.path import Segment, path_from_arcs
-from srs_twin.planning.search_tree import SearchTree
 from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
@@ -82,11 +81,9 @@ class Settings:
         clearance_weight: extra cost of one metre of path that touches an obstacle, m.
             The cost falls by a factor e per body width of clearance. Above 0, the
             search is repeated for wider bodies.
-        keep: whether to keep the search trees in the plan, to display them.
         improve: whether to continue at finer levels for a shorter path while the budget
             lasts.
-        touch_limits: limits and cost of leaning on obstacles, with `best_first` only;
-            None: keep clear.
+        touch_limits: limits and cost of leaning on obstacles; None: keep clear.
     """
 
     nodes: int = 200_000
@@ -96,7 +93,6 @@ class Settings:
     smooth: bool = True
     improve: bool = False
     clearance_weight: float = 0.0
-    keep: bool = False
     touch_limits: TouchLimits | None = None
 
     def __post_init__(self) -> None:
@@ -127,8 +123,7 @@ class Problem:
         goal: goal of the centre of mass.
         world: obstacles and bounds.
         footprint: area that the body covers, and its tightest turns.
-        primitives: motion primitives; None: chosen by `best_first`. `greedy` requires
-            them.
+        primitives: motion primitives; None: chosen by the planner.
     """
 
     start: Pose
@@ -222,16 +217,13 @@ class Outcome(StrEnum):
     """Outcome of planning; `Plan.reason` explains it.
 
     - FOUND: a collision-free path.
-    - UNREACHABLE: no path; the reason states whether this is proven or holds for the
-      tested poses only.
-    - BUDGET_SPENT: neither a path nor a proof within the budget.
-    - STUCK: every next arc of `greedy` is blocked.
+    - NOT_FOUND: neither a path nor a proof, within the budget or at the tested poses.
+    - PROVEN_IMPOSSIBLE: no path exists, because obstacles separate start and goal.
     """
 
     FOUND = "found"
-    UNREACHABLE = "unreachable"
-    BUDGET_SPENT = "budget_spent"
-    STUCK = "stuck"
+    NOT_FOUND = "not_found"
+    PROVEN_IMPOSSIBLE = "proven_impossible"
 
 
 @dataclass(frozen=True)
@@ -243,14 +235,10 @@ class Plan(HtmlResult):
         reason: explanation of the outcome, with a remedy.
         segments: arcs of the path; empty unless found.
         expanded: number of expanded nodes.
-        cell: side (m) and heading width (rad) of the finest cells that were searched;
-            None for `greedy` and proofs of infeasibility.
         touches: parts of the path that lean on obstacles; None unless
             `Settings.touch_limits` is set.
         seconds: wall time, s; not compared.
         problem: the problem, with the edges that must stay free; not compared.
-        trees: trees of the last search if `Settings.keep` is set, otherwise empty; not
-            compared.
     """
 
     page: ClassVar[str] = "plan"
@@ -259,11 +247,9 @@ class Plan(HtmlResult):
     reason: str
     segments: tuple[Segment, ...] = ()
     expanded: int = 0
-    cell: tuple[float, float] | None = None
     touches: tuple[Touch, ...] | None = None
     seconds: float = field(default=0.0, compare=False)
     problem: Problem | None = field(default=None, compare=False, repr=False)
-    trees: tuple[SearchTree, ...] = field(default=(), compare=False, repr=False)
 
     @cached_property
     def least_length(self) -> float:
@@ -278,11 +264,6 @@ class Plan(HtmlResult):
     def found(self) -> bool:
         """Whether a path was found."""
         return self.outcome is Outcome.FOUND
-
-    @property
-    def proven(self) -> bool:
-        """Whether it is proven that no path exists at any resolution."""
-        return self.outcome is Outcome.UNREACHABLE and self.cell is None
 
     @property
     def length(self) -> float:
@@ -303,7 +284,7 @@ class Plan(HtmlResult):
 
     @property
     def kink(self) -> float:
-        """Largest heading jump between segments, rad; 0 for all planners except `greedy`."""
+        """Largest heading jump between segments, rad; 0 for a path that the snake can follow."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from pydantic import Field, model_validator
 
@@ -72,19 +72,12 @@ class PlannerSection(ExtensionSection):
     margin_probability: float | None = quantity(0.5, 0.999, None)
     """Probability that a whole run stays within the margin, by the excursions in the footprint file;
     instead of margin_m."""
-    touch: Literal["allowed"] | None = None
-    """allowed: the path may lean on obstacles where the body can pass (best_first; default: keep clear)."""
 
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
         if self.margin_m is not None and self.margin_probability is not None:
             raise ValueError(
                 "margin_m and margin_probability both set the margin; remove one"
-            )
-        if self.touch and self.kind != "best_first":
-            raise ValueError(
-                f"kind: {self.kind} cannot lean on obstacles; remove touch, or use"
-                " best_first"
             )
         return self
 
@@ -102,15 +95,6 @@ class PlannerSection(ExtensionSection):
                 "there is no motion to plan on a bench; remove planner or bench",
                 True,
             )
-        if self.kind != "given" and file.world.goal is None:
-            yield ("planner",), f"kind: {self.kind} needs world.goal", True
-        analytical = file.plants.analytical
-        if self.touch and analytical and not analytical.touch:
-            text = (
-                "touch: allowed needs plants that touch obstacles; set model: compliant"
-                " and touch: true"
-            )
-            yield ("plants", "analytical"), f"{text}, or remove analytical", True
 
     def prepare(self, loading: Loading) -> ScenarioPlanner | None:
         """See `ExtensionSection.prepare`."""
@@ -149,14 +133,9 @@ class PlannerSection(ExtensionSection):
                 self._conditions(loading),
             )
         reduced = validate_footprint(robot.reduced(self.turn_share, margin.path))
-        arcs = getattr(self, "primitives", None)
         goal = self.goal(start, world.goal, reduced)
-        problem = Problem(start, goal, world, reduced, arcs.build() if arcs else None)
-        if self.touch:
-            limits = touch_limits(loading.robot.spec(), robot)
-        else:
-            limits = None
-        return ScenarioPlanner(self, robot, problem, margin, limits)
+        problem = Problem(start, goal, world, reduced)
+        return ScenarioPlanner(self, robot, problem, margin)
 
     def _conditions(self, loading: Loading) -> list[ConditionsFile]:
         """Return the conditions of following on each plant."""
@@ -184,55 +163,30 @@ class PlannerSection(ExtensionSection):
         return goal
 
     @abstractmethod
-    def find(self, problem: Problem, wider: float = 0.0, **settings: Any) -> Plan:
+    def find(
+        self, problem: Problem, wider: float = 0.0, limits: TouchLimits | None = None
+    ) -> Plan:
         """Return the plan of a problem.
 
         Args:
             problem: the problem.
             wider: additional width of the footprint on the straight run-up, m.
-            **settings: fields of `Settings` that the section does not set; a given path
-                has none.
+            limits: limits of leaning on obstacles; None: keep clear.
 
         Raises:
             InputError: start or goal is not possible.
         """
 
 
-class _SearchFile(PlannerSection):
-    """Base class of the planners that search, with an optional straight run-up."""
+class BestFirstFile(PlannerSection):
+    """Best-first search from start and goal, with an optional straight run-up."""
 
     constructors = (Settings,)
 
+    touch: Literal["allowed"] | None = None
+    """allowed: the path may lean on obstacles where the body can pass (default: keep clear)."""
     run_up_m: float = quantity(0.0, 100.0, 0.0)
     """Length of a straight run-up at the start of the path, over which the gait becomes steady."""
-
-    def find(self, problem: Problem, wider: float = 0.0, **settings: Any) -> Plan:
-        """See `PlannerSection.find`."""
-        begin = path_from_arcs(problem.start, [(0.0, self.run_up_m)], problem.footprint)
-        if begin:
-            checker = Checker(problem.world, problem.footprint)
-            if hit := checker.first_collision(problem.start, self.run_up_m, wider):
-                raise InputError(
-                    f"the straight run-up of {self.run_up_m:g} m touches {hit}; set a"
-                    " shorter run_up_m"
-                )
-            # The run-up is fixed, so the search starts at its end.
-            problem = replace(problem, start=begin[-1].end)
-        return self.search(problem, replace(self.build(), **settings), begin)
-
-    def search(
-        self, problem: Problem, settings: Settings, begin: tuple[Segment, ...]
-    ) -> Plan:
-        """Return the plan of a problem, with fixed first segments `begin`."""
-        result = plan(problem, settings, planner=self.kind)
-        if result.found:
-            return result.after(begin)
-        return result
-
-
-class BestFirstFile(_SearchFile):
-    """Best-first search from start and goal."""
-
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
     kind: Literal["best_first"]
@@ -263,24 +217,51 @@ class BestFirstFile(_SearchFile):
                 )
         return self
 
-    def search(
-        self, problem: Problem, settings: Settings, begin: tuple[Segment, ...]
+    def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
+        """See `ExtensionSection.contradictions_with`."""
+        yield from super().contradictions_with(file)
+        if file.world.goal is None:
+            yield ("planner",), "kind: best_first needs world.goal", True
+        analytical = file.plants.analytical
+        if self.touch and analytical and not analytical.touch:
+            text = (
+                "touch: allowed needs plants that touch obstacles; set model: compliant"
+                " and touch: true, or remove analytical"
+            )
+            yield ("plants", "analytical"), text, True
+
+    def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
+        """See `PlannerSection._planner`."""
+        planner = super()._planner(footprint, loading)
+        if self.primitives:
+            problem = replace(planner.problem, primitives=self.primitives.build())
+            planner = replace(planner, problem=problem)
+        if self.touch:
+            limits = touch_limits(loading.robot.spec(), planner.footprint)
+            planner = replace(planner, touch_limits=limits)
+        return planner
+
+    def find(
+        self, problem: Problem, wider: float = 0.0, limits: TouchLimits | None = None
     ) -> Plan:
-        """See `_SearchFile.search`."""
+        """See `PlannerSection.find`."""
+        begin = path_from_arcs(problem.start, [(0.0, self.run_up_m)], problem.footprint)
+        if begin:
+            checker = Checker(problem.world, problem.footprint)
+            if hit := checker.first_collision(problem.start, self.run_up_m, wider):
+                raise InputError(
+                    f"the straight run-up of {self.run_up_m:g} m touches {hit}; set a"
+                    " shorter run_up_m"
+                )
+            # The run-up is fixed, so the search starts at its end.
+            problem = replace(problem, start=begin[-1].end)
+        settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
             return plan_with_transitions(problem, settings, begin)
-        return super().search(problem, settings, begin)
-
-
-class GreedyFile(_SearchFile):
-    """Search of the dissertation: the best arc of each side in turn, without backtracking."""
-
-    kind: Literal["greedy"]
-    """Planner."""
-    primitives: PrimitivesFile = PrimitivesFile(
-        count=21, turn_rad=math.pi / 3, length_m=0.2
-    )
-    """Motion primitives (default: those of Section 5.2: 21 arcs of 0.2 m with turns up to 60 degrees)."""
+        result = plan(problem, settings)
+        if result.found:
+            return result.after(begin)
+        return result
 
 
 class GivenFile(PlannerSection):
@@ -299,8 +280,10 @@ class GivenFile(PlannerSection):
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
-    def find(self, problem: Problem, wider: float = 0.0, **settings: Any) -> Plan:
-        """See `PlannerSection.find`."""
+    def find(
+        self, problem: Problem, wider: float = 0.0, limits: TouchLimits | None = None
+    ) -> Plan:
+        """See `PlannerSection.find`; obstacles are ignored."""
         return Plan(
             Outcome.FOUND,
             "the path is given",
@@ -315,12 +298,10 @@ class GivenFile(PlannerSection):
         )
 
 
-PlannerFile = Annotated[
-    BestFirstFile | GreedyFile | GivenFile, Field(discriminator="kind")
-]
+PlannerFile = Annotated[BestFirstFile | GivenFile, Field(discriminator="kind")]
 PLANNER_FILES: dict[str, type[PlannerSection]] = {
     get_args(section.model_fields["kind"].annotation)[0]: section
-    for section in (BestFirstFile, GreedyFile, GivenFile)
+    for section in (BestFirstFile, GivenFile)
 }
 """Section of each kind of planner."""
 
@@ -351,12 +332,10 @@ class ScenarioPlanner:
         """
         return _plan(self)
 
-    def plan_uncached(self, *, keep: bool = False) -> Plan:
-        """Compute the plan without the cache, optionally with its search trees; raises as `plan`."""
+    def plan_uncached(self) -> Plan:
+        """Compute the plan without the cache; raises as `plan`."""
         wider = max(self.margin.run_up - self.margin.path, 0.0)
-        return self.file.find(
-            self.problem, wider, keep=keep, touch_limits=self.touch_limits
-        )
+        return self.file.find(self.problem, wider, self.touch_limits)
 
     def plan_from(self, pose: Pose, share: float = 1.0) -> Plan:
         """Return a plan from another pose, with a fraction of the margin and no run-up; raises as `plan`."""

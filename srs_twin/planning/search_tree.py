@@ -1,27 +1,21 @@
-"""Search trees: resumable best-first search from the start or from the goal, and a trace for display."""
+"""Search trees: resumable best-first search from the start or from the goal."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 
-from srs_twin.planning.arcs import ArcSequence, arc_end
-from srs_twin.planning.collision import nearest_obstacles
+from srs_twin.planning.arcs import ArcSequence
 from srs_twin.planning.dubins import shortest_path
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.moves import follow_arc
 from srs_twin.planning.search_kernels import (
     ARRIVED,
     CONNECTED,
     EXHAUSTED,
     EXPANDED,
     FULL,
-    NODES,
-    OPEN,
     Frontier,
     SearchSpec,
     Target,
@@ -30,7 +24,7 @@ from srs_twin.planning.search_kernels import (
     enlarged,
     expand,
 )
-from srs_twin.robot.world import Goal, Pose, World
+from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
 """Initial capacity, nodes: enough for easy problems; it is enlarged when needed."""
@@ -44,12 +38,6 @@ where the Dubins length is larger by a full turn."""
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
 """Coordinates of backward start positions in units of the goal's radius, so small that corners are within
 it."""
-
-_ARC_POINTS = 5
-"""Points of an arc in a trace."""
-
-MAX_TRACED_NODES = 3000
-"""Nodes of a search whose rejected arcs are traced."""
 
 
 def make_target(goal: Goal, footprint: Footprint) -> Target:
@@ -81,12 +69,22 @@ class SearchTree:
             add_root(self.frontier, *root, spec)
 
     @property
+    def way(self) -> str:
+        """Direction of the tree in words."""
+        if self.backward:
+            return "back from the goal"
+        return "on from the start"
+
+    @property
     def expanded(self) -> int:
         """Number of expanded nodes."""
         return int(self.frontier.counts[EXPANDED])
 
     def grow(self, count: int, best: float) -> ArcSequence | None:
-        """Expand up to `count` nodes; return the arcs of a plan shorter than `best` (m), or None."""
+        """Expand up to `count` nodes; return the arcs of a plan shorter than `best` (m), or None.
+
+        The arcs lead from the start to the goal, whatever the direction of the tree.
+        """
         until = self.expanded + count
         while True:
             event, node = expand(self.frontier, self.spec, best, until - self.expanded)
@@ -94,9 +92,13 @@ class SearchTree:
                 break
             self.frontier = enlarged(self.frontier)
         self.exhausted = event == EXHAUSTED
-        if event in (CONNECTED, ARRIVED):
-            return self._path(int(node), connected=event == CONNECTED)
-        return None
+        if event not in (CONNECTED, ARRIVED):
+            return None
+        arcs = self._path(int(node), connected=event == CONNECTED)
+        if self.backward:
+            # Left turns of the reversed path are right turns.
+            return [(-curvature, length) for curvature, length in reversed(arcs)]
+        return arcs
 
     def _path(self, node: int, *, connected: bool) -> ArcSequence:
         """Return the arcs from the root to a node, if connected followed by the Dubins path to the goal."""
@@ -153,90 +155,3 @@ def goal_poses(goal: Goal, sector: float) -> list[Pose]:
 def turned_around(pose: Pose) -> Pose:
     """Return a pose with the opposite heading."""
     return Pose(pose.x, pose.y, pose.heading + math.pi)
-
-
-@dataclass(frozen=True)
-class SearchTrace:
-    """Explored and rejected arcs of a search, for display; all in m.
-
-    Attributes:
-        arcs: arcs that lead to a node, shape (n, points, 2); entries of narrow passages
-            are straight lines.
-        passages: start and end of the straight path through each narrow passage, shape
-            (g, 2, 2).
-        rejected: arcs that collide, shape (m, points, 2).
-        reasons: name of the obstacle that each rejected arc touches.
-        nodes: number of created nodes.
-    """
-
-    arcs: np.ndarray
-    passages: np.ndarray
-    rejected: np.ndarray
-    reasons: tuple[str, ...]
-    nodes: int
-
-
-def trace_search(trees: Sequence[SearchTree], world: World) -> SearchTrace:
-    """Return the trace of a search.
-
-    Rejected arcs are not stored during the search, so the collision checks of expanded
-    nodes are repeated.
-
-    Args:
-        trees: trees at the end of the search.
-        world: obstacles and bounds.
-    """
-    arcs = []
-    rejected = []
-    passages = np.empty((0, 4))
-    for tree in trees:
-        frontier = tree.frontier
-        moves = tree.spec.moves
-        count = int(frontier.counts[NODES])
-        open_nodes = set(frontier.heap[: int(frontier.counts[OPEN])].tolist())
-        for node in range(count):
-            parent, move = (int(link) for link in frontier.links[node])
-            if parent >= 0:
-                begin = frontier.nodes[parent]
-                straight = np.linspace(begin[:2], frontier.nodes[node, :2], _ARC_POINTS)
-                arcs.append(
-                    straight
-                    if move < 0
-                    else _arc_points(begin, moves.curvatures[move], moves.length)
-                )
-        closed = [node for node in range(count) if node not in open_nodes]
-        for node in closed[: MAX_TRACED_NODES // len(trees)]:
-            pose = frontier.nodes[node]
-            # A passage (a negative move) ends straight.
-            before = max(int(frontier.links[node, 1]), -1)
-            state = (
-                *pose[:3],
-                before if before >= 0 else int(moves.dubins_moves[0, 1]),
-                *pose[5:8],
-            )
-            for move in moves.primitives:
-                if not follow_arc(state, move, moves.length, moves, tree.spec.grid)[0]:
-                    rejected.append(
-                        _arc_points(pose, moves.curvatures[move], moves.length)
-                    )
-        passages = np.vstack([passages, tree.spec.passages])
-    ends = [
-        arc_end(x, y, heading, 0.0, length)[:2] for x, y, heading, length in passages
-    ]
-    collided = np.array(rejected).reshape(-1, _ARC_POINTS, 2)
-    return SearchTrace(
-        np.array(arcs).reshape(-1, _ARC_POINTS, 2),
-        np.stack([passages[:, :2], np.array(ends).reshape(-1, 2)], axis=1),
-        collided,
-        tuple(nearest_obstacles(world, collided[:, -1])),
-        sum(int(tree.frontier.counts[NODES]) for tree in trees),
-    )
-
-
-def _arc_points(pose: np.ndarray, curvature: float, length: float) -> np.ndarray:
-    return np.array(
-        [
-            arc_end(*pose[:3], curvature, s)[:2]
-            for s in np.linspace(0.0, length, _ARC_POINTS)
-        ]
-    )

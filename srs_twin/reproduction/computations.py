@@ -184,49 +184,6 @@ def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
     )
 
 
-def planner_success(planner: str, draws: int) -> Numbers:
-    """Return the success rates of a planner in the field of Fig. 54 with 1 to 18 obstacles (Fig. 55).
-
-    Args:
-        planner: "greedy", the dissertation's, or "best_first".
-        draws: number of random fields for each number of obstacles.
-
-    Returns:
-        ``count_1`` … ``count_18``: success rates, the fraction of fields with a path.
-        ``trend``: rank correlation of the success rate with the number of obstacles, −1
-        if the rate decreases at every step.
-    """
-    from scipy.stats import spearmanr
-
-    from srs_twin.planning.arcs import Primitives
-    from srs_twin.planning.footprint_file import load_footprint
-    from srs_twin.planning.planner import plan
-    from srs_twin.planning.problem import Problem
-    from srs_twin.robot.world import FIG54_GOAL, FIG54_SITES, FIG54_START, fig54_world
-
-    body = load_footprint("gen2_section52")
-    if planner == "greedy":
-        arcs = Primitives(21, math.pi / 3, 0.2)
-    else:
-        arcs = None
-    counts = range(1, len(FIG54_SITES) + 1)
-    shares = []
-    for count in counts:
-        problems = (
-            Problem(FIG54_START, FIG54_GOAL, fig54_world(count, k), body, arcs)
-            for k in range(draws)
-        )
-        shares.append(
-            sum(plan(problem, planner=planner).found for problem in problems) / draws
-        )
-    trend = float(spearmanr(list(counts), shares).statistic)
-    numbers: Numbers = {
-        f"alone.count_{count}": share
-        for count, share in zip(counts, shares, strict=True)
-    }
-    return numbers | {"alone.trend": None if math.isnan(trend) else trend}
-
-
 def contact_force(
     robot: str, frequency_hz: float, force_n: float, connector: float
 ) -> Numbers:

@@ -241,25 +241,6 @@ def _paths(store: RunStore, entry: FigureEntry) -> Figure:
     return figure
 
 
-def _success(store: RunStore, entry: FigureEntry) -> Figure:
-    """Draw the planner's success rate over the number of obstacles (Fig. 55)."""
-    (job,) = store.jobs(entry.of[0])
-    row = store.row(job.key)
-    if row:
-        shares = {
-            count: row.values.get(f"alone.count_{count}") for count in range(1, 19)
-        }
-    else:
-        shares = {}
-    known = {count: share for count, share in shares.items() if share is not None}
-    figure, (axes,) = panels(3.2)
-    axes.plot([*known], [*known.values()], color="0.2", marker="o", markersize=4)
-    axes.set_ylim(0, 1.05)
-    title = "The dissertation's greedy search, 50 draws per number of obstacles"
-    finish(axes, "share of draws with a path", "obstacles", title=title)
-    return figure
-
-
 DRAWINGS: Mapping[str, Drawing] = {
     "above": _from_runs_and_robot(plan_view),
     "bends": _from_runs(bend_plot),
@@ -270,7 +251,6 @@ DRAWINGS: Mapping[str, Drawing] = {
     "readings": _from_runs(_readings),
     "speed": _from_runs(speed_plot),
     "step": _from_runs_and_robot(_step),
-    "success": _success,
     "sweep": _sweep,
     "tail": _from_runs(_tail),
     "tracking": _from_runs(tracking_plot),

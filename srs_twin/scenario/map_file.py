@@ -1,14 +1,12 @@
 """Obstacles from ROS occupancy maps and from CSV lists of circles.
 
 A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the
-pose of its lower left corner. With the mean c of the colour channels and the value w of
-white (255, 65535 or the maxval of a PGM file), the occupancy of a pixel is (w − c)/w,
-or c/w with `negate`. A cell is free
+pose of its lower left corner. With the mean c of red, green and blue of a pixel, 0 to
+255, its occupancy is (255 − c)/255, or c/255 with `negate`. A cell is free
 
-- in mode ``trinary`` if occupancy < `free_thresh`. In a picture with transparency, c is
-  the mean of red, green, blue and alpha, as in ROS;
+- in mode ``trinary`` if occupancy < `free_thresh`;
 - in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
-  `free_thresh`) rounds to 0 or less and the pixel is opaque.
+  `free_thresh`) rounds to 0 or less.
 
 All other cells are obstacles, including unknown ones, which the snake must not enter.
 """
@@ -16,10 +14,8 @@ All other cells are obstacles, including unknown ones, which the snake must not 
 from __future__ import annotations
 
 import csv
-import io
 import math
 import re
-import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -40,18 +36,15 @@ MAX_PIXELS = 25_000_000
 MAX_RECTANGLES = 20_000
 """Largest number of obstacles: each one costs a plan 1 ms, and a run of the twin 2 ms and 40 kB."""
 
-_PNG = b"\x89PNG\r\n\x1a\n"
-"""Signature of PNG files."""
-_PGM = re.compile(
-    rb"P([25])" + 3 * rb"(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})" + rb"(?:#[^\r\n]*)?\s"
+_MODES = ("1", "L", "P", "RGB")
+"""Pillow's modes of opaque pictures with at most 8 bits a channel."""
+_DEPTH_BYTE = 24
+"""Place of the bits a channel in a PNG file; Pillow reads colours of 16 bits as 8."""
+_ALLOWED = (
+    "a PNG or PGM picture of at most 8 bits a channel, without transparency, is allowed"
 )
-"""Header of PGM files: format, width, height and maxval, with comments."""
-_OTHERS = re.compile(
-    rb"(?P<PBM>P[14]\s)|(?P<PPM>P[36]\s)|(?P<JPEG>\xff\xd8\xff)|(?P<BMP>BM)|(?P<GIF>GIF8)|(?P<PDF>%PDF)|"
-    rb"(?P<TIFF>II\*\0|MM\0\*)|(?P<EPS>%!PS|\xc5\xd0\xd3\xc6)|(?P<WebP>RIFF.{4}WEBP)",
-    re.DOTALL,
-)
-"""Signatures of other formats, for error messages."""
+_WHITE = 3 * 255
+"""Sum of red, green and blue of a white pixel."""
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
 _QUOTED_LIST = re.compile(
     rf"\s*\[?\s*{_NUMBER.pattern}(?:\s*,\s*{_NUMBER.pattern}){{2}}\s*\]?\s*"
@@ -119,24 +112,18 @@ class MapFile(StrictModel):
                 f"must be below occupied_thresh, {self.occupied_thresh:g}",
             )
 
-    def blocked(
-        self, colour: np.ndarray, alpha: np.ndarray | None, white: int
-    ) -> np.ndarray:
-        """Return a mask of occupied and unknown cells; the arguments are the results of `_picture`."""
-        whole = 3 * white
-        if self.mode == "trinary" and alpha is not None:
-            colour = colour + alpha
-            whole = 4 * white
-        levels = np.arange(whole + 1)
-        above = (levels if self.negate else whole - levels) / whole - self.free_thresh
-        occupied = above >= 0
-        if self.mode != "trinary":
-            occupied = (
-                200 * above > self.occupied_thresh - self.free_thresh
-            )  # not rounded to 0 %
+    def blocked(self, colour: np.ndarray) -> np.ndarray:
+        """Return a mask of occupied and unknown cells; `colour` is red + green + blue of each."""
+        levels = np.arange(_WHITE + 1)
+        if not self.negate:
+            levels = levels[::-1]
+        above = levels / _WHITE - self.free_thresh
+        if self.mode == "trinary":
+            occupied = above >= 0
+        else:
+            # Not rounded to 0 %.
+            occupied = 200 * above > self.occupied_thresh - self.free_thresh
         wall: np.ndarray = occupied[colour]
-        if self.mode != "trinary" and alpha is not None:
-            wall |= alpha < white
         return wall
 
 
@@ -154,7 +141,7 @@ def read_map(path: Path) -> tuple[Polygon, ...]:
     rectangles: list[list[int]] = []
     if file := validate(MapFile, document, document.data):
         with document.report_errors("image"):
-            rectangles = _rectangles(file.blocked(*_picture(Path(file.image)))[::-1])
+            rectangles = _rectangles(file.blocked(_colours(Path(file.image)))[::-1])
     document.raise_problems()
     assert file is not None, "no problem was reported"
     size, (x, y, turn) = file.resolution, file.origin
@@ -215,119 +202,38 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     return tuple(circles)
 
 
-def _picture(path: Path) -> tuple[np.ndarray, np.ndarray | None, int]:
-    """Return red + green + blue and alpha of shape (rows, columns), and the value of white.
-
-    Alpha is None for an opaque picture.
+def _colours(path: Path) -> np.ndarray:
+    """Return red + green + blue of each pixel, shape (rows, columns).
 
     Raises:
-        InputError: the file is not a PNG or PGM file, is damaged, or is too large.
+        InputError: the file is no allowed picture, is damaged, or is too large.
     """
-    name = display_path(
-        require_file(path, suffix=".png" if path.suffix == ".png" else ".pgm")
-    )
-    header = None
+    from PIL import Image, UnidentifiedImageError
+
+    name = display_path(require_file(path, suffix=".pgm"))
+    too_large = f"1 to {MAX_PIXELS:,} pixels are allowed; crop it or reduce its size"
     try:
         with path.open("rb") as stream:
-            raw = stream.read(2**16)
-            if raw.startswith(_PNG):
-                width, height = struct.unpack_from(">II", raw.ljust(24, b"\0"), 16)
-            elif header := _PGM.match(raw):
-                width = int(header[2])
-                height = int(header[3])
-            else:
-                other = _OTHERS.match(raw)
-                if other:
-                    what = f"{other.lastgroup} is not read"
-                else:
-                    what = "neither PNG nor PGM"
-                raise InputError(f"{name}: {what}; save it as PNG or PGM")
+            depth = stream.read(_DEPTH_BYTE + 1)[_DEPTH_BYTE:]
+            picture = Image.open(stream, formats=["PNG", "PPM"])
+            width, height = picture.size
             if not 0 < width * height <= MAX_PIXELS:
-                allowed = f"1 to {MAX_PIXELS:,} are allowed; crop it or reduce its size"
-                raise InputError(f"{name}: {width} x {height} pixels; {allowed}")
-            # A pixel takes at most 8 bytes in a PNG file, and 5 digits with blanks in a
-            # text PGM file.
-            raw += stream.read(12 * width * height + 2**24)
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read ({error.strerror})") from error
-    try:
-        values, white = (
-            _decoded_pgm(raw, header) if header else _decoded_png(raw, (width, height))
-        )
+                raise InputError(f"{name}: {width} x {height} pixels; {too_large}")
+            is_deep = picture.format == "PNG" and depth > b"\x08"
+            is_clear = picture.has_transparency_data
+            if is_deep or is_clear or picture.mode not in _MODES:
+                raise InputError(f"{name}: {_ALLOWED}")
+            return np.asarray(picture.convert("RGB")).sum(axis=2, dtype=np.uint32)
+    except InputError:
+        raise
+    except UnidentifiedImageError:
+        raise InputError(f"{name}: {_ALLOWED}") from None
+    except Image.DecompressionBombError:
+        raise InputError(f"{name}: {too_large}") from None
     except Exception as error:  # decoders may raise any exception for a damaged file
-        reason = re.sub(" <.*", "", str(error))  # without the stream that Pillow names
         raise InputError(
-            f"{name}: damaged ({reason}); save it again as PNG or PGM"
+            f"{name}: damaged ({error}); save it again as PNG or PGM"
         ) from error
-    channels = values.shape[2]
-    colour = values[..., : 3 if channels > 2 else 1].sum(axis=2, dtype=np.uint32)
-    return (
-        colour * (1 if channels > 2 else 3),
-        None if channels % 2 else values[..., -1],
-        white,
-    )
-
-
-def _decoded_pgm(raw: bytes, header: re.Match[bytes]) -> tuple[np.ndarray, int]:
-    """Return pixels of shape (rows, columns, 1) and maxval; Pillow would round the grey levels."""
-    width, height, white = (int(number) for number in header.groups()[1:])
-    if not 0 < white < 65536:
-        raise ValueError(f"maxval {white}; 1 to 65535 is allowed")
-    if header[1] == b"5":
-        grey = np.frombuffer(
-            raw, ">u2" if white > 255 else "u1", width * height, header.end()
-        )
-    else:
-        text = re.sub(rb"#[^\r\n]*", b"", raw[header.end() :])
-        if text.translate(None, b"0123456789 \t\n\v\f\r"):
-            raise ValueError("not all pixels are numbers")
-        grey = np.fromstring(text, np.int64, sep=" ")[: width * height]
-    if (highest := grey.max(initial=0)) > white:
-        raise ValueError(f"grey level {highest} above maxval {white}")
-    return grey.reshape(height, width, 1), white
-
-
-def _decoded_png(raw: bytes, size: tuple[int, int]) -> tuple[np.ndarray, int]:
-    """Return pixels of shape (rows, columns, channels) and the value of white.
-
-    The channels are grey or RGB, with or without alpha.
-    """
-    from PIL import Image
-
-    def opened(raw_mode: str = "") -> Image.Image:
-        picture = Image.open(io.BytesIO(raw), formats=["PNG"])
-        if picture.size != size:
-            raise ValueError("two headers")
-        if raw_mode:
-            picture.tile = [tile._replace(args=raw_mode) for tile in picture.tile]
-        return picture
-
-    depth, kind = raw[24:26]
-    picture = opened()
-    if depth in (2, 4) and kind == 0 and "transparency" in picture.info:
-        picture.info["transparency"] *= 255 // (
-            2**depth - 1
-        )  # Pillow scales the pixels only
-    if depth < 16:
-        return (
-            np.asarray(
-                picture.convert("RGBA" if picture.has_transparency_data else "RGB")
-            ),
-            255,
-        )
-    # Pillow returns the upper bytes of 16-bit colours; read as little-endian, it
-    # returns the lower bytes.
-    if kind == 0:
-        values = np.asarray(picture)[..., None]
-    elif kind == 4:
-        values = np.asarray(opened("RGBA")).view(">u2")
-    else:
-        lower = np.asarray(opened("RGBA;16L" if kind == 6 else "RGB;16L"))
-        values = np.asarray(picture).astype(np.uint16) << 8 | lower
-    if "transparency" in picture.info:  # one transparent colour
-        clear = (values == np.array(picture.info["transparency"])).all(axis=2)
-        values = np.dstack([values, np.where(clear, 0, 65535)])
-    return values, 65535
 
 
 def _rectangles(full: np.ndarray) -> list[list[int]]:

@@ -32,7 +32,7 @@ class Bench(srs.Plant):
 
 
 def turned(problem: srs.Problem) -> srs.Plan:
-    return srs.plan(problem, planner="greedy")
+    return srs.plan(problem)
 
 
 def commands(fits: list[str], folder: str) -> None:

@@ -289,19 +289,27 @@ FOLLOWING_MALFORMED = edited(
         (
             "kind: best_first",
             "kind: best",
-            "planner.kind: must be one of best_first, greedy, given",
+            "planner.kind: must be best_first or given",
         ),
         (
             "kind: best_first",
             "kind: ompl",
             (
-                "planner.kind: must be one of best_first, greedy, given, not text"
+                "planner.kind: must be best_first or given, not text"
                 " 'ompl': it was retired"
             ),
         ),
         (
             "kind: best_first",
             "kind: greedy",
+            (
+                "planner.kind: must be best_first or given, not text"
+                " 'greedy': it was retired"
+            ),
+        ),
+        (
+            "kind: best_first",
+            "kind: given, turns_rad: [0], step_m: 1",
             "planner.nodes: unknown key; allowed: footprint, turn_share",
         ),
         ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
@@ -572,7 +580,7 @@ FOLLOWERS = varied(
                     "run_up_m": 0.2,
                 },
                 {
-                    "kind": "greedy",
+                    "kind": "best_first",
                     "primitives": {"count": 5, "turn_rad": 0.3, "length_m": 0.4},
                 },
                 {"kind": "given", "turns_rad": [0.2, -0.3, 0.0], "step_m": 0.5},

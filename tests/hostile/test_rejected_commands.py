@@ -41,7 +41,7 @@ FILES = {
     "plan.yaml": _PLAN % "best_first, footprint: gen2_gait",
     "turns.yaml": (
         _PLAN
-        % "greedy, footprint: gen2_section52, primitives: {count: 3, turn_rad: 0.8,"
+        % "best_first, footprint: gen2_section52, primitives: {count: 3, turn_rad: 0.8,"
         " length_m: 0.1}"
     ),
     "sweep.yaml": (
@@ -92,7 +92,7 @@ COMMANDS = (
     "run ./good.yaml gen2_straight --out {}",
     "run ./good.yaml --junit {}/x.xml",
     "compare ./good.yaml --out {}",
-    "plan ./plan.yaml --search --out {}",
+    "plan ./plan.yaml --out {}",
     "models export gen2 --out {}",
     "calibrate footprint gen2 --out {}",
     "calibrate margin ./plan.yaml --out {}",

@@ -11,8 +11,8 @@ from hypothesis import assume, given, strategies as st
 from scipy.integrate import solve_ivp
 
 from srs_twin.errors import InputError
-from srs_twin.planning.arcs import Primitives, arc_collides, arc_end
-from srs_twin.planning.collision import ObstacleGrid, build_grid
+from srs_twin.planning.arcs import Extent, Primitives, arc_collides, arc_end
+from srs_twin.planning.collision import Box, build_grid
 from srs_twin.robot.world import Pose
 
 CURVATURE = st.floats(-4, 4) | st.sampled_from([0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
@@ -30,7 +30,7 @@ ARC = st.tuples(
 )
 NO_CIRCLES = np.empty((0, 3))
 NO_SIDES = np.empty((0, 4))
-ANYWHERE = np.array([-np.inf, np.inf, -np.inf, np.inf])
+ANYWHERE = Box()
 NEAR = 1e-4
 """Tolerance between the drawn polygon and the region, m."""
 
@@ -54,8 +54,8 @@ def drawn(arc) -> shapely.Polygon:
 
 def touches(arc, circles=NO_CIRCLES, sides=NO_SIDES, bounds=ANYWHERE) -> bool:
     pose, k, length, *extent = arc
-    around = ObstacleGrid(circles, sides, bounds, *build_grid(circles, sides))
-    return arc_collides(tuple(pose), k, length, tuple(extent), around)
+    around = build_grid(circles, sides, bounds)
+    return arc_collides(tuple(pose), k, length, Extent(*extent), around)
 
 
 @given(ARC, st.integers(0, 2**32 - 1))
@@ -138,9 +138,7 @@ def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
         == shapely.box(*box).buffer(NEAR).contains(region)
         == shapely.box(*box).buffer(-NEAR).contains(region)
     )
-    assert touches(arc, bounds=np.array([box[0], box[2], box[1], box[3]])) == (
-        not inside
-    )
+    assert touches(arc, bounds=Box(box[0], box[2], box[1], box[3])) == (not inside)
 
 
 def test_even_numbers_of_primitives_are_rejected():

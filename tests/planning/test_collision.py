@@ -10,13 +10,12 @@ import pytest
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import (
     Checker,
-    nearest_obstacles,
     obstacle_at,
     obstacle_grid,
 )
 from srs_twin.planning.footprint import Footprint, Transient
+from srs_twin.planning.free_space import min_path_length
 from srs_twin.planning.guidance import find_passages
-from srs_twin.planning.infeasibility import min_path_length
 from srs_twin.planning.moves import follow_arc, initial_state, make_move_set
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
@@ -130,34 +129,6 @@ WALLS = {
 @pytest.fixture(params=WALLS)
 def wall(request):
     return WALLS[request.param]
-
-
-def test_nearest_compares_each_bound_with_obstacles(wall):
-    x, y, east, north = wall
-    near, beyond = ((x + d * east, y + d * north) for d in (-0.1, 0.1))
-
-    def box(gap: float) -> Polygon:
-        """Return a square at this distance from the point near the bound, on the inner side."""
-        a = near[0] - (gap + 0.1) * east
-        b = near[1] - (gap + 0.1) * north
-        return Polygon(
-            tuple(
-                (a + u, b + v)
-                for u, v in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))
-            )
-        )
-
-    points = np.array([near, beyond])
-    for gap, found in ((0.11, "bounds"), (0.09, "")):
-        disc = Circle(near[0] - (gap + 0.3) * east, near[1] - (gap + 0.3) * north, 0.3)
-        assert nearest_obstacles(World((disc,), ROOM), points) == [
-            found or "obstacle 1",
-            "bounds",
-        ]
-        walls = World(bounds=ROOM, polygons=(box(gap),))
-        assert nearest_obstacles(walls, points[:1]) == [found or "polygon 1"]
-    assert nearest_obstacles(World(polygons=(box(0.2),)), points) == ["polygon 1"] * 2
-    assert nearest_obstacles(World(), points) == ["", ""]
 
 
 def test_crossing_a_bound_is_reported_on_each_side(wall):

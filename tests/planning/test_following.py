@@ -307,11 +307,11 @@ def test_camera_noise_of_x_y_and_heading_has_its_size_and_is_independent():
 
 
 def test_missing_plan_ends_the_run_with_the_planners_reason():
-    follower, _, way = follow(Plan(Outcome.STUCK, "every arc is blocked"))
+    follower, _, way = follow(Plan(Outcome.NOT_FOUND, "every arc is blocked"))
     assert follower.finished and follower.ending == "no_plan" and len(way) == 1
     (event,) = follower.events()
     assert (event.kind, event.text) == ("no_plan", "every arc is blocked")
-    assert follower.describe()["following"]["plans"][0]["outcome"] == "stuck"
+    assert follower.describe()["following"]["plans"][0]["outcome"] == "not_found"
 
 
 def test_a_snake_that_stops_is_stuck():

@@ -191,7 +191,7 @@ def test_a_goal_is_not_reached_through_an_obstacle(deep, reached):
 
 
 def test_metrics_without_a_path():
-    run = followed(STILL.trajectory(), [plan([], outcome="unreachable")])
+    run = followed(STILL.trajectory(), [plan([], outcome="not_found")])
     metrics = following_metrics(run)
     assert metrics["plan_found"] == 0 and metrics["plan_length_m"] is None
     assert metrics["cross_track_rms_m"] is None and metrics["inside_share"] is None

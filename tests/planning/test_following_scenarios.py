@@ -96,7 +96,7 @@ def test_no_plan_is_an_outcome_and_fails_under_check(file, srs_twin):
     )
     (file / "walled.yaml").write_text(text, "utf-8")
     plain = srs_twin("plan", "walled.yaml", cwd=file)
-    assert plain.returncode == 0 and "unreachable" in plain.stdout
+    assert plain.returncode == 0 and "proven_impossible" in plain.stdout
     checked = srs_twin("plan", "walled.yaml", "--check", cwd=file)
     assert (
         checked.returncode == 1

@@ -212,3 +212,14 @@ def test_offsets_and_curvatures_rise_together_in_all_shipped_ones():
         assert np.all(np.diff(body.curvatures) > 0) and np.all(
             np.diff(body.offsets) > 0
         )
+
+
+def test_reversing_a_footprint_twice_restores_it():
+    body = load_footprint("gen4_table8")
+    back = body.backward
+    assert back.backward == body
+    for k in body.curvatures:
+        assert (back.at(-k).left, back.at(-k).right) == (
+            body.at(k).right,
+            body.at(k).left,
+        )

@@ -1,4 +1,4 @@
-"""Lower bound on path lengths and clearance of paths in simple worlds."""
+"""Proof that no path exists, lower bound on path lengths, and clearance of paths."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from dataclasses import replace
 
 import pytest
 from plan_worlds import drawn_problem
+from subsets import first_by_default
+from witnessed_worlds import KINDS, bodies, drawn
 
 from srs_twin.planning.collision import MAX_CLEARANCE_M, Checker
 from srs_twin.planning.footprint import Footprint
-from srs_twin.planning.infeasibility import min_path_length
+from srs_twin.planning.free_space import is_disconnected, min_path_length
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
@@ -68,3 +70,12 @@ def test_clearance_is_the_distance_of_the_edge_from_the_nearest_obstacle():
     assert Checker(World(), BODY).clearance(path) == pytest.approx(
         MAX_CLEARANCE_M, abs=2e-4
     )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", first_by_default(1, bodies()))
+def test_ends_of_a_known_path_are_never_disconnected(kind, name):
+    body = bodies()[name]
+    for seed in range(100, 103):
+        case = drawn(kind, seed, body).problem
+        assert not is_disconnected(case.start, case.goal, case.world, body.narrowest)

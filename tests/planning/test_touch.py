@@ -15,7 +15,7 @@ from snakes import robot
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Plan, Problem, Settings
+from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
 from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 from srs_twin.rollout import rollout
@@ -66,7 +66,7 @@ def test_gaps_narrower_than_the_hard_edges_have_no_plan():
     narrow = 2 * LIMITS.hard.narrowest
     assert plan(across(narrow + 0.002), LEANING).found
     result = plan(across(narrow - 0.002), LEANING)
-    assert result.proven and result.touches == ()
+    assert result.outcome is Outcome.PROVEN_IMPOSSIBLE and result.touches == ()
     assert not plan(across(narrow + 0.002)).found
 
 
@@ -217,10 +217,9 @@ def scenario(**changes: object) -> dict:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"kind": "greedy"}, "kind: greedy cannot lean on obstacles"),
         (
             {"kind": "given", "turns_rad": [0], "step_m": 1},
-            "kind: given cannot lean on obstacles",
+            "planner.touch: unknown key",
         ),
         (
             {"clearance_weight": 1},
@@ -245,9 +244,7 @@ def test_a_plant_without_contact_is_refused():
         parse_scenario(scenario() | {"plants": {"analytical": {}, "twin": {}}})
 
 
-def test_other_planners_refuse_touch_in_python():
-    with pytest.raises(InputError, match="best_first can plan with touch"):
-        plan(across(0.3), LEANING, planner="greedy")
+def test_touch_excludes_a_cost_of_clearance_in_python():
     with pytest.raises(InputError, match="clearance_weight must be 0"):
         replace(LEANING, clearance_weight=1.0)
 

@@ -58,7 +58,6 @@ ORIGINAL = {
     "table8": 0.2,
     "table9": None,
     "plan-example": None,
-    "plan-success": None,
     "follow-sim": None,
     "experiments": None,
     "follow-causes": None,

@@ -30,9 +30,8 @@ from rerun.blueprint import Blueprint
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 from srs_twin.robot.spec import RobotSpec
-from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.additions import FloorLine, RunPictures, added_to, additions
+from srs_twin.viewing.additions import RunPictures, added_to, additions
 from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.plots.signals import (
     forward_speed,
@@ -151,28 +150,6 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
         for name, error in errors.items():
             to = Entities(log, measured[plant].comparison.time, "measured/")
             to.line(f"{name}/{plant}", error, style_of(plant, index))
-    Path(path).write_bytes(_drain(log, memory))
-
-
-def write_floor(
-    path: str | Path, title: str, world: World, lines: Sequence[FloorLine]
-) -> None:
-    """Write a recording of a world with lines on its floor, e.g. a plan.
-
-    Args:
-        path: output file; an existing file is replaced.
-        title: name of the recording in the viewer.
-        world: obstacles.
-        lines: lines on the floor.
-    """
-    log = rr.RecordingStream(APPLICATION)
-    memory = log.memory_recording()
-    log.set_log_time_enabled(False)
-    log.set_log_tick_enabled(False)
-    log.send_recording_name(title)
-    to = Entities(log, np.zeros(0), "world/")
-    send_obstacles(to, world)
-    send_lines(to, lines)
     Path(path).write_bytes(_drain(log, memory))
 
 

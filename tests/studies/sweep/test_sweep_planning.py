@@ -1,8 +1,7 @@
-"""Sweeps without plants: planners in the same worlds, with their metrics as columns of one table."""
+"""Sweeps without plants: plans in the same worlds, with their metrics as columns of one table."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pyarrow.parquet as pq
@@ -10,10 +9,9 @@ import pytest
 from small import execute, here, write
 
 from srs_twin.errors import InputFileError
-from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Problem
+from srs_twin.planning.problem import Problem, Settings
 from srs_twin.robot.world import FIG54_GOAL, FIG54_START, fig54_world
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
@@ -24,13 +22,13 @@ scenario: plan_fig54_8
 plants: []
 fixed: {world.goal.radius_m: 0.02}
 vary:
-  planner.kind: [greedy, best_first]
+  planner.weight: [1, 2]
   world.random.count: [3, 12]
   seed: [0, 1, 2]
 """
 PICTURE = (
     "plots: [{kind: line, x: world.random.count, metric: plan_found, by:"
-    " planner.kind}]\n"
+    " planner.weight}]\n"
 )
 
 
@@ -39,18 +37,14 @@ def table(text, folder):
     return pq.read_table(folder / "out/results.parquet").to_pylist()
 
 
-def test_rows_equal_direct_calls_of_the_planners(tmp_path):
+def test_rows_equal_direct_calls_of_the_planner(tmp_path):
     rows = table(WORLDS + PICTURE, tmp_path)
     assert len(rows) == 12 and {row["status"] for row in rows} == {"done"}
     body = load_footprint("gen2_section52")
-    arcs = Primitives(21, math.pi / 3, 0.2)
     for row in rows:
-        kind = row["planner.kind"]
         world = fig54_world(row["world.random.count"], row["seed"])
-        study_ = Problem(
-            FIG54_START, FIG54_GOAL, world, body, arcs if kind == "greedy" else None
-        )
-        answer = plan(study_, planner=kind)
+        problem = Problem(FIG54_START, FIG54_GOAL, world, body)
+        answer = plan(problem, Settings(weight=row["planner.weight"]))
         assert (
             row["plan.plan_found"] == answer.found
             and row["plan.plan_nodes"] == answer.expanded
@@ -88,12 +82,12 @@ def test_the_digest_does_not_depend_on_planning_time(tmp_path):
     ("without", "says"),
     [
         (
-            "planner.kin=greedy",
-            "unknown varied field 'planner.kin'; did you mean planner.kind?",
+            "planner.weigh=1",
+            "unknown varied field 'planner.weigh'; did you mean planner.weight?",
         ),
         (
-            "planner.kind=gredy",
-            "unknown value of planner.kind 'gredy'; did you mean greedy?",
+            "planner.weight=3",
+            "unknown value of planner.weight '3'",
         ),
     ],
 )
@@ -119,7 +113,7 @@ def test_invalid_exclusions_are_refused(without, says, tmp_path, srs_twin):
             WORLDS + "trajectories: true\n",
             "trajectories: no plant runs with plants: []; remove it",
         ),
-        (WORLDS.replace("greedy, ", "gready, "), "gready"),
+        (WORLDS.replace("planner.weight", "planner.wait"), "planner.wait"),
         (
             WORLDS
             + "beside: {source: x, at: {seed: [0]}, metrics: {com_speed_m_s: [1]}}\n",

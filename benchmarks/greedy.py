@@ -1,4 +1,4 @@
-r"""The planner of the dissertation, for comparison.
+r"""The planner of the dissertation, as a baseline for the planner.
 
 `greedy`, Section 5.2.1, grows two trees of one branch each, from the start and from the
 goal. At the newest node of each side in turn, start first, all N arcs are scored and
@@ -33,7 +33,7 @@ from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
 from srs_twin.planning.path import Segment, make_segment
-from srs_twin.planning.problem import Outcome, Plan, Problem
+from srs_twin.planning.problem import Outcome, Plan, Problem, Settings
 from srs_twin.robot.world import Pose
 
 G_STEP_M = 0.001
@@ -47,8 +47,8 @@ Branch = list[tuple[Pose, float]]
 """Start pose and curvature (1/m) of each arc."""
 
 
-def greedy(problem: Problem) -> Plan:
-    """Plan as the dissertation does.
+def greedy(problem: Problem, settings: Settings) -> Plan:
+    """Plan as the dissertation does; the settings are not used.
 
     Raises:
         InputError: the problem has no primitives, or its goal no heading.
@@ -56,11 +56,11 @@ def greedy(problem: Problem) -> Plan:
     arcs = problem.primitives
     if arcs is None:
         raise InputError(
-            "planner greedy needs primitives: their number, largest turn and length"
+            "greedy needs primitives: their number, largest turn and length"
         )
     if problem.goal.heading is None:
         raise InputError(
-            "planner greedy needs a goal with a heading: its second branch starts there"
+            "greedy needs a goal with a heading: its second branch starts there"
         )
     forward = Checker(problem.world, problem.footprint)
     backward = Checker(problem.world, problem.footprint.backward)
@@ -83,14 +83,14 @@ def greedy(problem: Problem) -> Plan:
                 f"every arc is blocked {where}, and greedy does not go back; try"
                 " best_first"
             )
-            return Plan(Outcome.STUCK, reason, (), turn)
+            return Plan(Outcome.NOT_FOUND, reason, (), turn)
         curvature, end = child
         branches[side].append((tips[side], curvature))
         tips[side] = end
     reason = (
         f"the branches did not meet within {_MAX_BRANCH_ARCS} arcs each; try best_first"
     )
-    return Plan(Outcome.BUDGET_SPENT, reason, (), 2 * _MAX_BRANCH_ARCS)
+    return Plan(Outcome.NOT_FOUND, reason, (), 2 * _MAX_BRANCH_ARCS)
 
 
 def arc_through(pose: Pose, x: float, y: float) -> tuple[float, float]:

@@ -1,0 +1,165 @@
+"""Free space regardless of turns: proof that no path exists, and a lower bound on path lengths.
+
+Consider a point o of an obstacle whose distance from a smooth path is below the
+clearance w, the smallest distance of an edge from the path. If the nearest point of the
+path is not an end of it, o is straight across from that point and within the edges: a
+collision. So the nearest point is an end, at most w from o, and all other points of the
+path within w of o are within 2 w of that end. Hence a collision-free path is contained
+in the free space. This is the complement of the obstacles grown by w, within the bounds
+reduced by w, together with discs of radius 2 w around both ends. If start and goal are
+in different connected components, no path exists; otherwise the shortest line in the
+component is a lower bound on the path length.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from srs_twin.planning.collision import obstacle_shapes
+from srs_twin.robot.world import Goal, Pose, World
+
+if TYPE_CHECKING:
+    import shapely
+
+_FINE_CHORDS = 32
+"""Chords per quarter circle of the proof.
+
+Chords lie inside the circle, which only widens gaps."""
+_COARSE_CHORDS = 4
+"""Chords per quarter circle of the length bound: fewer corners, a faster search."""
+_ROUNDING_M = 1e-9
+"""Tolerance for lines along the boundary of the free space, m."""
+
+
+def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
+    """Return whether start and goal are in different components of the free space.
+
+    Args:
+        start: start of the path.
+        goal: goal; the path may end anywhere within its radius.
+        world: obstacles and bounds.
+        clearance: `Footprint.narrowest`, m.
+    """
+    return _free_component(start, goal, world, clearance, _FINE_CHORDS) is None
+
+
+def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> float:
+    """Return a lower bound on the length of any path from start to goal, m; infinite if there is none.
+
+    Args:
+        start: start of the path.
+        goal: goal; the path may end anywhere within its radius.
+        world: obstacles and bounds.
+        clearance: `Footprint.narrowest`, m.
+    """
+    import shapely
+
+    component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
+    if component is None:
+        return math.inf
+    # A* on the visibility graph: shortest lines bend at corners of the free space only.
+    # Visibility is tested late, when a line reaches the front of the queue.
+    free = component.buffer(_ROUNDING_M, join_style="mitre")
+    shapely.prepare(free)
+    corners = np.array(
+        [(start.x, start.y), (goal.x, goal.y), *_reflex_corners(component)]
+    )
+    straight = np.hypot(*(corners - corners[1]).T)
+    done = np.zeros(len(corners), dtype=bool)
+    queue = [(float(straight[0]), 0.0, 0, 0)]
+    while queue:
+        _, length, before, here = heapq.heappop(queue)
+        if done[here] or not free.covers(
+            shapely.linestrings([corners[before], corners[here]])
+        ):
+            continue
+        if here == 1:
+            return max(length - goal.radius, 0.0)
+        done[here] = True
+        lengths = length + np.hypot(*(corners - corners[here]).T)
+        for there in np.flatnonzero(~done).tolist():
+            heapq.heappush(
+                queue,
+                (
+                    float(lengths[there] + straight[there]),
+                    float(lengths[there]),
+                    here,
+                    there,
+                ),
+            )
+    return math.inf
+
+
+def _reflex_corners(polygon: shapely.Polygon) -> list[tuple[float, float]]:
+    """Return the corners with an interior angle above π, at which shortest lines may bend."""
+    import shapely
+
+    corners: list[tuple[float, float]] = []
+    oriented = shapely.geometry.polygon.orient(polygon)
+    for ring in (oriented.exterior, *oriented.interiors):
+        at = np.asarray(ring.coords)[:-1]
+        before = at - np.roll(at, 1, axis=0)
+        after = np.roll(at, -1, axis=0) - at
+        corners += at[before[:, 0] * after[:, 1] < before[:, 1] * after[:, 0]].tolist()
+    return corners
+
+
+def _free_component(
+    start: Pose, goal: Goal, world: World, clearance: float, chords: int
+) -> shapely.Polygon | None:
+    """Return the connected component of the free space with start and goal; None if they differ."""
+    import shapely
+
+    here = shapely.Point(start.x, start.y)
+    there = shapely.Point(goal.x, goal.y)
+    # Discs are drawn as polygons around the circle: the free space must not be too
+    # small.
+    around = 1 / math.cos(math.pi / (4 * chords))
+    ends = [
+        here.buffer(2 * clearance * around, quad_segs=chords),
+        there.buffer((2 * clearance + goal.radius) * around, quad_segs=chords),
+    ]
+    grown = [
+        core.buffer(radius + clearance, quad_segs=chords)
+        for _, core, radius in obstacle_shapes(world)
+    ]
+    blocked = shapely.union_all(grown)
+    box = _reduced_bounds(world, shapely.union_all([blocked, *ends]).bounds, clearance)
+    free = shapely.union_all([box.difference(blocked), *ends])
+    if free.geom_type == "MultiPolygon":
+        components = list(free.geoms)
+    else:
+        components = [free]
+    return next(
+        (
+            part
+            for part in components
+            if part.intersects(here) and part.intersects(there)
+        ),
+        None,
+    )
+
+
+def _reduced_bounds(
+    world: World, extent: tuple[float, float, float, float], clearance: float
+) -> shapely.Polygon:
+    """Return the bounds reduced by the clearance; without bounds a box with room around all obstacles."""
+    import shapely
+
+    if world.bounds is None:
+        west, south, east, north = extent
+        return shapely.box(
+            west - clearance, south - clearance, east + clearance, north + clearance
+        )
+    (west, east), (south, north) = world.bounds.x, world.bounds.y
+    west = west + clearance
+    east = east - clearance
+    south = south + clearance
+    north = north - clearance
+    if west < east and south < north:
+        return shapely.box(west, south, east, north)
+    return shapely.Polygon()
