@@ -244,20 +244,20 @@ def _units(
     The file has one unit, or one for each point.
     """
     stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
+    if not stated and not given:
+        raise file.error("POINT:UNITS is missing; give --units, or `units` in a map")
     if not stated:
-        assumed = given or "mm"
-        return [assumed] * len(chosen), [f"POINT:UNITS is missing: {assumed} assumed"]
+        return [given or ""] * len(chosen), [f"POINT:UNITS is missing: {given} used"]
     of_points = [stated[k if len(stated) >= count else 0] for k in chosen]
     unknown = sorted({unit for unit in of_points if not symbol(unit, LENGTHS)})
+    notes = []
     if given and unknown:
-        note = (
+        of_points = [given if unit in unknown else unit for unit in of_points]
+        notes.append(
             f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as"
             " given"
         )
-        return [
-            given if unit in unknown else length_unit(file, unit) for unit in of_points
-        ], [note]
-    return [length_unit(file, unit) for unit in of_points], []
+    return [length_unit(file, unit) for unit in of_points], notes
 
 
 class _Frames(NamedTuple):

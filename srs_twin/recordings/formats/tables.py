@@ -117,8 +117,7 @@ class Tum(Format):
         _, points, quaternions, notes = marker_rows(
             file, file.header_lines, 8, [1], others=range(4, 8)
         )
-        time, clock_notes, epoch = file.times(0, "")
-        notes += clock_notes
+        times = file.times(0, "s")
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
             raise file.error(
                 "eight numbers per line are read as time, x, y, z and a quaternion, but"
@@ -129,12 +128,12 @@ class Tum(Format):
         return marker_table(
             file,
             self.name,
-            time,
+            times.time,
             points,
             names,
-            notes,
+            notes + times.notes,
             rotations=rotations,
-            epoch_ns=epoch,
+            epoch_ns=times.epoch_ns,
         )
 
 
