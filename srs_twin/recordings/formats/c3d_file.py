@@ -8,7 +8,7 @@ capitals; the first one is used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, final
 
 import numpy as np
@@ -220,16 +220,8 @@ class C3d(Format):
         time = (np.arange(len(samples)) + max(frames.first - 1, 0)) / rate
         points = np.where(samples[..., 3:] <= -1, np.nan, samples[..., :3])[:, chosen]
         labels = [names[k] for k in chosen]
-        return marker_table(
-            file,
-            self.name,
-            time,
-            points,
-            labels,
-            notes,
-            unit=units,
-            header_frames=frames.announced,
-        )
+        table = marker_table(file, self.name, time, points, labels, notes, unit=units)
+        return replace(table, header_frames=frames.announced)
 
 
 def _units(
